@@ -1,0 +1,66 @@
+"""mbtl: choose which tasks to train on.
+
+Model-based transfer learning for contextual reinforcement learning: train K of N contexts, chosen
+one after another, and serve every context with the best of the trained policies.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from mbtl import selectors
+from mbtl.contexts import Categorical, Context, ContextSpace, Integer, Linear, Log
+from mbtl.errors import MbtlError
+from mbtl.portfolio import Portfolio, load_portfolio
+from mbtl.study import Callback, Pick, Study, create_study, load_study
+from mbtl.version import __version__
+
+if TYPE_CHECKING:
+    from mbtl.benchmark import TransferMatrix, compare, load_matrix
+    from mbtl.cmdps import CMDP, check_cmdp, get_cmdp
+
+# outside the core: imported when first used, so that `import mbtl` stays light
+_LAZY = {
+    "CMDP": "mbtl.cmdps",
+    "check_cmdp": "mbtl.cmdps",
+    "get_cmdp": "mbtl.cmdps",
+    "TransferMatrix": "mbtl.benchmark",
+    "compare": "mbtl.benchmark",
+    "load_matrix": "mbtl.benchmark",
+}
+
+__all__ = [
+    "CMDP",
+    "Callback",
+    "Categorical",
+    "Context",
+    "ContextSpace",
+    "Integer",
+    "Linear",
+    "Log",
+    "MbtlError",
+    "Pick",
+    "Portfolio",
+    "Study",
+    "TransferMatrix",
+    "__version__",
+    "check_cmdp",
+    "compare",
+    "create_study",
+    "get_cmdp",
+    "load_matrix",
+    "load_portfolio",
+    "load_study",
+    "selectors",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(importlib.import_module(_LAZY[name]), name)
+    raise AttributeError(f"module 'mbtl' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,42 @@
+"""Tabular benchmark: selectors on known transfer matrices, without any training."""
+
+from mbtl.benchmark.base import Levels, RowSource, levels
+from mbtl.benchmark.catalogue import open_matrix, synthetic_ids, synthetic_world
+from mbtl.benchmark.compare import compare
+from mbtl.benchmark.matrix import TransferMatrix
+from mbtl.benchmark.oracle import (
+    OracleRun,
+    Reference,
+    random_curve,
+    reference,
+    sequential_oracle,
+)
+from mbtl.benchmark.records import Comparison, Run, Summary
+from mbtl.benchmark.shipped import load_matrix, save_shipped, shipped_matrices
+from mbtl.benchmark.summary import summarise
+from mbtl.benchmark.synthetic import SyntheticWorld, linear_gap_world
+
+__all__ = [
+    "Comparison",
+    "Levels",
+    "OracleRun",
+    "Reference",
+    "RowSource",
+    "Run",
+    "Summary",
+    "SyntheticWorld",
+    "TransferMatrix",
+    "compare",
+    "levels",
+    "linear_gap_world",
+    "load_matrix",
+    "open_matrix",
+    "random_curve",
+    "reference",
+    "save_shipped",
+    "sequential_oracle",
+    "shipped_matrices",
+    "summarise",
+    "synthetic_ids",
+    "synthetic_world",
+]

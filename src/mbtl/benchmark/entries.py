@@ -1,0 +1,134 @@
+"""Entries of a matrix file: the rules each must keep, and what stands in for a missing one.
+
+Every error names the entry; `TransferMatrix.load` puts the file before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbtl.benchmark.npz import read_text
+from mbtl.contexts import ContextSpace, Integer, Linear
+from mbtl.contexts.space import factorial_shape
+from mbtl.errors import InvalidInput
+from mbtl.objective import Array, Bounds, Direction
+
+Floats = NDArray[np.floating[Any]]
+DIRECTIONS: dict[str, Direction] = {"max": "maximize", "min": "minimize"}
+
+
+def checked_returns(returns: ArrayLike) -> Floats:
+    """Returns as (S, N, N) finite floats, or an `InvalidInput` that says what is wrong."""
+    array = np.asarray(returns)
+    if array.dtype.kind not in "fiu":
+        raise InvalidInput(f"returns must be real numbers, got dtype {array.dtype}")
+    if array.dtype.kind != "f":
+        array = array.astype(np.float64)
+    if array.ndim != 3 or array.shape[1] != array.shape[2] or 0 in array.shape:
+        hint = "; add the seed axis with returns[None]" if array.ndim == 2 else ""
+        raise InvalidInput(
+            f"returns must have shape (seed, source, target) with as many sources as targets, "
+            f"got {array.shape}{hint}"
+        )
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        seed, source, target = bad[0].tolist()
+        raise InvalidInput(
+            f"returns must be finite, got {len(bad)} NaN or infinite of {array.size}, the first at "
+            f"[seed {seed}, source {source}, target {target}]"
+        )
+    return array
+
+
+def checked_direction(direction: str) -> Direction:
+    """The long name of "max" or "min"."""
+    if direction not in DIRECTIONS:
+        raise InvalidInput(f"direction must be 'max' or 'min', got {direction!r}")
+    return DIRECTIONS[direction]
+
+
+def checked_bounds(bounds: ArrayLike | None, returns: Floats, direction: Direction) -> Bounds:
+    """Bounds from a pair, or the smallest and largest return over all seeds."""
+    if bounds is None:
+        return Bounds.of(returns, direction)
+    pair = np.asarray(bounds)
+    if pair.shape != (2,) or pair.dtype.kind not in "fiu":
+        raise InvalidInput(f"bounds must be two numbers (low, high), got {bounds!r}")
+    return Bounds(float(pair[0]), float(pair[1]), direction)
+
+
+def space_of(contexts: ArrayLike | None, axes: Sequence[str] | None, n: int) -> ContextSpace:
+    """Contexts of a user's file; a grid is recognised, so that grid steps mean what they say."""
+    if contexts is None:
+        if axes is not None and len(axes) != 1:
+            raise InvalidInput(f"axes {list(axes)} need `contexts` (N, d), which is missing")
+        name = axes[0] if axes is not None else "index"
+        return ContextSpace.grid({Integer(name, 0, max(n - 1, 1)): list(range(n))})
+    values = np.asarray(contexts)
+    if (
+        values.ndim != 2
+        or len(values) != n
+        or values.shape[1] < 1
+        or values.dtype.kind not in "fiu"
+    ):
+        raise InvalidInput(
+            f"contexts must be numbers of shape (N, d) with N = {n}, "
+            f"got shape {values.shape} and dtype {values.dtype}"
+        )
+    values = values.astype(np.float64)
+    d = values.shape[1]
+    names = list(axes) if axes is not None else [f"x{q}" for q in range(d)] if d > 1 else ["x"]
+    if len(names) != d:
+        raise InvalidInput(f"axes must be {d} names, one per column of contexts, got {names}")
+    if not np.isfinite(values).all():
+        raise InvalidInput("contexts must be finite, got NaN or infinite values")
+    lines = [_axis_through(name, column) for name, column in zip(names, values.T, strict=True)]
+    if factorial_shape(values):
+        return ContextSpace.grid(
+            {axis: np.unique(v).tolist() for axis, v in zip(lines, values.T, strict=True)}
+        )
+    return ContextSpace(lines, [column.tolist() for column in values.T])
+
+
+def _axis_through(name: str, column: Array) -> Linear:
+    low, high = float(column.min()), float(column.max())
+    if low == high:  # a column that never varies still is an axis, of arbitrary width
+        low, high = low - 0.5, high + 0.5
+    return Linear(name, low, high)
+
+
+def keywords(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Entries of a file as keywords of `TransferMatrix.of`; other entries are the user's own."""
+    words: dict[str, Any] = {"returns": arrays["returns"]}
+    for key in ("contexts", "bounds", "std"):
+        if key in arrays:
+            words[key] = arrays[key]
+    if "axes" in arrays:
+        words["axes"] = [str(name) for name in np.atleast_1d(arrays["axes"])]
+    if "direction" in arrays:
+        words["direction"] = str(arrays["direction"].reshape(-1)[0])
+    if "theta" in arrays:
+        theta = arrays["theta"]
+        if theta.size != 1 or theta.dtype.kind not in "fiu":
+            raise InvalidInput(f"theta must be one number, got {theta!r}")
+        words["theta"] = float(theta.reshape(-1)[0])
+    if "space" in arrays:
+        words["space"] = _stored_space(arrays["space"])
+    if "provenance" in arrays:
+        words["provenance"] = read_text(arrays["provenance"], "provenance")
+    return words
+
+
+def _stored_space(entry: NDArray[Any]) -> ContextSpace:
+    record = read_text(entry, "space")
+    try:
+        return ContextSpace.from_json(record)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InvalidInput(
+            f"`space` must be the record that ContextSpace.to_json gives, got one that breaks at "
+            f"{error}; leave it out to use `contexts`"
+        ) from error

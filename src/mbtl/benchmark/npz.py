@@ -1,0 +1,94 @@
+"""Files of arrays: `.npz` without pickle, one-sentence errors, writes that are whole or absent."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.errors import InvalidInput, StorageError
+
+_UNREADABLE = (ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error)
+
+
+def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """All arrays of a `.npz` file by name.
+
+    Raises:
+        InvalidInput: there is no such file, it is no `.npz`, it is damaged, or it holds pickled
+            objects, which are never loaded.
+    """
+    try:
+        with path.open("rb") as file:
+            loaded = np.load(file, allow_pickle=False)
+            if not isinstance(loaded, np.lib.npyio.NpzFile):
+                raise InvalidInput(
+                    f"{path} must be an .npz file, got a single array; write it with "
+                    "numpy.savez(path, returns=...)"
+                )
+            return {key: loaded[key] for key in loaded.files}
+    except FileNotFoundError:
+        raise InvalidInput(f"there is no file {path}; give the path of an .npz file") from None
+    except OSError as error:
+        raise InvalidInput(f"{path} cannot be read ({error.strerror or error})") from error
+    except InvalidInput:
+        raise
+    except _UNREADABLE as error:
+        raise InvalidInput(
+            f"{path} must be an .npz file of plain numbers (no pickled objects), got something "
+            f"else or a damaged file ({error}); write it with numpy.savez"
+        ) from error
+
+
+def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write a compressed `.npz`, replacing an old one only when the new one is complete.
+
+    Raises:
+        InvalidInput: the name does not end in .npz.
+        StorageError: the place cannot be written.
+    """
+    if path.suffix != ".npz":
+        raise InvalidInput(f"a matrix file ends in .npz, got {str(path)!r}")
+    assert not any(array.dtype.hasobject for array in arrays.values())
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with unfinished.open("wb") as file:
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(path)
+    except OSError as error:
+        raise StorageError(
+            f"{path} cannot be written ({error.strerror or error}); choose another place"
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+
+
+def text_array(record: Mapping[str, Any]) -> NDArray[np.str_]:
+    """A JSON-able record as a 0-d text array, which `.npz` stores without pickle."""
+    return np.array(json.dumps(record, sort_keys=True, ensure_ascii=False))
+
+
+def read_text(array: NDArray[Any], key: str) -> dict[str, Any]:
+    """The record that `text_array` stored under `key`.
+
+    Raises:
+        InvalidInput: the entry is not a JSON object.
+    """
+    try:
+        record = json.loads(str(array[()]))
+    except (ValueError, IndexError):
+        record = None
+    if not isinstance(record, dict):
+        raise InvalidInput(f"`{key}` must hold a JSON object as text")
+    return record

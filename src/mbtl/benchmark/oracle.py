@@ -1,0 +1,146 @@
+"""What needs the whole matrix: the Sequential Oracle, and Random's exact expectation.
+
+They are the two ends of the scale that selectors are measured on, and no selector may see what they
+see; that is why they live here and not among the selectors.
+
+Notation (shapes): N contexts, K trainings.
+    curve  (K,)  V_1..V_K, performance
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbtl.benchmark.base import BLOCK_BYTES, Levels, RowSource, levels, row_blocks
+from mbtl.errors import InvalidInput
+from mbtl.objective import Array, value
+
+_ROUNDING = 1e-12  # slack of the bounds, far above the rounding of a mean
+
+
+@dataclass(frozen=True)
+class OracleRun:
+    """The Sequential Oracle on one matrix seed.
+
+    Attributes:
+        sources: (K,) picks in order.
+        curve: (K,) V after each.
+        seconds: wall time.
+    """
+
+    sources: tuple[int, ...]
+    curve: Array
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Everything that one matrix seed is compared against.
+
+    Attributes:
+        levels: Independent, Oracle Transfer, grand mean.
+        random: (K,) expectation of V over uniformly random orders, exact.
+        oracle: the Sequential Oracle.
+    """
+
+    levels: Levels
+    random: Array
+    oracle: OracleRun
+
+
+def reference(source: RowSource, seed: int, budget: int) -> Reference:
+    """Reference levels and curves of one matrix seed for K = `budget`."""
+    return Reference(
+        levels(source, seed),
+        random_curve(source, seed, budget),
+        sequential_oracle(source, seed, budget),
+    )
+
+
+def sequential_oracle(source: RowSource, seed: int, budget: int) -> OracleRun:
+    """Greedy on the true matrix: x_k = argmax_x V(x; pi_1:k-1), the first index of equal values.
+
+    Myopic, hence no upper bound. The gain of a row can only shrink as others are trained, so a row
+    is looked at again only while its last known gain could still win ("lazy greedy", Minoux 1978);
+    the picks are those of the full search, and memory is bounded by blocks of rows.
+
+    Values are compared as computed, without a tolerance: rows that tie in exact arithmetic (73 and
+    74 at the ninth pick of the linear-gap world of N = 100) are told apart by the rounding of the
+    mean, which gives 74 there, as in the test vector of that world.
+    """
+    start = time.perf_counter()
+    problem = source.problem(budget)
+    weights = None if problem.uniform_weights else problem.weights
+    block = max(1, min(256, BLOCK_BYTES // (16 * source.n)))
+    taken: list[int] = []
+    curve: list[float] = []
+    best = np.full(source.n, -np.inf)
+    ceiling = np.full(source.n, np.inf)  # upper bound of every row's gain in V
+    for _ in range(budget):
+        now = curve[-1] if curve else 0.0
+        ceiling[taken] = -np.inf
+        reached = np.full(source.n, -np.inf)
+        order = np.argsort(-ceiling, kind="stable")
+        for first in range(0, source.n, block):
+            group = order[first : first + block]
+            hopeful = now + ceiling[group] >= reached.max() - _ROUNDING
+            group = group[hopeful & (ceiling[group] > -np.inf)]
+            if group.size == 0:
+                break
+            rows = np.maximum(source.rows(seed, group), best)
+            reached[group] = rows.mean(axis=1) if weights is None else rows @ weights
+        # The first value is no gain over anything and bounds no later gain.
+        if curve:
+            looked = np.isfinite(reached)
+            ceiling[looked] = reached[looked] - now
+        pick = int(np.argmax(reached))
+        best = np.maximum(best, source.rows(seed, [pick])[0])
+        taken.append(pick)
+        curve.append(value(best, weights))
+    return OracleRun(tuple(taken), np.asarray(curve), time.perf_counter() - start)
+
+
+def random_weights(n: int, budget: int) -> Array:
+    """Chance that the best of k random policies is the r-th best of all: C(N-r, k-1) / C(N, k).
+
+    Computed by the ratio of neighbours, w(k, 1) = k/N and w(k, r+1) / w(k, r) = (N-r-k+1) / (N-r),
+    which has no large numbers in it and ends at an exact zero.
+
+    Args:
+        n: number of policies N.
+        budget: K, from 1 to N.
+
+    Returns:
+        (K, N) weights for k = 1..K and r = 1..N; each row sums to 1.
+    """
+    if not 1 <= budget <= n:
+        raise InvalidInput(f"budget must be from 1 to the number of contexts ({n}), got {budget}")
+    k = np.arange(1, budget + 1, dtype=np.float64)[:, None]
+    r = np.arange(1, n, dtype=np.float64)
+    ratios = np.maximum(n - r - k + 1.0, 0.0) / (n - r)
+    return np.asarray(np.cumprod(np.hstack([k / n, ratios]), axis=1))
+
+
+def random_curve(source: RowSource, seed: int, budget: int) -> Array:
+    """Expected V of k policies on distinct, uniformly random contexts, for k = 1..K; exact.
+
+    Per target, with its values sorted a_1 >= ... >= a_N: sum_r a_r C(N-r, k-1) / C(N, k); then the
+    weighted mean over targets. A column needs all rows, so a matrix that does not fit in memory is
+    read once per block of columns.
+    """
+    n = source.n
+    chance = random_weights(n, budget)
+    weights = source.problem(budget).weights
+    width = max(1, min(n, BLOCK_BYTES // (8 * n)))
+    curve = np.zeros(budget)
+    for start in range(0, n, width):
+        stop = min(start + width, n)
+        columns = np.empty((stop - start, n))  # target-major: each sort runs along memory
+        for sources, rows in row_blocks(source, seed, block_bytes=BLOCK_BYTES // 4):
+            columns[:, sources] = rows[:, start:stop].T
+        columns.sort(axis=1)
+        curve += chance @ (weights[start:stop] @ columns)[::-1]
+    return curve

@@ -1,0 +1,142 @@
+"""Matrices that come with the library: one small file per CMDP, variant and seed.
+
+A file is called `<cmdp>[-<variant>]-seed<k>.npz` and is a complete matrix of one seed: raw returns
+and evaluation standard deviation as float32, contexts, bounds, theta, and its provenance.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from mbtl.benchmark.matrix import TransferMatrix
+from mbtl.benchmark.npz import write_npz
+from mbtl.errors import InvalidInput, StorageError, unknown_name
+
+_FILE = re.compile(r"(?P<id>.+)-seed(?P<seed>\d+)\.npz")
+DEFAULT = "default"
+
+
+def matrix_id(cmdp: str, variant: str = DEFAULT) -> str:
+    """The id of a shipped matrix: the CMDP's, followed by the variant unless it is the default."""
+    return cmdp if variant == DEFAULT else f"{cmdp}-{variant}"
+
+
+def shipped_matrices(folder: str | Path | None = None) -> list[str]:
+    """Ids of all matrices in the package data, or in `folder`, sorted."""
+    return sorted(_files(folder))
+
+
+def load_matrix(
+    cmdp: str, variant: str = DEFAULT, *, folder: str | Path | None = None
+) -> TransferMatrix:
+    """A shipped matrix, its seed files stacked.
+
+    Args:
+        cmdp: CMDP id, e.g. "cartpole-length".
+        variant: recipe, e.g. "hidden", "final", "dqn", "a2c".
+        folder: where to look instead of the package data, e.g. what `mbtl matrix build` wrote.
+
+    Returns:
+        The matrix; its provenance is {"seeds": [one record per seed]}.
+
+    Raises:
+        UnknownName: there is no such matrix.
+        StorageError: its files do not fit together.
+    """
+    return load_by_id(matrix_id(cmdp, variant), folder=folder)
+
+
+def load_by_id(name: str, *, folder: str | Path | None = None) -> TransferMatrix:
+    """A shipped matrix by its id (`shipped_matrices`); see `load_matrix`."""
+    files = _files(folder)
+    if name not in files:
+        where = "this version of mbtl ships" if folder is None else f"{folder} holds"
+        hint = f"Known: {', '.join(sorted(files))}." if files else f"So far {where} none."
+        raise unknown_name(
+            "transfer matrix",
+            name,
+            files,
+            hint=f"{hint} Build one with `mbtl matrix build`, or give the path of an .npz file.",
+        )
+    by_seed = files[name]
+    parts = [TransferMatrix.load(by_seed[seed], name=name) for seed in sorted(by_seed)]
+    first = parts[0]
+    for seed, part in zip(sorted(by_seed), parts, strict=True):
+        same = part.space == first.space and part.bounds == first.bounds
+        if not same or part.theta != first.theta or (part.std is None) != (first.std is None):
+            raise StorageError(
+                f"the files of {name!r} must agree on contexts, bounds and theta, and seed {seed} "
+                "does not; build it again"
+            )
+    deviations = [part.std for part in parts if part.std is not None]
+    return replace(
+        first,
+        returns=np.concatenate([part.returns for part in parts]),
+        std=np.concatenate(deviations) if deviations else None,
+        provenance={"seeds": [dict(part.provenance) for part in parts]},
+    )
+
+
+def save_shipped(
+    matrix: TransferMatrix,
+    folder: str | Path,
+    cmdp: str,
+    variant: str = DEFAULT,
+    *,
+    first_seed: int = 0,
+) -> list[Path]:
+    """Write one file per seed in the shipped layout, as float32.
+
+    Args:
+        matrix: with provenance either of the whole, or {"seeds": [one record per seed]}.
+        folder: created when missing.
+        cmdp: CMDP id.
+        variant: recipe.
+        first_seed: number of the matrix's first seed; the others follow.
+
+    Returns:
+        The paths written.
+
+    Raises:
+        InvalidInput: the provenance lists another number of seeds.
+        StorageError: the place cannot be written.
+    """
+    records = matrix.provenance.get("seeds", [matrix.provenance] * matrix.n_seeds)
+    if len(records) != matrix.n_seeds:
+        raise InvalidInput(
+            f"provenance must have one record per seed ({matrix.n_seeds}), got {len(records)}"
+        )
+    place = Path(folder)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{place} cannot be created ({error.strerror or error})") from error
+    paths = []
+    for s, record in enumerate(records):
+        one = replace(
+            matrix,
+            returns=matrix.returns[s : s + 1].astype(np.float32),
+            std=None if matrix.std is None else matrix.std[s : s + 1].astype(np.float32),
+            provenance=record,
+        )
+        paths.append(place / f"{matrix_id(cmdp, variant)}-seed{first_seed + s}.npz")
+        write_npz(paths[-1], one.arrays())
+    return paths
+
+
+def _files(folder: str | Path | None) -> dict[str, dict[int, Path]]:
+    """Matrix id -> seed -> file."""
+    place = (
+        Path(str(resources.files("mbtl.benchmark") / "data")) if folder is None else Path(folder)
+    )
+    found: dict[str, dict[int, Path]] = {}
+    for path in sorted(place.glob("*.npz")):
+        match = _FILE.fullmatch(path.name)
+        if match:
+            found.setdefault(match["id"], {})[int(match["seed"])] = path
+    return found

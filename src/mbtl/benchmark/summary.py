@@ -1,0 +1,192 @@
+"""Summary of a comparison: what each selector reached, with intervals over matrix seeds.
+
+Notation (shapes): one matrix with S seeds, K trainings.
+    V        (S, K)  generalisation performance; a selector run with several selector seeds enters
+                     with the mean of its curves, `random` with its exact expectation
+    V_rand   (S, K)  Random's exact expectation      V_orac  (S, K)  Sequential Oracle
+
+Per matrix seed, then averaged over the seeds of a matrix:
+    V_K      V at k = K                              V_mean  mean of V over k = 1..K
+    k_star   first k with V >= Independent (the multi-task value is no part of a matrix)
+    k90      first k with V >= grand mean + 0.90 (Oracle Transfer - grand mean); k95, k99 alike
+Averages of k are geometric means. A level not reached within K is *censored*: the seed shows None,
+enters the geometric mean as K + 1, and is counted; with `censored` > 0 the value therefore is a
+lower bound, and with every seed censored it is None.
+
+    minus_random     V - V_rand, at K and as mean over k
+    closed_fraction  mean(V - V_rand) / mean(V_orac - V_rand), at K and under the curve (k = 1..K):
+                     a ratio of means over seeds, never a mean of ratios; None if nobody can gain
+
+*Pooled* values average these per-matrix means over the matrices, each matrix counting once: V_K and
+V_mean arithmetically, k geometrically, closed_fraction as the ratio of the two pooled means.
+
+Intervals: 95 % percentile bootstrap. Seeds are the unit: the S seeds of each matrix are drawn with
+replacement, within that matrix, and all selectors share the draws, so differences are paired. One
+seed gives no interval, alone or in a pool. With three seeds the bootstrap knows only ten samples,
+and its intervals are too short; they show the scatter between seeds, not a tested claim.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbtl.benchmark.oracle import Reference
+from mbtl.benchmark.records import (
+    CONFIDENCE,
+    RESAMPLES,
+    Estimate,
+    MatrixSummary,
+    SelectorSummary,
+    Summary,
+    Trainings,
+)
+from mbtl.objective import Array, k_star
+
+SHARES = (0.90, 0.95, 0.99)
+_SEED = 20240604
+_TIE = 1e-12
+
+# Columns of the per-seed table; every statistic is a function of their means.
+_V_K, _V_MEAN, _LOG_K, _GAIN, _ROOM = 0, 1, slice(2, 6), slice(6, 8), slice(8, 10)
+
+
+def summarise(
+    curves: Mapping[str, Mapping[str, Array]], references: Mapping[str, Sequence[Reference]]
+) -> Summary:
+    """Summarise the curves of several selectors on several matrices.
+
+    Args:
+        curves: matrix name -> selector name -> (S, K) V; the same selectors for every matrix.
+        references: matrix name -> one reference per matrix seed.
+    """
+    rng = np.random.default_rng(_SEED)
+    draws = {name: _draws(len(refs), rng) for name, refs in references.items()}
+    tables: dict[str, list[_Table]] = {}
+    matrices = {}
+    for name, refs in references.items():
+        selectors = {}
+        for selector, values in curves[name].items():
+            table = _Table.of(values, refs, draws[name])
+            tables.setdefault(selector, []).append(table)
+            selectors[selector] = _summary([table])
+        matrices[name] = _matrix_summary(refs, selectors)
+    budget = len(next(iter(references.values()))[0].random)
+    return Summary(budget, matrices, {name: _summary(group) for name, group in tables.items()})
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Per-seed columns of one selector on one matrix, and the shared bootstrap draws."""
+
+    columns: Array  # (S, F)
+    reached: tuple[tuple[int | None, ...], ...]  # per level, per seed
+    draws: Array | None  # (B, S) shares of each seed, rows sum to 1
+
+    @classmethod
+    def of(cls, values: Array, refs: Sequence[Reference], draws: Array | None) -> _Table:
+        budget = values.shape[1]
+        reached = tuple(
+            tuple(
+                k_star(curve, _levels(ref)[q] - _TIE)
+                for curve, ref in zip(values, refs, strict=True)
+            )
+            for q in range(1 + len(SHARES))
+        )
+        trainings = np.array([[budget + 1 if k is None else k for k in row] for row in reached])
+        random = np.array([ref.random for ref in refs])
+        gain, room = values - random, np.array([ref.oracle.curve for ref in refs]) - random
+        columns = np.column_stack(
+            [
+                values[:, -1],
+                values.mean(axis=1),
+                np.log(trainings).T,
+                gain[:, -1],
+                gain.mean(axis=1),
+                room[:, -1],
+                room.mean(axis=1),
+            ]
+        )
+        return cls(columns, reached, draws)
+
+
+def _levels(ref: Reference) -> tuple[float, ...]:
+    low, high = ref.levels.grand_mean, ref.levels.oracle_transfer
+    return (ref.levels.independent, *(low + share * (high - low) for share in SHARES))
+
+
+def _draws(n_seeds: int, rng: np.random.Generator) -> Array | None:
+    if n_seeds == 1:
+        return None
+    counts = rng.multinomial(n_seeds, np.full(n_seeds, 1.0 / n_seeds), size=RESAMPLES)
+    return np.asarray(counts / n_seeds)
+
+
+def _summary(tables: Sequence[_Table]) -> SelectorSummary:
+    """The statistics of one selector over one or more matrices."""
+    means = np.mean([table.columns.mean(axis=0) for table in tables], axis=0)
+    resampled = _resampled_means(tables)
+
+    def estimate(statistic: Any) -> Estimate:
+        value = float(statistic(means))
+        low = high = None
+        if resampled is not None:
+            spread = np.asarray(statistic(resampled))
+            spread = spread[np.isfinite(spread)]
+            if spread.size:
+                tail = (1.0 - CONFIDENCE) / 2.0
+                low, high = (float(q) for q in np.quantile(spread, [tail, 1.0 - tail]))
+        return Estimate(value, low, high) if np.isfinite(value) else Estimate(None, None, None)
+
+    def trainings(q: int) -> Trainings:
+        per_seed = tuple(k for table in tables for k in table.reached[q])
+        censored = sum(k is None for k in per_seed)
+        if censored == len(per_seed):
+            return Trainings(Estimate(None, None, None), censored, per_seed)
+        return Trainings(estimate(lambda m: np.exp(m[..., _LOG_K][..., q])), censored, per_seed)
+
+    return SelectorSummary(
+        V_K=estimate(lambda m: m[..., _V_K]),
+        V_mean=estimate(lambda m: m[..., _V_MEAN]),
+        k_star=trainings(0),
+        k90=trainings(1),
+        k95=trainings(2),
+        k99=trainings(3),
+        minus_random_at_K=estimate(lambda m: m[..., _GAIN][..., 0]),
+        minus_random_mean=estimate(lambda m: m[..., _GAIN][..., 1]),
+        closed_at_K=estimate(lambda m: _ratio(m[..., _GAIN][..., 0], m[..., _ROOM][..., 0])),
+        closed_under_curve=estimate(lambda m: _ratio(m[..., _GAIN][..., 1], m[..., _ROOM][..., 1])),
+    )
+
+
+def _resampled_means(tables: Sequence[_Table]) -> Array | None:
+    """(B, F) means under the bootstrap; None if a matrix has one seed, whose scatter is unknown."""
+    parts = []
+    for table in tables:
+        if table.draws is None:
+            return None
+        parts.append(table.draws @ table.columns)
+    return np.asarray(np.mean(parts, axis=0))
+
+
+def _ratio(gain: Array, room: Array) -> Array:
+    """Gain / room; NaN where there is no room."""
+    some = np.abs(room) > _TIE
+    return np.where(some, gain / np.where(some, room, 1.0), np.nan)
+
+
+def _matrix_summary(
+    refs: Sequence[Reference], selectors: Mapping[str, SelectorSummary]
+) -> MatrixSummary:
+    return MatrixSummary(
+        n_seeds=len(refs),
+        independent=float(np.mean([ref.levels.independent for ref in refs])),
+        oracle_transfer=float(np.mean([ref.levels.oracle_transfer for ref in refs])),
+        grand_mean=float(np.mean([ref.levels.grand_mean for ref in refs])),
+        random=np.mean([ref.random for ref in refs], axis=0),
+        oracle=np.mean([ref.oracle.curve for ref in refs], axis=0),
+        selectors=selectors,
+    )

@@ -1,0 +1,44 @@
+"""What every command shares: output on the right stream, errors in one line, exit codes.
+
+With `--json` standard output carries exactly one JSON document; everything else goes to standard error.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+
+console = Console(stderr=True)
+"""Progress, notes and errors: always standard error."""
+
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+
+
+def printer() -> Console:
+    """Console for the human-readable result on standard output."""
+    return Console()
+
+
+def print_json(document: Any) -> None:
+    """Write one JSON document to standard output; NaN and infinity become null."""
+    sys.stdout.write(json.dumps(_plain(document), indent=2, allow_nan=False) + "\n")
+    sys.stdout.flush()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

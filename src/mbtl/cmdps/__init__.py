@@ -1,0 +1,29 @@
+"""CMDPs: ours by id, a user's own as the same record, and the check for both.
+
+Importing this registers the Gymnasium ids `mbtl/<cmdp>-v<version>` where Gymnasium is installed.
+"""
+
+from importlib.util import find_spec
+
+from mbtl.cmdps.check import Check, CheckReport, check_cmdp
+from mbtl.cmdps.cmdp import CMDP, Preset
+from mbtl.cmdps.loading import load_object, resolve_cmdp
+from mbtl.cmdps.registry import cmdp_ids, get_cmdp, gym_id
+
+__all__ = [
+    "CMDP",
+    "Check",
+    "CheckReport",
+    "Preset",
+    "check_cmdp",
+    "cmdp_ids",
+    "get_cmdp",
+    "gym_id",
+    "load_object",
+    "resolve_cmdp",
+]
+
+if find_spec("gymnasium") is not None:
+    from mbtl.cmdps.registration import register_envs
+
+    register_envs()

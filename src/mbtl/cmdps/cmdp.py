@@ -1,0 +1,298 @@
+"""A contextual MDP as one record: contexts, a trainer, normalisation, named recipes.
+
+The same record holds our own problems (`mbtl.cmdps.get_cmdp`) and a user's: built from two functions
+(`CMDP.from_functions`), from an environment factory (`CMDP.from_env`), or from any `Trainer`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from mbtl.contexts import Context, ContextSpace
+from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.objective import Bounds, Direction
+from mbtl.trainer import FunctionTrainer, Trainer
+
+DEFAULT_BUDGET = 10
+"""Trainings K of a problem that does not say."""
+
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # an id becomes part of file names
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A named recipe: how many policies, trained and evaluated how. None leaves the trainer's own.
+
+    Attributes:
+        budget: trainings K, 1..N.
+        timesteps: environment steps of one training.
+        eval_episodes: episodes per (source, target).
+        algorithm: name of the RL algorithm.
+        hyperparameters: its keyword arguments.
+        checkpoint: which policy a training returns, the last or the best of its own evaluations.
+        checkpoint_episodes: episodes of each such evaluation.
+        n_envs: environments stepped together in training.
+        description: one line for people.
+    """
+
+    budget: int
+    timesteps: int | None = None
+    eval_episodes: int | None = None
+    algorithm: str | None = None
+    hyperparameters: Mapping[str, Any] | None = None
+    checkpoint: Literal["final", "best"] | None = None
+    checkpoint_episodes: int | None = None
+    n_envs: int | None = None
+    description: str = ""
+
+    def options(self) -> dict[str, Any]:
+        """What the recipe asks of the trainer; settings it leaves alone are absent."""
+        chosen = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        del chosen["budget"], chosen["description"]
+        return {name: value for name, value in chosen.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class CMDP:
+    """A family of tasks that differ by their context, and how policies for it are trained.
+
+    Attributes:
+        id: short name, part of file names.
+        space: the N contexts, sources and targets alike.
+        trainer: trains, evaluates, saves and loads; the default preset's.
+        bounds: returns at which performance is 0 and 1 (spec, 2.2); None: from the returns seen.
+        direction: whether larger or smaller returns are better.
+        theta: slope of the linear gap, performance per grid step; None: the library's default.
+        version: raised when results could change.
+        make_env: context -> Gymnasium environment; None for problems given as functions.
+        nominal: the context that a user without our help would train on.
+        unit: the context at multiplier 1, divisor of the visible multiplier. Not the nominal one.
+        horizon: longest episode in environment steps.
+        family: name of the simulator family.
+        presets: recipes by name, the first is the default.
+        settings: switches this problem was made with, e.g. {"visibility": "hidden"}. With `id` and
+            `version` they say which problem this is.
+        description: one line for people.
+
+    Raises:
+        InvalidInput: an id unfit for a file name, bounds or theta not finite, a budget outside 1..N.
+        ContextMismatch: `nominal` or `unit` is not a context of these axes.
+    """
+
+    id: str
+    space: ContextSpace
+    trainer: Trainer
+    _: KW_ONLY
+    bounds: tuple[float, float] | None = None
+    direction: Direction = "maximize"
+    theta: float | None = None
+    version: int = 0
+    make_env: Callable[[Context], Any] | None = None
+    nominal: Context | None = None
+    unit: Context | None = None
+    horizon: int | None = None
+    family: str = ""
+    presets: Mapping[str, Preset] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.id, str) and _ID.fullmatch(self.id)):
+            raise InvalidInput(
+                "the id of a CMDP becomes part of file names, so it takes letters, digits, '.', '_' "
+                f"and '-' and starts with a letter or digit; got {self.id!r}"
+            )
+        if not isinstance(self.space, ContextSpace):
+            raise InvalidInput(
+                f"the space of {self.id!r} must be a ContextSpace, got {type(self.space).__name__}; "
+                "build one with ContextSpace.grid"
+            )
+        self._check_numbers()
+        if self.nominal is not None:
+            self.space.encode(self.nominal)
+        self._check_unit()
+        if not self.presets:
+            only = Preset(min(DEFAULT_BUDGET, self.space.n))
+            object.__setattr__(self, "presets", {"default": only})
+        for name, preset in self.presets.items():
+            if not 1 <= preset.budget <= self.space.n:
+                raise InvalidInput(
+                    f"the budget of a preset is from 1 to the number of contexts ({self.space.n}), "
+                    f"got {preset.budget} in {name!r} of {self.id!r}"
+                )
+
+    # ---- constructors ------------------------------------------------------------------------
+
+    @classmethod
+    def from_functions(
+        cls,
+        id: str,
+        space: ContextSpace,
+        *,
+        train: Callable[[Context, int], Any],
+        evaluate: Callable[[Any, Sequence[Context], int], Any],
+        save: Callable[[Any, Path], None] | None = None,
+        load: Callable[[Path], Any] | None = None,
+        budget: int | None = None,
+        **record: Any,
+    ) -> CMDP:
+        """A problem from two functions; any simulator, any RL library.
+
+        Args:
+            id: short name, part of file names.
+            space: the contexts.
+            train: context, seed -> policy.
+            evaluate: policy, contexts, seed -> returns, (n_targets,) or (n_targets, n_episodes).
+                The same seed should mean the same episodes for every policy.
+            save: policy, empty folder -> None; with `load` it lets a study keep its policies.
+            load: folder -> policy.
+            budget: default number of trainings K; 10, or N if that is smaller.
+            **record: further fields of `CMDP`, e.g. `bounds`, `direction`, `nominal`.
+        """
+        trainer = FunctionTrainer(train, evaluate, save, load)
+        return cls(id, space, trainer, presets=_only_preset(space, budget), **record)
+
+    @classmethod
+    def from_env(
+        cls,
+        id: str,
+        space: ContextSpace,
+        *,
+        make_env: Callable[[Context], Any],
+        timesteps: int,
+        algorithm: str | type = "PPO",
+        hyperparameters: Mapping[str, Any] | None = None,
+        eval_episodes: int = 10,
+        checkpoint: Literal["final", "best"] = "final",
+        trainer_options: Mapping[str, Any] | None = None,
+        budget: int | None = None,
+        **record: Any,
+    ) -> CMDP:
+        """A problem from a Gymnasium environment factory and a Stable-Baselines3 algorithm.
+
+        Args:
+            id: short name, part of file names.
+            space: the contexts.
+            make_env: context -> `gymnasium.Env`, a new one at each call. Episodes must end.
+            timesteps: environment steps of one training.
+            algorithm: a name in stable-baselines3 or sb3-contrib, or an algorithm class.
+            hyperparameters: keyword arguments of the algorithm.
+            eval_episodes: episodes per (source, target).
+            checkpoint: return the last policy of a training, or the best of its own evaluations.
+            trainer_options: further options of `mbtl.training.SB3Trainer`.
+            budget: default number of trainings K; 10, or N if that is smaller.
+            **record: further fields of `CMDP`, e.g. `bounds`, `nominal`, `presets`.
+        """
+        from mbtl.training import SB3Trainer
+
+        trainer = SB3Trainer(
+            make_env,
+            timesteps=timesteps,
+            algorithm=algorithm,
+            hyperparameters=hyperparameters or {},
+            eval_episodes=eval_episodes,
+            checkpoint=checkpoint,
+            **(trainer_options or {}),
+        )
+        record.setdefault("presets", _only_preset(space, budget))
+        return cls(id, space, trainer, make_env=make_env, **record)
+
+    # ---- reading -----------------------------------------------------------------------------
+
+    @property
+    def normalisation(self) -> Bounds | None:
+        """`bounds` with the direction; None when they come from the returns seen."""
+        return None if self.bounds is None else Bounds(*self.bounds, self.direction)
+
+    @property
+    def default_preset(self) -> str:
+        """Name of the recipe that is used when none is named."""
+        return next(iter(self.presets))
+
+    def preset(self, name: str | None = None) -> Preset:
+        """A recipe by name; the default one for None.
+
+        Raises:
+            UnknownName: this problem has no such recipe.
+        """
+        name = self.default_preset if name is None else name
+        if name not in self.presets:
+            raise unknown_name(f"preset of {self.id!r}", name, self.presets)
+        return self.presets[name]
+
+    def trainer_for(self, preset: str | None = None, **overrides: Any) -> Trainer:
+        """The trainer with a recipe's options, then `overrides` on top.
+
+        Another `algorithm` drops the recipe's hyperparameters, which belong to the old one; given
+        `hyperparameters` are otherwise added to the recipe's.
+
+        Args:
+            preset: name of the recipe; None: the default one.
+            **overrides: options of the trainer, e.g. `timesteps=20_000`.
+
+        Raises:
+            UnknownName: no such recipe, or the trainer has no such option.
+            InvalidInput: the trainer takes no options at all.
+        """
+        options = self.preset(preset).options()
+        if "algorithm" in options:  # a recipe that names its algorithm is complete
+            options.setdefault("hyperparameters", {})
+        algorithm = options.get("algorithm", getattr(self.trainer, "algorithm", None))
+        if overrides.get("algorithm", algorithm) != algorithm:
+            options["hyperparameters"] = {}
+        if "hyperparameters" in overrides:
+            own = getattr(self.trainer, "hyperparameters", {})
+            inherited = options.get("hyperparameters", own)
+            overrides["hyperparameters"] = {**inherited, **overrides["hyperparameters"]}
+        options |= overrides
+        return self._with_options(options) if options else self.trainer
+
+    # ---- inside ------------------------------------------------------------------------------
+
+    def _with_options(self, options: Mapping[str, Any]) -> Trainer:
+        trainer: Any = self.trainer
+        if isinstance(trainer, FunctionTrainer) or not dataclasses.is_dataclass(trainer):
+            raise InvalidInput(
+                f"{self.id!r} is trained by its own code, which takes no options, got "
+                f"{', '.join(sorted(options))}; set them there"
+            )
+        known = [f.name for f in dataclasses.fields(trainer) if f.init]
+        for name in options:
+            if name not in known:
+                raise unknown_name(f"training option of {self.id!r}", name, known)
+        return dataclasses.replace(trainer, **options)  # type: ignore[type-var, no-any-return]
+
+    def _check_numbers(self) -> None:
+        if self.direction not in ("maximize", "minimize"):
+            raise InvalidInput(f"direction is 'maximize' or 'minimize', got {self.direction!r}")
+        if self.bounds is not None:
+            if len(self.bounds) != 2:
+                raise InvalidInput(f"bounds are two returns (low, high), got {self.bounds!r}")
+            Bounds(*self.bounds, self.direction)
+        if self.theta is not None and not (math.isfinite(self.theta) and self.theta >= 0):
+            raise InvalidInput(f"theta must be finite and >= 0, got {self.theta!r}")
+        for name, least in (("version", 0), ("horizon", 1)):
+            number = getattr(self, name)
+            if number is not None and not (isinstance(number, int) and number >= least):
+                raise InvalidInput(f"{name} must be a whole number >= {least}, got {number!r}")
+
+    def _check_unit(self) -> None:
+        names = [axis.name for axis in self.space.axes]
+        for name, value in (self.unit or {}).items():
+            if name not in names:
+                raise unknown_name("axis", name, names)
+            if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
+                raise ContextMismatch(
+                    f"unit is the context at multiplier 1, so its values are > 0, got {value!r} for "
+                    f"{name!r}"
+                )
+
+
+def _only_preset(space: ContextSpace, budget: int | None) -> dict[str, Preset]:
+    return {"default": Preset(min(DEFAULT_BUDGET, space.n) if budget is None else budget)}

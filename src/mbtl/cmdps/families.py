@@ -1,0 +1,166 @@
+"""The table of our CMDPs: simulator families and what varies in each (cmdp-spec, sections 2 and 4).
+
+A new CMDP is one `Variant`; a new simulator is one `Family` and a module with its environment.
+Nothing here imports an environment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from decimal import Decimal
+
+from mbtl.cmdps.cmdp import Preset
+
+
+@dataclass(frozen=True)
+class Family:
+    """What the CMDPs of one simulator share.
+
+    Attributes:
+        entry_point: "module:Class" of the environment.
+        horizon: longest episode, environment steps.
+        bounds: returns at which performance is 0 and 1 (spec, 2.2).
+        theta: slope of the linear gap, performance per grid step (spec, 2.2).
+        presets: recipes by name, the first is the default.
+        switches: options of the environment beside visibility and time limit.
+    """
+
+    entry_point: str
+    horizon: int
+    bounds: tuple[float, float]
+    theta: float
+    presets: Mapping[str, Preset]
+    switches: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One CMDP: the axis that varies.
+
+    Attributes:
+        family: name of the family.
+        axis: feature of the environment that varies.
+        axis_unit: its physical unit.
+        step: grid step, a decimal; the grid is step, 2 step, ..., N step.
+        nominal: value of the axis while another one varies.
+        n: number of contexts N.
+        unit_index: grid index of multiplier 1, not the middle.
+        paper_step: grid step by the paper's text where it differs from the released scripts.
+        version: raised when results could change.
+        description: one line for people.
+    """
+
+    family: str
+    axis: str
+    axis_unit: str
+    step: str
+    nominal: float
+    n: int = 100
+    unit_index: int = 9
+    paper_step: str | None = None
+    version: int = 0
+    description: str = ""
+    grids: tuple[str, ...] = field(default=("code", "paper"), init=False)
+
+    def values(self, grid: str) -> list[float]:
+        """(N,) grid values; exact decimals, so that contexts print as they are meant."""
+        step = Decimal(self.paper_step or self.step) if grid == "paper" else Decimal(self.step)
+        return [float(step * k) for k in range(1, self.n + 1)]
+
+
+def _paper(timesteps: int) -> Preset:
+    return Preset(
+        budget=15,
+        timesteps=timesteps,
+        eval_episodes=100,
+        algorithm="PPO",
+        checkpoint="best",
+        checkpoint_episodes=10,
+        description="the paper's budget: SB3 default PPO, best-of-evaluations policy",
+    )
+
+
+_CARTPOLE = {
+    "quick": Preset(
+        budget=10,
+        timesteps=60_000,
+        eval_episodes=10,
+        algorithm="PPO",
+        checkpoint="final",
+        description="minutes on a laptop: SB3 default PPO, final policy",
+    ),
+    "standard": Preset(
+        budget=15,
+        timesteps=300_000,
+        eval_episodes=20,
+        algorithm="PPO",
+        checkpoint="best",
+        checkpoint_episodes=10,
+        description="an hour or two: SB3 default PPO, best-of-evaluations policy",
+    ),
+    "paper": _paper(5_000_000),
+}
+
+_PENDULUM_PPO = {"learning_rate": 1e-3, "gamma": 0.9, "n_steps": 1024}
+"""SB3's default PPO needs about a million steps here; these need about a tenth."""
+
+_PENDULUM = {
+    "quick": Preset(
+        budget=10,
+        timesteps=100_000,
+        eval_episodes=10,
+        algorithm="PPO",
+        hyperparameters=_PENDULUM_PPO,
+        checkpoint="final",
+        n_envs=4,
+        description="minutes on a laptop: PPO tuned for short training, final policy",
+    ),
+    "standard": Preset(
+        budget=15,
+        timesteps=300_000,
+        eval_episodes=20,
+        algorithm="PPO",
+        hyperparameters=_PENDULUM_PPO,
+        checkpoint="best",
+        checkpoint_episodes=10,
+        n_envs=4,
+        description="an hour or two: PPO tuned for short training, best-of-evaluations policy",
+    ),
+    "paper": _paper(1_000_000),
+}
+
+FAMILIES: Mapping[str, Family] = {
+    "cartpole": Family(
+        entry_point="mbtl.cmdps.cartpole:CartPole",
+        horizon=500,
+        bounds=(0.0, 500.0),
+        theta=0.005,
+        presets=_CARTPOLE,
+        switches=("physics",),
+    ),
+    "pendulum": Family(
+        entry_point="mbtl.cmdps.pendulum:Pendulum",
+        horizon=200,
+        bounds=(-2200.0, -500.0),
+        theta=0.005,
+        presets=_PENDULUM,
+    ),
+}
+
+VARIANTS: Mapping[str, Variant] = {
+    "cartpole-masscart": Variant(
+        "cartpole", "masscart", "kg", "0.1", 1.0, description="cart mass"
+    ),
+    "cartpole-length": Variant(
+        "cartpole", "length", "m", "0.05", 0.5, description="half the pole's length"
+    ),
+    "cartpole-masspole": Variant(
+        "cartpole", "masspole", "kg", "0.01", 0.1, description="pole mass"
+    ),
+    "pendulum-length": Variant("pendulum", "length", "m", "0.1", 1.0, description="length"),
+    "pendulum-mass": Variant("pendulum", "mass", "kg", "0.1", 1.0, description="mass"),
+    "pendulum-timestep": Variant(
+        "pendulum", "timestep", "s", "0.005", 0.05, description="time between two actions"
+    ),
+}

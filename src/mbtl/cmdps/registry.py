@@ -1,0 +1,160 @@
+"""Our CMDPs by id."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from mbtl.cmdps.cmdp import CMDP
+from mbtl.cmdps.families import FAMILIES, VARIANTS, Family, Variant
+from mbtl.contexts import Context, ContextSpace, Linear
+from mbtl.errors import missing_extra, unknown_name
+
+_CHOICES: Mapping[str, tuple[str, ...]] = {
+    "physics": ("intended", "reference"),
+    "visibility": ("hidden", "multiplier", "raw"),
+    "grid": ("code", "paper"),
+    "time limit": ("truncation", "terminal"),
+}
+
+
+@dataclass(frozen=True)
+class EnvFactory:
+    """context -> environment; can be sent to another process, imports the simulator when called.
+
+    Attributes:
+        entry_point: "module:Class".
+        options: keyword arguments of the class.
+    """
+
+    entry_point: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __call__(self, context: Mapping[str, Any]) -> Any:
+        """A new environment.
+
+        Raises:
+            MissingExtra: Gymnasium is not installed.
+        """
+        module, _, name = self.entry_point.partition(":")
+        try:
+            kind = getattr(importlib.import_module(module), name)
+        except ModuleNotFoundError as error:
+            if (error.name or "").partition(".")[0] != "gymnasium":
+                raise
+            raise missing_extra("gymnasium", "envs") from error
+        return kind(context, **self.options)
+
+
+def cmdp_ids() -> list[str]:
+    """Ids that `get_cmdp` takes."""
+    return list(VARIANTS)
+
+
+def gym_id(id: str) -> str:
+    """Gymnasium id of a CMDP, e.g. "mbtl/cartpole-length-v0"."""
+    variant, _ = _entry(id)
+    return f"mbtl/{id}-v{variant.version}"
+
+
+def env_factory(
+    id: str,
+    *,
+    physics: str = "intended",
+    visibility: str | None = None,
+    time_limit: str = "truncation",
+) -> EnvFactory:
+    """The environment factory of a CMDP; arguments as in `get_cmdp`."""
+    variant, family = _entry(id)
+    visibility = "multiplier" if visibility is None else visibility
+    for kind, name in (
+        ("physics", physics),
+        ("visibility", visibility),
+        ("time limit", time_limit),
+    ):
+        _check_choice(kind, name)
+    options = {
+        "unit": _unit(variant, "code"),
+        "visibility": visibility,
+        "time_limit": time_limit,
+        "horizon": family.horizon,
+    }
+    if "physics" in family.switches:
+        options["physics"] = physics
+    return EnvFactory(family.entry_point, options)
+
+
+def get_cmdp(
+    id: str,
+    *,
+    physics: str = "intended",
+    visibility: str | None = None,
+    grid: str = "code",
+    time_limit: str = "truncation",
+) -> CMDP:
+    """One of our CMDPs.
+
+    Args:
+        id: e.g. "cartpole-length"; `cmdp_ids()` lists all.
+        physics: "intended": contexts act as the paper says. "reference": as in the released code,
+            whose CartPole keeps the masses frozen (spec, section 1, 2); Pendulum is the same in both.
+        visibility: what of the context the policy sees: "hidden", "multiplier" or "raw"; None: the
+            family's default, "multiplier" (spec, section 3).
+        grid: "code": contexts of the released scripts. "paper": of the paper's text. The same for
+            CartPole and Pendulum.
+        time_limit: how the horizon is reported, "truncation" or "terminal" (the reference).
+
+    Raises:
+        UnknownName: no CMDP has this id, or a switch has no such setting.
+    """
+    variant, family = _entry(id)
+    _check_choice("grid", grid)
+    make_env = env_factory(id, physics=physics, visibility=visibility, time_limit=time_limit)
+    values = variant.values(grid)
+    axis = Linear(variant.axis, values[0], values[-1], variant.axis_unit)
+    default = next(iter(family.presets.values()))
+    return CMDP(
+        id,
+        ContextSpace.grid({axis: values}),
+        _trainer(make_env, default.options()),
+        bounds=family.bounds,
+        theta=family.theta,
+        version=variant.version,
+        make_env=make_env,
+        nominal={variant.axis: variant.nominal},
+        unit=_unit(variant, grid),
+        horizon=family.horizon,
+        family=variant.family,
+        presets=family.presets,
+        settings={
+            "physics": physics,
+            "visibility": make_env.options["visibility"],
+            "grid": grid,
+            "time_limit": time_limit,
+        },
+        description=f"{variant.family.capitalize()}, varying {variant.description}",
+    )
+
+
+def _entry(id: str) -> tuple[Variant, Family]:
+    if id not in VARIANTS:
+        raise unknown_name("CMDP", id, VARIANTS, hint="`mbtl cmdps` lists all.")
+    variant = VARIANTS[id]
+    return variant, FAMILIES[variant.family]
+
+
+def _check_choice(kind: str, name: str) -> None:
+    if name not in _CHOICES[kind]:
+        raise unknown_name(kind, name, _CHOICES[kind])
+
+
+def _unit(variant: Variant, grid: str) -> Context:
+    return {variant.axis: variant.values(grid)[variant.unit_index]}
+
+
+def _trainer(make_env: EnvFactory, options: Mapping[str, Any]) -> Any:
+    from mbtl.training import SB3Trainer
+
+    return SB3Trainer(make_env, **options)

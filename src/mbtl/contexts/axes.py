@@ -1,0 +1,206 @@
+"""Axes: one named dimension of a context each, with its unit and its map to the unit interval.
+
+A numeric axis maps to one column in [0, 1]. A categorical axis with L levels maps to L columns,
+one-hot over sqrt(2), so that two different levels are at distance exactly 1.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.objective import Array
+
+Value = float | int | str
+
+
+class Axis(ABC):
+    """One dimension of a context space."""
+
+    name: str
+    unit: str
+
+    @property
+    @abstractmethod
+    def width(self) -> int:
+        """Number of unit-cube columns."""
+
+    @abstractmethod
+    def encode(self, values: Sequence[Value]) -> Array:
+        """Values -> (len(values), width) unit columns; raises `ContextMismatch` outside the axis."""
+
+    @abstractmethod
+    def decode(self, unit: Array) -> list[Value]:
+        """(n, width) unit columns -> values; the inverse of `encode` up to rounding."""
+
+    @abstractmethod
+    def spread(self, n: int) -> list[Value]:
+        """`n` values evenly spaced on the unit interval, both ends included."""
+
+    @abstractmethod
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record; `axis_from_json` reads it."""
+
+
+@dataclass(frozen=True)
+class _Numeric(Axis):
+    """Shared frame of the numeric axes: bounds, checks, JSON."""
+
+    name: str
+    low: float
+    high: float
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        _check_name(self.name)
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise InvalidInput(
+                f"axis {self.name!r} needs finite bounds with low < high, got ({self.low}, {self.high})"
+            )
+
+    @property
+    def width(self) -> int:
+        return 1
+
+    def _checked(self, values: Sequence[Value]) -> Array:
+        try:
+            array = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ContextMismatch(f"axis {self.name!r} takes numbers, got {values!r}") from None
+        slack = 1e-9 * (self.high - self.low)
+        bad = ~((array >= self.low - slack) & (array <= self.high + slack))
+        if bad.any():
+            raise ContextMismatch(
+                f"axis {self.name!r} takes values in [{self.low:g}, {self.high:g}] {self.unit}".rstrip()
+                + f", got {float(array[bad][0])!r}; widen the axis or leave this context out"
+            )
+        return np.clip(array, self.low, self.high)
+
+    def to_json(self) -> dict[str, Any]:
+        record = {"kind": type(self).__name__.lower(), "name": self.name, "unit": self.unit}
+        return {**record, "low": self.low, "high": self.high}
+
+
+@dataclass(frozen=True)
+class Linear(_Numeric):
+    """A continuous axis on which equal differences mean equal change."""
+
+    def encode(self, values: Sequence[Value]) -> Array:
+        return ((self._checked(values) - self.low) / (self.high - self.low))[:, None]
+
+    def decode(self, unit: Array) -> list[Value]:
+        return list((self.low + unit[:, 0] * (self.high - self.low)).tolist())
+
+    def spread(self, n: int) -> list[Value]:
+        return list(np.linspace(self.low, self.high, n).tolist())
+
+
+@dataclass(frozen=True)
+class Log(_Numeric):
+    """A continuous positive axis on which equal ratios mean equal change."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.low <= 0:
+            raise InvalidInput(f"log axis {self.name!r} needs low > 0, got {self.low}; use Linear")
+
+    def encode(self, values: Sequence[Value]) -> Array:
+        return (np.log(self._checked(values) / self.low) / math.log(self.high / self.low))[:, None]
+
+    def decode(self, unit: Array) -> list[Value]:
+        return list((self.low * (self.high / self.low) ** unit[:, 0]).tolist())
+
+    def spread(self, n: int) -> list[Value]:
+        return list(np.geomspace(self.low, self.high, n).tolist())
+
+
+@dataclass(frozen=True)
+class Integer(_Numeric):
+    """An axis of whole numbers, evenly spaced."""
+
+    def encode(self, values: Sequence[Value]) -> Array:
+        array = self._checked(values)
+        whole = np.round(array)
+        if np.any(np.abs(array - whole) > 1e-9):
+            off = float(array[np.abs(array - whole) > 1e-9][0])
+            raise ContextMismatch(
+                f"axis {self.name!r} takes whole numbers, got {off!r}; use Linear"
+            )
+        return ((whole - self.low) / (self.high - self.low))[:, None]
+
+    def decode(self, unit: Array) -> list[Value]:
+        return [int(v) for v in np.round(self.low + unit[:, 0] * (self.high - self.low))]
+
+    def spread(self, n: int) -> list[Value]:
+        values = np.round(np.linspace(self.low, self.high, n)).astype(int)
+        if len(np.unique(values)) < n:
+            raise InvalidInput(
+                f"axis {self.name!r} has {int(self.high - self.low) + 1} whole values, got a request for {n}"
+            )
+        return [int(v) for v in values]
+
+
+@dataclass(frozen=True)
+class Categorical(Axis):
+    """An axis of unordered levels; every two levels are equally far apart."""
+
+    name: str
+    choices: tuple[Value, ...]
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        _check_name(self.name)
+        object.__setattr__(self, "choices", tuple(self.choices))
+        if len(self.choices) < 2 or len(set(self.choices)) != len(self.choices):
+            raise InvalidInput(
+                f"axis {self.name!r} needs two or more distinct choices, got {self.choices!r}"
+            )
+
+    @property
+    def width(self) -> int:
+        return len(self.choices)
+
+    def encode(self, values: Sequence[Value]) -> Array:
+        for value in values:
+            if value not in self.choices:
+                raise ContextMismatch(
+                    f"axis {self.name!r} takes one of {self.choices!r}, got {value!r}"
+                )
+        levels = [self.choices.index(value) for value in values]
+        return np.asarray(np.eye(self.width)[levels] / math.sqrt(2.0))
+
+    def decode(self, unit: Array) -> list[Value]:
+        return [self.choices[level] for level in unit.argmax(axis=1)]
+
+    def spread(self, n: int) -> list[Value]:
+        if n != self.width:
+            raise InvalidInput(f"axis {self.name!r} has {self.width} levels, got a request for {n}")
+        return list(self.choices)
+
+    def to_json(self) -> dict[str, Any]:
+        record = {"kind": "categorical", "name": self.name, "unit": self.unit}
+        return {**record, "choices": list(self.choices)}
+
+
+_NUMERIC: dict[str, type[_Numeric]] = {"linear": Linear, "log": Log, "integer": Integer}
+
+
+def axis_from_json(record: Mapping[str, Any]) -> Axis:
+    """Rebuild an axis from `Axis.to_json`."""
+    kind = record["kind"]
+    if kind == "categorical":
+        return Categorical(record["name"], tuple(record["choices"]), record["unit"])
+    if kind not in _NUMERIC:
+        raise unknown_name("axis kind", kind, [*_NUMERIC, "categorical"])
+    return _NUMERIC[kind](record["name"], record["low"], record["high"], record["unit"])
+
+
+def _check_name(name: str) -> None:
+    if not (isinstance(name, str) and name):
+        raise InvalidInput(f"an axis needs a non-empty name, got {name!r}")

@@ -1,0 +1,330 @@
+"""Context spaces: a finite list of contexts with stable indices, and its coordinates.
+
+Notation (shapes): N contexts, d axes, D >= d columns (a categorical axis has one per level).
+    unit     (N, D)   unit-cube coordinates; what the models see
+    steps    (N, D)   grid steps 0..n-1 per axis; what the paper's own selectors see
+    weights  (N,)     target weights, >= 0, sum 1
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mbtl.contexts.axes import Axis, Categorical, Value, axis_from_json
+from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.objective import Array, uniform_weights
+
+Context = dict[str, Value]
+
+
+class ContextSpace:
+    """Every context of a problem, in a fixed order: index i means the same context for ever.
+
+    Build one with `ContextSpace.grid`, `ContextSpace.points` or `ContextSpace.sample`.
+    """
+
+    def __init__(
+        self,
+        axes: Sequence[Axis],
+        columns: Sequence[Sequence[Value]],
+        *,
+        shape: tuple[int, ...] | None = None,
+        weights: ArrayLike | None = None,
+    ) -> None:
+        """Use the named constructors instead; `columns[q]` holds the N values of axis q."""
+        names = [axis.name for axis in axes]
+        if not axes or len(set(names)) != len(names):
+            raise InvalidInput(
+                f"a context space needs one or more axes of distinct names, got {names}"
+            )
+        self.axes = tuple(axes)
+        self.shape = shape
+        self._columns = [list(column) for column in columns]
+        self.unit = np.hstack([a.encode(c) for a, c in zip(self.axes, self._columns, strict=True)])
+        self._check_distinct()
+        self.steps = self._grid_steps() if shape else self._scaled_steps()
+        self.weights = _checked_weights(weights, self.n)
+
+    # ---- constructors ------------------------------------------------------------------------
+
+    @classmethod
+    def grid(
+        cls, axes: Mapping[Axis, int | Sequence[Value]], *, weights: ArrayLike | None = None
+    ) -> ContextSpace:
+        """Full factorial grid, last axis fastest.
+
+        Args:
+            axes: for each axis either a number of values, evenly spread (evenly in ratio on a `Log`
+                axis), or the strictly increasing values themselves.
+            weights: (N,) target weights; uniform when missing.
+
+        Raises:
+            InvalidInput: values are not strictly increasing.
+            ContextMismatch: a value lies outside its axis.
+        """
+        levels = [
+            axis.spread(given) if isinstance(given, int) else list(given)
+            for axis, given in axes.items()
+        ]
+        for axis, values in zip(axes, levels, strict=True):
+            if not values:
+                raise InvalidInput(f"axis {axis.name!r} needs one or more values, got none")
+            if not isinstance(axis, Categorical) and np.any(
+                np.diff(np.asarray(values, float)) <= 0
+            ):
+                raise InvalidInput(
+                    f"grid values of axis {axis.name!r} must be strictly increasing, got {values}"
+                )
+        shape = tuple(len(values) for values in levels)
+        columns = [np.asarray(v, dtype=object) for v in levels]
+        mesh = [m.ravel().tolist() for m in np.meshgrid(*columns, indexing="ij")]
+        return cls(tuple(axes), mesh, shape=shape, weights=weights)
+
+    @classmethod
+    def points(
+        cls,
+        axes: Sequence[Axis],
+        contexts: Sequence[Mapping[str, Value]],
+        *,
+        weights: ArrayLike | None = None,
+    ) -> ContextSpace:
+        """An explicit list of contexts, in the given order.
+
+        Raises:
+            ContextMismatch: a context lacks an axis, names an unknown one, or lies outside.
+            InvalidInput: two contexts are equal, or there is none.
+        """
+        if not contexts:
+            raise InvalidInput("a context space needs one or more contexts, got none")
+        for context in contexts:
+            _check_keys(axes, context)
+        columns = [[context[axis.name] for context in contexts] for axis in axes]
+        return cls(axes, columns, weights=weights)
+
+    @classmethod
+    def sample(
+        cls, axes: Sequence[Axis], n: int, *, seed: int, weights: ArrayLike | None = None
+    ) -> ContextSpace:
+        """`n` distinct contexts spread over the axes by a scrambled Halton sequence.
+
+        Raises:
+            InvalidInput: n < 1, or the axes do not have `n` distinct contexts.
+        """
+        from scipy.stats import qmc  # kept out of `import mbtl`: it takes longer than all the rest
+
+        if n < 1:
+            raise InvalidInput(f"a sample needs n >= 1 contexts, got {n}")
+        halton = qmc.Halton(len(axes), seed=seed)
+        seen: dict[tuple[Value, ...], None] = {}
+        for _ in range(50):
+            for row in halton.random(n):
+                values = tuple(_from_fraction(a, u) for a, u in zip(axes, row, strict=True))
+                seen.setdefault(values)
+                if len(seen) == n:
+                    return cls(axes, list(zip(*seen, strict=True)), weights=weights)
+        raise InvalidInput(f"the axes have fewer than {n} distinct contexts; ask for {len(seen)}")
+
+    # ---- reading -----------------------------------------------------------------------------
+
+    @property
+    def n(self) -> int:
+        """Number of contexts N."""
+        return len(self._columns[0])
+
+    def __len__(self) -> int:
+        return self.n
+
+    @property
+    def d(self) -> int:
+        """Number of axes."""
+        return len(self.axes)
+
+    def context(self, index: int) -> Context:
+        """The context at `index` as a mapping axis name -> value."""
+        if not 0 <= index < self.n:
+            raise InvalidInput(f"context indices run from 0 to {self.n - 1}, got {index}")
+        return {a.name: c[index] for a, c in zip(self.axes, self._columns, strict=True)}
+
+    @property
+    def contexts(self) -> list[Context]:
+        """All N contexts in index order."""
+        return [self.context(i) for i in range(self.n)]
+
+    def values(self, axis: str) -> list[Value]:
+        """(N,) values of one axis in index order."""
+        names = [a.name for a in self.axes]
+        if axis not in names:
+            raise unknown_name("axis", axis, names)
+        return list(self._columns[names.index(axis)])
+
+    def index(self, context: Mapping[str, Value]) -> int:
+        """Index of a context.
+
+        Raises:
+            ContextMismatch: it is not one of the N contexts, or not a context of these axes.
+        """
+        unit = self.encode(context)
+        found = self._lookup.get(_key(unit))
+        if found is None:
+            near = int(np.argmin(((self.unit - unit) ** 2).sum(axis=1)))
+            raise ContextMismatch(
+                f"{dict(context)!r} is not one of the {self.n} contexts; the nearest is "
+                f"{self.context(near)!r} (index {near})"
+            )
+        return found
+
+    def encode(self, context: Mapping[str, Value]) -> Array:
+        """(D,) unit-cube coordinates of any context within the axes, on the list or off it."""
+        _check_keys(self.axes, context)
+        return np.hstack([axis.encode([context[axis.name]])[0] for axis in self.axes])
+
+    def encode_steps(self, context: Mapping[str, Value]) -> Array:
+        """(D,) grid-step coordinates of any context within the axes (interpolated off the grid)."""
+        unit = self.encode(context)
+        if not self.shape:
+            return np.asarray(unit * self._step_scale)
+        parts, start = [], 0
+        for axis, block in zip(self.axes, self._level_units, strict=True):
+            part = unit[start : start + axis.width]
+            start += axis.width
+            if isinstance(axis, Categorical):
+                parts.append(part)
+            else:
+                parts.append(np.interp(part, block[:, 0], np.arange(len(block))))
+        return np.hstack(parts)
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record; `ContextSpace.from_json` rebuilds an equal space."""
+        record: dict[str, Any] = {"axes": [axis.to_json() for axis in self.axes]}
+        if self.shape:
+            record["grid"] = self._levels
+        else:
+            record["points"] = self._columns
+        if not np.array_equal(self.weights, uniform_weights(self.n)):
+            record["weights"] = self.weights.tolist()
+        return record
+
+    @classmethod
+    def from_json(cls, record: Mapping[str, Any]) -> ContextSpace:
+        """Rebuild a space from `to_json`."""
+        axes = [axis_from_json(a) for a in record["axes"]]
+        weights = record.get("weights")
+        if "grid" in record:
+            return cls.grid(dict(zip(axes, record["grid"], strict=True)), weights=weights)
+        return cls(axes, record["points"], weights=weights)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ContextSpace) and self.to_json() == other.to_json()
+
+    def __hash__(self) -> int:
+        return hash((self.axes, self.n))
+
+    def __repr__(self) -> str:
+        names = ", ".join(f"{a.name} [{a.unit}]" if a.unit else a.name for a in self.axes)
+        return f"ContextSpace({names}; {self.n} contexts)"
+
+    # ---- inside ------------------------------------------------------------------------------
+
+    @cached_property
+    def _lookup(self) -> dict[tuple[float, ...], int]:
+        return {_key(row): i for i, row in enumerate(self.unit)}
+
+    @cached_property
+    def _levels(self) -> list[list[Value]]:
+        """Per axis, its distinct values in grid order."""
+        assert self.shape is not None
+        strides = [int(np.prod(self.shape[q + 1 :])) for q in range(self.d)]
+        return [
+            [column[j * stride] for j in range(n)]
+            for column, stride, n in zip(self._columns, strides, self.shape, strict=True)
+        ]
+
+    @cached_property
+    def _level_units(self) -> list[Array]:
+        return [a.encode(v) for a, v in zip(self.axes, self._levels, strict=True)]
+
+    @property
+    def _step_scale(self) -> Array:
+        """Columns of a point list: as many steps per axis as a grid of N points would have."""
+        per_axis = max(round(self.n ** (1.0 / self.d)) - 1, 1)
+        parts = [
+            np.ones(a.width) if isinstance(a, Categorical) else np.full(1, float(per_axis))
+            for a in self.axes
+        ]
+        return np.hstack(parts)
+
+    def _scaled_steps(self) -> Array:
+        return np.asarray(self.unit * self._step_scale)
+
+    def _grid_steps(self) -> Array:
+        assert self.shape is not None
+        positions = np.indices(self.shape).reshape(self.d, -1)
+        parts, start = [], 0
+        for axis, position in zip(self.axes, positions, strict=True):
+            if isinstance(axis, Categorical):
+                parts.append(self.unit[:, start : start + axis.width])
+            else:
+                parts.append(position[:, None].astype(np.float64))
+            start += axis.width
+        return np.hstack(parts)
+
+    def _check_distinct(self) -> None:
+        rounded = np.round(self.unit, 12)
+        order = np.lexsort(rounded.T)
+        same = np.flatnonzero((np.diff(rounded[order], axis=0) == 0).all(axis=1))
+        if same.size:
+            first, second = sorted((int(order[same[0]]), int(order[same[0] + 1])))
+            raise InvalidInput(
+                f"contexts must be distinct, got {self.context(first)!r} at index {first} and again "
+                f"at index {second}; remove one"
+            )
+
+
+def _key(unit: Array) -> tuple[float, ...]:
+    return tuple((np.round(unit, 9) + 0.0).tolist())
+
+
+def _from_fraction(axis: Axis, u: float) -> Value:
+    """A fraction of the unit interval -> a value, each level of a discrete axis equally likely."""
+    if isinstance(axis, Categorical):
+        return axis.choices[min(int(u * axis.width), axis.width - 1)]
+    return axis.decode(np.array([[u]]))[0]
+
+
+def _check_keys(axes: Sequence[Axis], context: Mapping[str, Value]) -> None:
+    names = [axis.name for axis in axes]
+    for key in context:
+        if key not in names:
+            raise unknown_name("axis", str(key), names)
+    missing = [name for name in names if name not in context]
+    if missing:
+        raise ContextMismatch(
+            f"a context names every axis ({names}), got {dict(context)!r} without {missing}"
+        )
+
+
+def _checked_weights(weights: ArrayLike | None, n: int) -> Array:
+    if weights is None:
+        return uniform_weights(n)
+    array = np.asarray(weights, dtype=np.float64)
+    if array.shape != (n,) or not np.isfinite(array).all() or (array < 0).any() or array.sum() <= 0:
+        raise InvalidInput(
+            f"target weights must be {n} finite numbers >= 0 with a positive sum, got shape {array.shape}"
+        )
+    return np.asarray(array / array.sum())
+
+
+def factorial_shape(values: Array) -> tuple[int, ...] | None:
+    """Grid shape if the (N, d) `values` are a full factorial in C order, else None."""
+    levels = [np.unique(column) for column in values.T]
+    shape = tuple(len(level) for level in levels)
+    if int(np.prod(shape)) != len(values):
+        return None
+    expected = np.array(list(itertools.product(*levels)))
+    return shape if np.array_equal(expected, values) else None

@@ -1,0 +1,73 @@
+"""Errors: each message gives the rule, what was received, and the fix, in one sentence.
+
+`MbtlError` is the single root. `InvalidInput` means the caller can mend the call (the command line
+exits with 2); every other error means that the work itself failed (exit 1).
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class MbtlError(Exception):
+    """Root of every error this library raises on purpose."""
+
+
+class InvalidInput(MbtlError, ValueError):
+    """An argument breaks a stated rule."""
+
+
+class UnknownName(InvalidInput, LookupError):
+    """A name (CMDP, selector, axis, ...) that nothing is registered under."""
+
+
+class MissingExtra(MbtlError, ImportError):
+    """An optional dependency is not installed."""
+
+
+class ContextMismatch(InvalidInput):
+    """A context does not belong to the context space."""
+
+
+class StudyError(MbtlError):
+    """A study cannot do what was asked in its present state."""
+
+
+class StudyMismatch(StudyError, InvalidInput):
+    """A stored study was made for another problem or with other settings."""
+
+
+class StorageError(MbtlError):
+    """The event log cannot be read or written."""
+
+
+class TrainingFailed(MbtlError):
+    """A training or evaluation gave nothing that can be used."""
+
+
+class CheckFailed(MbtlError):
+    """A CMDP breaks the contract that `mbtl check` tests."""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str], *, hint: str = "") -> UnknownName:
+    """Build the error for a mistyped name, with the nearest known one.
+
+    Args:
+        kind: what is being looked up, e.g. "CMDP".
+        name: what was received.
+        known: every valid name.
+        hint: a sentence that says where the valid names are listed.
+    """
+    names = sorted(known)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    guess = f" Did you mean {near[0]!r}?" if near else ""
+    where = f" {hint}" if hint else f" Known: {', '.join(names)}."
+    return UnknownName(f"no {kind} is called {name!r}.{guess}{where}")
+
+
+def missing_extra(package: str, extra: str) -> MissingExtra:
+    """Build the error for an optional dependency, with the one-line install."""
+    return MissingExtra(
+        f"{package} is needed for this and is not installed; run: pip install 'mbtl[{extra}]'"
+    )

@@ -1,0 +1,17 @@
+"""Models of what training and transfer will give: Gaussian process and generalisation gap."""
+
+from mbtl.models.gap import FittedGap, GapModel, LinearGap, predicted_rows
+from mbtl.models.gp import FittedGP, GPSettings, Posterior, fit_gp
+from mbtl.models.sklearn_gp import fit_sklearn
+
+__all__ = [
+    "FittedGP",
+    "FittedGap",
+    "GPSettings",
+    "GapModel",
+    "LinearGap",
+    "Posterior",
+    "fit_gp",
+    "fit_sklearn",
+    "predicted_rows",
+]

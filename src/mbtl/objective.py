@@ -1,0 +1,138 @@
+"""Objective: what a set of trained policies is worth. Pure functions on arrays.
+
+Notation (shapes):
+    J        (N, N)   transfer matrix, axis order (source, target), performance
+    rows     (k, N)   transfer rows of the trained sources, in training order
+    weights  (N,)     target weights, >= 0, sum 1 (uniform: 1/N)
+    best     (N,)     generalisation performance J(pi_1:k, x') = max over trained policies
+    V        scalar   sum_t weights_t best_t
+Return is in raw units; performance is return after normalisation, larger is better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbtl.errors import InvalidInput
+
+Array = NDArray[np.float64]
+Direction = Literal["maximize", "minimize"]
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Affine normalisation of returns: performance 0 at the worst bound, 1 at the best; never clipped.
+
+    Attributes:
+        low: smaller return.
+        high: larger return.
+        direction: "maximize" (`high` is best) or "minimize" (`low` is best).
+    """
+
+    low: float
+    high: float
+    direction: Direction = "maximize"
+
+    def __post_init__(self) -> None:
+        if self.direction not in ("maximize", "minimize"):
+            raise InvalidInput(
+                f"direction must be 'maximize' or 'minimize', got {self.direction!r}"
+            )
+        if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low < self.high):
+            raise InvalidInput(
+                f"bounds must be finite with low < high, got ({self.low}, {self.high})"
+            )
+
+    @classmethod
+    def of(cls, returns: ArrayLike, direction: Direction = "maximize") -> Bounds:
+        """Smallest bounds that hold all finite `returns`; a constant array gets unit width."""
+        values = np.asarray(returns, dtype=np.float64)
+        values = values[np.isfinite(values)]
+        if values.size == 0:
+            raise InvalidInput("automatic bounds need at least one finite return; got none")
+        low, high = float(values.min()), float(values.max())
+        return cls(low, high if high > low else low + 1.0, direction)
+
+    def normalise(self, returns: ArrayLike) -> Array:
+        """Return -> performance, same shape."""
+        r = np.asarray(returns, dtype=np.float64)
+        span = self.high - self.low
+        return (r - self.low) / span if self.direction == "maximize" else (self.high - r) / span
+
+    def denormalise(self, performance: ArrayLike) -> Array:
+        """Performance -> return, same shape."""
+        p = np.asarray(performance, dtype=np.float64)
+        span = self.high - self.low
+        return self.low + p * span if self.direction == "maximize" else self.high - p * span
+
+
+def uniform_weights(n: int) -> Array:
+    """(n,) equal target weights."""
+    return np.full(n, 1.0 / n)
+
+
+def generalisation_performance(rows: Array) -> Array:
+    """Per target, the best performance among the trained policies; (k, N) -> (N,).
+
+    Returns:
+        (N,) maxima; -inf everywhere when nothing was trained. NaN entries (targets a policy was not
+        evaluated on) are ignored.
+    """
+    rows = np.atleast_2d(np.asarray(rows, dtype=np.float64))
+    if rows.shape[0] == 0:
+        return np.full(rows.shape[1], -np.inf)
+    return np.fmax.reduce(rows, axis=0, initial=-np.inf)
+
+
+def value(best: Array, weights: Array | None = None) -> float:
+    """V = sum_t w_t best_t (paper, section 3); uniform weights when none are given."""
+    return float(best.mean()) if weights is None else float(best @ weights)
+
+
+def value_curve(rows: Array, weights: Array | None = None) -> Array:
+    """V after 1, 2, ..., k trainings; (k, N) -> (k,). Non-decreasing."""
+    running = np.fmax.accumulate(np.asarray(rows, dtype=np.float64), axis=0)
+    return running.mean(axis=1) if weights is None else running @ weights
+
+
+def marginal_gain(rows: Array, best: Array, weights: Array | None = None) -> Array:
+    """Gain in V from adding each row alone: sum_t w_t [row_t - best_t]_+; (M, N) -> (M,)."""
+    gain = np.maximum(np.atleast_2d(rows) - best, 0.0)
+    return gain.mean(axis=1) if weights is None else gain @ weights
+
+
+def generalisation_gap(matrix: Array) -> Array:
+    """dJ(pi_x, x') = |J(pi_x, x) - J(pi_x, x')|; (N, N) -> (N, N)."""
+    return np.abs(np.diagonal(matrix)[:, None] - matrix)
+
+
+def regret(matrix: Array, sources: ArrayLike, weights: Array | None = None) -> Array:
+    """Per-pick regret against the best pick given the same history (method, section 4).
+
+    r_k = max_x V(x; pi_1:k-1) - V(x_k; pi_1:k-1)
+
+    Args:
+        matrix: (N, N) performance, (source, target).
+        sources: (K,) picked source indices in order.
+
+    Returns:
+        (K,) regrets, >= 0.
+    """
+    best = np.full(matrix.shape[1], -np.inf)
+    regrets = []
+    for source in np.asarray(sources, dtype=np.intp):
+        reached = np.maximum(matrix, best)
+        values = reached.mean(axis=1) if weights is None else reached @ weights
+        regrets.append(values.max() - values[source])
+        best = reached[source]
+    return np.asarray(regrets)
+
+
+def k_star(curve: ArrayLike, level: float) -> int | None:
+    """First number of trainings (1-based) whose V reaches `level`; None if none does."""
+    reached = np.flatnonzero(np.asarray(curve, dtype=np.float64) >= level)
+    return int(reached[0]) + 1 if reached.size else None

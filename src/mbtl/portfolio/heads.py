@@ -1,0 +1,109 @@
+"""Action heads: what the outputs of a policy network mean.
+
+Notation (shapes): B observations, m network outputs; actions are (B, ...).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.errors import InvalidInput
+from mbtl.objective import Array
+
+Array32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class DiscreteHead:
+    """One choice (`sizes` of length 1 and `scalar`) or several independent ones.
+
+    Attributes:
+        sizes: number of options of each choice.
+        scalar: actions are single integers, not vectors.
+        samples: the outputs are logits of a distribution; False for action values, as in DQN.
+    """
+
+    sizes: tuple[int, ...]
+    scalar: bool = True
+    samples: bool = True
+
+    @property
+    def n_outputs(self) -> int:
+        """Sum of the options."""
+        return sum(self.sizes)
+
+    def act(self, outputs: Array, rng: np.random.Generator | None) -> NDArray[Any]:
+        """Largest output of each choice; with `rng`, a draw from its softmax (Gumbel's trick)."""
+        if rng is not None:
+            if not self.samples:
+                raise _not_a_distribution()
+            outputs = outputs + rng.gumbel(size=outputs.shape)
+        blocks = np.split(outputs, np.cumsum(self.sizes)[:-1], axis=1)
+        choices = np.stack([block.argmax(axis=1) for block in blocks], axis=1)
+        return choices[:, 0] if self.scalar else choices
+
+
+@dataclass(frozen=True, eq=False)
+class BoxHead:
+    """A vector of real numbers within bounds.
+
+    Attributes:
+        low: smallest action; its shape is the action's.
+        high: largest action, same shape.
+        squash: actions are tanh(output) stretched over the box (SAC, TD3); else clipped outputs.
+        log_std: (m,) log standard deviation of a Gaussian around the mean; None when unknown.
+    """
+
+    low: Array32
+    high: Array32
+    squash: bool = False
+    log_std: Array32 | None = None
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of action dimensions."""
+        return int(self.low.size)
+
+    def act(self, outputs: Array, rng: np.random.Generator | None) -> NDArray[Any]:
+        """The mean action; with `rng`, a draw from the Gaussian around it."""
+        if rng is not None:
+            if self.log_std is None:
+                raise _not_a_distribution()
+            outputs = outputs + np.exp(self.log_std) * rng.standard_normal(outputs.shape)
+        outputs = outputs.reshape(-1, *self.low.shape)
+        low, high = self.low.astype(np.float64), self.high.astype(np.float64)
+        if self.squash:
+            outputs = low + 0.5 * (np.tanh(outputs) + 1.0) * (high - low)
+        return np.clip(outputs, low, high).astype(np.float32)
+
+
+def head_record(head: DiscreteHead | BoxHead) -> dict[str, Any]:
+    """JSON part of a head; the arrays of a `BoxHead` are stored beside it."""
+    if isinstance(head, BoxHead):
+        return {"kind": "box", "squash": head.squash}
+    return {
+        "kind": "discrete",
+        "sizes": list(head.sizes),
+        "scalar": head.scalar,
+        "samples": head.samples,
+    }
+
+
+def read_head(record: Mapping[str, Any], arrays: Mapping[str, Array32]) -> DiscreteHead | BoxHead:
+    """Rebuild a head from `head_record` and its arrays; KeyError or ValueError when damaged."""
+    if record["kind"] == "box":
+        return BoxHead(arrays["low"], arrays["high"], record["squash"], arrays.get("log_std"))
+    if record["kind"] == "discrete":
+        return DiscreteHead(tuple(record["sizes"]), record["scalar"], record["samples"])
+    raise ValueError(f"unknown action head {record['kind']!r}")
+
+
+def _not_a_distribution() -> InvalidInput:
+    return InvalidInput(
+        "this policy holds no action distribution to sample; use deterministic=True"
+    )

@@ -1,0 +1,180 @@
+"""Small dense policies in plain numpy: no training library to run them, no pickle to save them.
+
+Notation (shapes): B observations, o numbers each, m network outputs.
+    observation  (*shape) or (B, *shape), prod(shape) = o
+    outputs      (B, m)   logits or values of discrete actions, or a mean per action dimension
+
+Weights are kept in float32, as trained, and multiplied in float64, so that the rounding of a batch
+(which depends on its size) disappears when the action is rounded to float32.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbtl.errors import InvalidInput, StorageError
+from mbtl.objective import Array
+from mbtl.portfolio.heads import Array32, BoxHead, DiscreteHead, head_record, read_head
+
+FORMAT = 1
+WEIGHTS_FILE = "weights.npz"
+RECORD_FILE = "policy.json"
+
+Activation = Literal["tanh", "relu"]
+
+_ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
+    "tanh": np.tanh,
+    "relu": lambda x: np.maximum(x, 0.0),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class MLPPolicy:
+    """A dense network with one activation between its layers and a head for the action.
+
+    Attributes:
+        weights: per layer (n_out, n_in) float32.
+        biases: per layer (n_out,) float32.
+        activation: "tanh" or "relu", after every layer but the last.
+        observation_shape: shape of one observation.
+        head: what the outputs mean.
+
+    Raises:
+        InvalidInput: layers do not fit each other, the observation or the head.
+    """
+
+    weights: tuple[Array32, ...]
+    biases: tuple[Array32, ...]
+    activation: Activation
+    observation_shape: tuple[int, ...]
+    head: DiscreteHead | BoxHead
+
+    def __post_init__(self) -> None:
+        if self.activation not in _ACTIVATIONS:
+            raise InvalidInput(f"activation must be 'tanh' or 'relu', got {self.activation!r}")
+        widths = [int(np.prod(self.observation_shape))] + [len(b) for b in self.biases]
+        expected = [(n_out, n_in) for n_in, n_out in itertools.pairwise(widths)]
+        shapes = [w.shape for w in self.weights]
+        if not shapes or shapes != expected or widths[-1] != self.head.n_outputs:
+            raise InvalidInput(
+                f"layers must lead from {widths[0]} inputs to {self.head.n_outputs} outputs with "
+                f"biases of {widths[1:]}, got weights of shape {shapes}"
+            )
+
+    @cached_property
+    def _layers(self) -> list[tuple[Array, Array]]:
+        pairs = zip(self.weights, self.biases, strict=True)
+        return [(w.T.astype(np.float64), b.astype(np.float64)) for w, b in pairs]
+
+    def outputs(self, observations: ArrayLike) -> Array:
+        """(B, *observation_shape) -> (B, m) raw network outputs."""
+        x = np.asarray(observations, dtype=np.float32).astype(np.float64)
+        x = x.reshape(len(x), -1)
+        last = len(self._layers) - 1
+        for i, (weight, bias) in enumerate(self._layers):
+            x = x @ weight + bias
+            if i < last:
+                x = _ACTIVATIONS[self.activation](x)
+        return x
+
+    def predict(
+        self,
+        observation: ArrayLike,
+        deterministic: bool = True,
+        rng: np.random.Generator | None = None,
+    ) -> tuple[NDArray[Any], None]:
+        """Action for one observation or a batch; the pair has the form Stable-Baselines3 uses.
+
+        Args:
+            observation: `observation_shape`, or (B, *observation_shape).
+            deterministic: most likely action; else a sample, which needs `rng`.
+            rng: generator for the samples.
+
+        Returns:
+            (actions, None): actions without a batch axis for one observation.
+
+        Raises:
+            InvalidInput: wrong shape, sampling without `rng`, or a policy without a distribution.
+        """
+        if not deterministic and rng is None:
+            raise InvalidInput(
+                "sampled actions need a random generator; pass rng=np.random.default_rng(seed)"
+            )
+        array = np.asarray(observation)
+        single = array.shape == self.observation_shape
+        if not single and array.shape[1:] != self.observation_shape:
+            raise InvalidInput(
+                f"observations must have shape {self.observation_shape}, alone or as a batch, "
+                f"got {array.shape}"
+            )
+        actions = self.head.act(
+            self.outputs(array[None] if single else array), None if deterministic else rng
+        )
+        return (np.asarray(actions[0]) if single else actions), None
+
+    def save(self, folder: Path) -> None:
+        """Write `weights.npz` and `policy.json` into `folder`, which must exist."""
+        arrays = {f"weight_{i}": w for i, w in enumerate(self.weights)}
+        arrays |= {f"bias_{i}": b for i, b in enumerate(self.biases)}
+        if isinstance(self.head, BoxHead):
+            arrays |= {"low": self.head.low, "high": self.head.high}
+            if self.head.log_std is not None:
+                arrays["log_std"] = self.head.log_std
+        np.savez(folder / WEIGHTS_FILE, **arrays)  # type: ignore[arg-type]
+        record = {
+            "kind": "mbtl mlp policy",
+            "format": FORMAT,
+            "activation": self.activation,
+            "layers": len(self.weights),
+            "observation_shape": list(self.observation_shape),
+            "head": head_record(self.head),
+        }
+        (folder / RECORD_FILE).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, folder: Path) -> MLPPolicy:
+        """Read back what `save` wrote; executes nothing.
+
+        Raises:
+            StorageError: the files are missing, damaged, or of a newer format.
+        """
+        try:
+            record = json.loads((folder / RECORD_FILE).read_text(encoding="utf-8"))
+            if record["format"] > FORMAT:
+                raise StorageError(
+                    f"policy formats up to {FORMAT} are known, got {record['format']} in {folder}; "
+                    "install a newer mbtl"
+                )
+            with (
+                (folder / WEIGHTS_FILE).open("rb") as file,  # np.load leaks it when it is no zip
+                np.load(file, allow_pickle=False) as archive,
+            ):
+                arrays = {name: archive[name] for name in archive.files}
+            layers = range(record["layers"])
+            return cls(
+                weights=tuple(arrays[f"weight_{i}"] for i in layers),
+                biases=tuple(arrays[f"bias_{i}"] for i in layers),
+                activation=record["activation"],
+                observation_shape=tuple(record["observation_shape"]),
+                head=read_head(record["head"], arrays),
+            )
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+            raise StorageError(
+                f"{folder} must hold a whole {RECORD_FILE} and {WEIGHTS_FILE}, got {error!r}; "
+                "save the policy again"
+            ) from error
+
+
+def is_mlp_folder(files: Sequence[str]) -> bool:
+    """True when a folder with these file names holds a saved `MLPPolicy`."""
+    return RECORD_FILE in files and WEIGHTS_FILE in files

@@ -1,0 +1,80 @@
+"""The seed tree: every random number in a study hangs from one root seed.
+
+A training seed depends on (root seed, trial, source) and never on the pick number, so one source
+gives one policy in whatever order sources are picked, after a resume, and in a transfer matrix.
+Seeds of different purposes are disjoint by construction: the purpose is the top four bits.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+from mbtl.errors import InvalidInput
+
+_HASH_BITS = 28  # purpose (4 bits) + hash (28 bits) fit the 32-bit seeds that RL libraries accept
+
+
+class Purpose(IntEnum):
+    """What a seed is for; two purposes never share a seed."""
+
+    TRAINING = 0
+    EVALUATION = 1
+    """Rows that the selector sees; the same episodes for every source."""
+    REPORT = 2
+    """Fresh episodes for the V that people are told."""
+    CHECKPOINT = 3
+    """Periodic evaluations that choose the best checkpoint of one training."""
+    SELECTION = 4
+    """Random choices of a selector."""
+
+
+def derive_seed(root: int, purpose: Purpose, *path: int) -> int:
+    """Hash (root, purpose, path) to a 32-bit seed.
+
+    Args:
+        root: the study's seed, >= 0.
+        purpose: keeps the seeds of different uses apart.
+        path: further non-negative keys, e.g. trial and source index.
+
+    Returns:
+        An integer in [purpose * 2**28, (purpose + 1) * 2**28).
+
+    Raises:
+        InvalidInput: a key is negative.
+    """
+    if root < 0 or any(key < 0 for key in path):
+        raise InvalidInput(f"seeds and their keys must be >= 0, got root {root} and path {path}")
+    state = np.random.SeedSequence(entropy=root, spawn_key=(int(purpose), *path)).generate_state(1)
+    return (int(purpose) << _HASH_BITS) | (int(state[0]) >> (32 - _HASH_BITS))
+
+
+def training_seed(root: int, trial: int, source: int) -> int:
+    """Seed of the training on `source` (index) in `trial`; independent of the pick number."""
+    return derive_seed(root, Purpose.TRAINING, trial, source)
+
+
+def evaluation_seed(root: int, trial: int, purpose: Purpose = Purpose.EVALUATION) -> int:
+    """Seed of an evaluation; shared by all sources (common random numbers)."""
+    return derive_seed(root, purpose, trial)
+
+
+def episode_seed(evaluation: int, episode: int) -> int:
+    """Seed of one episode of an evaluation: the same for every policy and every target.
+
+    Args:
+        evaluation: what `evaluation_seed` gave (or any seed >= 0 of a user's own).
+        episode: 0-based number of the episode.
+
+    Returns:
+        A seed of the evaluation's own purpose; `Purpose.EVALUATION` for a seed that has none.
+    """
+    top = evaluation >> _HASH_BITS
+    known = Purpose.TRAINING < top <= max(Purpose)
+    return derive_seed(evaluation, Purpose(top) if known else Purpose.EVALUATION, episode)
+
+
+def selection_rng(root: int, trial: int, pick: int) -> np.random.Generator:
+    """Generator for the selector's own random choices at its `pick`-th proposal (0-based)."""
+    return np.random.default_rng(derive_seed(root, Purpose.SELECTION, trial, pick))

@@ -1,0 +1,28 @@
+"""Selectors: propose the next source from a problem and the rows seen so far."""
+
+from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, Selector, default_theta
+from mbtl.selectors.equidistant import Equidistant
+from mbtl.selectors.greedy import Greedy
+from mbtl.selectors.mbtl import MBTL
+from mbtl.selectors.mbtl_ei import MBTLEI
+from mbtl.selectors.mbtl_release import MBTLRelease
+from mbtl.selectors.random import Random
+from mbtl.selectors.registry import get_selector, selector_names
+from mbtl.selectors.worst_first import WorstFirst
+
+__all__ = [
+    "MBTL",
+    "MBTLEI",
+    "Equidistant",
+    "Exhausted",
+    "Greedy",
+    "MBTLRelease",
+    "Proposal",
+    "Random",
+    "SelectionProblem",
+    "Selector",
+    "WorstFirst",
+    "default_theta",
+    "get_selector",
+    "selector_names",
+]

@@ -1,0 +1,31 @@
+"""Equidistant: midpoints of K equal cells, from the top down (cmdp-spec 8.1, "coarse-to-fine")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbtl.history import History
+from mbtl.selectors.base import Proposal, SelectionProblem, nearest_open, open_candidates
+
+
+@dataclass(frozen=True)
+class Equidistant:
+    """The K cell midpoints of a fixed budget K, on one axis; the budget must be known beforehand."""
+
+    name: str = "equidistant"
+
+    def propose(
+        self, problem: SelectionProblem, history: History, rng: np.random.Generator
+    ) -> Proposal:
+        """Next midpoint; raises `InvalidInput` when there is more than one axis."""
+        line = problem.line
+        mask = open_candidates(problem, history)
+        k = len(history.sources) + len(history.pending) + len(history.failed)
+        low, high = float(line.min()), float(line.max())
+        budget = problem.budget
+        target = low + (high - low) * (1 - 1 / (2 * budget) - (k % budget) / budget)
+        return Proposal(
+            nearest_open(problem, np.array([target]), mask), f"cell midpoint of {budget}"
+        )

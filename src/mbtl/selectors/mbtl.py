@@ -1,0 +1,130 @@
+"""MBTL as in the camera-ready paper: middle first, warm-up, then the optimistic gain.
+
+Source: Cho et al., NeurIPS 2024; rules where the paper is silent: cmdp-spec 8.2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.acquisition import linear_gap_gain
+from mbtl.errors import InvalidInput
+from mbtl.history import History
+from mbtl.models import FittedGap, FittedGP, GPSettings, LinearGap, fit_gp, predicted_rows
+from mbtl.models.gp import Fitter
+from mbtl.objective import Array
+from mbtl.selectors.base import Proposal, SelectionProblem, centre, nearest_open, open_candidates
+from mbtl.selectors.model_based import (
+    choose,
+    fit_posterior,
+    observed_incumbent,
+    predicted_incumbent,
+)
+from mbtl.selectors.worst_first import worst_context
+from mbtl.theory import beta_experiments
+
+Incumbent = Literal["observed", "predicted"]
+
+
+@dataclass(frozen=True)
+class MBTL:
+    """Model-based transfer learning with an upper confidence bound.
+
+    k = 1: the middle. k = 2 .. 1 + warm_up: the worst-served context. Then
+    argmax_x E_x' [ mu(x) + sqrt(beta_k) sigma(x) - theta |x - x'| - best(x') ]_+ with
+    beta_k = 2 log(N k^2).
+
+    Attributes:
+        warm_up: number of worst-first picks after the first (paper: 3); they count towards K.
+        gp: kernel bounds and noise (paper: noise std 0.001).
+        gap: "given" uses the problem's theta; "fitted" estimates it from the rows seen.
+        incumbent: "observed" rows, or "predicted" from training performance and theta alone.
+        fitter: `fit_gp`, or `fit_sklearn` for the paper's own optimiser.
+    """
+
+    warm_up: int = 3
+    gp: GPSettings = field(default_factory=GPSettings)
+    gap: Literal["given", "fitted"] = "given"
+    incumbent: Incumbent = "observed"
+    fitter: Fitter = fit_gp
+    name: str = "mbtl"
+
+    def __post_init__(self) -> None:
+        if self.warm_up < 0:
+            raise InvalidInput(f"warm_up must be >= 0, got {self.warm_up}")
+        for option, given, known in (
+            ("gap", self.gap, ("given", "fitted")),
+            ("incumbent", self.incumbent, ("observed", "predicted")),
+        ):
+            if given not in known:
+                raise InvalidInput(f"{option} must be one of {known}, got {given!r}")
+
+    def propose(
+        self, problem: SelectionProblem, history: History, rng: np.random.Generator
+    ) -> Proposal:
+        """Middle, warm-up, then the argmax of the acquisition; ties to the lowest index."""
+        mask = open_candidates(problem, history)
+        early = start(problem, history, mask, self.warm_up)
+        if early is not None:
+            return early
+        theta = self.theta(problem, history)
+        gp = fit_posterior(problem, history, history.training_performance, self.gp, self.fitter)
+        return self.acquire(problem, history, mask, gp, theta)
+
+    def acquire(
+        self,
+        problem: SelectionProblem,
+        history: History,
+        mask: NDArray[np.bool_],
+        gp: FittedGP,
+        theta: float,
+    ) -> Proposal:
+        """The optimistic gain and its argmax."""
+        mean, std = gp.predict(problem.steps)
+        k = len(history) + len(history.pending) + 1
+        upper = mean + np.sqrt(beta_experiments(k, problem.n)) * std
+        best = self.best(problem, history, gp, theta)
+        gain = linear_gap_gain(
+            upper, problem.steps, problem.steps, best, problem.weights, theta=theta
+        )
+        return choose(gain, std, mask, "largest optimistic gain", gp.notes)
+
+    def theta(self, problem: SelectionProblem, history: History) -> float:
+        """Slope of the linear gap now, performance per grid step."""
+        model = FittedGap(problem.theta) if self.gap == "fitted" else LinearGap(problem.theta)
+        return model.slope(history, problem.steps)
+
+    def best(
+        self, problem: SelectionProblem, history: History, gp: FittedGP, theta: float
+    ) -> Array:
+        """(N,) the incumbent that a new policy has to beat."""
+        rule = predicted_incumbent if self.incumbent == "predicted" else observed_incumbent
+        return rule(problem, history, gp, theta)
+
+
+def start(
+    problem: SelectionProblem, history: History, mask: NDArray[np.bool_], warm_up: int
+) -> Proposal | None:
+    """The middle, then `warm_up` worst-first picks; None once the model should decide.
+
+    Warm-up goes on while no training performance is known, since there is nothing to fit.
+    """
+    told = len(history)
+    begun = told + len(history.pending)
+    if begun == 0 or told == 0:
+        return Proposal(nearest_open(problem, centre(problem), mask), "middle of the range")
+    if begun < 1 + warm_up or not np.isfinite(history.training_performance).any():
+        best = history.best
+        if history.pending:  # other workers are serving the contexts around them already
+            own = np.full(len(history.pending), np.nanmean(history.training_performance))
+            pending = problem.steps[list(history.pending)]
+            rows = predicted_rows(own, pending, problem.steps, problem.theta)
+            best = np.fmax(best, rows.max(axis=0))
+        counted = mask & (problem.weights > 0)
+        worst = worst_context(best, counted if counted.any() else mask)
+        return Proposal(worst, "warm-up: worst context so far")
+    return None

@@ -1,0 +1,96 @@
+"""What the model-based selectors share: the posterior, the incumbent, and the final choice."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.acquisition import argmax_open
+from mbtl.errors import MbtlError
+from mbtl.history import History
+from mbtl.models import FittedGP, GPSettings, fit_gp, predicted_rows
+from mbtl.models.gp import Fitter, squared_distances
+from mbtl.objective import Array
+from mbtl.selectors.base import Proposal, SelectionProblem
+
+_NOTHING = 1e-12  # cmdp-spec 8.2: an acquisition below this everywhere says nothing
+
+
+def fit_posterior(
+    problem: SelectionProblem,
+    history: History,
+    targets: Array,
+    settings: GPSettings,
+    fitter: Fitter = fit_gp,
+) -> FittedGP:
+    """GP of the training performance on grid steps, pending picks believed at their mean.
+
+    Args:
+        problem: gives the grid steps.
+        history: which sources were trained, and which are pending.
+        targets: (k,) values to fit, one per trained source; NaN (not evaluated there) is left out.
+        settings: kernel bounds and noise.
+        fitter: `fit_gp`, or the paper's `fit_sklearn`.
+    """
+    seen = np.isfinite(targets)
+    sources = np.asarray(history.sources, dtype=np.intp)[seen]
+    try:
+        gp = fitter(problem.steps[sources], targets[seen], settings)
+        gp.predict(problem.steps[:1])
+    except (np.linalg.LinAlgError, MbtlError) as error:
+        gp = _fallback(problem.steps[sources], targets[seen], settings, str(error))
+    if history.pending:
+        gp = gp.with_believed(problem.steps[list(history.pending)])
+    return gp
+
+
+def _fallback(points: Array, y: Array, settings: GPSettings, reason: str) -> FittedGP:
+    """A GP that needs no fit: amplitude mean(y^2), length the median distance; noted in the study."""
+    length = float(np.sqrt(np.median(squared_distances(points, points)))) or 1.0
+    amplitude = float(np.mean(np.square(y))) or 1.0
+    note = f"GP fit failed ({reason}); used amplitude {amplitude:.3g} and length {length:.3g}"
+    noise = max(settings.noise_std**2, 1e-6 * amplitude)
+    return FittedGP(points, y, amplitude, length, noise, (note,))
+
+
+def observed_incumbent(
+    problem: SelectionProblem, history: History, gp: FittedGP, theta: float
+) -> Array:
+    """(N,) best performance per target: observed rows, and what pending picks are believed to give.
+
+    A target nobody was evaluated on counts as performance 0.
+    """
+    best = np.where(np.isfinite(history.best), history.best, 0.0)
+    return np.fmax(best, _believed_rows(problem, history, gp, theta).max(axis=0, initial=-np.inf))
+
+
+def predicted_incumbent(
+    problem: SelectionProblem, history: History, gp: FittedGP, theta: float
+) -> Array:
+    """(N,) max_i J(pi_i, x_i) - theta |x_i - x'|: for users who evaluate only on the source itself."""
+    own = history.training_performance
+    seen = np.isfinite(own)
+    sources = np.asarray(history.sources, dtype=np.intp)[seen]
+    rows = predicted_rows(own[seen], problem.steps[sources], problem.steps, theta)
+    believed = _believed_rows(problem, history, gp, theta)
+    return np.asarray(np.vstack([rows, believed]).max(axis=0))
+
+
+def _believed_rows(
+    problem: SelectionProblem, history: History, gp: FittedGP, theta: float
+) -> Array:
+    pending = problem.steps[list(history.pending)]
+    if not len(pending):
+        return np.empty((0, problem.n))
+    return predicted_rows(gp.predict(pending)[0], pending, problem.steps, theta)
+
+
+def choose(
+    acquisition: Array, std: Array, mask: NDArray[np.bool_], reason: str, notes: tuple[str, ...]
+) -> Proposal:
+    """The largest acquisition; where it is zero everywhere, the largest posterior deviation."""
+    source = argmax_open(acquisition, mask)
+    if acquisition[source] <= _NOTHING:
+        source = argmax_open(std, mask)
+        return Proposal(source, "no predicted gain anywhere: most uncertain context", 0.0, notes)
+    return Proposal(source, reason, float(acquisition[source]), notes)

@@ -1,0 +1,43 @@
+"""Selectors by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mbtl.errors import unknown_name
+from mbtl.selectors.base import Selector
+from mbtl.selectors.equidistant import Equidistant
+from mbtl.selectors.greedy import Greedy
+from mbtl.selectors.mbtl import MBTL
+from mbtl.selectors.mbtl_ei import MBTLEI
+from mbtl.selectors.mbtl_release import MBTLRelease
+from mbtl.selectors.random import Random
+from mbtl.selectors.worst_first import WorstFirst
+
+_FACTORIES: dict[str, Callable[[], Selector]] = {
+    "mbtl": MBTL,
+    "mbtl-release": MBTLRelease,
+    "mbtl-ei": MBTLEI,
+    "random": Random,
+    "greedy": Greedy,
+    "equidistant": Equidistant,
+    "worst-first": WorstFirst,
+}
+
+
+def selector_names() -> list[str]:
+    """Names that `get_selector` takes."""
+    return list(_FACTORIES)
+
+
+def get_selector(selector: str | Selector) -> Selector:
+    """A selector by registered name, or the given selector itself.
+
+    Raises:
+        UnknownName: no selector has this name.
+    """
+    if not isinstance(selector, str):
+        return selector
+    if selector not in _FACTORIES:
+        raise unknown_name("selector", selector, _FACTORIES)
+    return _FACTORIES[selector]()

@@ -1,0 +1,35 @@
+"""Worst-first: train where the trained policies do worst (cmdp-spec 8.1; defined there, unused)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.acquisition import TIE
+from mbtl.history import History
+from mbtl.objective import Array
+from mbtl.selectors.base import Proposal, SelectionProblem, centre, nearest_open, open_candidates
+
+
+@dataclass(frozen=True)
+class WorstFirst:
+    """The middle first, then always the open context with the lowest generalisation performance."""
+
+    name: str = "worst-first"
+
+    def propose(
+        self, problem: SelectionProblem, history: History, rng: np.random.Generator
+    ) -> Proposal:
+        """Argmin of the best performance so far among open contexts; lowest index on a tie."""
+        mask = open_candidates(problem, history)
+        if not history.sources:
+            return Proposal(nearest_open(problem, centre(problem), mask), "middle of the range")
+        return Proposal(worst_context(history.best, mask), "worst context so far")
+
+
+def worst_context(best: Array, mask: NDArray[np.bool_]) -> int:
+    """Open context with the lowest generalisation performance; the lowest index on a tie."""
+    open_best = np.where(mask, best, np.inf)
+    return int(np.flatnonzero(open_best <= open_best.min() + TIE)[0])

@@ -1,0 +1,18 @@
+"""Study: ask, tell, run. Storage is an event log; state is a replay of it."""
+
+from mbtl.study.callbacks import Callback
+from mbtl.study.storage import EventLog, MemoryLog, SqlLog, study_names
+from mbtl.study.study import Pick, Study, StudyFinished, create_study, load_study
+
+__all__ = [
+    "Callback",
+    "EventLog",
+    "MemoryLog",
+    "Pick",
+    "SqlLog",
+    "Study",
+    "StudyFinished",
+    "create_study",
+    "load_study",
+    "study_names",
+]

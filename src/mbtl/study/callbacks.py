@@ -1,0 +1,35 @@
+"""Callbacks: what a run tells the outside while it goes on. Every method may be left out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtl.trainer import Progress
+
+if TYPE_CHECKING:
+    from mbtl.study.study import Pick, Study
+
+
+class Callback:
+    """Base with methods that do nothing; exceptions in a callback end the run, nothing is lost."""
+
+    def on_pick(self, study: Study, pick: Pick) -> None:
+        """A pick was asked for and its training starts."""
+
+    def on_progress(self, study: Study, pick: Pick, progress: Progress) -> None:
+        """A training reports; only trainings in this process do."""
+
+    def on_evaluation(self, study: Study, pick: Pick) -> None:
+        """Training is done, evaluation on all contexts starts."""
+
+    def on_told(self, study: Study, pick: Pick) -> None:
+        """The row of a pick was recorded."""
+
+    def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
+        """A pick gave nothing usable; it was recorded."""
+
+    def on_report(self, study: Study) -> None:
+        """The policies are now evaluated on fresh seeds."""
+
+    def on_end(self, study: Study) -> None:
+        """The run ends, also by an interrupt."""

@@ -1,0 +1,40 @@
+"""Events: everything that ever happened to a study, in order. State is a replay of them.
+
+    created   the problem and the settings; always the first
+    asked     the selector proposed a source to a worker
+    claimed   a worker took over a pick whose worker is gone
+    released  a worker gave its pick back untrained
+    told      a transfer row arrived
+    failed    a training or evaluation gave nothing that can be used
+    reported  returns on fresh evaluation seeds, for the V that people are told
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+from mbtl.objective import Array
+
+Kind = Literal["created", "asked", "claimed", "released", "told", "failed", "reported"]
+KINDS: tuple[str, ...] = get_args(Kind)
+
+
+@dataclass(frozen=True)
+class Event:
+    """One entry of the log.
+
+    Attributes:
+        kind: what happened.
+        data: JSON-able facts.
+        arrays: numbers that are too many for JSON, by name.
+        seq: position in the log, from 1; 0 before it is appended.
+        time: seconds since the epoch, when it was appended.
+    """
+
+    kind: Kind
+    data: Mapping[str, Any]
+    arrays: Mapping[str, Array] = field(default_factory=dict)
+    seq: int = 0
+    time: float = 0.0

@@ -1,0 +1,239 @@
+"""The state of a study: a replay of its events, and nothing that is not in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mbtl.contexts import ContextSpace
+from mbtl.errors import StorageError
+from mbtl.history import History
+from mbtl.objective import Array, Bounds, Direction
+from mbtl.study.events import Event
+from mbtl.study.worker import Worker
+
+
+@dataclass(frozen=True)
+class StudySpec:
+    """What a study was created with; equal specs may share a study.
+
+    Attributes:
+        space: the contexts.
+        budget: trainings K that the study may ask for.
+        selector: registered name and settings of the selector.
+        bounds: (low, high) of the returns, or None for automatic.
+        direction: "maximize" or "minimize".
+        theta: slope of the linear gap; None for the default.
+        seed: root of the seed tree.
+        trial: which repetition of the same problem this is.
+        stop_value: performance V at which the study ends early; None for never.
+        cost_budget: total cost at which the study ends early; None for never.
+        problem: id of the CMDP or of a user's problem.
+        settings: free-form JSON-able record of the training recipe.
+    """
+
+    space: ContextSpace
+    budget: int
+    selector: Mapping[str, Any]
+    bounds: tuple[float, float] | None
+    direction: Direction
+    theta: float | None
+    seed: int
+    trial: int
+    stop_value: float | None
+    cost_budget: float | None
+    problem: str
+    settings: Mapping[str, Any]
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record; `from_json` rebuilds it."""
+        record = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        record["space"] = self.space.to_json()
+        record["bounds"] = list(self.bounds) if self.bounds else None
+        return record
+
+    @classmethod
+    def from_json(cls, record: Mapping[str, Any]) -> StudySpec:
+        """Rebuild from `to_json`; unknown keys come from a newer version."""
+        unknown = set(record) - set(cls.__dataclass_fields__)
+        if unknown:
+            raise StorageError(f"this study has settings {sorted(unknown)} of a newer mbtl; upgrade it")
+        values = dict(record)
+        values["space"] = ContextSpace.from_json(record["space"])
+        values["bounds"] = tuple(record["bounds"]) if record["bounds"] else None
+        return cls(**values)
+
+
+@dataclass(frozen=True)
+class PickRecord:
+    """One proposal of the selector, as logged."""
+
+    number: int
+    source: int
+    reason: str
+    acquisition: float | None
+    notes: tuple[str, ...]
+    worker: Worker | None
+    asked_at: float
+
+
+@dataclass(frozen=True)
+class ToldRow:
+    """One transfer row, as logged.
+
+    Attributes:
+        source: context index.
+        pick: number of the pick it answers; None for a source nobody asked for.
+        returns: (N,) mean returns, raw units.
+        std: (N,) standard deviation over episodes; zero for a single episode.
+        episodes: episodes behind each mean.
+        cost: cost of the training in the user's unit.
+        seconds: wall time of training and evaluation; None when unknown.
+        policy: folder of the saved policy, relative to the study; None when not saved.
+        told_at: seconds since the epoch.
+    """
+
+    source: int
+    pick: int | None
+    returns: Array
+    std: Array
+    episodes: int
+    cost: float
+    seconds: float | None
+    policy: str | None
+    told_at: float
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A pick that gave nothing, and why."""
+
+    source: int
+    pick: int
+    reason: str
+
+
+@dataclass
+class StudyState:
+    """Everything the events say; `apply` takes the next one."""
+
+    seq: int = 0
+    spec: StudySpec | None = None
+    version: str = ""
+    created_at: float = 0.0
+    picks: list[PickRecord] = field(default_factory=list)
+    open_picks: dict[int, PickRecord] = field(default_factory=dict)
+    rows: list[ToldRow] = field(default_factory=list)
+    failures: list[Failure] = field(default_factory=list)
+    fresh_returns: Array | None = None
+
+    def apply(self, event: Event) -> None:
+        """Advance by one event."""
+        if event.seq != self.seq + 1:
+            raise StorageError(f"event {self.seq + 1} is missing from the log, got {event.seq}")
+        if (self.spec is None) != (event.kind == "created"):
+            raise StorageError(f"event {event.seq} ({event.kind}) is out of place; the log is damaged")
+        getattr(self, f"_{event.kind}")(event)
+        self.seq = event.seq
+
+    def history(self) -> History:
+        """What a selector may see: rows as performance under the bounds of this moment."""
+        assert self.spec is not None
+        n = self.spec.space.n
+        rows = np.array([row.returns for row in self.rows]).reshape(-1, n)
+        return History(
+            n,
+            tuple(row.source for row in self.rows),
+            self.bounds().normalise(rows) if len(rows) else rows,
+            tuple(pick.source for pick in self.open_picks.values()),
+            tuple(failure.source for failure in self.failures),
+        )
+
+    def bounds(self) -> Bounds:
+        """The given bounds, or the range of all returns told so far (unit range before any)."""
+        assert self.spec is not None
+        if self.spec.bounds is not None:
+            return Bounds(*self.spec.bounds, self.spec.direction)
+        if not self.rows:
+            return Bounds(0.0, 1.0, self.spec.direction)
+        return Bounds.of([row.returns for row in self.rows], self.spec.direction)
+
+    @property
+    def trainings(self) -> int:
+        """Picks that were asked for: done, failed or under way. Rows told unasked are free."""
+        return len(self.picks)
+
+    @property
+    def cost(self) -> float:
+        """Total cost of the rows told."""
+        return sum(row.cost for row in self.rows)
+
+    # ---- one method per kind of event ---------------------------------------------------------
+
+    def _created(self, event: Event) -> None:
+        self.spec = StudySpec.from_json(event.data["spec"])
+        self.version = event.data["version"]
+        self.created_at = event.time
+
+    def _asked(self, event: Event) -> None:
+        data = event.data
+        pick = PickRecord(
+            data["pick"],
+            data["source"],
+            data["reason"],
+            data["acquisition"],
+            tuple(data["notes"]),
+            Worker(**data["worker"]),
+            event.time,
+        )
+        self.picks.append(pick)
+        self.open_picks[pick.number] = pick
+
+    def _claimed(self, event: Event) -> None:
+        self._give(event.data["pick"], Worker(**event.data["worker"]))
+
+    def _released(self, event: Event) -> None:
+        self._give(event.data["pick"], None)
+
+    def _give(self, number: int, worker: Worker | None) -> None:
+        old = self.open_picks[number]
+        self.open_picks[number] = PickRecord(
+            old.number, old.source, old.reason, old.acquisition, old.notes, worker, old.asked_at
+        )
+
+    def _told(self, event: Event) -> None:
+        data = event.data
+        self.open_picks.pop(data["pick"], None)
+        self.fresh_returns = None  # a new policy may serve targets that were not reported
+        self.rows.append(
+            ToldRow(
+                data["source"],
+                data["pick"],
+                event.arrays["returns"],
+                event.arrays["std"],
+                data["episodes"],
+                data["cost"],
+                data["seconds"],
+                data["policy"],
+                event.time,
+            )
+        )
+
+    def _failed(self, event: Event) -> None:
+        data = event.data
+        self.open_picks.pop(data["pick"], None)
+        self.failures.append(Failure(data["source"], data["pick"], data["reason"]))
+
+    def _reported(self, event: Event) -> None:
+        self.fresh_returns = event.arrays["returns"]
+
+
+def replay(events: Iterable[Event]) -> StudyState:
+    """State after all `events`, from the first."""
+    state = StudyState()
+    for event in events:
+        state.apply(event)
+    return state

@@ -1,0 +1,534 @@
+"""The study: ask for the next source, tell its transfer row, repeat. It decides; it trains nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mbtl.contexts import Context, ContextSpace
+from mbtl.errors import InvalidInput, StudyError, StudyMismatch
+from mbtl.history import History
+from mbtl.objective import Array, Bounds, Direction, value, value_curve
+from mbtl.seeds import selection_rng, training_seed
+from mbtl.selectors import Exhausted, SelectionProblem, Selector, get_selector, selector_names
+from mbtl.study.events import Event, Kind
+from mbtl.study.state import PickRecord, StudySpec, StudyState
+from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog, sqlite_path, study_names
+from mbtl.study.worker import this_worker
+from mbtl.trainer import Trainer, checked_returns
+from mbtl.version import __version__
+
+if TYPE_CHECKING:
+    from mbtl.portfolio import Portfolio
+    from mbtl.study.callbacks import Callback
+
+
+class StudyFinished(StudyError):
+    """There is nothing left to ask for."""
+
+
+@dataclass(frozen=True)
+class Pick:
+    """A source to train on.
+
+    Attributes:
+        number: 0-based number of the pick in its study.
+        source: context index.
+        context: the context itself, axis name -> value.
+        seed: training seed; it depends on the source, not on the pick number.
+        reason: why the selector chose it.
+    """
+
+    number: int
+    source: int
+    context: Context
+    seed: int
+    reason: str
+
+
+class Study:
+    """One selection run over an event log. Make one with `create_study` or `load_study`."""
+
+    def __init__(
+        self, log: EventLog, selector: Selector, *, folder: Path | None, name: str = "study"
+    ) -> None:
+        """Use `create_study` or `load_study`; the log must hold a `created` event."""
+        self.name = name
+        self.folder = folder
+        self.selector = selector
+        self.policies: dict[int, Any] = {}
+        """Source -> policy object, for policies of this process that no trainer could save."""
+        self._log = log
+        self._state = StudyState()
+        self.refresh()
+
+    # ---- ask and tell ------------------------------------------------------------------------
+
+    def ask(self, *, take_over: bool = False) -> Pick:
+        """Propose the next source and reserve it for this process.
+
+        A pick that somebody gave back is handed out again before a new one is proposed.
+
+        Args:
+            take_over: also hand out picks whose process is gone (a killed run). Leave it off when
+                the trainings go on elsewhere after the asking process has ended.
+
+        Raises:
+            StudyFinished: the budget is spent, a stopping rule is met, or no context is left.
+        """
+        while True:
+            state = self.refresh()
+            orphans = self.orphans if take_over else self._given_back
+            number = orphans[0] if orphans else None
+            if number is None:
+                number = len(state.picks)
+                event = self._proposal(state)
+            else:
+                worker = this_worker().to_json()
+                event = Event("claimed", {"pick": number, "worker": worker})
+            try:
+                self._append(event)
+            except Conflict:
+                continue  # somebody was faster: look again
+            return self._pick(self._state.picks[number])
+
+    def tell(
+        self,
+        pick: Pick | int | Mapping[str, Any],
+        returns: ArrayLike,
+        *,
+        cost: float = 1.0,
+        seconds: float | None = None,
+        policy: str | None = None,
+        policy_object: Any = None,
+    ) -> None:
+        """Record the transfer row of one trained policy.
+
+        Args:
+            pick: what `ask` gave, or the context (or its index) of a policy you already have; rows
+                that nobody asked for do not count towards the budget.
+            returns: (N,) or (N, n_episodes) undiscounted returns on all contexts, raw units.
+            cost: cost of the training, in the unit of the cost budget.
+            seconds: wall time of training and evaluation.
+            policy: folder of the saved policy, relative to the study's folder.
+            policy_object: the policy itself, kept in this process only.
+
+        Raises:
+            TrainingFailed: returns of wrong shape, NaN or infinite. Nothing is recorded; tell again,
+                or record it with `fail`.
+            StudyError: the pick was answered before.
+        """
+        n = self.space.n
+        rows = checked_returns(returns, n)
+        if not (np.isfinite(cost) and cost >= 0):
+            raise InvalidInput(f"cost must be finite and >= 0, got {cost!r}")
+        source = self._source(pick)
+        arrays = {"returns": rows.mean(axis=1), "std": rows.std(axis=1)}
+        while True:
+            state = self.refresh()
+            data = {
+                "source": source,
+                "pick": self._answered(state, pick, source),
+                "episodes": rows.shape[1],
+                "cost": float(cost),
+                "seconds": seconds,
+                "policy": policy,
+            }
+            try:
+                self._append(Event("told", data, arrays))
+            except Conflict:
+                continue
+            if policy_object is not None:
+                self.policies[source] = policy_object
+            return
+
+    def fail(self, pick: Pick, reason: str) -> None:
+        """Record that a pick gave nothing usable; it spends budget and is never proposed again."""
+        self._settle("failed", pick, {"source": pick.source, "reason": reason})
+
+    def release(self, pick: Pick) -> None:
+        """Give a pick back untrained; the next `ask` hands it out again."""
+        self._settle("released", pick, {})
+
+    def record_fresh_returns(self, returns: Array) -> None:
+        """Record (k, N) returns on fresh evaluation seeds; NaN where a policy serves nobody."""
+        while True:
+            self.refresh()
+            try:
+                self._append(Event("reported", {}, {"returns": np.asarray(returns, dtype=float)}))
+            except Conflict:
+                continue
+            return
+
+    def run(
+        self,
+        train: Callable[[Context, int], Any] | None = None,
+        evaluate: Callable[[Any, Sequence[Context], int], Any] | None = None,
+        *,
+        trainer: Trainer | None = None,
+        parallel: int = 1,
+        executor: Executor | None = None,
+        on_failure: str = "continue",
+        callbacks: Sequence[Callback] = (),
+        report: bool = True,
+    ) -> Study:
+        """Train and evaluate until the study is finished; see `mbtl.study.runner.run`."""
+        from mbtl.study.runner import run  # the runner joins study, trainer and executor
+
+        if trainer is None:
+            from mbtl.trainer import FunctionTrainer
+
+            if train is None or evaluate is None:
+                raise InvalidInput("run needs train and evaluate functions, or a trainer")
+            trainer = FunctionTrainer(train, evaluate)
+        run(
+            self,
+            trainer,
+            parallel=parallel,
+            executor=executor,
+            on_failure=on_failure,
+            callbacks=callbacks,
+            report=report,
+        )
+        return self
+
+    # ---- reading -----------------------------------------------------------------------------
+
+    def refresh(self) -> StudyState:
+        """Apply what other processes appended, and return the state."""
+        for event in self._log.read(self._state.seq):
+            self._state.apply(event)
+        if self._state.spec is None:
+            raise StudyError(f"there is no study {self.name!r} in this storage; create it first")
+        return self._state
+
+    @property
+    def spec(self) -> StudySpec:
+        """What the study was created with."""
+        assert self._state.spec is not None
+        return self._state.spec
+
+    @property
+    def state(self) -> StudyState:
+        """Everything recorded, as of the last `refresh`."""
+        return self._state
+
+    @property
+    def space(self) -> ContextSpace:
+        """The contexts."""
+        return self.spec.space
+
+    @property
+    def problem(self) -> SelectionProblem:
+        """What the selector may know before any training."""
+        return SelectionProblem.of(self.space, budget=self.spec.budget, theta=self.spec.theta)
+
+    @property
+    def history(self) -> History:
+        """The rows told so far, as performance."""
+        return self._state.history()
+
+    @property
+    def bounds(self) -> Bounds:
+        """Normalisation in force: given, or the range of the returns told so far."""
+        return self._state.bounds()
+
+    @property
+    def value(self) -> float:
+        """V of the told rows, performance; -inf before the first. Biased upwards by noise."""
+        return value(self.history.best, self.space.weights)
+
+    @property
+    def curve(self) -> Array:
+        """(k,) V after each row, performance, on the episodes that selected."""
+        return value_curve(self.history.rows, self.space.weights)
+
+    @property
+    def stop_reason(self) -> str | None:
+        """Why nothing more can be asked; None while something can."""
+        state, spec = self._state, self.spec
+        if len(state.picks) >= spec.budget:
+            return f"the budget of {spec.budget} trainings is spent"
+        if spec.stop_value is not None and state.rows and self.value >= spec.stop_value:
+            return f"V = {self.value:.4f} reaches the level {spec.stop_value:g}"
+        if spec.cost_budget is not None and state.cost >= spec.cost_budget:
+            return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
+        if not self.history.open_mask(self.space.n).any():
+            return f"all {self.space.n} contexts are taken"
+        return None
+
+    @property
+    def is_finished(self) -> bool:
+        """True when nothing can be asked and no pick is open."""
+        return self.stop_reason is not None and not self._state.open_picks
+
+    @property
+    def orphans(self) -> list[int]:
+        """Numbers of open picks that nobody works on: given back, or their process is gone."""
+        picks = sorted(self._state.open_picks.items())
+        return [number for number, p in picks if p.worker is None or p.worker.is_gone]
+
+    def portfolio(self, trainer: Trainer | None = None) -> Portfolio:
+        """The trained policies with their router.
+
+        Args:
+            trainer: reads saved policies of a format of its own ("custom").
+        """
+        from mbtl.portfolio import Portfolio
+
+        rows = self.refresh().rows
+        folders = [self.folder / r.policy if self.folder and r.policy else None for r in rows]
+        sources = [row.source for row in rows]
+        kept = {i: self.policies[s] for i, s in enumerate(sources) if s in self.policies}
+        return Portfolio(
+            self.space,
+            tuple(sources),
+            np.array([row.returns for row in rows]).reshape(-1, self.space.n),
+            self.bounds,
+            self.problem.theta,
+            policy_folders=folders,
+            policy_format=str(self.spec.settings.get("policy_format", "custom")),
+            load=trainer.load if trainer is not None else None,
+            in_memory=kept,
+            cmdp=self.spec.problem or None,
+            metadata={"study": self.name, "selector": dict(self.spec.selector)},
+        )
+
+    # ---- inside ------------------------------------------------------------------------------
+
+    @property
+    def _given_back(self) -> list[int]:
+        return sorted(n for n, pick in self._state.open_picks.items() if pick.worker is None)
+
+    def _proposal(self, state: StudyState) -> Event:
+        reason = self.stop_reason
+        if reason is not None:
+            held = len(state.open_picks)
+            waiting = f"; {held} picks are still under way" if held else ""
+            raise StudyFinished(f"the study is finished: {reason}{waiting}")
+        number = len(state.picks)
+        rng = selection_rng(self.spec.seed, self.spec.trial, number)
+        try:
+            proposal = self.selector.propose(self.problem, state.history(), rng)
+        except Exhausted as error:
+            raise StudyFinished(f"the study is finished: {error}") from error
+        data = {
+            "pick": number,
+            "source": int(proposal.source),
+            "reason": proposal.reason,
+            "acquisition": proposal.acquisition,
+            "notes": list(proposal.notes),
+            "worker": this_worker().to_json(),
+        }
+        return Event("asked", data)
+
+    def _pick(self, record: PickRecord) -> Pick:
+        source = record.source
+        seed = training_seed(self.spec.seed, self.spec.trial, source)
+        return Pick(record.number, source, self.space.context(source), seed, record.reason)
+
+    def _source(self, pick: Pick | int | Mapping[str, Any]) -> int:
+        if isinstance(pick, Pick):
+            return pick.source
+        if isinstance(pick, Mapping):
+            return self.space.index(pick)
+        if not 0 <= int(pick) < self.space.n:
+            raise InvalidInput(f"context indices run from 0 to {self.space.n - 1}, got {pick}")
+        return int(pick)
+
+    def _answered(self, state: StudyState, pick: Any, source: int) -> int | None:
+        """Number of the open pick that this row answers; None for a row nobody asked for."""
+        if isinstance(pick, Pick):
+            if pick.number not in state.open_picks:
+                raise StudyError(f"pick {pick.number} is not open: it was answered before, or given up")
+            return pick.number
+        for number, record in state.open_picks.items():
+            if record.source == source:
+                return number
+        if any(row.source == source for row in state.rows):
+            raise StudyError(f"context {source} was told before; a study keeps one row per source")
+        return None
+
+    def _settle(self, kind: Kind, pick: Pick, data: dict[str, Any]) -> None:
+        while True:
+            if pick.number not in self.refresh().open_picks:
+                raise StudyError(f"pick {pick.number} is not open: it was answered before, or given up")
+            try:
+                self._append(Event(kind, {"pick": pick.number, **data}))
+            except Conflict:
+                continue
+            return
+
+    def _append(self, event: Event) -> None:
+        self._log.append(event, after=self._state.seq)
+        self.refresh()
+
+
+def create_study(
+    space: ContextSpace,
+    *,
+    budget: int,
+    selector: str | Selector = "mbtl",
+    bounds: tuple[float, float] | None = None,
+    direction: Direction = "maximize",
+    theta: float | None = None,
+    seed: int = 0,
+    trial: int = 0,
+    stop_value: float | None = None,
+    cost_budget: float | None = None,
+    storage: str | Path | None = None,
+    name: str = "study",
+    problem: str = "",
+    settings: Mapping[str, Any] | None = None,
+    load_if_exists: bool = False,
+) -> Study:
+    """Start a study.
+
+    Args:
+        space: the contexts; sources and targets.
+        budget: number of trainings K, 1..N.
+        selector: a registered name, or an object with `propose`.
+        bounds: (low, high) of the returns; None takes the range told so far.
+        direction: "maximize" or "minimize" the returns.
+        theta: slope of the linear gap, performance per grid step; None: 0.005, or 0.5/(N-1) for N > 100.
+        seed: root of the seed tree.
+        trial: repetition; another trial has other training seeds.
+        stop_value: end when V reaches this performance; needs bounds.
+        cost_budget: end when the costs told add up to this.
+        storage: path of an SQLite file or an SQLAlchemy URL; None keeps the study in memory.
+        name: name of the study within its storage.
+        problem: id of the problem, to refuse a study of another one.
+        settings: JSON-able record of the training recipe, to refuse a study of another one.
+        load_if_exists: go on with an existing study of the same name and the same settings.
+
+    Raises:
+        InvalidInput: budget out of range, bounds reversed, unknown selector, ...
+        StudyError: a study of this name exists and `load_if_exists` is False.
+        StudyMismatch: it exists with other settings.
+        StorageError: the storage cannot be written.
+    """
+    chosen = get_selector(selector)
+    if bounds is not None:
+        Bounds(float(bounds[0]), float(bounds[1]), direction)
+    if direction not in ("maximize", "minimize"):
+        raise InvalidInput(f"direction must be 'maximize' or 'minimize', got {direction!r}")
+    if stop_value is not None and bounds is None:
+        raise InvalidInput("stop_value is a performance, so it needs bounds=(low, high); got none")
+    if cost_budget is not None and not cost_budget > 0:
+        raise InvalidInput(f"cost_budget must be > 0, got {cost_budget!r}")
+    if seed < 0 or trial < 0:
+        raise InvalidInput(f"seed and trial must be >= 0, got {seed} and {trial}")
+    SelectionProblem.of(space, budget=budget, theta=theta)
+    spec = StudySpec(
+        space,
+        budget,
+        describe_selector(chosen),
+        (float(bounds[0]), float(bounds[1])) if bounds is not None else None,
+        direction,
+        theta,
+        seed,
+        trial,
+        stop_value,
+        cost_budget,
+        problem,
+        dict(settings or {}),
+    )
+    log: EventLog = MemoryLog() if storage is None else SqlLog(storage, name, create=True)
+    event = Event("created", {"spec": spec.to_json(), "version": __version__})
+    try:
+        log.append(event, after=0)
+    except Conflict:
+        study = Study(log, chosen, folder=_folder(storage), name=name)
+        if not load_if_exists:
+            raise StudyError(
+                f"a study named {name!r} exists in {storage}; load it, or choose another name"
+            ) from None
+        _check_same(study.spec, spec)
+        return study
+    return Study(log, chosen, folder=_folder(storage), name=name)
+
+
+def load_study(
+    storage: str | Path, name: str | None = None, *, selector: Selector | None = None
+) -> Study:
+    """Open an existing study.
+
+    Args:
+        storage: path of the SQLite file (or of the folder that holds `study.db`), or a URL.
+        name: name of the study; needed only when the storage holds several.
+        selector: the selector object, for studies made with one that has no registered name.
+
+    Raises:
+        StorageError: no database there, or a damaged one.
+        StudyError: no such study, or several and no name.
+    """
+    place = storage
+    if "://" not in str(storage) and Path(storage).is_dir():
+        place = Path(storage) / "study.db"
+    if name is None:
+        names = study_names(place)
+        if len(names) != 1:
+            raise StudyError(f"{place} holds {len(names)} studies ({', '.join(names)}); give a name")
+        name = names[0]
+    log = SqlLog(place, name)
+    created = next(iter(log.read()), None)
+    if created is None or created.kind != "created":
+        raise StudyError(f"there is no study {name!r} in {place}; it holds {study_names(place)}")
+    spec = StudySpec.from_json(created.data["spec"])
+    if selector is None:
+        registered = str(spec.selector["name"])
+        if registered not in selector_names():
+            raise StudyError(f"this study was made with the selector {registered!r}; give it as selector=")
+        selector = get_selector(registered)
+    if describe_selector(selector) != dict(spec.selector):
+        raise StudyMismatch(
+            f"this study was made with the selector {dict(spec.selector)}, got "
+            f"{describe_selector(selector)}; give the same one as selector="
+        )
+    return Study(log, selector, folder=_folder(place), name=name)
+
+
+def describe_selector(selector: Selector) -> dict[str, Any]:
+    """Name and settings of a selector, JSON-able and the same in every process."""
+
+    def plain(value: Any) -> Any:
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        if isinstance(value, (list, tuple)):
+            return [plain(item) for item in value]
+        if value is None or isinstance(value, (str, int, float, bool)):
+            return value
+        return getattr(value, "__qualname__", type(value).__qualname__)
+
+    settings = plain(selector)
+    if not isinstance(settings, dict):
+        settings = {"class": settings}
+    return {**settings, "name": selector.name}
+
+
+def _folder(storage: str | Path | None) -> Path | None:
+    if storage is None:
+        return None
+    if "://" not in str(storage):
+        return Path(storage).parent
+    path = sqlite_path(str(storage))
+    return path.parent if path else None
+
+
+def _check_same(stored: StudySpec, given: StudySpec) -> None:
+    old, new = stored.to_json(), given.to_json()
+    changed = [key for key in new if old[key] != new[key]]
+    if changed:
+        key = changed[0]
+        was, now = (old[key], new[key]) if key != "space" else (stored.space, given.space)
+        raise StudyMismatch(
+            f"a stored study goes on only with the settings it was made with: {key} was {was!r}, got "
+            f"{now!r}; repeat the old setting, or start afresh with --new (or another name)"
+        )

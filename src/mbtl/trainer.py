@@ -1,0 +1,137 @@
+"""The trainer contract: how a study gets a policy for a context and its returns elsewhere.
+
+A user gives two functions (`FunctionTrainer`) or an environment factory and an algorithm
+(`mbtl.training.SB3Trainer`). Contexts are mappings axis name -> value. Nothing here knows an RL library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from mbtl.contexts import Context
+from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.objective import Array
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One report from inside a training.
+
+    Attributes:
+        step: environment steps done.
+        total: environment steps planned.
+        metrics: latest scalars, e.g. {"episode_return": 231.0}.
+    """
+
+    step: int
+    total: int
+    metrics: Mapping[str, float] = field(default_factory=dict)
+
+
+OnProgress = Callable[[Progress], None]
+
+
+class Trainer(Protocol):
+    """Trains, evaluates, saves and loads policies of one CMDP."""
+
+    @property
+    def policy_format(self) -> str:
+        """How saved policies are read: "sb3", "mlp", or "custom" (needs this trainer's `load`)."""
+        ...
+
+    def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
+        """Train one policy on `context`; the same seed gives the same policy."""
+        ...
+
+    def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
+        """Undiscounted returns without adaptation, (n_targets,) or (n_targets, n_episodes).
+
+        The same seed means the same episodes for every policy (common random numbers).
+        """
+        ...
+
+    def save(self, policy: Any, folder: Path) -> bool:
+        """Write `policy` into the empty `folder`; False when this trainer cannot save."""
+        ...
+
+    def load(self, folder: Path) -> Any:
+        """Read back what `save` wrote."""
+        ...
+
+
+@dataclass(frozen=True)
+class FunctionTrainer:
+    """A trainer from plain functions: `train(context, seed)`, `evaluate(policy, contexts, seed)`.
+
+    Attributes:
+        train_fn: context, seed -> policy.
+        evaluate_fn: policy, contexts, seed -> returns, (n_targets,) or (n_targets, n_episodes).
+        save_fn: policy, folder -> None; without it policies are kept in memory only.
+        load_fn: folder -> policy.
+    """
+
+    train_fn: Callable[[Context, int], Any]
+    evaluate_fn: Callable[[Any, Sequence[Context], int], Any]
+    save_fn: Callable[[Any, Path], None] | None = None
+    load_fn: Callable[[Path], Any] | None = None
+    policy_format: str = "custom"
+
+    def __post_init__(self) -> None:
+        if (self.save_fn is None) != (self.load_fn is None):
+            raise InvalidInput(
+                "save and load come together, got only one of them; give both or neither"
+            )
+
+    def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
+        """Call `train_fn`; plain functions report no progress."""
+        return self.train_fn(context, seed)
+
+    def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
+        """Call `evaluate_fn`."""
+        return np.asarray(self.evaluate_fn(policy, contexts, seed), dtype=np.float64)
+
+    def save(self, policy: Any, folder: Path) -> bool:
+        """Call `save_fn` if there is one."""
+        if self.save_fn is None:
+            return False
+        self.save_fn(policy, folder)
+        return True
+
+    def load(self, folder: Path) -> Any:
+        """Call `load_fn`."""
+        if self.load_fn is None:
+            raise TrainingFailed(
+                "these policies were kept in memory only; give the problem save and load functions"
+            )
+        return self.load_fn(folder)
+
+
+def checked_returns(returns: Any, n_targets: int) -> Array:
+    """Returns of one evaluation as (n_targets, n_episodes) finite numbers.
+
+    Raises:
+        TrainingFailed: wrong shape, or a value that is NaN or infinite.
+    """
+    try:
+        array = np.asarray(returns, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TrainingFailed(
+            f"evaluate must return numbers, got {type(returns).__name__} ({error})"
+        ) from error
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2 or array.shape[0] != n_targets or array.shape[1] < 1:
+        raise TrainingFailed(
+            f"evaluate must return shape ({n_targets},) or ({n_targets}, n_episodes), got {np.shape(returns)}"
+        )
+    bad = int(np.count_nonzero(~np.isfinite(array)))
+    if bad:
+        raise TrainingFailed(
+            f"evaluate must return finite numbers, got {bad} NaN or infinite of {array.size}"
+        )
+    return array

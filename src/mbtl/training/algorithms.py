@@ -1,0 +1,92 @@
+"""Algorithms of Stable-Baselines3 and sb3-contrib by name, and their keyword arguments."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+from mbtl.errors import InvalidInput, missing_extra, unknown_name
+
+# Known without importing anything, so that describing a trainer costs nothing; a name that is not
+# here is looked up in the installed packages.
+_KNOWN = {
+    "stable_baselines3": ("A2C", "DDPG", "DQN", "PPO", "SAC", "TD3"),
+    "sb3_contrib": ("ARS", "CrossQ", "MaskablePPO", "QRDQN", "RecurrentPPO", "TQC", "TRPO"),
+}
+_RESERVED = ("policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
+
+
+def check_name(algorithm: str | type) -> None:
+    """Refuse an unknown algorithm; imports nothing for those that are known.
+
+    Raises:
+        UnknownName: neither package has it.
+    """
+    if not any(algorithm in names for names in _KNOWN.values()):
+        algorithm_class(algorithm)
+
+
+def algorithm_class(algorithm: str | type) -> Any:
+    """The class behind a name; a class is returned as it is.
+
+    Raises:
+        UnknownName: neither package has it.
+        InvalidInput: the class is no Stable-Baselines3 algorithm.
+        MissingExtra: the package that has it is not installed.
+    """
+    base = _package("stable_baselines3").common.base_class.BaseAlgorithm
+    if not isinstance(algorithm, str):
+        if isinstance(algorithm, type) and issubclass(algorithm, base):
+            return algorithm
+        raise InvalidInput(
+            f"algorithm must be a name or a subclass of Stable-Baselines3's BaseAlgorithm, got "
+            f"{algorithm!r}"
+        )
+    found: dict[str, Any] = {}
+    for package, names in _KNOWN.items():
+        if package == "sb3_contrib" and algorithm in found:
+            break  # do not import more than is needed
+        try:
+            module = _package(package)
+        except ImportError:
+            if algorithm in names:
+                raise
+            continue
+        members = vars(module).items()
+        found |= {n: c for n, c in members if isinstance(c, type) and issubclass(c, base)}
+    if algorithm not in found:
+        raise unknown_name("algorithm", algorithm, found)
+    return found[algorithm]
+
+
+def checked_hyperparameters(algorithm: Any, given: Mapping[str, Any] | None) -> dict[str, Any]:
+    """A deep copy of the keyword arguments (the library changes `policy_kwargs` in place).
+
+    Raises:
+        UnknownName: the algorithm has no such argument.
+        InvalidInput: an argument that the trainer sets itself.
+    """
+    known = inspect.signature(algorithm.__init__).parameters
+    open_ended = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in known.values())
+    for name in given or {}:
+        if name in _RESERVED:
+            raise InvalidInput(
+                f"hyperparameters are what the trainer does not set itself, got {name!r}; use the "
+                "trainer's own argument"
+            )
+        if name not in known and not open_ended:
+            names = [n for n in known if n != "self" and n not in _RESERVED]
+            raise unknown_name(f"hyperparameter of {algorithm.__name__}", name, names)
+    return copy.deepcopy(dict(given or {}))
+
+
+def _package(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name != name:
+            raise
+        raise missing_extra(name.replace("_", "-"), "train") from error

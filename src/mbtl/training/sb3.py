@@ -1,0 +1,259 @@
+"""Stable-Baselines3: a trainer from an environment factory and an algorithm.
+
+Nothing of the library is imported before a training, evaluation or load.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import KW_ONLY, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from mbtl.contexts import Context
+from mbtl.errors import InvalidInput, TrainingFailed, missing_extra
+from mbtl.objective import Array
+from mbtl.seeds import Purpose, derive_seed, episode_seed
+from mbtl.trainer import OnProgress, checked_returns
+from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
+from mbtl.training.isolation import isolated
+from mbtl.training.rollout import Job, play
+from mbtl.training.sb3_files import load_sb3, save_sb3
+from mbtl.training.watch import BestCheckpoint, Watch, actor_for
+
+_COUNTS = ("timesteps", "eval_episodes", "checkpoint_episodes", "n_envs", "threads")
+_OPTIONAL_COUNTS = ("checkpoint_every", "n_eval_envs")
+
+EVALUATION_ENVS = 128
+"""Environments alive at once in an evaluation, when `n_eval_envs` does not say otherwise."""
+
+
+@dataclass(frozen=True)
+class SB3Trainer:
+    """Trains one policy per context with Stable-Baselines3 or sb3-contrib (`mbtl.trainer.Trainer`).
+
+        trainer = SB3Trainer(make_env, algorithm="PPO", timesteps=100_000)
+        policy = trainer.train({"length": 0.5}, seed=0)
+        returns = trainer.evaluate(policy, space.contexts, seed=1)      # (n_targets, 10)
+
+    It can be pickled when `make_env` can (a function of a module), so trainings can run in other
+    processes; the same seed gives the same weights there.
+
+    Attributes:
+        make_env: context -> `gymnasium.Env`, new on every call, with a time limit.
+        timesteps: environment steps of one training.
+        algorithm: name (PPO, DQN, SAC, ..., TRPO, RecurrentPPO, ...) or class.
+        policy: the library's policy name ("MlpPolicy", "CnnPolicy", "MultiInputPolicy") or class.
+        hyperparameters: keyword arguments of the algorithm.
+        eval_episodes: episodes per target in `evaluate`.
+        checkpoint: "final" weights, or the "best" of periodic evaluations on the own context
+            (`checkpoint_episodes` deterministic episodes, always the same, on their own
+            environments). The best of noisy means is an optimistic choice; `evaluate` uses other
+            episodes.
+        checkpoint_every: environment steps between those evaluations; default 2 % of `timesteps`.
+        checkpoint_episodes: episodes per checkpoint.
+        n_eval_envs: environments alive at once while evaluating; fewer for heavy simulators. The
+            returns do not depend on it.
+        n_envs: training environments, stepped in turn in this process.
+        tensorboard: folder for the library's TensorBoard scalars, one run per training.
+        device: torch device.
+        threads: torch threads while training and evaluating.
+
+    Raises:
+        InvalidInput: a number is not positive, or `checkpoint` is neither "final" nor "best".
+        UnknownName: no such algorithm.
+    """
+
+    make_env: Callable[[Context], Any]
+    _: KW_ONLY
+    timesteps: int
+    algorithm: str | type = "PPO"
+    policy: str | type = "MlpPolicy"
+    hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+    eval_episodes: int = 10
+    checkpoint: Literal["final", "best"] = "final"
+    checkpoint_every: int | None = None
+    checkpoint_episodes: int = 5
+    n_eval_envs: int | None = None
+    n_envs: int = 1
+    tensorboard: Path | str | None = None
+    device: str = "cpu"
+    threads: int = 1
+
+    policy_format = "sb3"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hyperparameters", dict(self.hyperparameters or {}))
+        if not callable(self.make_env):
+            raise InvalidInput(f"make_env must be a function of a context, got {self.make_env!r}")
+        for name in (*_COUNTS, *_OPTIONAL_COUNTS):
+            number = getattr(self, name)
+            if number is None and name in _OPTIONAL_COUNTS:
+                continue
+            if not (isinstance(number, int) and number >= 1):
+                raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
+        if self.checkpoint not in ("final", "best"):
+            raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
+        check_name(self.algorithm)
+
+    def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
+        """Train on one context; the same seed gives the same weights.
+
+        Returns:
+            The library's model, without its environments and buffers.
+
+        Raises:
+            TrainingFailed: the weights or the actions became NaN.
+            InvalidInput: a hyperparameter that the algorithm does not have.
+        """
+        algorithm = algorithm_class(self.algorithm)
+        settings = checked_hyperparameters(algorithm, self.hyperparameters)
+        with ExitStack() as stack:
+            stack.enter_context(isolated(self.threads))
+            best = self._best_checkpoint(context, seed, stack)
+            model = algorithm(
+                self.policy,
+                self._training_envs(context, stack),
+                seed=seed,
+                device=self.device,
+                verbose=0,
+                tensorboard_log=self._log_folder(),
+                **settings,
+            )
+            watch = Watch(model, self.timesteps, on_progress, best)
+            _learn(model, self.timesteps, watch, _run_name(context, seed))
+            if best is not None:
+                best.visit(model, last=True)
+                best.restore(model)
+            watch.report(self.timesteps)
+            return _lightened(model)
+
+    def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
+        """Undiscounted returns of deterministic episodes, (n_targets, eval_episodes).
+
+        Episode e has the same seed for every policy and every target, and a return does not depend
+        on the other targets of the call.
+
+        Args:
+            policy: what `train` or `load` gave, or an `MLPPolicy`.
+            contexts: the targets.
+            seed: what `mbtl.seeds.evaluation_seed` gave.
+
+        Raises:
+            TrainingFailed: a return is NaN or infinite, or an episode does not end.
+        """
+        seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
+        jobs = [Job(partial(self.make_env, context), seeds) for context in contexts]
+        with isolated(self.threads):
+            rows = play(jobs, actor_for(policy), max_envs=self.n_eval_envs or EVALUATION_ENVS)
+        returns = np.reshape(rows, (len(jobs), self.eval_episodes))
+        return checked_returns(returns, len(jobs))
+
+    def save(self, policy: Any, folder: Path) -> bool:
+        """Write the library's zip, and a numpy copy where there is one; no replay buffer."""
+        save_sb3(policy, Path(folder))
+        return True
+
+    def load(self, folder: Path) -> Any:
+        """Read the library's zip, which can execute code: only for files you trust (`load_sb3`)."""
+        return load_sb3(folder, self.algorithm, self.device)
+
+    # ---- inside ------------------------------------------------------------------------------
+
+    def _training_envs(self, context: Context, stack: ExitStack) -> Any:
+        from stable_baselines3.common.vec_env import DummyVecEnv
+
+        envs = DummyVecEnv([partial(_monitored, self.make_env, context)] * self.n_envs)
+        stack.callback(envs.close)
+        return envs
+
+    def _best_checkpoint(
+        self, context: Context, seed: int, stack: ExitStack
+    ) -> BestCheckpoint | None:
+        if self.checkpoint == "final":
+            return None
+        count = min(self.checkpoint_episodes, self.n_eval_envs or EVALUATION_ENVS)
+        envs = []
+        for _ in range(count):
+            envs.append(self.make_env(context))
+            stack.callback(envs[-1].close)
+        episodes = range(self.checkpoint_episodes)
+        seeds = [derive_seed(seed, Purpose.CHECKPOINT, episode) for episode in episodes]
+        every = self.checkpoint_every or max(1, math.ceil(0.02 * self.timesteps))
+        return BestCheckpoint(envs, seeds, every)
+
+    def _log_folder(self) -> str | None:
+        if self.tensorboard is None:
+            return None
+        from importlib.util import find_spec
+
+        if find_spec("tensorboard") is None:
+            raise missing_extra("tensorboard", "train")
+        return str(self.tensorboard)
+
+
+def _monitored(make_env: Callable[[Context], Any], context: Context) -> Any:
+    from stable_baselines3.common.monitor import Monitor
+
+    return Monitor(make_env(context))
+
+
+def _learn(model: Any, timesteps: int, watch: Watch, run_name: str) -> None:
+    """Learn, and turn a divergence into an error that names it."""
+    try:
+        model.learn(timesteps, callback=watch, tb_log_name=run_name)
+    except ValueError as error:
+        # torch's distributions refuse NaN parameters with a ValueError; any other passes
+        if "invalid values" not in str(error) and _finite(model):
+            raise
+        raise _diverged(model) from error
+    if not _finite(model):
+        raise _diverged(model)
+
+
+def _finite(model: Any) -> bool:
+    return all(bool(parameter.isfinite().all()) for parameter in model.policy.parameters())
+
+
+def _diverged(model: Any) -> TrainingFailed:
+    return TrainingFailed(
+        f"training must keep finite weights and actions, got NaN by step {model.num_timesteps}; "
+        "lower the learning rate, or check that observations and rewards are finite"
+    )
+
+
+def _lightened(model: Any) -> Any:
+    """Drop what only training needs: environments (closed by now), buffers, open log files."""
+    model.logger.close()
+    model.env = None
+    for name in ("_logger", "_last_obs", "_last_original_obs", "_last_episode_starts"):
+        model.__dict__.pop(name, None)
+    for name in ("replay_buffer", "rollout_buffer"):
+        if hasattr(model, name):
+            setattr(model, name, None)
+    for module in (model.policy, getattr(model.policy, "actor", None)):
+        _forget_last_actions(getattr(module, "action_dist", None))
+    return model
+
+
+def _forget_last_actions(distribution: Any) -> None:
+    """Drop the graph of the last forward pass: torch sends no such tensors to another process."""
+    import torch
+
+    for name, part in vars(distribution).items() if distribution is not None else ():
+        if isinstance(part, torch.Tensor):
+            setattr(distribution, name, part.detach())
+        elif isinstance(part, torch.distributions.Distribution) or name == "distribution":
+            setattr(distribution, name, None)  # made anew by every forward pass
+
+
+def _run_name(context: Context, seed: int) -> str:
+    """Folder name of a TensorBoard run."""
+    parts = (f"{n}={v:.6g}" if isinstance(v, float) else f"{n}={v}" for n, v in context.items())
+    name = ",".join(parts) + f",seed={seed}"
+    return "".join(c if c.isalnum() or c in "=.,_-" else "_" for c in name)

@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from mbtl.acquisition import expected_gain, optimistic_gain
+from mbtl.errors import InvalidInput
+
+LINE = np.arange(3.0)[:, None]
+
+
+def gain(upper, best, theta, where=LINE, weights=None):
+    weights = np.full(len(where), 1 / len(where)) if weights is None else weights
+    return optimistic_gain(np.asarray(upper, float), where, where, np.asarray(best, float), weights, theta=theta)
+
+
+def test_gain_is_zero_when_every_target_is_already_served_better():
+    assert gain([0.5] * 3, [0.6] * 3, 0.1) == pytest.approx([0.0] * 3)
+
+
+def test_gain_counts_only_the_improved_targets():
+    # from target 0 with 0.9 and slope 0.3: 0.9, 0.6, 0.3 against 0.5, 0.7, 0.2
+    assert gain([0.9, 0, 0], [0.5, 0.7, 0.2], 0.3)[0] == pytest.approx((0.4 + 0.0 + 0.1) / 3)
+
+
+def test_gain_weighs_targets():
+    weights = np.array([0.5, 0.5, 0.0])
+    assert gain([0.9, 0, 0], [0.5, 0.7, 0.2], 0.3, weights=weights)[0] == pytest.approx(0.2)
+
+
+def test_distance_is_euclidean_in_steps():
+    where = np.array([[0.0, 0.0], [3.0, 4.0]])
+    weights = np.array([0.0, 1.0])
+    assert gain([1.0, 0.0], [0.0, 0.0], 0.1, where, weights)[0] == pytest.approx(0.5)
+
+
+def test_expected_gain_is_the_expectation_of_the_gain():
+    rng = np.random.default_rng(0)
+    mean, std, best = np.array([0.6]), np.array([0.2]), np.array([0.5, 0.7, 0.2])
+    weights = np.array([0.2, 0.3, 0.5])
+    exact = expected_gain(mean, std, LINE[:1], LINE, best, weights, theta=0.1)[0]
+    draws = rng.normal(0.6, 0.2, 400_000)
+    sampled = (np.maximum(draws[:, None] - 0.1 * LINE[:, 0] - best, 0) @ weights).mean()
+    assert exact == pytest.approx(sampled, abs=5e-4)
+
+
+def test_expected_gain_without_uncertainty_is_the_plain_gain():
+    upper, best, weights = np.array([0.9, 0.4, 0.8]), np.array([0.5, 0.7, 0.2]), np.full(3, 1 / 3)
+    exact = expected_gain(upper, np.zeros(3), LINE, LINE, best, weights, theta=0.3)
+    assert exact == pytest.approx(gain(upper, best, 0.3))
+
+
+@pytest.mark.parametrize("z", [-30.0, -8.0, -1.0, 0.0, 2.0, 30.0])
+def test_improvement_keeps_its_digits_in_the_tail(z):
+    one = np.ones(1)
+    got = expected_gain(z * one, one, LINE[:1], LINE[:1], 0 * one, one, theta=0.0)[0]
+    # for z << 0, z Phi(z) + phi(z) = phi(z) (1/z^2 - 3/z^4 + ...)
+    expected = z * norm.cdf(z) + norm.pdf(z)
+    if z <= -8:
+        expected = norm.pdf(z) * (1 / z**2 - 3 / z**4 + 15 / z**6 - 105 / z**8)
+    assert got == pytest.approx(expected, rel=2e-3)
+    assert got > 0
+
+
+def test_blocks_do_not_change_the_result(monkeypatch):
+    rng = np.random.default_rng(1)
+    where = rng.uniform(0, 5, (50, 2))
+    upper, best = rng.normal(size=50), rng.normal(size=50)
+    whole = gain(upper, best, 0.2, where)
+    monkeypatch.setattr("mbtl.acquisition.gain._BLOCK_ENTRIES", 64)
+    assert gain(upper, best, 0.2, where) == pytest.approx(whole, abs=1e-15)
+
+
+def test_misfit_shapes_and_negative_theta_are_refused():
+    with pytest.raises(InvalidInput, match="theta"):
+        gain([1] * 3, [0] * 3, -0.1)
+    with pytest.raises(InvalidInput, match="upper"):
+        gain([1] * 2, [0] * 3, 0.1)
+    with pytest.raises(InvalidInput, match="best"):
+        gain([1] * 3, [0] * 2, 0.1)

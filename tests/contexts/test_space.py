@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbtl.contexts import Categorical, ContextSpace, Integer, Linear, Log
+from mbtl.contexts.space import factorial_shape
+from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
+
+LENGTH = Linear("length", 0.05, 5.0, unit="m")
+MIXED = {Log("mass", 0.1, 10.0): 5, Categorical("road", ("dry", "wet", "ice")): 3, Integer("n", 1, 4): 4}
+
+
+def test_grid_of_one_axis_has_steps_0_to_n_minus_1():
+    space = ContextSpace.grid({LENGTH: 100})
+    assert space.steps[:, 0] == pytest.approx(np.arange(100))
+    assert space.context(9) == {"length": pytest.approx(0.5)}
+    assert space.index({"length": 0.5}) == 9
+
+
+def test_last_axis_of_a_grid_runs_fastest():
+    space = ContextSpace.grid({Linear("a", 0, 1): 2, Linear("b", 0, 1): 3})
+    assert space.values("b")[:3] == [0.0, 0.5, 1.0]
+    assert space.values("a")[:3] == [0.0, 0.0, 0.0]
+
+
+def test_mixed_grid_round_trips_every_index():
+    space = ContextSpace.grid(MIXED)
+    assert (space.n, space.d, space.unit.shape) == (60, 3, (60, 5))
+    for i in range(space.n):
+        assert space.index(space.context(i)) == i
+        assert space.encode_steps(space.context(i)) == pytest.approx(space.steps[i])
+
+
+@pytest.mark.parametrize(
+    "space",
+    [
+        ContextSpace.grid(MIXED),
+        ContextSpace.points([LENGTH], [{"length": 1.0}, {"length": 0.1}], weights=[3, 1]),
+        ContextSpace.sample([LENGTH, Categorical("c", ("a", "b"))], 10, seed=0),
+    ],
+)
+def test_space_survives_json(space):
+    again = ContextSpace.from_json(space.to_json())
+    assert again == space
+    assert np.array_equal(again.unit, space.unit)
+    assert np.array_equal(again.weights, space.weights)
+
+
+def test_steps_off_the_grid_are_interpolated():
+    space = ContextSpace.grid({Linear("x", 0, 10): [0.0, 1.0, 10.0]})
+    assert space.encode_steps({"x": 0.5}) == pytest.approx([0.5])
+    assert space.encode_steps({"x": 5.5}) == pytest.approx([1.5])
+
+
+def test_weights_are_normalised():
+    space = ContextSpace.grid({LENGTH: 4}, weights=[1, 1, 2, 0])
+    assert space.weights == pytest.approx([0.25, 0.25, 0.5, 0.0])
+
+
+def test_sample_is_seeded_distinct_and_inside():
+    axes = [LENGTH, Integer("n", 1, 50)]
+    a, b = ContextSpace.sample(axes, 200, seed=1), ContextSpace.sample(axes, 200, seed=1)
+    assert a == b
+    assert a != ContextSpace.sample(axes, 200, seed=2)
+    assert ((a.unit >= 0) & (a.unit <= 1)).all()
+    assert len(np.unique(a.unit, axis=0)) == 200
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "words"),
+    [
+        (lambda: ContextSpace.points([LENGTH], [{"lenght": 1.0}]), UnknownName, "Did you mean 'length'"),
+        (lambda: ContextSpace.points([LENGTH], [{}]), ContextMismatch, "without"),
+        (lambda: ContextSpace.points([LENGTH], [{"length": 9.0}]), ContextMismatch, "9.0"),
+        (lambda: ContextSpace.points([LENGTH], [{"length": 1.0}] * 2), InvalidInput, "index 0 and again"),
+        (lambda: ContextSpace.points([LENGTH], []), InvalidInput, "got none"),
+        (lambda: ContextSpace.grid({LENGTH: [1.0, 1.0]}), InvalidInput, "strictly increasing"),
+        (lambda: ContextSpace.grid({LENGTH: 2}, weights=[1, -1]), InvalidInput, ">= 0"),
+        (lambda: ContextSpace.grid({}), InvalidInput, "one or more axes"),
+        (lambda: ContextSpace.sample([Integer("n", 1, 3)], 4, seed=0), InvalidInput, "fewer than 4"),
+        (lambda: ContextSpace.grid({LENGTH: 3}).context(3), InvalidInput, "0 to 2"),
+        (lambda: ContextSpace.grid({LENGTH: 3}).index({"length": 1.0}), ContextMismatch, "nearest"),
+        (lambda: ContextSpace.grid({LENGTH: 3}).values("mass"), UnknownName, "mass"),
+    ],
+)
+def test_bad_contexts_are_refused_with_the_reason(make, error, words):
+    with pytest.raises(error, match=words):
+        make()
+
+
+@given(st.lists(st.floats(0.05, 5.0), min_size=1, max_size=30, unique_by=lambda x: round(x, 6)))
+def test_any_distinct_points_keep_their_indices(values):
+    space = ContextSpace.points([LENGTH], [{"length": v} for v in values])
+    assert [space.index({"length": v}) for v in values] == list(range(len(values)))
+
+
+def test_factorial_shape_recognises_grids_only():
+    grid = np.array([[a, b] for a in (0.0, 2.0) for b in (1.0, 5.0, 7.0)])
+    assert factorial_shape(grid) == (2, 3)
+    assert factorial_shape(grid[:-1]) is None
+    assert factorial_shape(grid[::-1]) is None

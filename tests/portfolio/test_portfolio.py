@@ -1,0 +1,324 @@
+import hashlib
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mbtl.contexts import ContextSpace, Linear
+from mbtl.errors import ContextMismatch, InvalidInput, StorageError
+from mbtl.objective import Bounds
+from mbtl.portfolio import DiscreteHead, MLPPolicy, Portfolio, load_portfolio
+
+SPACE = ContextSpace.grid({Linear("length", 0.5, 2.5, "m"): 5})
+RETURNS = np.array([[500.0, 400, 200, 100, 0], [0, 100, 300, 450, 500]])
+
+
+def constant(action):
+    """A policy that always takes one action of two."""
+    zeros = np.zeros((2, 1), dtype=np.float32)
+    bias = np.eye(2, dtype=np.float32)[action]
+    return MLPPolicy((zeros,), (bias,), "tanh", (1,), DiscreteHead((2,)))
+
+
+def make(**changes):
+    settings = {
+        "space": SPACE,
+        "sources": (0, 4),
+        "returns": RETURNS,
+        "bounds": Bounds(0, 500),
+        "theta": 0.1,
+        "policy_format": "mlp",
+        "in_memory": {0: constant(0), 1: constant(1)},
+        "cmdp": "cartpole-length",
+        "metadata": {"note": "test"},
+    }
+    return Portfolio(**{**settings, **changes})
+
+
+def act(policy):
+    return int(policy.predict(np.zeros(1))[0])
+
+
+# ---- routing -------------------------------------------------------------------------------------
+
+
+def test_every_context_gets_the_policy_that_returned_most_there():
+    portfolio = make()
+    assert portfolio.assignment.tolist() == [0, 0, 1, 1, 1]
+    assert portfolio.sources_used == (0, 4)
+    assert portfolio.value == pytest.approx((500 + 400 + 300 + 450 + 500) / 5 / 500)
+    assert act(portfolio.policy_for({"length": 0.5})) == 0
+    assert act(portfolio.policy_for({"length": 2.5})) == 1
+
+
+def test_choice_on_the_list_explains_itself():
+    choice = make().explain({"length": 1.0})
+    assert (choice.policy, choice.source, choice.source_context) == (0, 0, {"length": 0.5})
+    assert (choice.predicted_return, choice.basis) == (400.0, "observed")
+    assert (choice.runner_up, choice.margin) == (1, 300.0)
+    assert choice.explanation == (
+        "Policy 0, trained on length = 0.5 m, returned 400 when it was evaluated here; the next "
+        "best, policy 1, is 300 behind."
+    )
+
+
+def test_choice_off_the_list_is_interpolated_in_raw_units():
+    choice = make().explain({"length": 1.25})
+    assert (choice.policy, choice.basis) == (0, "interpolated")
+    assert choice.predicted_return == pytest.approx(300.0)
+    assert choice.margin == pytest.approx(100.0)
+
+
+def test_choice_by_gap_model_says_how_far_it_guesses():
+    returns = np.full((1, 5), np.nan)
+    returns[0, 0] = 400.0
+    choice = make(sources=(0,), returns=returns, in_memory={}).explain({"length": 2.25})
+    assert choice.basis == "gap model"
+    assert choice.predicted_return == pytest.approx(500 * (0.8 - 0.1 * 3.5))
+    assert (choice.runner_up, choice.margin) == (None, None)
+    assert "over 3.5 grid steps; no other policy can be compared." in choice.explanation
+
+
+def test_smaller_is_better_when_the_bounds_say_so():
+    portfolio = make(bounds=Bounds(0, 500, "minimize"))
+    assert portfolio.assignment.tolist() == [1, 1, 0, 0, 0]
+    choice = portfolio.explain({"length": 1.25})
+    assert (choice.policy, choice.predicted_return) == (1, pytest.approx(200.0))
+    assert choice.margin == pytest.approx(100.0)
+
+
+def test_useless_policy_is_not_among_the_sources_used():
+    returns = np.vstack([RETURNS, RETURNS[0] - 1])
+    assert make(sources=(0, 4, 2), returns=returns).sources_used == (0, 4)
+
+
+def test_contexts_nobody_was_evaluated_on_are_still_mapped():
+    returns = RETURNS.copy()
+    returns[:, 1:4] = np.nan
+    assert make(returns=returns).assignment.tolist() == [0, 0, 0, 1, 1]
+
+
+def test_context_outside_or_unknown_everywhere():
+    with pytest.raises(ContextMismatch):
+        make().explain({"length": 9.0})
+    with pytest.raises(InvalidInput, match="evaluate the policies first"):
+        make(returns=np.full((2, 5), np.nan)).explain({"length": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"returns": RETURNS[:1]}, "returns of shape"),
+        ({"sources": (0, 5)}, "context indices 0..4"),
+        ({"sources": (), "returns": np.empty((0, 5))}, "one or more policies"),
+        ({"returns": RETURNS - np.inf}, "finite"),
+        ({"theta": -1.0}, "theta"),
+        ({"policy_folders": (None,)}, "one folder or None per policy"),
+    ],
+)
+def test_parts_that_do_not_fit_are_refused(changes, message):
+    with pytest.raises(InvalidInput, match=message):
+        make(**changes)
+
+
+def test_policies_are_loaded_once_and_only_when_needed(tmp_path):
+    asked = []
+
+    def load(folder):
+        asked.append(folder.name)
+        return constant(1)
+
+    folders = [tmp_path / "a", tmp_path / "b"]
+    for folder in folders:
+        folder.mkdir()
+    portfolio = make(in_memory={}, policy_folders=folders, policy_format="custom", load=load)
+    portfolio.policy_for({"length": 2.5})
+    portfolio.policy_for({"length": 2.4})
+    assert asked == ["b"]
+
+
+# ---- files ---------------------------------------------------------------------------------------
+
+
+def test_saved_portfolio_is_the_same_portfolio(tmp_path):
+    portfolio = make()
+    again = load_portfolio(portfolio.save(tmp_path / "p"))
+    assert again.space == portfolio.space
+    assert np.array_equal(again.returns, portfolio.returns)
+    assert (again.sources, again.bounds, again.theta) == ((0, 4), Bounds(0, 500), 0.1)
+    assert (again.cmdp, again.metadata) == ("cartpole-length", {"note": "test"})
+    assert [act(again.policy(i)) for i in range(2)] == [0, 1]
+    assert sorted(p.name for p in (tmp_path / "p" / "policies").iterdir()) == [
+        "source-0000",
+        "source-0004",
+    ]
+    assert [p.name for p in tmp_path.iterdir()] == ["p"]  # nothing half-built is left beside it
+
+
+def test_manifest_lists_every_file_with_its_hash(tmp_path):
+    folder = make().save(tmp_path / "p")
+    manifest = json.loads((folder / "portfolio.json").read_text())
+    listed = {manifest["returns"]["file"]: manifest["returns"]["sha256"]}
+    for entry in manifest["policies"]:
+        listed |= {f"{entry['folder']}/{name}": digest for name, digest in entry["files"].items()}
+    found = {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != "portfolio.json"
+    }
+    assert listed == found
+    assert (manifest["format"], manifest["versions"]["numpy"]) == (1, np.__version__)
+
+
+def test_trained_folders_are_copied_and_outlive_the_study(tmp_path):
+    kept = tmp_path / "study" / "source-0000"
+    kept.mkdir(parents=True)
+    (kept / "theta.txt").write_text("7")
+    portfolio = make(
+        sources=(0, 0), policy_folders=(kept, kept), in_memory={}, policy_format="custom"
+    )
+    folder = portfolio.save(tmp_path / "p")
+    (kept / "theta.txt").unlink()
+    kept.rmdir()
+    again = load_portfolio(folder, load=lambda place: (place / "theta.txt").read_text())
+    assert [again.policy(0), again.policy(1)] == ["7", "7"]
+    assert sorted(p.name for p in (folder / "policies").iterdir()) == [
+        "source-0000",
+        "source-0000-2",
+    ]
+    with pytest.raises(InvalidInput, match="pass load="):
+        load_portfolio(folder).policy(0)
+    with pytest.raises(StorageError, match="moved or deleted"):
+        portfolio.save(tmp_path / "q")
+    assert not (tmp_path / "q").exists()
+
+
+def test_policy_that_was_not_saved_says_so(tmp_path):
+    folder = make(in_memory={0: object()}, policy_format="custom").save(tmp_path / "p")
+    again = load_portfolio(folder)
+    assert again.explain({"length": 0.5}).policy == 0  # routing still works
+    with pytest.raises(StorageError, match=r"trained on length = 0.5 m\) was not saved"):
+        again.policy(0)
+
+
+def test_changed_missing_and_foreign_files_are_named(tmp_path):
+    folder = make().save(tmp_path / "p")
+    weights = folder / "policies" / "source-0004" / "weights.npz"
+    weights.write_bytes(weights.read_bytes() + b"x")
+    with pytest.raises(
+        StorageError, match=r"policies/source-0004/weights.npz .* must be as it was saved"
+    ):
+        load_portfolio(folder)
+    weights.unlink()
+    with pytest.raises(StorageError, match=r"weights\.npz, which is missing"):
+        load_portfolio(folder)
+    with pytest.raises(StorageError, match="without it"):
+        load_portfolio(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": 2}, "formats up to 1"),
+        ({"kind": "else"}, "must describe a portfolio"),
+        ({"returns": {"file": "../returns.npz", "sha256": "0"}}, "inside its own folder"),
+        ({"returns": {"file": "/etc/hostname", "sha256": "0"}}, "inside its own folder"),
+        ({"bounds": {"low": 1, "high": 0}}, "must fit each other"),
+        ({"sources": [0]}, "must fit each other"),
+        ({"policies": None}, "whole portfolio"),
+    ],
+)
+def test_manifest_that_cannot_be_used(tmp_path, change, message):
+    folder = make().save(tmp_path / "p")
+    path = folder / "portfolio.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(StorageError, match=message):
+        load_portfolio(folder)
+
+
+def test_links_out_of_the_folder_are_refused(tmp_path):
+    folder = make().save(tmp_path / "p")
+    (folder / "returns.npz").rename(tmp_path / "elsewhere.npz")
+    (folder / "returns.npz").symlink_to(tmp_path / "elsewhere.npz")
+    with pytest.raises(StorageError, match="got the link"):
+        load_portfolio(folder)
+
+
+def test_torn_manifest_is_no_portfolio(tmp_path):
+    folder = make().save(tmp_path / "p")
+    text = (folder / "portfolio.json").read_text()
+    (folder / "portfolio.json").write_text(text[: len(text) // 2])
+    with pytest.raises(StorageError, match="readable JSON"):
+        load_portfolio(folder)
+
+
+def test_pickled_returns_are_refused(tmp_path):
+    folder = make().save(tmp_path / "p")
+    np.savez(folder / "returns.npz", returns=np.array([print], dtype=object))
+    path = folder / "portfolio.json"
+    manifest = json.loads(path.read_text())
+    manifest["returns"]["sha256"] = hashlib.sha256(
+        (folder / "returns.npz").read_bytes()
+    ).hexdigest()
+    path.write_text(json.dumps(manifest))
+    with pytest.raises(StorageError, match="allow_pickle=False"):
+        load_portfolio(folder)
+
+
+def test_an_existing_folder_is_replaced_only_when_asked(tmp_path):
+    folder = make().save(tmp_path / "p")
+    other = make(sources=(1, 3))
+    with pytest.raises(InvalidInput, match="overwrite=True"):
+        other.save(folder)
+    other.save(folder, overwrite=True)
+    assert load_portfolio(folder).sources == (1, 3)
+    load_portfolio(folder).save(folder, overwrite=True)  # from itself: its policies lie inside
+    assert act(load_portfolio(folder).policy(1)) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["p"]
+    (tmp_path / "empty").mkdir()
+    assert load_portfolio(make().save(tmp_path / "empty")).sources == (0, 4)
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.jpg").write_text("meow")
+    with pytest.raises(InvalidInput, match="a folder of its own"):
+        make().save(tmp_path / "photos", overwrite=True)
+
+
+def test_save_that_fails_half_way_leaves_the_old_portfolio(tmp_path, monkeypatch):
+    folder = make().save(tmp_path / "p")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("mbtl.portfolio.archive.os.fsync", full)
+    with pytest.raises(StorageError, match="No space left on device"):
+        make(sources=(1, 3)).save(folder, overwrite=True)
+    assert load_portfolio(folder).sources == (0, 4)
+    assert [p.name for p in tmp_path.iterdir()] == ["p"]
+
+
+def test_place_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="a place that can be written"):
+        make().save(tmp_path / "file" / "p")
+
+
+def test_metadata_must_be_json(tmp_path):
+    with pytest.raises(InvalidInput, match="JSON-able"):
+        make(metadata={"f": print}).save(tmp_path / "p")
+    folder = make(metadata={"n": np.int64(3), "v": np.array([1.5])}).save(tmp_path / "p")
+    assert load_portfolio(folder).metadata == {"n": 3, "v": [1.5]}
+
+
+def test_portfolio_of_numpy_policies_needs_no_rl_library(tmp_path):
+    folder = make().save(tmp_path / "p")
+    script = (
+        "import sys, numpy\n"
+        "from mbtl.portfolio import load_portfolio\n"
+        f"policy = load_portfolio({str(folder)!r}).policy_for({{'length': 2.0}})\n"
+        "assert int(policy.predict(numpy.zeros(1))[0]) == 1\n"
+        "heavy = {'torch', 'gymnasium', 'stable_baselines3', 'jax'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+
+from mbtl.errors import InvalidInput
+from mbtl.objective import (
+    Bounds,
+    generalisation_gap,
+    generalisation_performance,
+    k_star,
+    marginal_gain,
+    regret,
+    value,
+    value_curve,
+)
+
+J = np.array([[0.9, 0.5, 0.1], [0.4, 0.8, 0.4], [0.0, 0.6, 1.0]])
+
+
+def test_value_is_the_mean_of_column_maxima():
+    assert value(generalisation_performance(J[:2])) == pytest.approx((0.9 + 0.8 + 0.4) / 3)
+
+
+def test_value_of_weighted_targets():
+    assert value(J.max(axis=0), np.array([0.5, 0.25, 0.25])) == pytest.approx(0.45 + 0.2 + 0.25)
+
+
+def test_curve_ends_at_the_value_and_never_falls():
+    curve = value_curve(J)
+    assert curve == pytest.approx([0.5, 0.7, 0.9])
+    assert (np.diff(curve) >= 0).all()
+
+
+def test_nothing_trained_serves_nobody():
+    assert generalisation_performance(np.empty((0, 3))).tolist() == [-np.inf] * 3
+
+
+def test_targets_a_policy_was_not_evaluated_on_are_ignored():
+    rows = np.array([[0.2, np.nan, np.nan], [0.1, 0.5, np.nan]])
+    assert generalisation_performance(rows).tolist() == [0.2, 0.5, -np.inf]
+
+
+def test_marginal_gain_counts_only_improved_targets():
+    assert marginal_gain(J, J[0]) == pytest.approx([0.0, (0.3 + 0.3) / 3, (0.1 + 0.9) / 3])
+
+
+def test_gap_is_zero_on_the_source():
+    gap = generalisation_gap(J)
+    assert np.diagonal(gap).tolist() == [0.0] * 3
+    assert gap[0, 2] == pytest.approx(0.8)
+
+
+def test_regret_is_against_the_best_pick_of_the_same_history():
+    # best first pick: row 0 mean .5, row 1 .5333, row 2 .5333; picking row 0 regrets .0333
+    assert regret(J, [0, 2]) == pytest.approx([0.1 / 3, 0.0])
+
+
+def test_k_star_is_the_first_to_reach_the_level():
+    assert k_star([0.5, 0.7, 0.9], 0.7) == 2
+    assert k_star([0.5, 0.7, 0.9], 0.95) is None
+
+
+@pytest.mark.parametrize(("direction", "expected"), [("maximize", [0, 0.5, 1.2]), ("minimize", [1, 0.5, -0.2])])
+def test_bounds_normalise_without_clipping_and_back(direction, expected):
+    bounds = Bounds(-100.0, 0.0, direction)
+    returns = np.array([-100.0, -50.0, 20.0])
+    assert bounds.normalise(returns) == pytest.approx(expected)
+    assert bounds.denormalise(bounds.normalise(returns)) == pytest.approx(returns)
+
+
+def test_automatic_bounds_hold_the_finite_returns():
+    bounds = Bounds.of([3.0, np.nan, -1.0])
+    assert (bounds.low, bounds.high) == (-1.0, 3.0)
+    assert Bounds.of([2.0, 2.0]).high == 3.0
+
+
+@pytest.mark.parametrize("make", [lambda: Bounds(1, 1), lambda: Bounds(0, np.nan), lambda: Bounds.of([])])
+def test_impossible_bounds_are_refused(make):
+    with pytest.raises(InvalidInput):
+        make()
+
+
+def test_direction_must_be_known():
+    with pytest.raises(InvalidInput, match="'up'"):
+        Bounds(0, 1, "up")

@@ -1,0 +1,135 @@
+"""Rollouts with hand-made policies: no RL library."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from training_envs import Endless, Guess, GuessDict, MaskedGuess
+
+from mbtl.errors import TrainingFailed
+from mbtl.training import rollout
+from mbtl.training.rollout import ROWS, Actor, Job, play
+
+
+class SignPolicy:
+    """Always right."""
+
+    def predict(self, observation, deterministic=True):
+        assert len(observation) == ROWS
+        return (observation[:, 0] > 0).astype(int), None
+
+
+class Counter:
+    """Recurrent: counts its steps and is right from the third on, wrong before."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        count = np.zeros((1, len(observation), 1)) if state is None else state[0]
+        count = np.where(episode_start[None, :, None], 0, count) + 1
+        right = observation[:, 0] > 0
+        return np.where(count[0, :, 0] >= 3, right, ~right).astype(int), (count,)
+
+
+class MaskFollower:
+    """Takes the first allowed action."""
+
+    def predict(self, observation, deterministic=True, action_masks=None):
+        return action_masks.argmax(axis=1), None
+
+
+def jobs(make_env, lengths, seeds):
+    return [Job(partial(make_env, {"length": n}), seeds) for n in lengths]
+
+
+def test_every_job_plays_its_episodes_in_order():
+    returns = play(jobs(Guess, [1, 7, 3], [0, 1]), Actor(SignPolicy()), max_envs=8)
+    assert [r.tolist() for r in returns] == [[1, 1], [7, 7], [3, 3]]
+
+
+@pytest.mark.parametrize("max_envs", [1, 2, 40, 100])
+def test_more_jobs_than_environments_or_rows(max_envs):
+    lengths = [1 + i % 5 for i in range(70)]
+    returns = play(jobs(Guess, lengths, [0, 1, 2]), Actor(SignPolicy()), max_envs=max_envs)
+    assert [r.tolist() for r in returns] == [[n] * 3 for n in lengths]
+
+
+def test_at_most_max_envs_are_alive_and_all_are_closed():
+    alive, most = set(), []
+
+    class Tracked(Guess):
+        def __init__(self, context):
+            super().__init__(context)
+            alive.add(self)
+            most.append(len(alive))
+
+        def close(self):
+            super().close()
+            alive.remove(self)
+
+    play(jobs(Tracked, [2, 9, 4, 1, 6], [0]), Actor(SignPolicy()), max_envs=2)
+    assert (alive, max(most), len(most)) == (set(), 2, 5)
+
+
+def test_environments_are_closed_after_an_error():
+    made = []
+
+    class Fails(Guess):
+        def __init__(self, context):
+            super().__init__(context)
+            made.append(self)
+
+        def step(self, action):
+            raise RuntimeError("lost")
+
+    with pytest.raises(RuntimeError, match="lost"):
+        play(jobs(Fails, [2, 3], [0]), Actor(SignPolicy()), max_envs=5)
+    assert [env.closed for env in made] == [True, True]
+
+
+def test_kept_environments_stay_open():
+    env = Guess({"length": 2})
+    play([Job(lambda: env, [0])], Actor(SignPolicy()), max_envs=1, keep_open=True)
+    assert not env.closed
+
+
+def test_seeds_reach_reset():
+    seen = []
+
+    class Listening(Guess):
+        def reset(self, *, seed=None, options=None):
+            seen.append(seed)
+            return super().reset(seed=seed)
+
+    play(jobs(Listening, [1], [5, 3, 9]), Actor(SignPolicy()), max_envs=1)
+    assert seen == [5, 3, 9]
+
+
+def test_recurrent_state_follows_its_episode():
+    lengths = [1, 2, 3, 8, 5] * 9
+    returns = play(jobs(Guess, lengths, [0, 1, 2]), Actor(Counter()), max_envs=40)
+    assert [r.tolist() for r in returns] == [[max(n - 2, 0)] * 3 for n in lengths]
+
+
+def test_masked_policies_get_the_masks():
+    import gymnasium
+
+    def make(context):
+        return gymnasium.wrappers.TimeLimit(MaskedGuess(context), 4)
+
+    returns = play(jobs(make, [9, 9], [0]), Actor(MaskFollower()), max_envs=4)
+    assert [r.tolist() for r in returns] == [[4.0], [4.0]]
+
+
+def test_dictionaries_of_observations_are_stacked_by_key():
+    class DictPolicy:
+        def predict(self, observation, deterministic=True):
+            assert observation["two"].shape == (ROWS, 1)
+            return (observation["number"][:, 0] > 0).astype(int), None
+
+    returns = play(jobs(GuessDict, [3, 4], [0]), Actor(DictPolicy()), max_envs=4)
+    assert [r.tolist() for r in returns] == [[3], [4]]
+
+
+def test_an_episode_without_end_is_an_error(monkeypatch):
+    monkeypatch.setattr(rollout, "LONGEST_EPISODE", 50)
+    with pytest.raises(TrainingFailed, match="TimeLimit"):
+        play(jobs(Endless, [3], [0]), Actor(SignPolicy()), max_envs=1)
