@@ -118,6 +118,7 @@ def regret(matrix: Array, sources: ArrayLike, weights: Array | None = None) -> A
     Args:
         matrix: (N, N) performance, (source, target).
         sources: (K,) picked source indices in order.
+        weights: (N,) target weights; uniform when missing.
 
     Returns:
         (K,) regrets, >= 0.

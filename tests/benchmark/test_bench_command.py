@@ -51,7 +51,10 @@ def test_tables_name_every_selector_and_out_keeps_the_document(matrix_file, tmp_
 def test_errors_are_the_librarys_own(matrix_file, tmp_path):
     result = run("--matrix", "absent.npz")
     assert isinstance(result.exception, InvalidInput)
-    result = run("--matrix", matrix_file, "--selectors", "greedy", "--out", tmp_path / "no" / "x")
+    few = ("--matrix", matrix_file, "--selectors", "greedy", "--budget", 3)
+    result = run(*few, "--out", tmp_path / "no" / "x")
+    assert isinstance(result.exception, InvalidInput)  # said before the work, not after
+    result = run(*few, "--out", tmp_path)
     assert isinstance(result.exception, StorageError)
 
 

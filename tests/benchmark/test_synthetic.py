@@ -10,6 +10,8 @@ from mbtl.benchmark import (
     SyntheticWorld,
     TransferMatrix,
     linear_gap_world,
+    random_curve,
+    sequential_oracle,
     synthetic_ids,
     synthetic_world,
 )
@@ -61,6 +63,23 @@ def test_distance_worlds_fall_by_three_per_step_and_directional_ones_rise():
     assert l1[-1] == 500.0 - 3 * 4 * 5
     nd2 = synthetic_world("synthetic:5d-const-none-nd2-eta0").returns(0, [0])[0]
     assert nd2[-1] == 500.0 + 4 * 4 - 3 * 4  # four axes rise by 1 per step, one falls by 3
+
+
+@pytest.mark.parametrize(
+    ("variant", "random", "oracle"),
+    [
+        ("const-lin-nd", 0.7028, 0.7250),
+        ("const-lin-l1", 0.7122, 0.7190),
+        ("const-none-nd", 0.8688, 0.9091),
+        ("lin-lin-l1", 0.5517, 0.5714),
+        ("lin-none-nd", 0.6761, 0.7000),
+    ],
+)
+def test_published_values_without_noise_at_fifty_trainings(variant, random, oracle):
+    # SD-MBTL's table; its Random is one run, and its oracle breaks exact ties by another rule.
+    world = synthetic_world(f"synthetic:3d-{variant}-eta0")
+    assert random_curve(world, 0, 50)[-1] == pytest.approx(random, abs=1e-3)
+    assert sequential_oracle(world, 0, 50).curve[-1] == pytest.approx(oracle, abs=3e-4)
 
 
 def test_every_named_world_exists_in_its_dimension():

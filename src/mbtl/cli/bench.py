@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -16,7 +17,7 @@ from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.compare import RANDOM, Step, compare, default_selectors
 from mbtl.benchmark.records import Comparison, Estimate, SelectorSummary, Trainings
 from mbtl.cli.common import JsonFlag, console, print_json, printer
-from mbtl.errors import StorageError
+from mbtl.errors import InvalidInput, StorageError
 
 
 def bench(
@@ -48,6 +49,8 @@ def bench(
 
     Example: mbtl bench --matrix mine.npz --selectors random,greedy,mbtl,oracle --budget 15
     """
+    if out is not None and not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
+        raise InvalidInput(f"--out must lie in a folder that can be written, got {str(out)!r}")
     sources = list(open_matrices(matrix).values())
     if selectors is None:
         names = default_selectors(sources)
@@ -103,7 +106,7 @@ def _show(comparison: Comparison) -> None:
     notes = [
         "[..] 95 % bootstrap interval over matrix seeds (none with one seed).",
         "k*: trainings to reach Independent; k90: 90 % of the way from the grand mean to Oracle "
-        "Transfer; geometric means. > is a lower bound (some seeds did not get there), - means none "
+        "Transfer; geometric means. > is a lower bound (some seeds did not get there), - none "
         "did.",
         "closed: share of the distance from Random to the Sequential Oracle.",
     ]
@@ -113,10 +116,10 @@ def _show(comparison: Comparison) -> None:
 
 
 def _table(title: str, selectors: Mapping[str, SelectorSummary]) -> Table:
-    table = Table(title=title, box=box.SIMPLE, padding=(0, 1, 0, 0))
+    table = Table(title=title, box=box.SIMPLE, padding=0, show_edge=False)  # within 80 columns
     table.add_column("selector", no_wrap=True)
     for head in ("V_K", "mean V", "k*", "k90", "k99", "closed\nat K", "closed,\ncurve"):
-        table.add_column(head, justify="right")
+        table.add_column(head, justify="right", no_wrap=True)
     for name, one in selectors.items():
         table.add_row(
             name,

@@ -117,7 +117,7 @@ class CartPole(ContextualEnv):
 
     @property
     def state(self) -> tuple[float, float, float, float]:
-        """x [m], v [m/s], t [rad], w [rad/s]; settable within an episode."""
+        """The state (x [m], v [m/s], t [rad], w [rad/s]); settable within an episode."""
         return self._state
 
     @state.setter

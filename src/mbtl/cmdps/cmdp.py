@@ -1,7 +1,8 @@
 """A contextual MDP as one record: contexts, a trainer, normalisation, named recipes.
 
-The same record holds our own problems (`mbtl.cmdps.get_cmdp`) and a user's: built from two functions
-(`CMDP.from_functions`), from an environment factory (`CMDP.from_env`), or from any `Trainer`.
+The same record holds our own problems (`mbtl.cmdps.get_cmdp`) and a user's: built from two
+functions (`CMDP.from_functions`), from an environment factory (`CMDP.from_env`), or from any
+`Trainer`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
@@ -81,7 +82,7 @@ class CMDP:
         description: one line for people.
 
     Raises:
-        InvalidInput: an id unfit for a file name, bounds or theta not finite, a budget outside 1..N.
+        InvalidInput: an id unfit for a file name, bounds or theta not finite, a budget not in 1..N.
         ContextMismatch: `nominal` or `unit` is not a context of these axes.
     """
 
@@ -105,13 +106,13 @@ class CMDP:
     def __post_init__(self) -> None:
         if not (isinstance(self.id, str) and _ID.fullmatch(self.id)):
             raise InvalidInput(
-                "the id of a CMDP becomes part of file names, so it takes letters, digits, '.', '_' "
-                f"and '-' and starts with a letter or digit; got {self.id!r}"
+                "the id of a CMDP becomes part of file names: letters, digits, '.', '_' and '-', a "
+                f"letter or digit first; got {self.id!r}"
             )
         if not isinstance(self.space, ContextSpace):
             raise InvalidInput(
-                f"the space of {self.id!r} must be a ContextSpace, got {type(self.space).__name__}; "
-                "build one with ContextSpace.grid"
+                f"the space of {self.id!r} must be a ContextSpace, got "
+                f"{type(self.space).__name__}; build one with ContextSpace.grid"
             )
         self._check_numbers()
         if self.nominal is not None:
@@ -266,7 +267,8 @@ class CMDP:
         for name in options:
             if name not in known:
                 raise unknown_name(f"training option of {self.id!r}", name, known)
-        return dataclasses.replace(trainer, **options)  # type: ignore[type-var, no-any-return]
+        changed: Any = dataclasses.replace(trainer, **options)  # type: ignore[type-var]
+        return cast(Trainer, changed)
 
     def _check_numbers(self) -> None:
         if self.direction not in ("maximize", "minimize"):
@@ -289,8 +291,8 @@ class CMDP:
                 raise unknown_name("axis", name, names)
             if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
                 raise ContextMismatch(
-                    f"unit is the context at multiplier 1, so its values are > 0, got {value!r} for "
-                    f"{name!r}"
+                    f"unit is the context at multiplier 1, so its values are > 0, got {value!r} "
+                    f"for {name!r}"
                 )
 
 

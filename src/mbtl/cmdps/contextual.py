@@ -80,7 +80,9 @@ class ContextualEnv(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untype
         )
 
     def _no_episode(self) -> InvalidInput:
-        return InvalidInput("step() needs a running episode, got none or one that has ended; call reset()")
+        return InvalidInput(
+            "step() needs a running episode, got none or one that has ended; call reset()"
+        )
 
 
 def full_context(

@@ -7,7 +7,7 @@ Nothing here imports an environment.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from decimal import Decimal
 
 from mbtl.cmdps.cmdp import Preset
@@ -61,7 +61,6 @@ class Variant:
     paper_step: str | None = None
     version: int = 0
     description: str = ""
-    grids: tuple[str, ...] = field(default=("code", "paper"), init=False)
 
     def values(self, grid: str) -> list[float]:
         """(N,) grid values; exact decimals, so that contexts print as they are meant."""
@@ -149,9 +148,7 @@ FAMILIES: Mapping[str, Family] = {
 }
 
 VARIANTS: Mapping[str, Variant] = {
-    "cartpole-masscart": Variant(
-        "cartpole", "masscart", "kg", "0.1", 1.0, description="cart mass"
-    ),
+    "cartpole-masscart": Variant("cartpole", "masscart", "kg", "0.1", 1.0, description="cart mass"),
     "cartpole-length": Variant(
         "cartpole", "length", "m", "0.05", 0.5, description="half the pole's length"
     ),

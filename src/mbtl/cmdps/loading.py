@@ -33,7 +33,7 @@ def load_object(reference: str) -> Any:
         try:
             found = getattr(found, name)
         except AttributeError:
-            public = [known for known in vars(found) if not known.startswith("_")]
+            public = [known for known in dir(found) if not known.startswith("_")]
             raise unknown_name(f"attribute of {source!r}", name, public) from None
     return found
 
@@ -93,7 +93,9 @@ def _load_module(name: str, folder: Path | None = None) -> ModuleType:
 
 
 def _failed(name: str, error: Exception) -> InvalidInput:
-    return InvalidInput(f"{name!r} must import without an error, got {type(error).__name__}: {error}")
+    return InvalidInput(
+        f"{name!r} must import without an error, got {type(error).__name__}: {error}"
+    )
 
 
 def _kind(found: Any) -> str:

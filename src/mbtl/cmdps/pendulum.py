@@ -97,7 +97,7 @@ class Pendulum(ContextualEnv):
 
     @property
     def state(self) -> tuple[float, float]:
-        """t [rad], w [rad/s]; settable within an episode."""
+        """The state (t [rad], w [rad/s]); settable within an episode."""
         return self._state
 
     @state.setter

@@ -56,7 +56,7 @@ class BestCheckpoint:
 
     def restore(self, model: Any) -> None:
         """Put the best weights back."""
-        if False:
+        if self._weights:
             model.policy.load_state_dict(self._weights)
 
 

@@ -1,0 +1,156 @@
+"""Seeded rollouts of an environment, recorded so that two can be compared exactly.
+
+Notation (shapes): T recorded moments, F numbers of the flattened observation.
+    observations  (T, F)   of every reset and every step, in order
+    rewards       (T,)     0 at a reset
+    endings       (T,)     0 goes on, 1 terminated, 2 truncated, 3 both; -1 at a reset
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.errors import InvalidInput
+from mbtl.objective import Array
+
+_RESET = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """What one environment showed under a fixed list of actions."""
+
+    observations: Array
+    rewards: Array
+    endings: NDArray[np.int8]
+
+    @property
+    def ended(self) -> bool:
+        """True when at least one episode came to its end."""
+        return bool((self.endings > 0).any())
+
+    def not_finite(self) -> str | None:
+        """The first NaN or infinity, in words; None when all numbers are finite."""
+        for name, values in (("observation", self.observations), ("reward", self.rewards)):
+            rows = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+            if rows.size:
+                return f"{name} {values[rows[0]]} at moment {rows[0]}"
+        return None
+
+
+def draw_actions(action_space: Any, n: int, seed: int) -> list[Any]:
+    """`n` random actions; the space is left with another random state."""
+    action_space.seed(seed)
+    return [action_space.sample() for _ in range(n)]
+
+
+def roll(env: Any, actions: Sequence[Any], seed: int) -> Rollout:
+    """Reset with `seed`, take the actions, and reset without a seed whenever an episode ends."""
+    with_seed = _moments(env, actions, seed)
+    return _record(list(with_seed))
+
+
+def roll_together(envs: Sequence[Any], actions: Sequence[Any], seed: int) -> list[Rollout]:
+    """The same rollouts with the environments taking turns, moment by moment."""
+    turns: list[list[tuple[Array, float, int]]] = [[] for _ in envs]
+    running = [(log, _moments(env, actions, seed)) for log, env in zip(turns, envs, strict=True)]
+    while running:
+        unfinished = []
+        for log, moments in running:
+            moment = next(moments, None)
+            if moment is not None:
+                log.append(moment)
+                unfinished.append((log, moments))
+        running = unfinished
+    return [_record(log) for log in turns]
+
+
+def difference(one: Rollout, other: Rollout, *, dynamics_only: bool = False) -> str | None:
+    """The first difference, in words; None when the rollouts are equal to the last bit.
+
+    Args:
+        one: a rollout.
+        other: a rollout with the same actions and seed.
+        dynamics_only: leave out the numbers of the observation that never change within a rollout.
+            They are labels, such as a visible context feature; a context that changes nothing else
+            does not act on the dynamics.
+    """
+    n = min(len(one.rewards), len(other.rewards))
+    a, b = one.observations, other.observations
+    if a.shape[1] != b.shape[1]:
+        return f"observations have {a.shape[1]} and {b.shape[1]} numbers"
+    if dynamics_only:
+        moving = (a != a[0]).any(axis=0) | (b != b[0]).any(axis=0)
+        a, b = a[:, moving], b[:, moving]
+    differs = {
+        "observation": _unequal(a[:n], b[:n]),
+        "reward": _unequal(one.rewards[:n, None], other.rewards[:n, None]),
+        "end of the episode": one.endings[:n] != other.endings[:n],
+    }
+    first = {what: int(mask.argmax()) for what, mask in differs.items() if mask.any()}
+    if not first:
+        return None  # equal endings mean equal lengths: the number of actions is the same
+    what = min(first, key=lambda name: first[name])
+    return f"{what} at moment {first[what]}"
+
+
+@contextmanager
+def opened(*makers: Any) -> Iterator[list[Any]]:
+    """Environments from argument-less makers, closed at the end."""
+    with ExitStack() as stack:
+        yield [stack.enter_context(closing(make())) for make in makers]
+
+
+def flat(space: Any, observation: Any) -> Array:
+    """(F,) numbers of an observation.
+
+    Raises:
+        InvalidInput: the space has no fixed number of them.
+    """
+    from gymnasium import spaces
+
+    if not space.is_np_flattenable:
+        raise InvalidInput(f"observations must flatten to a fixed number of values, got {space}")
+    return np.asarray(spaces.flatten(space, observation), dtype=np.float64)
+
+
+def _moments(env: Any, actions: Sequence[Any], seed: int) -> Iterator[tuple[Array, float, int]]:
+    space = env.observation_space
+    yield flat(space, _reset(env, seed)), 0.0, _RESET
+    for action in actions:
+        result = env.step(action)
+        if not (isinstance(result, tuple) and len(result) == 5):
+            raise InvalidInput(
+                "step(action) must return (observation, reward, terminated, truncated, info), got "
+                f"{type(result).__name__} of {len(result) if isinstance(result, tuple) else 1}"
+            )
+        observation, reward, terminated, truncated, _ = result
+        yield flat(space, observation), float(reward), int(terminated) + 2 * int(truncated)
+        if terminated or truncated:
+            yield flat(space, _reset(env, None)), 0.0, _RESET
+
+
+def _reset(env: Any, seed: int | None) -> Any:
+    result = env.reset(seed=seed)
+    if not (isinstance(result, tuple) and len(result) == 2):
+        raise InvalidInput(
+            f"reset(seed=...) must return (observation, info), got {type(result).__name__}"
+        )
+    return result[0]
+
+
+def _record(moments: Sequence[tuple[Array, float, int]]) -> Rollout:
+    observations, rewards, endings = zip(*moments, strict=True)
+    return Rollout(np.stack(observations), np.asarray(rewards), np.asarray(endings, dtype=np.int8))
+
+
+def _unequal(a: Array, b: Array) -> NDArray[np.bool_]:
+    """(T,) True where a row differs; NaN equals NaN."""
+    unequal: NDArray[np.bool_] = ((a != b) & ~(np.isnan(a) & np.isnan(b))).any(axis=1)
+    return unequal

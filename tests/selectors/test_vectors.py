@@ -1,0 +1,221 @@
+"""Test vectors of the specification and closed answers of a linear-gap world."""
+
+import numpy as np
+import pytest
+
+from mbtl.acquisition import optimistic_gain
+from mbtl.contexts import Categorical, ContextSpace, Linear
+from mbtl.errors import InvalidInput, UnknownName
+from mbtl.history import History
+from mbtl.models import GPSettings, fit_gp, fit_sklearn
+from mbtl.objective import value_curve
+from mbtl.selectors import (
+    MBTL,
+    MBTLEI,
+    Exhausted,
+    MBTLRelease,
+    Random,
+    SelectionProblem,
+    get_selector,
+    selector_names,
+)
+from mbtl.selectors.mbtl_release import running_own_best
+
+GREEDY = {
+    100: [49, 82, 16, 32, 65, 40, 73, 93, 5, 24, 57, 10, 87, 44, 77],
+    50: [24, 41, 8, 32, 16, 36, 3, 12, 20, 28, 46, 5, 38, 43, 10],
+    40: [19, 32, 6, 12, 25, 15, 28, 37, 2, 9, 22, 34, 4, 17, 30],
+}
+EQUIDISTANT = [96, 89, 82, 76, 69, 63, 56, 49, 43, 36, 30, 23, 16, 10, 3]
+
+
+def line(n):
+    return ContextSpace.grid({Linear("x", 0.0, n - 1.0): n})
+
+
+def linear_world(n=100, theta=0.005):
+    i = np.arange(n)
+    return 0.9 - theta * np.abs(i[:, None] - i)
+
+
+def play(selector, matrix, budget, space=None, theta=None):
+    """Sources and V after each, of a selector on a known matrix."""
+    n = len(matrix)
+    problem = SelectionProblem.of(space or line(n), budget=budget, theta=theta)
+    history = History(n)
+    for k in range(budget):
+        proposal = get_selector(selector).propose(problem, history, np.random.default_rng(k))
+        history = history.with_row(proposal.source, matrix[proposal.source])
+    return list(history.sources), value_curve(history.rows)
+
+
+@pytest.mark.parametrize("n", GREEDY)
+def test_greedy_splits_gaps_as_specified(n):
+    assert play("greedy", linear_world(n), 15)[0] == GREEDY[n]
+
+
+def test_equidistant_takes_cell_midpoints_from_the_top_down():
+    assert play("equidistant", linear_world(), 15)[0] == EQUIDISTANT
+
+
+def test_equidistant_with_the_whole_budget_counts_down():
+    assert play("equidistant", linear_world(10), 10)[0] == list(range(9, -1, -1))
+
+
+def test_values_on_the_linear_gap_world_are_known():
+    assert play("greedy", linear_world(), 15)[1][[3, 14]] == pytest.approx([0.86515, 0.8909], abs=5e-5)
+    assert play("equidistant", linear_world(), 15)[1][14] == pytest.approx(0.89175, abs=5e-6)
+
+
+@pytest.mark.parametrize("selector", ["mbtl", "mbtl-ei", "worst-first"])
+def test_mbtl_starts_in_the_middle_and_warms_up_where_it_is_worst(selector):
+    sources, curve = play(selector, linear_world(), 4)
+    assert sources == [49, 99, 0, 74]
+    assert curve[3] == pytest.approx(0.8544, abs=5e-5)
+
+
+@pytest.mark.parametrize(("n", "first"), [(100, 49), (50, 24), (40, 19)])
+@pytest.mark.parametrize("selector", ["mbtl", "mbtl-release", "mbtl-ei", "greedy", "worst-first"])
+def test_first_pick_is_the_lower_middle(selector, n, first):
+    assert play(selector, linear_world(n), 1)[0] == [first]
+
+
+@pytest.mark.parametrize("selector", [MBTL, MBTLEI, MBTLRelease])
+def test_the_fast_gp_gives_the_picks_of_the_papers_gp(selector):
+    rng = np.random.default_rng(3)
+    matrix = linear_world() - 0.1 * np.abs(np.sin(np.arange(100) / 9.0))[:, None]
+    matrix = matrix + 0.02 * rng.standard_normal(matrix.shape)
+    sources = play(selector(), matrix, 12)[0]
+    problem, rng = SelectionProblem.of(line(100), budget=12), np.random.default_rng(0)
+    # with a single observation the likelihood does not depend on the length-scale: nothing to compare
+    for k in range(2, 12):
+        history = History(100, tuple(sources[:k]), matrix[sources[:k]])
+        assert selector(fitter=fit_sklearn).propose(problem, history, rng).source == sources[k]
+
+
+def test_release_trains_its_gp_on_the_running_best():
+    rows = np.array([[0.5, 0.6, 0.1], [0.2, 0.4, 0.3], [0.0, 0.0, 0.9]])
+    history = History(3, (0, 1, 2), rows)
+    assert running_own_best(history) == pytest.approx([0.5, 0.6, 0.9])
+
+
+def test_release_counts_negative_performance_as_zero():
+    matrix = linear_world(20, 0.005) - 2.0
+    problem = SelectionProblem.of(line(20), budget=5)
+    history = History(20).with_row(9, matrix[9])
+    proposal = MBTLRelease().propose(problem, history, np.random.default_rng(0))
+    gp = fit_gp(np.array([[9.0]]), matrix[[9], 9], GPSettings(0.1))
+    mean, std = gp.predict(problem.steps)
+    gain = optimistic_gain(
+        mean + np.sqrt(np.log(2)) * std, problem.steps, problem.steps, np.zeros(20), problem.weights, theta=0.005
+    )
+    assert proposal.acquisition == pytest.approx(gain[proposal.source])
+
+
+def test_release_differs_from_the_paper_after_the_first_pick():
+    assert play("mbtl-release", linear_world(), 4)[0] != play("mbtl", linear_world(), 4)[0]
+
+
+def test_zero_acquisition_falls_back_to_the_most_uncertain_context():
+    problem = SelectionProblem.of(line(11), budget=11, theta=100.0)
+    history = History(11)
+    for source in (0, 5, 10, 2):  # each serves all others perfectly and itself badly
+        row = np.where(np.arange(11) == source, 0.1, 50.0)
+        history = history.with_row(source, row)
+    proposal = MBTL().propose(problem, history, np.random.default_rng(0))
+    assert proposal.acquisition == 0.0
+    assert "most uncertain" in proposal.reason
+    mean_distance = np.abs(proposal.source - np.array([0, 2, 5, 10]))
+    assert mean_distance.min() >= 2  # 7 or 8: farthest from every trained context
+
+
+@pytest.mark.parametrize("selector", selector_names())
+def test_ties_are_settled_the_same_way_every_time(selector):
+    flat = np.full((30, 30), 0.5)
+    assert play(selector, flat, 8) [0] == play(selector, flat, 8)[0]
+
+
+def test_fitted_theta_changes_the_picks_when_the_given_one_is_wrong():
+    world = linear_world(100, 0.02)
+    given, fitted = play(MBTL(), world, 15, theta=0.0005), play(MBTL(gap="fitted"), world, 15, theta=0.0005)
+    assert fitted[1][-1] > given[1][-1]
+
+
+def test_predicted_incumbent_needs_only_training_performance():
+    matrix = linear_world()
+    diagonal_only = np.where(np.eye(100, dtype=bool), matrix, np.nan)
+    observed = play(MBTL(warm_up=0), matrix, 10)[0]
+    predicted = play(MBTL(warm_up=0, incumbent="predicted"), diagonal_only, 10)[0]
+    assert predicted == observed  # the linear world is exactly what the model predicts
+
+
+def test_two_axes_start_at_the_centre_of_the_grid():
+    space = ContextSpace.grid({Linear("a", 0, 1): 5, Linear("b", 0, 1): 7})
+    steps = space.steps
+    matrix = 0.9 - 0.01 * np.sqrt(((steps[:, None] - steps) ** 2).sum(axis=2))
+    for selector in ("mbtl", "mbtl-release", "mbtl-ei", "worst-first"):
+        sources, curve = play(selector, matrix, 10, space)
+        assert space.context(sources[0]) == {"a": 0.5, "b": 0.5}
+        assert curve[-1] > curve[0]
+
+
+def test_categorical_contexts_are_trained_one_per_level():
+    space = ContextSpace.grid({Categorical("road", ("dry", "wet", "ice")): 3})
+    assert sorted(play("mbtl", 0.4 + 0.6 * np.eye(3), 3, space)[0]) == [0, 1, 2]
+
+
+@pytest.mark.parametrize("selector", ["greedy", "equidistant"])
+def test_one_dimensional_selectors_say_so(selector):
+    space = ContextSpace.grid({Linear("a", 0, 1): 3, Linear("b", 0, 1): 3})
+    with pytest.raises(InvalidInput, match="one context axis"):
+        play(selector, np.eye(9), 2, space)
+
+
+def test_a_broken_fit_falls_back_and_says_so():
+    def broken(points, y, settings):
+        raise np.linalg.LinAlgError("no convergence")
+
+    problem = SelectionProblem.of(line(20), budget=10)
+    history = History(20)
+    for source in (9, 0, 19, 4):
+        history = history.with_row(source, linear_world(20)[source])
+    proposal = MBTL(fitter=broken).propose(problem, history, np.random.default_rng(0))
+    assert "no convergence" in proposal.notes[0]
+    assert proposal.source not in history.sources
+
+
+def test_random_order_is_a_permutation_and_follows_its_seed():
+    assert sorted(play("random", linear_world(20), 20)[0]) == list(range(20))
+
+
+def test_random_is_uniform():
+    problem, history = SelectionProblem.of(line(4), budget=4), History(4)
+    draws = [Random().propose(problem, history, np.random.default_rng(s)).source for s in range(4000)]
+    counts = np.bincount(draws, minlength=4)
+    assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000 * 0.75)
+
+
+def test_unknown_selector_gets_a_suggestion():
+    with pytest.raises(UnknownName, match="Did you mean 'mbtl-ei'"):
+        get_selector("mbtl-ie")
+
+
+@pytest.mark.parametrize("budget", [0, 11, -3])
+def test_budget_must_fit_the_contexts(budget):
+    with pytest.raises(InvalidInput, match=rf"1 to the number of contexts \(10\), got {budget}"):
+        SelectionProblem.of(line(10), budget=budget)
+
+
+def test_unknown_options_are_refused():
+    with pytest.raises(InvalidInput, match="incumbent"):
+        MBTL(incumbent="guessed")
+    with pytest.raises(InvalidInput, match="warm_up"):
+        MBTL(warm_up=-1)
+
+
+def test_exhausted_is_an_error_that_says_so():
+    problem = SelectionProblem.of(line(2), budget=2)
+    history = History(2).with_row(0, np.zeros(2)).with_failure(1)
+    for name in selector_names():
+        with pytest.raises(Exhausted, match="all 2 contexts"):
+            get_selector(name).propose(problem, history, np.random.default_rng(0))
