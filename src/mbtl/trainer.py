@@ -135,3 +135,12 @@ def checked_returns(returns: Any, n_targets: int) -> Array:
             f"evaluate must return finite numbers, got {bad} NaN or infinite of {array.size}"
         )
     return array
+
+
+def recipe_of(trainer: Trainer) -> dict[str, Any]:
+    """What decides the policies of a trainer, JSON-able: two studies of one recipe may be compared.
+
+    A trainer with a `recipe` attribute says it itself; of others only the type is known.
+    """
+    given = getattr(trainer, "recipe", None)
+    return dict(given) if given is not None else {"trainer": type(trainer).__name__}

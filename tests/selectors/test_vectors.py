@@ -117,16 +117,16 @@ def test_release_differs_from_the_paper_after_the_first_pick():
 
 
 def test_zero_acquisition_falls_back_to_the_most_uncertain_context():
-    problem = SelectionProblem.of(line(11), budget=11, theta=100.0)
-    history = History(11)
-    for source in (0, 5, 10, 2):  # each serves all others perfectly and itself badly
-        row = np.where(np.arange(11) == source, 0.1, 50.0)
-        history = history.with_row(source, row)
+    problem, history = SelectionProblem.of(line(11), budget=11, theta=100.0), History(11)
+    own = {0: 0.1, 5: 0.4, 10: 0.05, 2: 0.3}
+    for source, performance in own.items():  # each serves all others perfectly and itself badly
+        history = history.with_row(source, np.where(np.arange(11) == source, performance, 50.0))
     proposal = MBTL().propose(problem, history, np.random.default_rng(0))
+    std = fit_gp(list(own), list(own.values())).predict(problem.steps)[1]
+    std[list(own)] = -1.0
     assert proposal.acquisition == 0.0
     assert "most uncertain" in proposal.reason
-    mean_distance = np.abs(proposal.source - np.array([0, 2, 5, 10]))
-    assert mean_distance.min() >= 2  # 7 or 8: farthest from every trained context
+    assert proposal.source == std.argmax()
 
 
 @pytest.mark.parametrize("selector", selector_names())

@@ -5,8 +5,9 @@ Importing this registers the Gymnasium ids `mbtl/<cmdp>-v<version>` where Gymnas
 
 from importlib.util import find_spec
 
-from mbtl.cmdps.check import Check, CheckReport, check_cmdp
+from mbtl.cmdps.check import check_cmdp
 from mbtl.cmdps.cmdp import CMDP, Preset
+from mbtl.cmdps.findings import Check, CheckReport
 from mbtl.cmdps.loading import load_object, resolve_cmdp
 from mbtl.cmdps.registry import cmdp_ids, get_cmdp, gym_id
 

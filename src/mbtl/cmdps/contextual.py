@@ -4,7 +4,7 @@ A *feature* is a physical constant of the simulator; a context sets some of them
 nominal value. The policy may see none, one or all of them (cmdp-spec, section 3):
 
     hidden       nothing; the gap between contexts is purely physical
-    multiplier   each varied feature divided by its `unit`, so 0.1..10 on the paper's grids (default)
+    multiplier   each varied feature divided by its `unit`: 0.1..10 on the paper's grids (default)
     raw          all features in physical units, as the reference does; large values saturate tanh
 """
 

@@ -19,7 +19,7 @@ def load_object(reference: str) -> Any:
     """Import what `module:attribute` names. The working folder is searched first.
 
     Args:
-        reference: e.g. "my_problem:make_env", "package.module:Class.method", "code/problem.py:cmdp".
+        reference: e.g. "my_problem:make_env", "package.module:Class.method", "dir/file.py:cmdp".
 
     Raises:
         InvalidInput: another form, no such module or file, or the import itself failed.
@@ -68,8 +68,8 @@ def _load_file(path: Path) -> ModuleType:
     home = getattr(module, "__file__", None)
     if home is None or Path(home).resolve() != path.resolve():
         raise InvalidInput(
-            f"a file is imported under its own name, got {path.name!r} while {path.stem!r} is already "
-            f"{home or 'built in'}; rename the file"
+            f"a file is imported under its own name, got {path.name!r} while {path.stem!r} is "
+            f"already {home or 'built in'}; rename the file"
         )
     return module
 

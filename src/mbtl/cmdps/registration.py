@@ -1,7 +1,7 @@
 """Gymnasium ids such as "mbtl/cartpole-length-v0".
 
-Gymnasium 1.0 gave up the entry-point plugins of its predecessors, so ids exist once `mbtl.cmdps` has
-been imported: `gymnasium.make("mbtl.cmdps:mbtl/cartpole-length-v0")` does both at once.
+Gymnasium 1.0 gave up the entry-point plugins of its predecessors, so ids exist once `mbtl.cmdps`
+has been imported: `gymnasium.make("mbtl.cmdps:mbtl/cartpole-length-v0")` does both at once.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ def get_cmdp(
     Args:
         id: e.g. "cartpole-length"; `cmdp_ids()` lists all.
         physics: "intended": contexts act as the paper says. "reference": as in the released code,
-            whose CartPole keeps the masses frozen (spec, section 1, 2); Pendulum is the same in both.
+            whose CartPole freezes derived masses (spec, section 1); Pendulum is the same in both.
         visibility: what of the context the policy sees: "hidden", "multiplier" or "raw"; None: the
             family's default, "multiplier" (spec, section 3).
         grid: "code": contexts of the released scripts. "paper": of the paper's text. The same for

@@ -12,7 +12,7 @@ from mbtl.history import History
 from mbtl.models import FittedGP
 from mbtl.selectors.base import Proposal, SelectionProblem
 from mbtl.selectors.mbtl import MBTL
-from mbtl.selectors.model_based import choose
+from mbtl.selectors.model_based import choose, fit_posterior
 
 
 @dataclass(frozen=True)
@@ -36,3 +36,17 @@ class MBTLEI(MBTL):
             mean, std, problem.steps, problem.steps, best, problem.weights, theta=theta
         )
         return choose(gain, std, mask, "largest expected gain", gp.notes)
+
+
+def predicted_gain(problem: SelectionProblem, history: History) -> Proposal | None:
+    """The expected gain in V of the best next pick, by the model of `MBTLEI`; None if none is left.
+
+    The gain is `Proposal.acquisition`, units of performance. It rests on a linear gap and a Gaussian
+    training performance, so it is a guide, not a promise.
+    """
+    mask = history.open_mask(problem.n)
+    if not mask.any() or not np.isfinite(history.training_performance).any():
+        return None
+    model = MBTLEI()
+    gp = fit_posterior(problem, history, history.training_performance, model.gp)
+    return model.acquire(problem, history, mask, gp, problem.theta)

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput, MbtlError, StorageError, TrainingFailed
+from mbtl.errors import InvalidInput, MbtlError, MissingExtra, StorageError, TrainingFailed
 from mbtl.objective import Array
 from mbtl.seeds import Purpose, evaluation_seed
 from mbtl.study.callbacks import Callback
@@ -138,8 +138,8 @@ def _do_batch(
                     outcome = futures[position].result()
                 else:
                     outcome = _perform_here(study, trainer, pick, callbacks)
-            except (KeyboardInterrupt, StorageError):
-                raise
+            except (KeyboardInterrupt, StorageError, InvalidInput, MissingExtra):
+                raise  # not the training's fault: the pick is given back, to be trained once it is mended
             except Exception as error:
                 reason = f"{type(error).__name__}: {error}"
                 study.fail(pick, reason)

@@ -163,6 +163,24 @@ class SB3Trainer:
         """Read the library's zip, which can execute code: only for files you trust (`load_sb3`)."""
         return load_sb3(folder, self.algorithm, self.device)
 
+    @property
+    def recipe(self) -> dict[str, Any]:
+        """Everything that decides the policies and their returns, JSON-able; not the place or speed."""
+        algorithm = self.algorithm if isinstance(self.algorithm, str) else self.algorithm.__name__
+        policy = self.policy if isinstance(self.policy, str) else self.policy.__name__
+        return {
+            "trainer": "stable-baselines3",
+            "algorithm": algorithm,
+            "policy": policy,
+            "timesteps": self.timesteps,
+            "hyperparameters": {k: _plain(v) for k, v in sorted(self.hyperparameters.items())},
+            "n_envs": self.n_envs,
+            "checkpoint": self.checkpoint,
+            "checkpoint_every": self.checkpoint_every,
+            "checkpoint_episodes": self.checkpoint_episodes,
+            "eval_episodes": self.eval_episodes,
+        }
+
     # ---- inside ------------------------------------------------------------------------------
 
     def _training_envs(self, context: Context, stack: ExitStack) -> Any:
@@ -195,6 +213,17 @@ class SB3Trainer:
         if find_spec("tensorboard") is None:
             raise missing_extra("tensorboard", "train")
         return str(self.tensorboard)
+
+
+def _plain(value: Any) -> Any:
+    """A hyperparameter as JSON has it; schedules, classes and the like by name."""
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    return getattr(value, "__qualname__", repr(type(value)))
 
 
 def _monitored(make_env: Callable[[Context], Any], context: Context) -> Any:

@@ -1,0 +1,5 @@
+"""The command line: one module per command. Exit codes: 0 done, 1 failed, 2 wrong usage."""
+
+from mbtl.cli.app import main
+
+__all__ = ["main"]

@@ -1,0 +1,60 @@
+"""The `mbtl` program: its commands, and what an error or an interrupt prints."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from mbtl.cli.bench import bench
+from mbtl.cli.check import check
+from mbtl.cli.cmdps import cmdps
+from mbtl.cli.common import console
+from mbtl.cli.matrix import matrix_app
+from mbtl.cli.run import run
+from mbtl.cli.study import study_app
+from mbtl.errors import InvalidInput, MbtlError
+from mbtl.version import __version__
+
+app = typer.Typer(
+    help="Choose which tasks to train on: model-based transfer learning for contextual RL.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for command in (run, cmdps, bench, check):
+    app.command()(command)
+app.add_typer(study_app, name="study")
+app.add_typer(matrix_app, name="matrix")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"mbtl {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Options of the program itself."""
+
+
+def main() -> None:
+    """Run the program; errors cost one line, not a page."""
+    try:
+        app()
+    except MbtlError as error:
+        console.print(f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
+        sys.exit(2 if isinstance(error, InvalidInput) else 1)
+    except KeyboardInterrupt:
+        console.print("interrupted: run the same command again to go on")
+        sys.exit(1)
+    except BrokenPipeError:  # the reader of a pipe has had enough
+        sys.stderr.close()
+        sys.exit(1)

@@ -1,0 +1,124 @@
+"""`mbtl check`: does a CMDP, ours or yours, keep the contract?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from mbtl.cli.common import JsonFlag, console, print_json, printer
+from mbtl.contexts import Axis, Categorical, ContextSpace, Linear
+from mbtl.errors import InvalidInput
+
+_STYLE = {"passed": "green", "warning": "yellow", "failed": "bold red"}
+_FORM = "NAME=LOW:HIGH, NAME=LOW:HIGH:UNIT or NAME=a,b,c"
+
+
+def check(
+    target: Annotated[
+        str,
+        typer.Argument(
+            help="A CMDP id; or, of your own, module:cmdp or module:make_env (a file: path.py:name)."
+        ),
+    ],
+    axis: Annotated[
+        list[str] | None,
+        typer.Option(help=f"An axis for make_env: {_FORM}; repeat for more.", show_default=False),
+    ] = None,
+    steps: Annotated[int, typer.Option(help="Environment steps per rollout.")] = 200,
+    seed: Annotated[int, typer.Option(help="Seed of resets and actions.")] = 0,
+    physics: Annotated[
+        str, typer.Option(help="Physics of our CMDPs: intended or reference.")
+    ] = "intended",
+    visibility: Annotated[
+        str | None,
+        typer.Option(help="What the policy sees: hidden, multiplier or raw.", show_default=False),
+    ] = None,
+    json: JsonFlag = False,
+) -> None:
+    """Check that every axis acts, contexts do not leak, resets are deterministic, numbers finite.
+
+    Example: mbtl check my_simulator:make_env --axis length=0.1:2.0:m
+    """
+    from mbtl.cmdps import check_cmdp, get_cmdp, load_object
+
+    own: Any = load_object(target) if ":" in target else None
+    if own is not None and (physics != "intended" or visibility is not None):
+        raise InvalidInput(
+            f"physics and visibility are switches of our CMDPs, got them with {target!r}; set them "
+            "in your own code"
+        )
+    problem, space = _own(own, target, axis or []) if own is not None else (None, None)
+    if problem is None:
+        if axis:
+            raise InvalidInput(f"{target!r} has its axes already; --axis goes with module:make_env")
+        problem = get_cmdp(target, physics=physics, visibility=visibility)
+    console.print(f"checking {target}, {steps} steps per rollout", style="dim", highlight=False)
+    report = check_cmdp(problem, space, steps=steps, seed=seed)
+    if json:
+        print_json({"target": target, **report.to_json()})
+    else:
+        _print(report)
+    report.raise_if_failed()
+
+
+def _own(found: Any, target: str, axes: Sequence[str]) -> tuple[Any, ContextSpace | None]:
+    """A user's object as (CMDP, None) or (environment factory, its contexts)."""
+    from mbtl.cmdps import CMDP
+
+    if isinstance(found, CMDP):
+        if axes:
+            raise InvalidInput(f"{target!r} has its axes already; --axis goes with module:make_env")
+        return found, None
+    if not callable(found):
+        raise InvalidInput(
+            f"{target!r} must be a CMDP or a function context -> environment, got {type(found)}"
+        )
+    if not axes:
+        raise InvalidInput(
+            f"{target!r} is a function, so its axes are needed, got none; add --axis {_FORM}"
+        )
+    # Three values per numeric axis: both ends are compared, around the middle of the others.
+    parsed = map(parse_axis, axes)
+    return found, ContextSpace.grid(
+        {a: a.width if isinstance(a, Categorical) else 3 for a in parsed}
+    )
+
+
+def parse_axis(text: str) -> Axis:
+    """An axis from `NAME=LOW:HIGH`, `NAME=LOW:HIGH:UNIT` or `NAME=a,b,c`.
+
+    Raises:
+        InvalidInput: another form, or LOW >= HIGH.
+    """
+    name, _, values = text.partition("=")
+    if name and "," in values:
+        return Categorical(name, tuple(_number_or_name(v) for v in values.split(",")))
+    parts = values.split(":", 2)
+    try:
+        low, high = float(parts[0]), float(parts[1])
+    except (ValueError, IndexError):
+        raise InvalidInput(f"an axis is written {_FORM}, got {text!r}") from None
+    return Linear(name, low, high, parts[2] if len(parts) > 2 else "")
+
+
+def _number_or_name(text: str) -> float | int | str:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text.strip()
+
+
+def _print(report: Any) -> None:
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for found in report.checks:
+        style = _STYLE[found.outcome]
+        table.add_row(f"[{style}]{found.outcome}[/{style}]", found.name, found.detail)
+    out = printer()
+    out.print(table)
+    n = len(report.checks)
+    out.print(f"{report.subject}: {n - len(report.failures)} of {n} checks hold", highlight=False)

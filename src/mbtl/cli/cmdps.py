@@ -1,0 +1,134 @@
+"""`mbtl cmdps`: which contextual MDPs there are."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from mbtl.cli.common import JsonFlag, print_json, printer
+
+
+def cmdps(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[CMDP]",
+            help="Show one: an id, or module:attribute for your own.",
+            show_default=False,
+        ),
+    ] = None,
+    json: JsonFlag = False,
+) -> None:
+    """List the contextual MDPs, or show one with its recipes.
+
+    Example: mbtl cmdps cartpole-length
+    """
+    from mbtl.cmdps import cmdp_ids, resolve_cmdp
+
+    records = [_record(resolve_cmdp(id)) for id in ([name] if name else cmdp_ids())]
+    if json:
+        print_json(records[0] if name else records)
+    elif name:
+        _show(records[0])
+    else:
+        _list(records)
+
+
+def _record(cmdp: Any) -> dict[str, Any]:
+    """What is fixed about a CMDP, as data; the table and the JSON are made from it."""
+    space = cmdp.space
+    return {
+        "id": cmdp.id,
+        "version": cmdp.version,
+        "family": cmdp.family,
+        "description": cmdp.description,
+        "n": space.n,
+        "axes": [axis.to_json() for axis in space.axes],
+        "nominal": cmdp.nominal,
+        "unit": cmdp.unit,
+        "horizon": cmdp.horizon,
+        "bounds": cmdp.bounds,
+        "direction": cmdp.direction,
+        "theta": cmdp.theta,
+        "settings": dict(cmdp.settings),
+        "default_preset": cmdp.default_preset,
+        "presets": {
+            name: {"budget": p.budget, "description": p.description, "trainer": p.options()}
+            for name, p in cmdp.presets.items()
+        },
+    }
+
+
+def _list(records: list[dict[str, Any]]) -> None:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for title in ("CMDP", "axis", "contexts", "nominal", "horizon", "returns 0..1", "presets"):
+        table.add_column(title)
+    for record in records:
+        table.add_row(
+            record["id"],
+            _joined(_axis(axis) for axis in record["axes"]),
+            str(record["n"]),
+            _values(record["nominal"]),
+            _or_dash(record["horizon"]),
+            _bounds(record),
+            _joined(record["presets"]),
+        )
+    out = printer()
+    out.print(table)
+    out.print(
+        "\nTrain on one: mbtl run cartpole-length    All about one: mbtl cmdps cartpole-length"
+    )
+
+
+def _show(record: dict[str, Any]) -> None:
+    out = printer()
+    out.print(f"[bold]{record['id']}[/bold]  version {record['version']}  {record['description']}")
+    facts = Table(box=None, show_header=False, pad_edge=False)
+    for label, text in (
+        ("contexts", f"{record['n']}: {_joined(_axis(axis) for axis in record['axes'])}"),
+        ("nominal", _values(record["nominal"])),
+        ("horizon", _or_dash(record["horizon"])),
+        ("returns for performance 0..1", _bounds(record)),
+        ("theta, performance per grid step", _or_dash(record["theta"])),
+        ("settings", _values(record["settings"])),
+    ):
+        facts.add_row(label, text)
+    out.print(facts)
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for title in ("preset", "K", "trainer", ""):
+        table.add_column(title)
+    for name, preset in record["presets"].items():
+        table.add_row(
+            name, str(preset["budget"]), _values(preset["trainer"]), preset["description"]
+        )
+    out.print(table)
+
+
+def _axis(axis: dict[str, Any]) -> str:
+    if axis["kind"] == "categorical":
+        return f"{axis['name']} in {_joined(map(str, axis['choices']))}"
+    return f"{axis['name']} {axis['low']:g}..{axis['high']:g} {axis['unit']}".rstrip()
+
+
+def _values(values: dict[str, Any] | None) -> str:
+    shown = (
+        f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in (values or {}).items()
+    )
+    return _joined(shown) or "-"
+
+
+def _bounds(record: dict[str, Any]) -> str:
+    if record["bounds"] is None:
+        return "from the returns seen"
+    low, high = record["bounds"]
+    return f"{low:g}..{high:g}" if record["direction"] == "maximize" else f"{high:g}..{low:g}"
+
+
+def _or_dash(value: Any) -> str:
+    return "-" if value is None else f"{value:g}"
+
+
+def _joined(parts: Any) -> str:
+    return ", ".join(parts)

@@ -1,0 +1,53 @@
+"""`mbtl matrix show`: what a transfer matrix holds."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+from rich import box
+from rich.table import Table
+
+from mbtl.benchmark import levels, open_matrix
+from mbtl.cli.common import JsonFlag, print_json, printer
+
+matrix_app = typer.Typer(help="Look at transfer matrices.", no_args_is_help=True)
+
+
+@matrix_app.callback()
+def _group() -> None:
+    """Keep `show` a subcommand while it is the only one."""
+
+
+@matrix_app.command("show")
+def show(
+    matrix: Annotated[
+        str, typer.Argument(help="A path ending in .npz, the id of a shipped matrix, or synthetic:NAME.")
+    ],
+    as_json: JsonFlag = False,
+) -> None:
+    """Show the size and the reference levels of a transfer matrix, per seed.
+
+    Example: mbtl matrix show mine.npz
+    """
+    source = open_matrix(matrix)
+    rows = []
+    for seed in range(source.n_seeds):
+        known = levels(source, seed)
+        rows.append(
+            {
+                "seed": seed,
+                "grand_mean": known.grand_mean,
+                "independent": known.independent,
+                "oracle_transfer": known.oracle_transfer,
+            }
+        )
+    if as_json:
+        print_json({"matrix": matrix, "n": source.n, "seeds": rows})
+        return
+    table = Table(title=f"{matrix}: N = {source.n}", box=box.SIMPLE, show_edge=False)
+    for head in ("seed", "grand mean", "Independent", "Oracle Transfer"):
+        table.add_column(head, justify="right")
+    for row in rows:
+        table.add_row(str(row["seed"]), *(f"{v:.4f}" for k, v in row.items() if k != "seed"))
+    printer().print(table)

@@ -1,0 +1,112 @@
+"""Live progress of a study: which pick, how far its training is, V so far, time left."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress as Bars, TaskID, TextColumn
+
+from mbtl.report.text import shown
+from mbtl.study import Callback, Pick, Study
+from mbtl.trainer import Progress
+
+
+class LiveProgress(Callback):
+    """Two bars on a terminal; where there is none, a line per finished pick."""
+
+    def __init__(self, study: Study, console: Console) -> None:
+        self._console = console
+        self._bars = Bars(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=20),
+            TextColumn("{task.percentage:>3.0f}%"),
+            TextColumn("{task.fields[note]}"),
+            console=console,
+            transient=True,
+        )
+        budget = study.spec.budget
+        self._study_bar = self._bars.add_task("study", total=budget, completed=self._done(study), note="")
+        self._pick_bars: dict[int, TaskID] = {}
+        self._begun: dict[int, float] = {}
+        self._seconds: list[float] = []
+
+    def __enter__(self) -> LiveProgress:
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bars.stop()
+
+    def on_pick(self, study: Study, pick: Pick) -> None:
+        """A bar for the new pick."""
+        self._begun[pick.number] = time.monotonic()
+        label = f"pick {pick.number + 1}: {shown(pick.context, study.space)}"
+        self._pick_bars[pick.number] = self._bars.add_task(label, total=1.0, note="training")
+        self._update(study)
+
+    def on_progress(self, study: Study, pick: Pick, progress: Progress) -> None:
+        """Steps done, and the latest episode return."""
+        share = progress.step / max(progress.total, 1)
+        scores = [f"return {v:.0f}" for k, v in progress.metrics.items() if "return" in k]
+        note = f"{progress.step:,}/{progress.total:,} steps {' '.join(scores)}"
+        self._bars.update(self._pick_bars[pick.number], completed=0.97 * share, note=note)
+        self._update(study, share)
+
+    def on_evaluation(self, study: Study, pick: Pick) -> None:
+        """Training is done."""
+        note = f"evaluating on {study.space.n} contexts"
+        self._bars.update(self._pick_bars[pick.number], completed=0.97, note=note)
+
+    def on_told(self, study: Study, pick: Pick) -> None:
+        """One line that stays."""
+        took = self._end(pick)
+        self._console.print(
+            f"pick {len(study.state.rows)}/{study.spec.budget}  {shown(pick.context, study.space):<24}"
+            f"  V {study.value:.4f}  {took / 60:.1f} min  {pick.reason}",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+        self._update(study)
+
+    def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
+        """One line that stays."""
+        self._end(pick)
+        self._console.print(
+            f"pick {pick.number + 1}/{study.spec.budget}  {shown(pick.context, study.space)}  "
+            f"failed: {reason}",
+            style="red",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+        self._update(study)
+
+    def on_report(self, study: Study) -> None:
+        """The last step."""
+        self._bars.update(self._study_bar, note="measuring V on fresh episodes")
+
+    def _end(self, pick: Pick) -> float:
+        self._bars.remove_task(self._pick_bars.pop(pick.number))
+        self._seconds.append(time.monotonic() - self._begun.pop(pick.number))
+        return self._seconds[-1]
+
+    def _update(self, study: Study, share: float = 0.0) -> None:
+        done = self._done(study)
+        note = f"V {study.value:.4f}" if study.state.rows else ""
+        if self._seconds:
+            mean = sum(self._seconds) / len(self._seconds)
+            left = mean * max(study.spec.budget - done - share, 0.0) / max(len(self._begun), 1)
+            note += f", about {left / 60:.0f} min left"
+        self._bars.update(self._study_bar, completed=done, note=note)
+
+    @staticmethod
+    def _done(study: Study) -> int:
+        return len(study.state.picks) - len(study.state.open_picks)

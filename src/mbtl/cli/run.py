@@ -1,0 +1,163 @@
+"""`mbtl run`: the main job. Train what the selector picks, evaluate everywhere, save the portfolio."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from mbtl.cli.common import JsonFlag, console, print_json, printer
+from mbtl.cli.progress import LiveProgress
+from mbtl.cmdps import CMDP, resolve_cmdp
+from mbtl.errors import InvalidInput, MissingExtra
+from mbtl.report import reference_curves, summarise_study
+from mbtl.report.plots import plot_curve, plot_policy_map
+from mbtl.report.text import show_summary
+from mbtl.selectors import get_selector
+from mbtl.study import Callback, Study, create_study
+from mbtl.trainer import Trainer, recipe_of
+
+_PAPER = (
+    "The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million steps "
+    "each, 100 episodes per context)."
+)
+
+
+def run(
+    problem: Annotated[
+        str, typer.Argument(metavar="CMDP", help="Id of a CMDP (`mbtl cmdps`), or module:problem of your own.")
+    ],
+    preset: Annotated[str | None, typer.Option(help="Training recipe; `mbtl cmdps` lists them.")] = None,
+    budget: Annotated[int | None, typer.Option(help="Number of trainings K; default: the preset's.")] = None,
+    selector: Annotated[str, typer.Option(help="Rule that picks the next source.")] = "mbtl",
+    seed: Annotated[int, typer.Option(help="Root of all randomness.")] = 0,
+    study: Annotated[
+        Path | None, typer.Option(help="Folder of the study; default: runs/<cmdp>-<preset>-seed<seed>.")
+    ] = None,
+    new: Annotated[bool, typer.Option("--new", help="Set an existing study aside and start afresh.")] = False,
+    parallel: Annotated[
+        int, typer.Option(help="Trainings at a time; picked together, so each without the others' rows.")
+    ] = 1,
+    timesteps: Annotated[int | None, typer.Option(help="Environment steps per training.")] = None,
+    eval_episodes: Annotated[int | None, typer.Option(help="Episodes per context and policy.")] = None,
+    stop_value: Annotated[float | None, typer.Option(help="End early when V reaches this performance.")] = None,
+    stop_on_failure: Annotated[
+        bool, typer.Option("--stop-on-failure", help="End at the first failed training.")
+    ] = False,
+    tensorboard: Annotated[
+        Path | None, typer.Option(help="Folder for TensorBoard: V per pick and training scalars.")
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Train policies on the contexts that MBTL picks, and serve all contexts with the best of them.
+
+    Interrupt it at any time; the same command goes on where it was.
+
+    Example: mbtl run cartpole-length --budget 6 --seed 1
+    """
+    cmdp = resolve_cmdp(problem)
+    get_selector(selector)
+    overrides = {"timesteps": timesteps, "eval_episodes": eval_episodes, "tensorboard": tensorboard}
+    trainer = cmdp.trainer_for(preset, **{k: v for k, v in overrides.items() if v is not None})
+    folder = study or Path("runs") / f"{cmdp.id}-{preset or cmdp.default_preset}-seed{seed}"
+    if new:
+        _set_aside(folder)
+    if folder.exists() and not (folder / "study.db").exists() and any(folder.iterdir()):
+        raise InvalidInput(f"{folder} holds something that is not a study; choose another with --study")
+    running = create_study(
+        cmdp.space,
+        budget=cmdp.preset(preset).budget if budget is None else budget,
+        selector=selector,
+        bounds=cmdp.bounds,
+        direction=cmdp.direction,
+        theta=cmdp.theta,
+        seed=seed,
+        stop_value=stop_value,
+        storage=folder / "study.db",
+        name=folder.name,
+        problem=cmdp.id,
+        settings=_settings(cmdp, preset, trainer),
+        load_if_exists=True,
+    )
+    _announce(running, folder)
+    with LiveProgress(running, console) as live:
+        callbacks: list[Callback] = [live]
+        if tensorboard is not None:
+            from mbtl.training.tensorboard import TensorBoardCallback
+
+            callbacks.append(TensorBoardCallback(tensorboard))
+        running.run(
+            trainer=trainer,
+            parallel=parallel,
+            on_failure="stop" if stop_on_failure else "continue",
+            callbacks=callbacks,
+        )
+    _finish(running, trainer, folder, as_json=as_json)
+
+
+run.__doc__ = f"{run.__doc__}\n    {_PAPER}\n"
+
+
+def _settings(cmdp: CMDP, preset: str | None, trainer: Trainer) -> dict[str, Any]:
+    """What makes two runs the same problem; a stored study goes on only with equal settings."""
+    return {
+        "preset": preset or cmdp.default_preset,
+        "version": cmdp.version,
+        "switches": dict(cmdp.settings),
+        "recipe": recipe_of(trainer),
+        "policy_format": trainer.policy_format,
+    }
+
+
+def _announce(study: Study, folder: Path) -> None:
+    done, budget = len(study.state.rows), study.spec.budget
+    going_on = f", going on after {done} of {budget} trainings" if done and not study.is_finished else ""
+    console.print(
+        f"{study.spec.problem}: {study.space!r}, K = {budget}, study in {folder}{going_on}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> None:
+    """Save the portfolio and pictures, then print the summary."""
+    summary = summarise_study(study)
+    files: dict[str, str] = {}
+    notes: list[str] = []
+    if study.state.rows:
+        portfolio = study.portfolio(trainer)
+        portfolio.save(folder / "portfolio", overwrite=True)
+        files["portfolio"] = str(folder / "portfolio")
+        curves, note = reference_curves(study)
+        notes.append(note)
+        try:
+            files["curve"] = str(plot_curve(summary, folder / "curve.png", curves))
+            serving = portfolio.performance[portfolio.assignment, np.arange(study.space.n)]
+            files["policy map"] = str(
+                plot_policy_map(summary, study.space, serving, folder / "policy-map.png")
+            )
+        except MissingExtra as error:
+            notes.append(f"no pictures: {error}")
+    if as_json:
+        print_json({**summary.to_json(), "study": str(folder), "files": files, "notes": notes})
+        return
+    screen = printer()
+    show_summary(screen, summary, study.space)
+    for line in [*notes, *(f"{what}: {path}" for what, path in files.items())]:
+        screen.print(line, style="dim", markup=False, highlight=False, soft_wrap=True)
+
+
+def _set_aside(folder: Path) -> None:
+    """Rename an existing study folder; nothing is ever deleted."""
+    if not folder.exists():
+        return
+    number = 1
+    while (aside := folder.with_name(f"{folder.name}.{number}")).exists():
+        number += 1
+    folder.rename(aside)
+    console.print(f"set aside: {folder} is now {aside}", markup=False, highlight=False)
+
+

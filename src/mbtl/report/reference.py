@@ -1,0 +1,49 @@
+"""Reference curves beside a study: Random, Greedy and the Oracle on a shipped matrix of the same recipe."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbtl.benchmark import compare, load_matrix, reference, shipped_matrices
+from mbtl.objective import Array
+from mbtl.study import Study
+
+
+@dataclass(frozen=True)
+class ReferenceCurves:
+    """V after 1..K trainings of other methods, over the seeds of a shipped matrix.
+
+    Attributes:
+        matrix: id of the matrix.
+        random: (S, K) Random, exact expectation.
+        greedy: (S, K) Greedy; empty where the contexts have more than one axis.
+        oracle: (S, K) Sequential Oracle.
+    """
+
+    matrix: str
+    random: Array
+    greedy: Array
+    oracle: Array
+
+
+def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
+    """Curves of a shipped matrix whose recipe is this study's, and a sentence that says what was found."""
+    name, recipe = study.spec.problem, study.spec.settings.get("recipe")
+    if name not in shipped_matrices():
+        return None, f"no reference curves: no transfer matrix of {name!r} is shipped"
+    matrix = load_matrix(name)
+    recipes = [record.get("recipe") for record in matrix.provenance["seeds"]]
+    if any(shipped != recipe for shipped in recipes):
+        return None, f"no reference curves: the shipped matrix of {name!r} was trained by another recipe"
+    budget, seeds = study.spec.budget, range(matrix.n_seeds)
+    known = [reference(matrix, seed, budget) for seed in seeds]
+    greedy: Array = np.empty((0, budget))
+    if study.problem.is_line:
+        runs = compare(["greedy"], [matrix], budget, 1).results
+        greedy = np.array([run.performance for run in runs])
+    curves = ReferenceCurves(
+        name, np.array([k.random for k in known]), greedy, np.array([k.oracle.curve for k in known])
+    )
+    return curves, f"reference curves: the shipped matrix of {name!r}, {matrix.n_seeds} seeds"

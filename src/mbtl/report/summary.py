@@ -1,0 +1,195 @@
+"""The summary of a study: every number that the terminal, the JSON and the pictures show.
+
+Notation (shapes): k policies told, N contexts. V is performance. V on fresh episodes is the honest one:
+the rows that chose the routes are noisy, so their own maximum is biased upwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from mbtl.contexts import Context
+from mbtl.objective import Array, value
+from mbtl.selectors.mbtl_ei import predicted_gain
+from mbtl.study import Study
+from mbtl.study.runner import fresh_curve
+
+ENOUGH = 0.99
+"""Share of the portfolio's gain over its best single policy that counts as all of it."""
+
+
+@dataclass(frozen=True)
+class PickSummary:
+    """One source of the study.
+
+    Attributes:
+        number: 0-based pick; None for a policy the user already had.
+        source: context index.
+        context: the context.
+        reason: why the selector chose it.
+        status: "told", "failed: ..." or "open".
+        value: V after this row, on the selecting episodes; None unless told.
+        fresh_value: the same on fresh episodes; None where not measured.
+        seconds: wall time of training and evaluation; None when unknown.
+    """
+
+    number: int | None
+    source: int
+    context: Context
+    reason: str
+    status: str
+    value: float | None
+    fresh_value: float | None
+    seconds: float | None
+
+
+@dataclass(frozen=True)
+class StudySummary:
+    """A study in numbers.
+
+    Attributes:
+        problem: id of the CMDP.
+        selector: name of the selector.
+        budget: trainings K.
+        n_contexts: N.
+        finished: why nothing more is asked; None while something is.
+        bounds: (low, high) of the returns that performance 0 and 1 mean (high, low if minimised).
+        episodes: episodes behind each entry of a row.
+        picks: the sources in order.
+        value: V now, on the selecting episodes; None before the first row.
+        fresh_value: V on fresh episodes; None where not measured.
+        best_single: source of the best single policy.
+        best_single_value: its own V, on the selecting episodes.
+        policies_enough: fewest policies that reach 99 % of the way from it to V.
+        next_source: where one more training is predicted to gain most; None if none is left.
+        next_gain: that gain, performance.
+        serving: (N,) source whose policy serves each context.
+    """
+
+    problem: str
+    selector: str
+    budget: int
+    n_contexts: int
+    finished: str | None
+    bounds: tuple[float, float]
+    episodes: int
+    picks: tuple[PickSummary, ...]
+    value: float | None
+    fresh_value: float | None
+    best_single: int | None
+    best_single_value: float | None
+    policies_enough: int | None
+    next_source: int | None
+    next_gain: float | None
+    serving: tuple[int, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return asdict(self)
+
+    @property
+    def told(self) -> list[PickSummary]:
+        """The sources whose rows are known."""
+        return [pick for pick in self.picks if pick.status == "told"]
+
+    @property
+    def verdict(self) -> str:
+        """Whether one policy or more would do, in a sentence."""
+        if self.value is None or self.best_single_value is None:
+            return "No policy was trained yet."
+        gain = self.value - self.best_single_value
+        if gain < 0.01:
+            return f"One policy would do: the others add {gain:.4f} to its {self.best_single_value:.4f}."
+        return (
+            f"One policy would not do: the best alone reaches {self.best_single_value:.4f}, all "
+            f"{len(self.told)} reach {self.value:.4f}, and {self.policies_enough} of them give "
+            f"{ENOUGH:.0%} of that gain."
+        )
+
+
+def summarise_study(study: Study) -> StudySummary:
+    """Compute the summary of a study as it stands."""
+    state = study.refresh()
+    history, weights, space = study.history, study.space.weights, study.space
+    curve, fresh = study.curve, fresh_curve(study)
+    picks = _picks(study, curve, fresh)
+    bounds = study.bounds
+    best_and_worst = tuple(float(r) for r in bounds.denormalise(np.array([0.0, 1.0])))
+    common: dict[str, Any] = {
+        "problem": study.spec.problem,
+        "selector": str(study.spec.selector["name"]),
+        "budget": study.spec.budget,
+        "n_contexts": space.n,
+        "finished": study.stop_reason,
+        "bounds": best_and_worst,
+        "picks": picks,
+    }
+    if not len(history):
+        return StudySummary(
+            **common, episodes=0, value=None, fresh_value=None, best_single=None,
+            best_single_value=None, policies_enough=None, next_source=None, next_gain=None, serving=(),
+        )  # fmt: skip
+    singles = history.rows @ weights
+    best_single = int(singles.argmax())
+    coming = predicted_gain(study.problem, history)
+    return StudySummary(
+        **common,
+        episodes=state.rows[-1].episodes,
+        value=float(curve[-1]),
+        fresh_value=None if fresh is None else float(fresh[-1]),
+        best_single=history.sources[best_single],
+        best_single_value=float(singles[best_single]),
+        policies_enough=policies_enough(history.rows, weights),
+        next_source=None if coming is None else coming.source,
+        next_gain=None if coming is None else coming.acquisition,
+        serving=tuple(history.sources[i] for i in study.portfolio().assignment),
+    )
+
+
+def policies_enough(rows: Array, weights: Array, share: float = ENOUGH) -> int:
+    """Fewest rows, added greedily, whose V reaches `share` of the way from the best single to all.
+
+    Greedy addition is within 1 - 1/e of the best set, so a smaller set may exist.
+    """
+    goal_from = float((rows @ weights).max())
+    goal = goal_from + share * (value(rows.max(axis=0), weights) - goal_from)
+    best = np.full(rows.shape[1], -np.inf)
+    for count in range(1, len(rows) + 1):
+        values = np.maximum(rows, best) @ weights
+        best = np.maximum(best, rows[int(values.argmax())])
+        if values.max() >= goal - 1e-12:
+            return count
+    return len(rows)
+
+
+def _picks(study: Study, curve: Array, fresh: Array | None) -> tuple[PickSummary, ...]:
+    state, space = study.state, study.space
+    reasons = {pick.number: pick.reason for pick in state.picks}
+    told = [
+        PickSummary(
+            row.pick,
+            row.source,
+            space.context(row.source),
+            "told by the user" if row.pick is None else reasons[row.pick],
+            "told",
+            float(curve[i]),
+            None if fresh is None or np.isnan(fresh[i]) else float(fresh[i]),
+            row.seconds,
+        )
+        for i, row in enumerate(state.rows)
+    ]
+    failed = [
+        PickSummary(
+            f.pick, f.source, space.context(f.source), reasons[f.pick], f"failed: {f.reason}",
+            None, None, None,
+        )
+        for f in state.failures
+    ]  # fmt: skip
+    held = [
+        PickSummary(n, p.source, space.context(p.source), p.reason, "open", None, None, None)
+        for n, p in state.open_picks.items()
+    ]
+    return (*told, *sorted([*failed, *held], key=lambda pick: pick.number or 0))

@@ -1,0 +1,62 @@
+"""The summary in a terminal, at most 80 columns wide."""
+
+from __future__ import annotations
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from mbtl.contexts import Context, ContextSpace
+from mbtl.report.summary import StudySummary
+
+
+def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) -> None:
+    """Print the summary: the picks, V, the verdict, what one more pick would bring."""
+    title = f"{summary.problem or 'study'}: {summary.selector}, K = {summary.budget}, N = {summary.n_contexts}"
+    table = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)
+    for head in ("pick", "trained on", "V", "V fresh", "minutes"):
+        table.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
+    table.add_column("why")
+    for pick in summary.picks:
+        table.add_row(
+            "-" if pick.number is None else str(pick.number + 1),
+            shown(pick.context, space),
+            _number(pick.value),
+            _number(pick.fresh_value),
+            "-" if pick.seconds is None else f"{pick.seconds / 60:.1f}",
+            pick.reason if pick.status == "told" else pick.status,
+        )
+    screen.print(table)
+    for line in lines(summary, space):
+        screen.print(line, markup=False, highlight=False)
+
+
+def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
+    """The sentences under the table."""
+    worst, best = summary.bounds
+    out = [f"Performance 0 and 1 are returns of {worst:g} and {best:g}; {summary.episodes} episodes a target."]
+    if summary.fresh_value is not None:
+        out.append(f"V = {summary.fresh_value:.4f} on fresh episodes (selecting episodes: {summary.value:.4f}).")
+    elif summary.value is not None:
+        out.append(f"V = {summary.value:.4f} on the selecting episodes, which flatters; no fresh ones were run.")
+    out.append(summary.verdict)
+    if summary.next_source is not None and summary.next_gain is not None:
+        where = shown(space.context(summary.next_source), space)
+        out.append(f"One more training, at {where}, is predicted to add {summary.next_gain:.4f} to V.")
+    if summary.finished:
+        out.append(f"The study is finished: {summary.finished}.")
+    return out
+
+
+def shown(context: Context, space: ContextSpace) -> str:
+    """A context in few characters, e.g. "length = 0.5 m"."""
+    units = {axis.name: axis.unit for axis in space.axes}
+    parts = []
+    for name, value in context.items():
+        number = f"{value:.4g}" if isinstance(value, float) else str(value)
+        parts.append(f"{name} = {number} {units[name]}".rstrip())
+    return ", ".join(parts)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"

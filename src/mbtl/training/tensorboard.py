@@ -1,0 +1,49 @@
+"""TensorBoard for a study: V and the pick after each training, beside the trainer's own scalars."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mbtl.errors import missing_extra
+from mbtl.study.callbacks import Callback
+
+if TYPE_CHECKING:
+    from mbtl.study import Pick, Study
+    from mbtl.trainer import Progress
+
+
+class TensorBoardCallback(Callback):
+    """Writes `study/V`, `study/source`, `study/training_performance` per pick, and training metrics.
+
+    Args:
+        folder: where TensorBoard looks.
+
+    Raises:
+        MissingExtra: tensorboard is not installed.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ModuleNotFoundError as error:
+            raise missing_extra("tensorboard", "train") from error
+        self._writer: Any = SummaryWriter(str(folder / "study"))
+
+    def on_progress(self, study: Study, pick: Pick, progress: Progress) -> None:
+        """Metrics of one training, under its source."""
+        for name, value in progress.metrics.items():
+            self._writer.add_scalar(f"source-{pick.source:04d}/{name}", value, progress.step)
+
+    def on_told(self, study: Study, pick: Pick) -> None:
+        """One point per pick."""
+        k = len(study.state.rows)
+        self._writer.add_scalar("study/V", study.value, k)
+        self._writer.add_scalar("study/source", pick.source, k)
+        own = float(study.history.training_performance[-1])
+        self._writer.add_scalar("study/training_performance", own, k)
+        self._writer.flush()
+
+    def on_end(self, study: Study) -> None:
+        """Close the file."""
+        self._writer.close()
