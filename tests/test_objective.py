@@ -59,7 +59,9 @@ def test_k_star_is_the_first_to_reach_the_level():
     assert k_star([0.5, 0.7, 0.9], 0.95) is None
 
 
-@pytest.mark.parametrize(("direction", "expected"), [("maximize", [0, 0.5, 1.2]), ("minimize", [1, 0.5, -0.2])])
+@pytest.mark.parametrize(
+    ("direction", "expected"), [("maximize", [0, 0.5, 1.2]), ("minimize", [1, 0.5, -0.2])]
+)
 def test_bounds_normalise_without_clipping_and_back(direction, expected):
     bounds = Bounds(-100.0, 0.0, direction)
     returns = np.array([-100.0, -50.0, 20.0])
@@ -73,7 +75,9 @@ def test_automatic_bounds_hold_the_finite_returns():
     assert Bounds.of([2.0, 2.0]).high == 3.0
 
 
-@pytest.mark.parametrize("make", [lambda: Bounds(1, 1), lambda: Bounds(0, np.nan), lambda: Bounds.of([])])
+@pytest.mark.parametrize(
+    "make", [lambda: Bounds(1, 1), lambda: Bounds(0, np.nan), lambda: Bounds.of([])]
+)
 def test_impossible_bounds_are_refused(make):
     with pytest.raises(InvalidInput):
         make()

@@ -10,7 +10,9 @@ LINE = np.arange(3.0)[:, None]
 
 def gain(upper, best, theta, where=LINE, weights=None):
     weights = np.full(len(where), 1 / len(where)) if weights is None else weights
-    return optimistic_gain(np.asarray(upper, float), where, where, np.asarray(best, float), weights, theta=theta)
+    return optimistic_gain(
+        np.asarray(upper, float), where, where, np.asarray(best, float), weights, theta=theta
+    )
 
 
 def test_gain_is_zero_when_every_target_is_already_served_better():

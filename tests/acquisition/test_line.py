@@ -24,7 +24,10 @@ def test_line_gain_equals_the_direct_formula(m, n, kind):
 
 @settings(max_examples=200, deadline=None)
 @given(
-    st.integers(1, 80), st.sampled_from([0.0, 0.005, 0.3]), st.sampled_from([0.0, 0.1]), st.integers(0, 999)
+    st.integers(1, 80),
+    st.sampled_from([0.0, 0.005, 0.3]),
+    st.sampled_from([0.0, 0.1]),
+    st.integers(0, 999),
 )
 def test_line_gain_equals_the_direct_formula_with_equal_values(n, theta, grain, seed):
     """Values on a coarse lattice, so that p = q and equal places happen all the time."""
@@ -33,7 +36,9 @@ def test_line_gain_equals_the_direct_formula_with_equal_values(n, theta, grain, 
     upper, best = rng.integers(0, 4, n) * (grain or 0.5), rng.integers(0, 4, n) * (grain or 0.5)
     weights = np.full(n, 1 / n)
     direct = optimistic_gain(upper, where, where, best, weights, theta=theta)
-    assert line_gain(upper, where, where, best, weights, theta=theta) == pytest.approx(direct, abs=1e-13)
+    assert line_gain(upper, where, where, best, weights, theta=theta) == pytest.approx(
+        direct, abs=1e-13
+    )
 
 
 def test_memory_grows_linearly():

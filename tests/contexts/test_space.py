@@ -8,7 +8,11 @@ from mbtl.contexts.space import factorial_shape
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
 
 LENGTH = Linear("length", 0.05, 5.0, unit="m")
-MIXED = {Log("mass", 0.1, 10.0): 5, Categorical("road", ("dry", "wet", "ice")): 3, Integer("n", 1, 4): 4}
+MIXED = {
+    Log("mass", 0.1, 10.0): 5,
+    Categorical("road", ("dry", "wet", "ice")): 3,
+    Integer("n", 1, 4): 4,
+}
 
 
 def test_grid_of_one_axis_has_steps_0_to_n_minus_1():
@@ -70,15 +74,27 @@ def test_sample_is_seeded_distinct_and_inside():
 @pytest.mark.parametrize(
     ("make", "error", "words"),
     [
-        (lambda: ContextSpace.points([LENGTH], [{"lenght": 1.0}]), UnknownName, "Did you mean 'length'"),
+        (
+            lambda: ContextSpace.points([LENGTH], [{"lenght": 1.0}]),
+            UnknownName,
+            "Did you mean 'length'",
+        ),
         (lambda: ContextSpace.points([LENGTH], [{}]), ContextMismatch, "without"),
         (lambda: ContextSpace.points([LENGTH], [{"length": 9.0}]), ContextMismatch, "9.0"),
-        (lambda: ContextSpace.points([LENGTH], [{"length": 1.0}] * 2), InvalidInput, "index 0 and again"),
+        (
+            lambda: ContextSpace.points([LENGTH], [{"length": 1.0}] * 2),
+            InvalidInput,
+            "index 0 and again",
+        ),
         (lambda: ContextSpace.points([LENGTH], []), InvalidInput, "got none"),
         (lambda: ContextSpace.grid({LENGTH: [1.0, 1.0]}), InvalidInput, "strictly increasing"),
         (lambda: ContextSpace.grid({LENGTH: 2}, weights=[1, -1]), InvalidInput, ">= 0"),
         (lambda: ContextSpace.grid({}), InvalidInput, "one or more axes"),
-        (lambda: ContextSpace.sample([Integer("n", 1, 3)], 4, seed=0), InvalidInput, "fewer than 4"),
+        (
+            lambda: ContextSpace.sample([Integer("n", 1, 3)], 4, seed=0),
+            InvalidInput,
+            "fewer than 4",
+        ),
         (lambda: ContextSpace.grid({LENGTH: 3}).context(3), InvalidInput, "0 to 2"),
         (lambda: ContextSpace.grid({LENGTH: 3}).index({"length": 1.0}), ContextMismatch, "nearest"),
         (lambda: ContextSpace.grid({LENGTH: 3}).values("mass"), UnknownName, "mass"),

@@ -26,7 +26,9 @@ def random_data(seed):
         y = np.where(rng.uniform(size=n) < 0.2, 0.05, 1.0)
     elif kind == 4:
         middle, width = n_contexts * rng.uniform(0.2, 0.8), rng.uniform(0.5, 15)
-        y = 1 / (1 + np.exp((x - middle) / width)) + rng.choice([0, 0.01, 0.1]) * rng.standard_normal(n)
+        y = 1 / (1 + np.exp((x - middle) / width)) + rng.choice(
+            [0, 0.01, 0.1]
+        ) * rng.standard_normal(n)
     else:
         y = np.abs(x - n_contexts / 2) / n_contexts + rng.choice([0, 0.02]) * rng.standard_normal(n)
     settings = GPSettings(noise_std=1e-3 if seed % 4 else 0.1)
@@ -61,7 +63,9 @@ def test_likelihood_equals_the_dense_formula():
     x, y, _, _ = random_data(7)
     gp = FittedGP(x[:, None], y, 0.3, 12.0, 1e-2)
     kernel = 0.3 * np.exp(-0.5 * (x[:, None] - x) ** 2 / 144.0) + 1e-2 * np.eye(len(x))
-    expected = -0.5 * y @ np.linalg.solve(kernel, y) - 0.5 * np.linalg.slogdet(2 * np.pi * kernel)[1]
+    expected = (
+        -0.5 * y @ np.linalg.solve(kernel, y) - 0.5 * np.linalg.slogdet(2 * np.pi * kernel)[1]
+    )
     assert gp.lml == pytest.approx(expected)
 
 

@@ -5,6 +5,8 @@ from mbtl.testing.selectors import SelectorContract
 
 
 class TestSelectors(SelectorContract):
-    @pytest.fixture(params=[*selector_names(), MBTL(gap="fitted"), MBTL(incumbent="predicted")], ids=str)
+    @pytest.fixture(
+        params=[*selector_names(), MBTL(gap="fitted"), MBTL(incumbent="predicted")], ids=str
+    )
     def selector(self, request):
         return get_selector(request.param)

@@ -63,7 +63,9 @@ def test_equidistant_with_the_whole_budget_counts_down():
 
 
 def test_values_on_the_linear_gap_world_are_known():
-    assert play("greedy", linear_world(), 15)[1][[3, 14]] == pytest.approx([0.86515, 0.8909], abs=5e-5)
+    assert play("greedy", linear_world(), 15)[1][[3, 14]] == pytest.approx(
+        [0.86515, 0.8909], abs=5e-5
+    )
     assert play("equidistant", linear_world(), 15)[1][14] == pytest.approx(0.89175, abs=5e-6)
 
 
@@ -107,7 +109,12 @@ def test_release_counts_negative_performance_as_zero():
     gp = fit_gp(np.array([[9.0]]), matrix[[9], 9], GPSettings(0.1))
     mean, std = gp.predict(problem.steps)
     gain = optimistic_gain(
-        mean + np.sqrt(np.log(2)) * std, problem.steps, problem.steps, np.zeros(20), problem.weights, theta=0.005
+        mean + np.sqrt(np.log(2)) * std,
+        problem.steps,
+        problem.steps,
+        np.zeros(20),
+        problem.weights,
+        theta=0.005,
     )
     assert proposal.acquisition == pytest.approx(gain[proposal.source])
 
@@ -132,12 +139,15 @@ def test_zero_acquisition_falls_back_to_the_most_uncertain_context():
 @pytest.mark.parametrize("selector", selector_names())
 def test_ties_are_settled_the_same_way_every_time(selector):
     flat = np.full((30, 30), 0.5)
-    assert play(selector, flat, 8) [0] == play(selector, flat, 8)[0]
+    assert play(selector, flat, 8)[0] == play(selector, flat, 8)[0]
 
 
 def test_fitted_theta_changes_the_picks_when_the_given_one_is_wrong():
     world = linear_world(100, 0.02)
-    given, fitted = play(MBTL(), world, 15, theta=0.0005), play(MBTL(gap="fitted"), world, 15, theta=0.0005)
+    given, fitted = (
+        play(MBTL(), world, 15, theta=0.0005),
+        play(MBTL(gap="fitted"), world, 15, theta=0.0005),
+    )
     assert fitted[1][-1] > given[1][-1]
 
 
@@ -190,7 +200,9 @@ def test_random_order_is_a_permutation_and_follows_its_seed():
 
 def test_random_is_uniform():
     problem, history = SelectionProblem.of(line(4), budget=4), History(4)
-    draws = [Random().propose(problem, history, np.random.default_rng(s)).source for s in range(4000)]
+    draws = [
+        Random().propose(problem, history, np.random.default_rng(s)).source for s in range(4000)
+    ]
     counts = np.bincount(draws, minlength=4)
     assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000 * 0.75)
 

@@ -13,12 +13,18 @@ from mbtl.testing.storage import EventLogContract
 class TestLogs(EventLogContract):
     @pytest.fixture(params=["memory", "sqlite"])
     def log(self, request, tmp_path):
-        return MemoryLog() if request.param == "memory" else SqlLog(tmp_path / "s.db", "a", create=True)
+        return (
+            MemoryLog()
+            if request.param == "memory"
+            else SqlLog(tmp_path / "s.db", "a", create=True)
+        )
 
 
 def test_one_database_holds_many_studies(tmp_path):
     for name in ("first", "second"):
-        SqlLog(tmp_path / "s.db", name, create=True).append(Event("created", {"name": name}), after=0)
+        SqlLog(tmp_path / "s.db", name, create=True).append(
+            Event("created", {"name": name}), after=0
+        )
     assert study_names(tmp_path / "s.db") == ["first", "second"]
     assert SqlLog(tmp_path / "s.db", "second").read()[0].data == {"name": "second"}
 
@@ -49,7 +55,9 @@ def test_a_missing_database_is_an_error_unless_it_is_to_be_created(tmp_path):
         SqlLog(tmp_path / "none.db", "a")
 
 
-@pytest.mark.parametrize("content", [b"this is not a database, it is prose" * 100, b"SQLite format 3\0garbage" * 99])
+@pytest.mark.parametrize(
+    "content", [b"this is not a database, it is prose" * 100, b"SQLite format 3\0garbage" * 99]
+)
 def test_a_corrupt_database_is_named(tmp_path, content):
     (tmp_path / "s.db").write_bytes(content)
     with pytest.raises(StorageError, match="corrupt or not a study database"):

@@ -178,7 +178,13 @@ def test_automatic_bounds_move_with_the_rows_and_never_change_past_picks(tmp_pat
 
 def test_a_stored_study_refuses_other_settings(tmp_path):
     new(tmp_path)
-    for change in ({"budget": 7}, {"seed": 1}, {"selector": "greedy"}, {"bounds": (0, 2)}, {"problem": "x"}):
+    for change in (
+        {"budget": 7},
+        {"seed": 1},
+        {"selector": "greedy"},
+        {"bounds": (0, 2)},
+        {"problem": "x"},
+    ):
         with pytest.raises(StudyMismatch, match="--new"):
             new(tmp_path, load_if_exists=True, **change)
     assert new(tmp_path, load_if_exists=True).spec.budget == 6
@@ -190,7 +196,9 @@ def test_a_stored_study_refuses_another_space(tmp_path):
     new(tmp_path)
     other = mbtl.ContextSpace.grid({mbtl.Linear("y", 0.0, 1.0): N})
     with pytest.raises(StudyMismatch, match="space was ContextSpace"):
-        mbtl.create_study(other, budget=6, bounds=(0, 1), storage=tmp_path / "study.db", load_if_exists=True)
+        mbtl.create_study(
+            other, budget=6, bounds=(0, 1), storage=tmp_path / "study.db", load_if_exists=True
+        )
 
 
 class Last:
@@ -198,7 +206,9 @@ class Last:
 
     name = "last"
 
-    def propose(self, problem: SelectionProblem, history: History, rng: np.random.Generator) -> Proposal:
+    def propose(
+        self, problem: SelectionProblem, history: History, rng: np.random.Generator
+    ) -> Proposal:
         return Proposal(int(np.flatnonzero(history.open_mask(problem.n))[-1]), "highest index")
 
 

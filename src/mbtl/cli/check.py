@@ -20,7 +20,7 @@ def check(
     target: Annotated[
         str,
         typer.Argument(
-            help="A CMDP id; or, of your own, module:cmdp or module:make_env (a file: path.py:name)."
+            help="A CMDP id; of your own, module:cmdp or module:make_env (or path.py:name)."
         ),
     ],
     axis: Annotated[

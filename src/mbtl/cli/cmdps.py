@@ -63,23 +63,24 @@ def _record(cmdp: Any) -> dict[str, Any]:
 
 def _list(records: list[dict[str, Any]]) -> None:
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("CMDP", "axis", "contexts", "nominal", "horizon", "returns 0..1", "presets"):
-        table.add_column(title)
+    for title in ("CMDP", "axis"):
+        table.add_column(title, no_wrap=True)
+    for title in ("N", "nominal", "horizon", "returns"):
+        table.add_column(title, justify="right", no_wrap=True)
     for record in records:
+        nominal = record["nominal"] or {}
         table.add_row(
             record["id"],
             _joined(_axis(axis) for axis in record["axes"]),
             str(record["n"]),
-            _values(record["nominal"]),
+            _joined(_plain(value) for value in nominal.values()),
             _or_dash(record["horizon"]),
             _bounds(record),
-            _joined(record["presets"]),
         )
     out = printer()
     out.print(table)
-    out.print(
-        "\nTrain on one: mbtl run cartpole-length    All about one: mbtl cmdps cartpole-length"
-    )
+    out.print("\nAll about one, with its presets: mbtl cmdps cartpole-length", highlight=False)
+    out.print("Train on one:                    mbtl run cartpole-length", highlight=False)
 
 
 def _show(record: dict[str, Any]) -> None:
@@ -96,14 +97,12 @@ def _show(record: dict[str, Any]) -> None:
     ):
         facts.add_row(label, text)
     out.print(facts)
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("preset", "K", "trainer", ""):
-        table.add_column(title)
     for name, preset in record["presets"].items():
-        table.add_row(
-            name, str(preset["budget"]), _values(preset["trainer"]), preset["description"]
-        )
-    out.print(table)
+        default = " (default)" if name == record["default_preset"] else ""
+        about = f"; {preset['description']}" if preset["description"] else ""
+        out.print(f"\npreset [bold]{name}[/bold]{default}: K = {preset['budget']}{about}")
+        if preset["trainer"]:
+            out.print(f"  {_values(preset['trainer'])}", highlight=False)
 
 
 def _axis(axis: dict[str, Any]) -> str:
@@ -113,10 +112,13 @@ def _axis(axis: dict[str, Any]) -> str:
 
 
 def _values(values: dict[str, Any] | None) -> str:
-    shown = (
-        f"{n} {v:g}" if isinstance(v, float) else f"{n} {v}" for n, v in (values or {}).items()
-    )
-    return _joined(shown) or "-"
+    return _joined(f"{name} {_plain(value)}" for name, value in (values or {}).items()) or "-"
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"({_values(value)})"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _bounds(record: dict[str, Any]) -> str:

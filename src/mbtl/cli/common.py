@@ -16,7 +16,9 @@ from rich.console import Console
 console = Console(stderr=True)
 """Progress, notes and errors: always standard error."""
 
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
+JsonFlag = Annotated[
+    bool, typer.Option("--json", help="Print one JSON document on standard output.")
+]
 
 
 def printer() -> Console:

@@ -22,7 +22,10 @@ def _group() -> None:
 @matrix_app.command("show")
 def show(
     matrix: Annotated[
-        str, typer.Argument(help="A path ending in .npz, the id of a shipped matrix, or synthetic:NAME.")
+        str,
+        typer.Argument(
+            help="A path ending in .npz, the id of a shipped matrix, or synthetic:NAME."
+        ),
     ],
     as_json: JsonFlag = False,
 ) -> None:

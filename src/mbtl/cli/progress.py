@@ -27,7 +27,9 @@ class LiveProgress(Callback):
             transient=True,
         )
         budget = study.spec.budget
-        self._study_bar = self._bars.add_task("study", total=budget, completed=self._done(study), note="")
+        self._study_bar = self._bars.add_task(
+            "study", total=budget, completed=self._done(study), note=""
+        )
         self._pick_bars: dict[int, TaskID] = {}
         self._begun: dict[int, float] = {}
         self._seconds: list[float] = []

@@ -27,22 +27,39 @@ _PAPER = (
 
 def run(
     problem: Annotated[
-        str, typer.Argument(metavar="CMDP", help="Id of a CMDP (`mbtl cmdps`), or module:problem of your own.")
+        str,
+        typer.Argument(
+            metavar="CMDP", help="Id of a CMDP (`mbtl cmdps`), or module:problem of your own."
+        ),
     ],
-    preset: Annotated[str | None, typer.Option(help="Training recipe; `mbtl cmdps` lists them.")] = None,
-    budget: Annotated[int | None, typer.Option(help="Number of trainings K; default: the preset's.")] = None,
+    preset: Annotated[
+        str | None, typer.Option(help="Training recipe; `mbtl cmdps` lists them.")
+    ] = None,
+    budget: Annotated[
+        int | None, typer.Option(help="Number of trainings K; default: the preset's.")
+    ] = None,
     selector: Annotated[str, typer.Option(help="Rule that picks the next source.")] = "mbtl",
     seed: Annotated[int, typer.Option(help="Root of all randomness.")] = 0,
     study: Annotated[
-        Path | None, typer.Option(help="Folder of the study; default: runs/<cmdp>-<preset>-seed<seed>.")
+        Path | None,
+        typer.Option(help="Folder of the study; default: runs/<cmdp>-<preset>-seed<seed>."),
     ] = None,
-    new: Annotated[bool, typer.Option("--new", help="Set an existing study aside and start afresh.")] = False,
+    new: Annotated[
+        bool, typer.Option("--new", help="Set an existing study aside and start afresh.")
+    ] = False,
     parallel: Annotated[
-        int, typer.Option(help="Trainings at a time; picked together, so each without the others' rows.")
+        int,
+        typer.Option(
+            help="Trainings at a time; picked together, so each without the others' rows."
+        ),
     ] = 1,
     timesteps: Annotated[int | None, typer.Option(help="Environment steps per training.")] = None,
-    eval_episodes: Annotated[int | None, typer.Option(help="Episodes per context and policy.")] = None,
-    stop_value: Annotated[float | None, typer.Option(help="End early when V reaches this performance.")] = None,
+    eval_episodes: Annotated[
+        int | None, typer.Option(help="Episodes per context and policy.")
+    ] = None,
+    stop_value: Annotated[
+        float | None, typer.Option(help="End early when V reaches this performance.")
+    ] = None,
     stop_on_failure: Annotated[
         bool, typer.Option("--stop-on-failure", help="End at the first failed training.")
     ] = False,
@@ -65,7 +82,9 @@ def run(
     if new:
         _set_aside(folder)
     if folder.exists() and not (folder / "study.db").exists() and any(folder.iterdir()):
-        raise InvalidInput(f"{folder} holds something that is not a study; choose another with --study")
+        raise InvalidInput(
+            f"{folder} holds something that is not a study; choose another with --study"
+        )
     running = create_study(
         cmdp.space,
         budget=cmdp.preset(preset).budget if budget is None else budget,
@@ -113,7 +132,9 @@ def _settings(cmdp: CMDP, preset: str | None, trainer: Trainer) -> dict[str, Any
 
 def _announce(study: Study, folder: Path) -> None:
     done, budget = len(study.state.rows), study.spec.budget
-    going_on = f", going on after {done} of {budget} trainings" if done and not study.is_finished else ""
+    going_on = (
+        f", going on after {done} of {budget} trainings" if done and not study.is_finished else ""
+    )
     console.print(
         f"{study.spec.problem}: {study.space!r}, K = {budget}, study in {folder}{going_on}",
         markup=False,
@@ -159,5 +180,3 @@ def _set_aside(folder: Path) -> None:
         number += 1
     folder.rename(aside)
     console.print(f"set aside: {folder} is now {aside}", markup=False, highlight=False)
-
-

@@ -18,7 +18,9 @@ from mbtl.study import Study, load_study
 
 study_app = typer.Typer(help="List, show and export studies.", no_args_is_help=True)
 
-_Study = Annotated[Path, typer.Argument(metavar="STUDY", help="Folder of the study, e.g. runs/NAME.")]
+_Study = Annotated[
+    Path, typer.Argument(metavar="STUDY", help="Folder of the study, e.g. runs/NAME.")
+]
 
 
 @study_app.command("list")
@@ -61,7 +63,10 @@ def list_studies(
     for head in rows[0]:
         table.add_column(head, no_wrap=head != "study")
     for row in rows:
-        cells = [f"{v:.4f}" if isinstance(v, float) else "-" if v is None else str(v) for v in row.values()]
+        cells = [
+            f"{v:.4f}" if isinstance(v, float) else "-" if v is None else str(v)
+            for v in row.values()
+        ]
         table.add_row(*cells)
     printer().print(table)
 
@@ -119,14 +124,20 @@ def export(
                 writer = csv.writer(file)
                 sources = [f"source_{n}" for n in names]
                 targets = [f"target_{n}" for n in names]
-                writer.writerow(["source", "target", *sources, *targets, "return", "std", "episodes"])
+                writer.writerow(
+                    ["source", "target", *sources, *targets, "return", "std", "episodes"]
+                )
                 for r in state.rows:
                     home = list(space.context(r.source).values())
                     for t in range(space.n):
                         there = list(space.context(t).values())
-                        writer.writerow([r.source, t, *home, *there, r.returns[t], r.std[t], r.episodes])
+                        writer.writerow(
+                            [r.source, t, *home, *there, r.returns[t], r.std[t], r.episodes]
+                        )
     except OSError as error:
-        raise StorageError(f"{out} cannot be written ({error.strerror or error}); choose another place") from error
+        raise StorageError(
+            f"{out} cannot be written ({error.strerror or error}); choose another place"
+        ) from error
     if as_json:
         print_json({"written": str(out), "rows": len(state.rows)})
     else:

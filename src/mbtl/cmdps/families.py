@@ -148,16 +148,32 @@ FAMILIES: Mapping[str, Family] = {
 }
 
 VARIANTS: Mapping[str, Variant] = {
-    "cartpole-masscart": Variant("cartpole", "masscart", "kg", "0.1", 1.0, description="cart mass"),
+    "cartpole-masscart": Variant(
+        "cartpole", "masscart", "kg", "0.1", 1.0, description="CartPole; the cart mass varies"
+    ),
     "cartpole-length": Variant(
-        "cartpole", "length", "m", "0.05", 0.5, description="half the pole's length"
+        "cartpole",
+        "length",
+        "m",
+        "0.05",
+        0.5,
+        description="CartPole; half the pole's length varies",
     ),
     "cartpole-masspole": Variant(
-        "cartpole", "masspole", "kg", "0.01", 0.1, description="pole mass"
+        "cartpole", "masspole", "kg", "0.01", 0.1, description="CartPole; the pole mass varies"
     ),
-    "pendulum-length": Variant("pendulum", "length", "m", "0.1", 1.0, description="length"),
-    "pendulum-mass": Variant("pendulum", "mass", "kg", "0.1", 1.0, description="mass"),
+    "pendulum-length": Variant(
+        "pendulum", "length", "m", "0.1", 1.0, description="Pendulum; the length varies"
+    ),
+    "pendulum-mass": Variant(
+        "pendulum", "mass", "kg", "0.1", 1.0, description="Pendulum; the mass varies"
+    ),
     "pendulum-timestep": Variant(
-        "pendulum", "timestep", "s", "0.005", 0.05, description="time between two actions"
+        "pendulum",
+        "timestep",
+        "s",
+        "0.005",
+        0.05,
+        description="Pendulum; the time between two actions varies",
     ),
 }

@@ -53,9 +53,9 @@ class Probe:
     def _guard(self, name: str, check: Callable[[], tuple[Outcome, str]]) -> Iterator[Check]:
         try:
             outcome, detail = check()
-        except (
-            Exception
-        ) as error:  # the environment is a stranger's; whatever it raises is a finding
+        except MissingExtra:  # the machine's fault, not the environment's
+            raise
+        except Exception as error:  # a stranger's environment may raise anything
             outcome, detail = "failed", f"{type(error).__name__}: {error}"
         yield Check(name, outcome, detail)
 
@@ -64,9 +64,7 @@ class Probe:
             return roll(env, self._actions, self.seed)
 
     def _make(self, context: Context) -> Any:
-        return self._make_env(
-            dict(context)
-        )  # a copy: an environment may keep or change its argument
+        return self._make_env(dict(context))  # a copy: an environment may change its argument
 
     # Each check returns its outcome and what was seen.
 

@@ -134,7 +134,7 @@ def get_cmdp(
             "grid": grid,
             "time_limit": time_limit,
         },
-        description=f"{variant.family.capitalize()}, varying {variant.description}",
+        description=variant.description,
     )
 
 

@@ -18,9 +18,7 @@ _STYLE = {"axes.spines.top": False, "axes.spines.right": False, "font.size": 9}
 _BLUE, _GREY = "#1f5fa8", "#777777"
 
 
-def plot_curve(
-    summary: StudySummary, path: Path, reference: ReferenceCurves | None = None
-) -> Path:
+def plot_curve(summary: StudySummary, path: Path, reference: ReferenceCurves | None = None) -> Path:
     """V against the number of trainings, fresh episodes where measured; PNG.
 
     Raises:
@@ -32,8 +30,14 @@ def plot_curve(
     k = np.arange(1, len(told) + 1)
     values = [pick.fresh_value for pick in told]
     measured = all(v is not None for v in values)
-    label = f"{summary.selector}, fresh episodes" if measured else f"{summary.selector}, selecting episodes"
-    axes.plot(k, values if measured else [p.value for p in told], "o-", color=_BLUE, label=label, ms=4)
+    label = (
+        f"{summary.selector}, fresh episodes"
+        if measured
+        else f"{summary.selector}, selecting episodes"
+    )
+    axes.plot(
+        k, values if measured else [p.value for p in told], "o-", color=_BLUE, label=label, ms=4
+    )
     if reference is not None:
         _band(axes, reference.random, "Random", "#bbbbbb")
         _band(axes, reference.oracle, "Sequential Oracle", "#333333")
@@ -76,7 +80,13 @@ def plot_policy_map(
         )  # fmt: skip
     axes.plot(x[order], performance[order], lw=0.5, color=_GREY, zorder=0)
     axis = space.axes[0]
-    axes.set_xlabel(f"{axis.name} [{axis.unit}]" if line and axis.unit else axis.name if line else "context index")
+    axes.set_xlabel(
+        f"{axis.name} [{axis.unit}]"
+        if line and axis.unit
+        else axis.name
+        if line
+        else "context index"
+    )
     axes.set_ylabel("performance")
     return _save(figure, path)
 
@@ -111,5 +121,7 @@ def _save(figure: Any, path: Path) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=150)
     except OSError as error:
-        raise StorageError(f"{path} cannot be written ({error.strerror or error}); choose another place") from error
+        raise StorageError(
+            f"{path} cannot be written ({error.strerror or error}); choose another place"
+        ) from error
     return path

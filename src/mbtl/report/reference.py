@@ -36,7 +36,10 @@ def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
     matrix = load_matrix(name)
     recipes = [record.get("recipe") for record in matrix.provenance["seeds"]]
     if any(shipped != recipe for shipped in recipes):
-        return None, f"no reference curves: the shipped matrix of {name!r} was trained by another recipe"
+        return (
+            None,
+            f"no reference curves: the shipped matrix of {name!r} was trained by another recipe",
+        )
     budget, seeds = study.spec.budget, range(matrix.n_seeds)
     known = [reference(matrix, seed, budget) for seed in seeds]
     greedy: Array = np.empty((0, budget))

@@ -34,15 +34,23 @@ def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) ->
 def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     """The sentences under the table."""
     worst, best = summary.bounds
-    out = [f"Performance 0 and 1 are returns of {worst:g} and {best:g}; {summary.episodes} episodes a target."]
+    out = [
+        f"Performance 0 and 1 are returns of {worst:g} and {best:g}; {summary.episodes} episodes a target."
+    ]
     if summary.fresh_value is not None:
-        out.append(f"V = {summary.fresh_value:.4f} on fresh episodes (selecting episodes: {summary.value:.4f}).")
+        out.append(
+            f"V = {summary.fresh_value:.4f} on fresh episodes (selecting episodes: {summary.value:.4f})."
+        )
     elif summary.value is not None:
-        out.append(f"V = {summary.value:.4f} on the selecting episodes, which flatters; no fresh ones were run.")
+        out.append(
+            f"V = {summary.value:.4f} on the selecting episodes, which flatters; no fresh ones were run."
+        )
     out.append(summary.verdict)
     if summary.next_source is not None and summary.next_gain is not None:
         where = shown(space.context(summary.next_source), space)
-        out.append(f"One more training, at {where}, is predicted to add {summary.next_gain:.4f} to V.")
+        out.append(
+            f"One more training, at {where}, is predicted to add {summary.next_gain:.4f} to V."
+        )
     if summary.finished:
         out.append(f"The study is finished: {summary.finished}.")
     return out

@@ -1,12 +1,12 @@
 """Events: everything that ever happened to a study, in order. State is a replay of them.
 
-    created   the problem and the settings; always the first
-    asked     the selector proposed a source to a worker
-    claimed   a worker took over a pick whose worker is gone
-    released  a worker gave its pick back untrained
-    told      a transfer row arrived
-    failed    a training or evaluation gave nothing that can be used
-    reported  returns on fresh evaluation seeds, for the V that people are told
+created   the problem and the settings; always the first
+asked     the selector proposed a source to a worker
+claimed   a worker took over a pick whose worker is gone
+released  a worker gave its pick back untrained
+told      a transfer row arrived
+failed    a training or evaluation gave nothing that can be used
+reported  returns on fresh evaluation seeds, for the V that people are told
 """
 
 from __future__ import annotations

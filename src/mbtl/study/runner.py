@@ -88,7 +88,9 @@ def run(
                 pool = ProcessPoolExecutor(parallel, mp_context=get_context("spawn"))
                 executor = stack.enter_context(pool)
             while batch := _next_batch(study, parallel):
-                _do_batch(study, trainer, batch, executor if parallel > 1 else None, on_failure, callbacks)
+                _do_batch(
+                    study, trainer, batch, executor if parallel > 1 else None, on_failure, callbacks
+                )
         if report and _can_report(study):
             for callback in callbacks:
                 callback.on_report(study)
@@ -157,7 +159,9 @@ def _do_batch(
         for pick in waiting:
             try:
                 study.release(pick)
-            except MbtlError:  # the storage is what failed; a dead process's pick is taken over later
+            except (
+                MbtlError
+            ):  # the storage is what failed; a dead process's pick is taken over later
                 break
 
 
@@ -230,7 +234,11 @@ def _save(job: Job, policy: Any) -> bool:
         temporary.mkdir(parents=True)
         saved = job.trainer.save(policy, temporary)
         if saved:
-            receipt = {"seed": job.seed, "context": dict(job.context), "format": job.trainer.policy_format}
+            receipt = {
+                "seed": job.seed,
+                "context": dict(job.context),
+                "format": job.trainer.policy_format,
+            }
             (temporary / _RECEIPT).write_text(json.dumps(receipt))
             shutil.rmtree(job.folder, ignore_errors=True)
             temporary.rename(job.folder)

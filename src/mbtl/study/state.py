@@ -60,7 +60,9 @@ class StudySpec:
         """Rebuild from `to_json`; unknown keys come from a newer version."""
         unknown = set(record) - set(cls.__dataclass_fields__)
         if unknown:
-            raise StorageError(f"this study has settings {sorted(unknown)} of a newer mbtl; upgrade it")
+            raise StorageError(
+                f"this study has settings {sorted(unknown)} of a newer mbtl; upgrade it"
+            )
         values = dict(record)
         values["space"] = ContextSpace.from_json(record["space"])
         values["bounds"] = tuple(record["bounds"]) if record["bounds"] else None
@@ -135,7 +137,9 @@ class StudyState:
         if event.seq != self.seq + 1:
             raise StorageError(f"event {self.seq + 1} is missing from the log, got {event.seq}")
         if (self.spec is None) != (event.kind == "created"):
-            raise StorageError(f"event {event.seq} ({event.kind}) is out of place; the log is damaged")
+            raise StorageError(
+                f"event {event.seq} ({event.kind}) is out of place; the log is damaged"
+            )
         getattr(self, f"_{event.kind}")(event)
         self.seq = event.seq
 

@@ -171,7 +171,9 @@ def _open(url: str, *, create: bool) -> tuple[Engine, Table]:
     try:
         engine = create_engine(url)
     except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
-        raise StorageError(f"storage must be a path or an SQLAlchemy URL, got {url!r} ({error})") from error
+        raise StorageError(
+            f"storage must be a path or an SQLAlchemy URL, got {url!r} ({error})"
+        ) from error
     if engine.dialect.name == "sqlite":
 
         @event.listens_for(engine, "connect")
@@ -199,7 +201,9 @@ def _open(url: str, *, create: bool) -> tuple[Engine, Table]:
         if create:
             table.create(connection, checkfirst=True)
         elif not inspect(connection).has_table(table.name):
-            raise StorageError(f"{url} is a database without mbtl studies; give the path of a study")
+            raise StorageError(
+                f"{url} is a database without mbtl studies; give the path of a study"
+            )
     return engine, table
 
 
@@ -226,13 +230,17 @@ def _pack(event: Event) -> bytes:
     if not event.arrays:
         return b""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **{k: np.asarray(v) for k, v in event.arrays.items()})
+    np.savez_compressed(
+        buffer, allow_pickle=False, **{k: np.asarray(v) for k, v in event.arrays.items()}
+    )
     return buffer.getvalue()
 
 
 def _unpack(seq: int, when: float, kind: str, data: str, arrays: bytes) -> Event:
     if kind not in KINDS:
-        raise StorageError(f"event {seq} is of kind {kind!r}, which this version does not know; upgrade mbtl")
+        raise StorageError(
+            f"event {seq} is of kind {kind!r}, which this version does not know; upgrade mbtl"
+        )
     packed: dict[str, Any] = {}
     if arrays:
         with np.load(io.BytesIO(arrays), allow_pickle=False) as loaded:

@@ -347,7 +347,9 @@ class Study:
         """Number of the open pick that this row answers; None for a row nobody asked for."""
         if isinstance(pick, Pick):
             if pick.number not in state.open_picks:
-                raise StudyError(f"pick {pick.number} is not open: it was answered before, or given up")
+                raise StudyError(
+                    f"pick {pick.number} is not open: it was answered before, or given up"
+                )
             return pick.number
         for number, record in state.open_picks.items():
             if record.source == source:
@@ -359,7 +361,9 @@ class Study:
     def _settle(self, kind: Kind, pick: Pick, data: dict[str, Any]) -> None:
         while True:
             if pick.number not in self.refresh().open_picks:
-                raise StudyError(f"pick {pick.number} is not open: it was answered before, or given up")
+                raise StudyError(
+                    f"pick {pick.number} is not open: it was answered before, or given up"
+                )
             try:
                 self._append(Event(kind, {"pick": pick.number, **data}))
             except Conflict:
@@ -475,7 +479,9 @@ def load_study(
     if name is None:
         names = study_names(place)
         if len(names) != 1:
-            raise StudyError(f"{place} holds {len(names)} studies ({', '.join(names)}); give a name")
+            raise StudyError(
+                f"{place} holds {len(names)} studies ({', '.join(names)}); give a name"
+            )
         name = names[0]
     log = SqlLog(place, name)
     created = next(iter(log.read()), None)
@@ -485,7 +491,9 @@ def load_study(
     if selector is None:
         registered = str(spec.selector["name"])
         if registered not in selector_names():
-            raise StudyError(f"this study was made with the selector {registered!r}; give it as selector=")
+            raise StudyError(
+                f"this study was made with the selector {registered!r}; give it as selector="
+            )
         selector = get_selector(registered)
     if describe_selector(selector) != dict(spec.selector):
         raise StudyMismatch(

@@ -23,7 +23,9 @@ class SelectorContract:
     n = 12
 
     def _problem(self) -> SelectionProblem:
-        return SelectionProblem.of(ContextSpace.grid({Linear("x", 0.0, 1.0): self.n}), budget=self.n)
+        return SelectionProblem.of(
+            ContextSpace.grid({Linear("x", 0.0, 1.0): self.n}), budget=self.n
+        )
 
     def _row(self, source: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
         far = np.abs(source - np.arange(self.n))

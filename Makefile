@@ -1,0 +1,53 @@
+# Two commands do all the set-up on a fresh machine: `make run` (the main job) and `make test`.
+# Each creates .venv with what it needs. A PyTorch that is already in .venv is kept, so to avoid the
+# CUDA build on a machine without a GPU, install PyTorch's CPU build there first.
+
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
+PROBLEM ?= cartpole-length
+
+.PHONY: run test lint format bench clean
+
+run: .venv/run.stamp
+	$(BIN)/mbtl run $(PROBLEM)
+
+test: .venv/dev.stamp
+	$(BIN)/python -m pytest $(TESTS)
+
+lint: .venv/dev.stamp
+	$(BIN)/ruff check src tests benchmarks examples
+	$(BIN)/ruff format --check src tests benchmarks examples
+	$(BIN)/mypy
+
+format: .venv/dev.stamp
+	$(BIN)/ruff check --fix src tests benchmarks examples
+	$(BIN)/ruff format src tests benchmarks examples
+
+bench: .venv/rivals.stamp
+	$(BIN)/python benchmarks/import_time.py
+	$(BIN)/python benchmarks/pick_latency.py
+	$(BIN)/python benchmarks/million_contexts.py
+	$(BIN)/python benchmarks/bench_six.py
+	$(BIN)/python benchmarks/gp_optimum.py
+	$(BIN)/python benchmarks/env_speed.py
+
+clean:
+	rm -rf .venv build .mypy_cache .ruff_cache .pytest_cache
+
+.venv/bin/python:
+	$(PYTHON) -m venv .venv
+
+# torch alone first: asked for together with others, pip may prefer another build of it
+.venv/run.stamp: .venv/bin/python pyproject.toml constraints.txt
+	$(PIP) torch
+	$(PIP) --editable '.[train,plots]'
+	touch $@
+
+.venv/dev.stamp: .venv/run.stamp
+	$(PIP) --editable '.[train,plots,dev]'
+	touch $@
+
+.venv/rivals.stamp: .venv/dev.stamp
+	$(PIP) --editable '.[train,plots,dev,rivals]'
+	touch $@

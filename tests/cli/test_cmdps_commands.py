@@ -1,0 +1,127 @@
+import json
+import sys
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from mbtl.cli.check import check, parse_axis
+from mbtl.cli.cmdps import cmdps
+from mbtl.contexts import Categorical, Linear
+from mbtl.errors import CheckFailed, InvalidInput, UnknownName
+
+OWN = """
+from mbtl.cmdps.cartpole import CartPole
+from mbtl.cmdps import get_cmdp
+
+def make_env(context):
+    return CartPole(context, physics="reference")
+
+cmdp = get_cmdp("pendulum-mass")
+number = 3
+"""
+
+
+@pytest.fixture
+def run():
+    app = typer.Typer()
+    app.command()(cmdps)
+    app.command()(check)
+    runner = CliRunner()
+
+    def call(*arguments):
+        return runner.invoke(app, arguments, env={"COLUMNS": "120"})
+
+    return call
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    path = tmp_path / "own_cli_problem.py"
+    path.write_text(OWN)
+    yield str(path)
+    sys.modules.pop("own_cli_problem", None)
+
+
+def test_the_list_names_all_six_with_axis_and_nominal(run):
+    result = run("cmdps")
+    assert result.exit_code == 0
+    [line] = [line for line in result.stdout.splitlines() if line.startswith("pendulum-timestep")]
+    fields = ["timestep", "0.005..0.5", "s", "100", "0.05", "200", "-2200..-500"]
+    assert line.split() == ["pendulum-timestep", *fields]
+
+
+def test_the_list_fits_80_columns(run):
+    result = run("cmdps")
+    assert max(map(len, result.stdout.splitlines())) <= 80
+
+
+def test_json_is_one_document(run):
+    records = json.loads(run("cmdps", "--json").stdout)
+    assert len(records) == 6
+    one = json.loads(run("cmdps", "cartpole-length", "--json").stdout)
+    assert one == records[1]
+    assert one["presets"]["paper"]["trainer"]["timesteps"] == 5_000_000
+
+
+def test_one_cmdp_with_its_presets(run):
+    text = run("cmdps", "pendulum-mass").stdout
+    assert "preset quick (default): K = 10" in text
+    assert "learning_rate 0.001" in text
+
+
+def test_check_passes_ours(run):
+    result = run("check", "cartpole-length", "--json")
+    assert result.exit_code == 0
+    document = json.loads(result.stdout)
+    assert document["ok"] is True
+    assert document["target"] == "cartpole-length"
+
+
+def test_check_fails_a_dead_axis_after_showing_the_report(run):
+    result = run("check", "cartpole-masscart", "--physics", "reference", "--visibility", "hidden")
+    assert isinstance(result.exception, CheckFailed)
+    assert "failed" in result.stdout
+    assert "9 of 10 checks hold" in result.stdout
+    as_json = run("check", "cartpole-masscart", "--physics", "reference", "--json")
+    assert json.loads(as_json.stdout)["ok"] is False
+    assert isinstance(as_json.exception, CheckFailed)
+
+
+def test_check_on_a_user_s_factory_and_problem(run, own):
+    assert run("check", f"{own}:make_env", "--axis", "length=0.1:2.0:m").exit_code == 0
+    two = run("check", f"{own}:make_env", "--axis", "length=0.1:2.0", "--axis", "masscart=0.5:2")
+    assert isinstance(two.exception, CheckFailed)
+    assert "masscart" in str(two.exception)
+    assert "length" not in str(two.exception)
+    assert run("check", f"{own}:cmdp").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "match"),
+    [
+        (("cartpole-lenght",), UnknownName, "Did you mean 'cartpole-length'"),
+        (("cartpole-length", "--axis", "x=0:1"), InvalidInput, "has its axes already"),
+        (("cartpole-length", "--physics", "true"), UnknownName, "physics"),
+        (("{own}:make_env",), InvalidInput, "add --axis"),
+        (("{own}:number",), InvalidInput, "must be a CMDP or a function"),
+        (("{own}:cmdp", "--axis", "x=0:1"), InvalidInput, "has its axes already"),
+        (("{own}:cmdp", "--visibility", "raw"), InvalidInput, "switches of our CMDPs"),
+        (("{own}:make_env", "--axis", "length"), InvalidInput, "an axis is written"),
+    ],
+)
+def test_wrong_usage_is_named(run, own, arguments, error, match):
+    result = run("check", *(a.format(own=own) for a in arguments))
+    assert isinstance(result.exception, error)
+    assert match in str(result.exception)
+
+
+def test_axes_are_read_as_written():
+    assert parse_axis("length=0.1:2.0") == Linear("length", 0.1, 2.0)
+    assert parse_axis("length=-1:1e3:m/s") == Linear("length", -1.0, 1000.0, "m/s")
+    assert parse_axis("ground=ice, mud") == Categorical("ground", ("ice", "mud"))
+    assert parse_axis("gear=1,2,3") == Categorical("gear", (1, 2, 3))
+    for text in ("", "=0:1", "x", "x=", "x=1", "x=a:b", "x=2:1"):
+        with pytest.raises(InvalidInput):
+            parse_axis(text)

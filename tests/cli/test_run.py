@@ -1,0 +1,243 @@
+import json
+import shutil
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mbtl
+
+QUICK = Path(__file__).parents[1] / "study" / "quick_problem.py"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "own_simulator.py"
+
+PROBLEM = """
+import sys
+sys.path.insert(0, {folder!r})
+import quick_problem as q
+import mbtl
+problem = mbtl.CMDP.from_functions(
+    "mass", q.SPACE, train=q.train, evaluate=q.evaluate, save=q.save, load=q.load, bounds=(-20.0, 0.0), budget=4
+)
+"""
+
+
+@pytest.fixture
+def own(tmp_path):
+    (tmp_path / "own.py").write_text(PROBLEM.format(folder=str(QUICK.parent)))
+    return "own.py:problem"
+
+
+def test_the_main_job_leaves_a_study_a_portfolio_and_pictures(mbtl_command, own, tmp_path):
+    code, out, err = mbtl_command("run", own, "--json")
+    assert code == 0, err
+    document = json.loads(out)
+    assert len(document["picks"]) == 4
+    assert document["finished"] == "the budget of 4 trainings is spent"
+    assert document["fresh_value"] <= 1.0
+    assert len(document["serving"]) == 15
+    for name in ("curve.png", "policy-map.png", "study.db", "portfolio/portfolio.json"):
+        assert (tmp_path / "runs" / "mass-default-seed0" / name).stat().st_size > 0
+    assert "pick 4/4" in err
+
+
+def test_run_again_prints_the_summary_and_trains_nothing(mbtl_command, own):
+    first = json.loads(mbtl_command("run", own, "--json")[1])
+    code, out, err = mbtl_command("run", own, "--json")
+    assert code == 0
+    assert "pick" not in err
+    assert json.loads(out) == first
+
+
+def test_the_summary_says_what_a_person_wants_to_know(mbtl_command, own):
+    code, out, _ = mbtl_command("run", own)
+    assert code == 0
+    for words in ("fresh episodes", "One policy would", "One more training, at mass =", "no reference curves"):
+        assert words in out.replace("\n", " ")
+    assert max(map(len, out.splitlines())) <= 100
+
+
+def test_other_settings_are_refused_with_the_way_out(mbtl_command, own, tmp_path):
+    mbtl_command("run", own)
+    code, out, err = mbtl_command("run", own, "--budget", "3")
+    assert (code, out) == (2, "")
+    assert "budget was 4, got 3" in err
+    assert "--new" in err
+    assert mbtl_command("run", own, "--budget", "3", "--new")[0] == 0
+    assert (tmp_path / "runs" / "mass-default-seed0.1" / "study.db").exists()
+
+
+def test_another_seed_is_another_study(mbtl_command, own, tmp_path):
+    mbtl_command("run", own)
+    mbtl_command("run", own, "--seed", "1", "--selector", "greedy")
+    names = sorted(p.name for p in (tmp_path / "runs").iterdir())
+    assert names == ["mass-default-seed0", "mass-default-seed1"]
+    code, out, _ = mbtl_command("study", "list", "--json")
+    assert [(s["selector"], s["told"]) for s in json.loads(out)] == [("mbtl", 4), ("greedy", 4)]
+
+
+def test_a_level_ends_the_run_early(mbtl_command, own):
+    document = json.loads(mbtl_command("run", own, "--stop-value", "0.1", "--json")[1])
+    assert len(document["picks"]) == 1
+    assert "reaches the level" in document["finished"]
+
+
+def test_a_study_is_shown_and_exported(mbtl_command, own, tmp_path):
+    mbtl_command("run", own)
+    folder = "runs/mass-default-seed0"
+    code, out, _ = mbtl_command("study", "show", folder)
+    assert code == 0
+    assert "middle of the range" in out
+    assert mbtl_command("study", "export", folder, "rows.csv")[0] == 0
+    lines = (tmp_path / "rows.csv").read_text().splitlines()
+    assert len(lines) == 1 + 4 * 15
+    assert lines[0] == "source,target,source_mass,target_mass,return,std,episodes"
+    assert mbtl_command("study", "export", folder, "rows.json", "--json")[0] == 0
+    document = json.loads((tmp_path / "rows.json").read_text())
+    stored = mbtl.load_study(tmp_path / folder).state.rows
+    assert np.allclose([r["returns"] for r in document["rows"]], [r.returns for r in stored])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "cartpole-lenght"], "Did you mean 'cartpole-length'? `mbtl cmdps` lists all."),
+        (["run", "OWN", "--selector", "gredy"], "Did you mean 'greedy'"),
+        (["run", "OWN", "--budget", "0"], "budget must be from 1"),
+        (["run", "OWN", "--budget", "16"], "budget must be from 1"),
+        (["run", "OWN", "--preset", "quikc"], "preset"),
+        (["run", "OWN", "--timesteps", "10"], "timesteps"),
+        (["run", "OWN", "--parallel", "0"], "parallel must be >= 1"),
+        (["run", "nowhere:problem"], "no module is called 'nowhere'"),
+        (["run", "own.py:problm"], "Did you mean 'problem'"),
+        (["study", "export", "x", "rows.txt"], "ends in .json or .csv"),
+        (["bench", "--matrix", "none.npz"], "none.npz"),
+        (["run"], "Missing argument"),
+        (["fly"], "No such command"),
+        (["run", "OWN", "--wings", "2"], "No such option"),
+    ],
+)
+def test_wrong_usage_costs_one_line_and_exits_2(mbtl_command, own, arguments, words):
+    code, out, err = mbtl_command(*[own if a == "OWN" else a for a in arguments])
+    assert code == 2, err
+    assert words in " ".join(err.split())
+    assert "Traceback" not in err
+    assert out == ""
+
+
+def test_a_study_of_another_problem_is_refused(mbtl_command, own, tmp_path):
+    assert mbtl_command("run", f"{EXAMPLE}:problem", "--budget", "1", "--study", "here")[0] == 0
+    code, _, err = mbtl_command("run", own, "--study", "here")
+    assert code == 2
+    assert "settings it was made with" in err
+
+
+def test_a_corrupt_study_exits_1_and_names_the_file(mbtl_command, own, tmp_path):
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "study.db").write_bytes(b"not a database" * 300)
+    code, _, err = mbtl_command("run", own, "--study", "bad")
+    assert code == 1
+    assert "corrupt or not a study database" in err
+
+
+def test_a_place_that_cannot_be_written_exits_1(mbtl_command, own, tmp_path):
+    (tmp_path / "file").write_text("")
+    code, _, err = mbtl_command("run", own, "--study", "file/inside")
+    assert code == 1
+    assert "choose another" in err
+
+
+def test_a_folder_of_something_else_is_left_alone(mbtl_command, own, tmp_path):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "thesis.tex").write_text("do not touch")
+    code, _, err = mbtl_command("run", own, "--study", "home")
+    assert code == 2
+    assert "not a study" in err
+
+
+def test_a_full_disk_in_the_middle_loses_nothing_told(mbtl_command, own, tmp_path, monkeypatch):
+    """SQLite's page limit stands in for the full disk."""
+    mbtl_command("run", own)
+    expected = [p.source for p in mbtl.load_study(tmp_path / "runs/mass-default-seed0").state.picks]
+    shutil.rmtree(tmp_path / "runs")
+
+    from mbtl.study import storage
+
+    original, limited = storage.SqlLog.append, []
+
+    def append(self, event, *, after):
+        if event.kind == "told" and after > 4 and not limited:
+            limited.append(True)
+            raise storage.StorageError("the study could not be written (database or disk is full)")
+        return original(self, event, after=after)
+
+    monkeypatch.setattr(storage.SqlLog, "append", append)
+    code, _, err = mbtl_command("run", own)
+    assert code == 1
+    assert "full" in err
+    assert mbtl_command("run", own)[0] == 0
+    study = mbtl.load_study(tmp_path / "runs/mass-default-seed0")
+    assert [p.source for p in study.state.picks] == expected
+
+
+def test_a_missing_study_exits_1(mbtl_command):
+    code, _, err = mbtl_command("study", "show", "runs/none")
+    assert code == 1
+    assert "there is none at" in err
+
+
+def test_no_studies_is_not_an_error(mbtl_command):
+    assert mbtl_command("study", "list")[:2] == (
+        0,
+        "no studies below runs; `mbtl run cartpole-length` makes one\n",
+    )
+
+
+def test_a_failing_simulator_is_reported_and_the_study_ends(mbtl_command, tmp_path):
+    (tmp_path / "sim.py").write_text(
+        "import mbtl\n"
+        "def train(context, seed):\n"
+        "    if context['x'] > 0.7: raise RuntimeError('simulator crashed')\n"
+        "    return context['x']\n"
+        "def evaluate(p, contexts, seed): return [1 - abs(c['x'] - p) for c in contexts]\n"
+        "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 11})\n"
+        "problem = mbtl.CMDP.from_functions('sim', space, train=train, evaluate=evaluate, budget=5)\n"
+    )
+    code, out, err = mbtl_command("run", "sim.py:problem", "--json")
+    assert code == 0
+    failed = [p for p in json.loads(out)["picks"] if p["status"].startswith("failed")]
+    assert failed
+    assert "simulator crashed" in failed[0]["status"]
+    code, _, err = mbtl_command("run", "sim.py:problem", "--stop-on-failure", "--study", "strict")
+    assert code == 1
+    assert "simulator crashed" in err
+
+
+def test_the_version_is_printed(mbtl_command):
+    assert mbtl_command("--version")[:2] == (0, f"mbtl {mbtl.__version__}\n")
+
+
+@pytest.mark.parametrize("command", ["run", "cmdps", "bench", "check", "study list", "study show",
+                                     "study export", "matrix show"])  # fmt: skip
+def test_every_command_has_help_with_an_example_and_json(mbtl_command, command):
+    code, out, _ = mbtl_command(*command.split(), "--help")
+    assert code == 0
+    assert "Example: mbtl" in out
+    assert "--json" in out
+
+
+def test_a_database_without_studies_is_refused(mbtl_command, tmp_path):
+    (tmp_path / "d").mkdir()
+    sqlite3.connect(tmp_path / "d" / "study.db").execute("CREATE TABLE t (x)").connection.close()
+    code, _, err = mbtl_command("study", "show", "d")
+    assert code == 1
+    assert "without mbtl studies" in err
+
+
+def test_matrix_show_prints_the_levels(mbtl_command, tmp_path):
+    np.savez(tmp_path / "m.npz", returns=np.array([[[1.0, 0.5], [0.0, 0.8]]]))
+    code, out, _ = mbtl_command("matrix", "show", "m.npz", "--json")
+    assert code == 0
+    (row,) = json.loads(out)["seeds"]
+    assert row["oracle_transfer"] == pytest.approx(0.9)
+    assert row["grand_mean"] == pytest.approx(0.575)

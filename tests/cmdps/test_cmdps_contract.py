@@ -1,0 +1,26 @@
+import pytest
+
+from mbtl.cmdps import cmdp_ids, get_cmdp
+from mbtl.testing.cmdps import CMDPContract
+
+
+class TestOurs(CMDPContract):
+    smoke = {"timesteps": 64, "eval_episodes": 2, "hyperparameters": {"n_steps": 64}}  # noqa: RUF012
+
+    @pytest.fixture(params=cmdp_ids())
+    def cmdp(self, request):
+        return get_cmdp(request.param)
+
+
+class TestOursWithOtherSwitches(TestOurs):
+    @pytest.fixture(
+        params=[
+            ("cartpole-length", {"visibility": "raw", "time_limit": "terminal"}),
+            ("cartpole-masspole", {"visibility": "hidden", "physics": "reference"}),
+            ("pendulum-timestep", {"visibility": "raw"}),
+        ],
+        ids=str,
+    )
+    def cmdp(self, request):
+        id, switches = request.param
+        return get_cmdp(id, **switches)

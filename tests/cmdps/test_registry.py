@@ -1,0 +1,170 @@
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from mbtl.cmdps import cmdp_ids, get_cmdp, gym_id
+from mbtl.cmdps.registration import register_envs
+from mbtl.errors import InvalidInput, UnknownName
+
+
+@pytest.mark.parametrize(
+    ("id", "axis", "unit", "first", "last", "nominal"),
+    [
+        ("cartpole-masscart", "masscart", "kg", 0.1, 10.0, 1.0),
+        ("cartpole-length", "length", "m", 0.05, 5.0, 0.5),
+        ("cartpole-masspole", "masspole", "kg", 0.01, 1.0, 0.1),
+        ("pendulum-length", "length", "m", 0.1, 10.0, 1.0),
+        ("pendulum-mass", "mass", "kg", 0.1, 10.0, 1.0),
+        ("pendulum-timestep", "timestep", "s", 0.005, 0.5, 0.05),
+    ],
+)
+def test_grids_and_constants_of_the_paper(id, axis, unit, first, last, nominal):
+    cmdp = get_cmdp(id)
+    values = cmdp.space.values(axis)
+    assert len(values) == 100
+    assert (values[0], values[-1], values[9]) == (first, last, nominal)
+    np.testing.assert_allclose(values, first * np.arange(1, 101), rtol=1e-12)
+    assert all(len(repr(value)) <= 5 for value in values), "contexts print as they are meant"
+    assert cmdp.space.axes[0].unit == unit
+    assert cmdp.nominal == cmdp.unit == {axis: nominal}
+    assert cmdp.theta == 0.005
+    cartpole = id.startswith("cartpole")
+    assert cmdp.bounds == ((0.0, 500.0) if cartpole else (-2200.0, -500.0))
+    assert cmdp.horizon == (500 if cartpole else 200)
+
+
+def test_the_six_ids():
+    assert cmdp_ids() == [
+        "cartpole-masscart",
+        "cartpole-length",
+        "cartpole-masspole",
+        "pendulum-length",
+        "pendulum-mass",
+        "pendulum-timestep",
+    ]
+
+
+def test_the_paper_s_text_and_scripts_agree_on_these_grids():
+    for id in cmdp_ids():
+        assert get_cmdp(id, grid="paper").space == get_cmdp(id).space
+
+
+def test_a_mistyped_id_is_answered_with_the_nearest_one():
+    with pytest.raises(UnknownName) as caught:
+        get_cmdp("cartpole-lenght")
+    assert str(caught.value) == (
+        "no CMDP is called 'cartpole-lenght'. Did you mean 'cartpole-length'? "
+        "`mbtl cmdps` lists all."
+    )
+
+
+@pytest.mark.parametrize(
+    ("switch", "value"),
+    [("physics", "ideal"), ("visibility", "multi"), ("grid", "codes"), ("time_limit", "none")],
+)
+def test_unknown_switches_are_named(switch, value):
+    with pytest.raises(UnknownName, match=switch.replace("_", " ")):
+        get_cmdp("cartpole-length", **{switch: value})
+
+
+def test_switches_reach_the_environment_and_the_record():
+    cmdp = get_cmdp(
+        "cartpole-masscart", physics="reference", visibility="raw", time_limit="terminal"
+    )
+    env = cmdp.make_env({"masscart": 7.0})
+    np.testing.assert_allclose(env.reset(seed=0)[0][4:], [9.8, 7.0, 0.1, 0.5, 10.0, 0.02])
+    assert cmdp.settings == {
+        "physics": "reference",
+        "visibility": "raw",
+        "grid": "code",
+        "time_limit": "terminal",
+    }
+
+
+def test_the_policy_sees_the_multiplier_by_default():
+    env = get_cmdp("pendulum-timestep").make_env({"timestep": 0.5})
+    assert env.reset(seed=0)[0][-1] == pytest.approx(10.0)
+
+
+def test_reference_physics_of_the_pendulum_is_the_intended_one():
+    rows = []
+    for physics in ("intended", "reference"):
+        env = get_cmdp("pendulum-mass", physics=physics).make_env({"mass": 2.0})
+        env.reset(seed=0)
+        rows.append(env.step(np.ones(1))[0])
+    np.testing.assert_array_equal(*rows)
+
+
+def test_presets_and_overrides_shape_the_trainer():
+    cmdp = get_cmdp("pendulum-length")
+    assert list(cmdp.presets) == ["quick", "standard", "paper"]
+    assert cmdp.default_preset == "quick"
+    assert cmdp.trainer == cmdp.trainer_for() == cmdp.trainer_for("quick")
+    paper = cmdp.trainer_for("paper")
+    assert (paper.timesteps, paper.eval_episodes, paper.checkpoint) == (1_000_000, 100, "best")
+    assert paper.hyperparameters == {}, "a recipe that names its algorithm starts afresh"
+    assert get_cmdp("cartpole-length").trainer_for("paper").timesteps == 5_000_000
+    assert cmdp.preset("paper").budget == 15
+
+
+def test_hyperparameters_add_to_the_recipe_unless_the_algorithm_changes():
+    cmdp = get_cmdp("pendulum-length")
+    quick = cmdp.trainer_for("quick").hyperparameters
+    assert cmdp.trainer_for("quick", hyperparameters={"n_epochs": 3}).hyperparameters == {
+        **quick,
+        "n_epochs": 3,
+    }
+    assert cmdp.trainer_for("quick", algorithm="SAC").hyperparameters == {}
+    sac = cmdp.trainer_for("quick", algorithm="SAC", hyperparameters={"gamma": 0.9})
+    assert (sac.algorithm, sac.hyperparameters) == ("SAC", {"gamma": 0.9})
+
+
+def test_unknown_presets_and_options_are_named():
+    cmdp = get_cmdp("cartpole-length")
+    with pytest.raises(UnknownName, match="Did you mean 'quick'"):
+        cmdp.trainer_for("quik")
+    with pytest.raises(UnknownName, match="Did you mean 'timesteps'"):
+        cmdp.trainer_for(timestep=5)
+    with pytest.raises(InvalidInput, match="timesteps"):
+        cmdp.trainer_for(timesteps=0)
+
+
+def test_factories_can_be_sent_to_other_processes():
+    cmdp = pickle.loads(pickle.dumps(get_cmdp("cartpole-length").make_env))
+    assert cmdp({"length": 1.2}).features["length"] == 1.2
+
+
+# ---- Gymnasium -----------------------------------------------------------------------------------
+
+
+def test_gymnasium_makes_them_with_a_context():
+    env = gymnasium.make("mbtl/cartpole-length-v0", context={"length": 1.2})
+    assert env.reset(seed=0)[0][-1] == pytest.approx(2.4)
+    assert gymnasium.make("mbtl/cartpole-length-v0").unwrapped.features["length"] == 0.5
+    hidden = gymnasium.make("mbtl.cmdps:mbtl/pendulum-mass-v0", visibility="hidden")
+    assert hidden.observation_space.shape == (3,)
+
+
+def test_registering_again_changes_nothing():
+    before = gymnasium.registry[gym_id("cartpole-length")]
+    register_envs()
+    assert gymnasium.registry[gym_id("cartpole-length")] is before
+
+
+@pytest.mark.parametrize("id", cmdp_ids())
+@pytest.mark.filterwarnings("ignore:.*space (minimum|maximum) value is -?infinity")
+@pytest.mark.filterwarnings(
+    "ignore:.*symmetric and normalized space"
+)  # torques of +-2 are the task
+def test_gymnasium_s_own_checker_agrees(id):
+    check_env(gymnasium.make(gym_id(id)).unwrapped)
+
+
+def test_stable_baselines3_s_own_checker_agrees():
+    from stable_baselines3.common.env_checker import check_env as check_sb3
+
+    check_sb3(get_cmdp("cartpole-length").make_env({"length": 1.0}), warn=False)
+    check_sb3(get_cmdp("pendulum-length").make_env({"length": 1.0}), warn=False)

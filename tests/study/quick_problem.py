@@ -1,0 +1,80 @@
+"""A real problem with a quick trainer: a point mass on a line, policies found by random search.
+
+Run as a program it does what `mbtl run` does: it creates the study or goes on with it.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import mbtl
+from mbtl.trainer import FunctionTrainer
+
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("mass", 0.2, 4.0, unit="kg"): 15})
+BUDGET = 6
+STEPS = 40
+
+
+def rollout(gains, mass, starts):
+    """Return of pushing a mass to the origin with force -k x - c v; (episodes,)."""
+    x, v = starts[:, 0].copy(), starts[:, 1].copy()
+    total = np.zeros(len(starts))
+    for _ in range(STEPS):
+        force = np.clip(-gains[0] * x - gains[1] * v, -1.0, 1.0)
+        v += 0.1 * force / mass
+        x += 0.1 * v
+        total -= x**2
+    return total
+
+
+def train(context, seed):
+    rng = np.random.default_rng(seed)
+    starts = rng.uniform(-1, 1, (8, 2))
+    candidates = rng.uniform(0, 4, (60, 2))
+    scores = [rollout(gains, context["mass"], starts).mean() for gains in candidates]
+    return candidates[int(np.argmax(scores))]
+
+
+def evaluate(policy, contexts, seed):
+    starts = np.random.default_rng(seed).uniform(-1, 1, (5, 2))
+    return np.array([rollout(policy, context["mass"], starts) for context in contexts])
+
+
+def save(policy, folder):
+    np.save(folder / "gains.npy", policy, allow_pickle=False)
+
+
+def load(folder):
+    return np.load(folder / "gains.npy", allow_pickle=False)
+
+
+TRAINER = FunctionTrainer(train, evaluate, save, load)
+
+
+def play(folder, parallel=1):
+    study = mbtl.create_study(
+        SPACE, budget=BUDGET, bounds=None, seed=3, storage=Path(folder) / "study.db", load_if_exists=True
+    )
+    study.run(trainer=TRAINER, parallel=parallel)
+    return study
+
+
+def outcome(folder):
+    """Everything that must not depend on interruptions."""
+    study = mbtl.load_study(folder)
+    rows = study.state.rows
+    return {
+        "picks": [pick.source for pick in study.state.picks],
+        "told": [row.source for row in rows],
+        "returns": [row.returns.tolist() for row in rows],
+        "fresh": np.nan_to_num(study.state.fresh_returns, nan=-1.0).tolist(),
+        "policies": [load(Path(folder) / row.policy).tolist() for row in rows],
+        "finished": study.is_finished,
+    }
+
+
+if __name__ == "__main__":
+    play(sys.argv[1])
+    print(json.dumps(outcome(sys.argv[1])))

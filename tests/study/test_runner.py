@@ -1,0 +1,256 @@
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import quick_problem
+
+import mbtl
+from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.seeds import evaluation_seed
+from mbtl.study import Callback
+from mbtl.study.runner import fresh_curve, routes_by_k, served_targets
+from mbtl.trainer import FunctionTrainer, Progress
+
+SPACE = quick_problem.SPACE
+N = SPACE.n
+
+
+def study_at(path, **settings):
+    settings = {"budget": 5, "bounds": (-20.0, 0.0), "seed": 1, **settings}
+    return mbtl.create_study(SPACE, storage=path / "study.db", load_if_exists=True, **settings)
+
+
+def counting(calls, **changes):
+    def train(context, seed):
+        calls.append(context["mass"])
+        return quick_problem.train(context, seed)
+
+    functions = {
+        "train_fn": train,
+        "evaluate_fn": quick_problem.evaluate,
+        "save_fn": quick_problem.save,
+        "load_fn": quick_problem.load,
+    }
+    return FunctionTrainer(**{**functions, **changes})
+
+
+def test_a_run_trains_each_pick_once_and_reports_on_fresh_episodes(tmp_path):
+    calls = []
+    study = study_at(tmp_path).run(trainer=counting(calls))
+    assert len(calls) == 5
+    assert study.is_finished
+    fresh = fresh_curve(study)
+    assert fresh.shape == (5,)
+    assert fresh != pytest.approx(study.curve)  # other episodes
+    assert fresh == pytest.approx(study.curve, abs=0.2)
+
+
+def test_a_finished_study_run_again_trains_nothing(tmp_path):
+    calls = []
+    study_at(tmp_path).run(trainer=counting(calls))
+    again = study_at(tmp_path).run(trainer=counting(calls))
+    assert len(calls) == 5
+    assert again.is_finished
+
+
+def test_a_run_stopped_in_evaluation_does_not_train_again(tmp_path):
+    calls, stops = [], [True]
+
+    def evaluate(policy, contexts, seed):
+        if len(calls) == 3 and stops.pop():
+            raise KeyboardInterrupt
+        return quick_problem.evaluate(policy, contexts, seed)
+
+    trainer = counting(calls, evaluate_fn=evaluate)
+    with pytest.raises(KeyboardInterrupt):
+        study_at(tmp_path).run(trainer=trainer)
+    stops.append(False)
+    study = study_at(tmp_path)
+    assert len(study.state.rows) == 2
+    study.run(trainer=trainer)
+    assert len(calls) == 5  # the third policy was found in its folder
+    (tmp_path / "calm").mkdir()
+    calm = study_at(tmp_path / "calm").run(trainer=counting([]))
+    assert [p.source for p in study.state.picks] == [p.source for p in calm.state.picks]
+    assert np.array_equal(study.curve, calm.curve)
+
+
+@pytest.mark.parametrize(
+    ("broken", "reason"),
+    [
+        (lambda p, c, s: np.full(len(c), np.nan), "15 NaN or infinite"),
+        (lambda p, c, s: np.full(len(c), np.inf), "15 NaN or infinite"),
+        (lambda p, c, s: np.zeros(len(c) - 1), "shape"),
+        (lambda p, c, s: 1 / 0, "ZeroDivisionError"),
+    ],
+)
+def test_a_failed_evaluation_is_recorded_and_the_study_goes_on(tmp_path, broken, reason):
+    calls = []
+
+    def evaluate(policy, contexts, seed):
+        return (broken if len(calls) == 2 else quick_problem.evaluate)(policy, contexts, seed)
+
+    study = study_at(tmp_path).run(trainer=counting(calls, evaluate_fn=evaluate))
+    assert study.is_finished
+    assert len(study.state.rows) == 4
+    (failure,) = study.state.failures
+    assert reason in failure.reason
+    assert failure.source not in [row.source for row in study.state.rows]
+
+
+def test_on_failure_stop_raises_and_keeps_what_was_told(tmp_path):
+    calls = []
+
+    def train(context, seed):
+        calls.append(1)
+        if len(calls) == 3:
+            raise RuntimeError("the simulator crashed")
+        return quick_problem.train(context, seed)
+
+    trainer = counting(calls, train_fn=train)
+    with pytest.raises(TrainingFailed, match="the simulator crashed"):
+        study_at(tmp_path).run(trainer=trainer, on_failure="stop")
+    study = study_at(tmp_path)
+    assert (len(study.state.rows), len(study.state.failures)) == (2, 1)
+    study.run(trainer=trainer)
+    assert len(study.state.rows) == 4
+
+
+def test_a_wrong_call_of_the_trainer_gives_the_pick_back(tmp_path):
+    def train(context, seed):
+        raise InvalidInput("no such hyperparameter")
+
+    study = study_at(tmp_path)
+    with pytest.raises(InvalidInput, match="hyperparameter"):
+        study.run(trainer=counting([], train_fn=train))
+    assert not study.state.failures
+    study.run(trainer=counting([]))
+    assert len(study.state.rows) == 5
+
+
+def test_minimised_returns_serve_with_the_smallest(tmp_path):
+    def evaluate(policy, contexts, seed):
+        return -quick_problem.evaluate(policy, contexts, seed)
+
+    calm = study_at(tmp_path / "up").run(trainer=counting([]))
+    down = study_at(tmp_path / "down", bounds=(0.0, 20.0), direction="minimize")
+    down.run(trainer=counting([], evaluate_fn=evaluate))
+    assert [p.source for p in down.state.picks] == [p.source for p in calm.state.picks]
+    assert down.curve == pytest.approx(calm.curve)
+    assert np.array_equal(down.portfolio().assignment, calm.portfolio().assignment)
+
+
+def test_workers_in_other_processes_give_the_same_study(tmp_path):
+    """Real processes, two trainings at a time; the order of completion does not matter."""
+    there = study_at(tmp_path / "processes").run(trainer=quick_problem.TRAINER, parallel=2)
+    with ThreadPoolExecutor(2) as pool:
+        here = study_at(tmp_path / "threads").run(
+            trainer=quick_problem.TRAINER, parallel=2, executor=pool
+        )
+    assert [p.source for p in there.state.picks] == [p.source for p in here.state.picks]
+    assert np.array_equal(there.curve, here.curve)
+
+
+def test_two_runs_on_one_study_share_the_work(tmp_path):
+    study_at(tmp_path, budget=8)
+    calls = []
+    runs = [
+        threading.Thread(target=lambda: study_at(tmp_path, budget=8).run(trainer=counting(calls)))
+        for _ in range(2)
+    ]
+    for run in runs:
+        run.start()
+    for run in runs:
+        run.join()
+    study = mbtl.load_study(tmp_path)
+    assert study.is_finished
+    assert len(calls) == len(set(calls)) == 8
+
+
+def test_an_interrupted_batch_asks_as_an_undisturbed_one(tmp_path):
+    class Stop(Callback):
+        def on_told(self, study, pick):
+            if pick.number == 2:
+                raise KeyboardInterrupt
+
+    with ThreadPoolExecutor(2) as pool:
+        calm = study_at(tmp_path / "calm").run(trainer=quick_problem.TRAINER, parallel=2, executor=pool)
+        with pytest.raises(KeyboardInterrupt):
+            study_at(tmp_path / "b").run(
+                trainer=quick_problem.TRAINER, parallel=2, executor=pool, callbacks=[Stop()]
+            )
+        resumed = study_at(tmp_path / "b").run(
+            trainer=quick_problem.TRAINER, parallel=2, executor=pool
+        )
+    assert [p.source for p in resumed.state.picks] == [p.source for p in calm.state.picks]
+
+
+def test_callbacks_hear_everything(tmp_path):
+    heard = []
+
+    class Ear(Callback):
+        def on_pick(self, study, pick):
+            heard.append("pick")
+
+        def on_progress(self, study, pick, progress):
+            heard.append(progress.step)
+
+        def on_evaluation(self, study, pick):
+            heard.append("evaluation")
+
+        def on_told(self, study, pick):
+            heard.append("told")
+
+        def on_report(self, study):
+            heard.append("report")
+
+        def on_end(self, study):
+            heard.append("end")
+
+    class Reporting(FunctionTrainer):
+        def train(self, context, seed, on_progress=None):
+            on_progress(Progress(7, 10))
+            return super().train(context, seed)
+
+    trainer = Reporting(quick_problem.train, quick_problem.evaluate)
+    study_at(tmp_path, budget=2).run(trainer=trainer, callbacks=[Ear()])
+    assert heard == ["pick", 7, "evaluation", "told"] * 2 + ["report", "end"]
+
+
+def test_policies_that_cannot_be_saved_stay_in_memory(tmp_path):
+    study = study_at(tmp_path).run(quick_problem.train, quick_problem.evaluate)
+    policy = study.portfolio().policy_for({"mass": 1.0})
+    assert policy.shape == (2,)
+    later = mbtl.load_study(tmp_path).portfolio()
+    assert later.explain({"mass": 1.0}).predicted_return < 0
+    with pytest.raises(mbtl.MbtlError, match="not saved"):
+        later.policy_for({"mass": 1.0})
+
+
+def test_a_saved_portfolio_serves_every_context(tmp_path):
+    study = study_at(tmp_path / "s").run(trainer=quick_problem.TRAINER)
+    study.portfolio(quick_problem.TRAINER).save(tmp_path / "p")
+    portfolio = mbtl.load_portfolio(tmp_path / "p", load=quick_problem.load)
+    seed = evaluation_seed(1, 0)
+    for context in SPACE.contexts:
+        measured = quick_problem.evaluate(portfolio.policy_for(context), [context], seed).mean()
+        assert measured == pytest.approx(portfolio.explain(context).predicted_return)
+    assert portfolio.policy_for({"mass": 1.2345}).shape == (2,)  # off the list
+
+
+def test_routes_follow_the_running_maximum():
+    rows = np.array([[1.0, 0.0, 0.5], [0.0, 2.0, 0.5], [3.0, 1.0, 0.0]])
+    assert routes_by_k(rows).tolist() == [[0, 0, 0], [0, 1, 0], [2, 1, 0]]
+    assert [s.tolist() for s in served_targets(rows)] == [[0, 1, 2], [1], [0]]
+
+
+@pytest.mark.parametrize("change", [{"on_failure": "shrug"}, {"parallel": 0}])
+def test_bad_options_are_refused(tmp_path, change):
+    with pytest.raises(InvalidInput):
+        study_at(tmp_path).run(trainer=quick_problem.TRAINER, **change)
+
+
+def test_run_needs_something_to_train_with(tmp_path):
+    with pytest.raises(InvalidInput, match="train and evaluate"):
+        study_at(tmp_path).run()
