@@ -41,6 +41,9 @@ class Cost:
     def __sub__(self, other: Cost) -> Cost:
         return Cost(self.wall - other.wall, self.cpu - other.cpu)
 
+    def __truediv__(self, count: float) -> Cost:
+        return Cost(self.wall / count, self.cpu / count)
+
     def to_json(self, unit: float = 1.0) -> dict[str, float]:
         """Both clocks, in units of `unit` seconds, to four digits."""
         return {"wall": digits(self.wall / unit), "cpu": digits(self.cpu / unit)}
@@ -75,7 +78,7 @@ def cost_of(work: Callable[[], Any]) -> Cost:
 def mean(costs: Iterable[Cost]) -> Cost:
     """Mean of each clock."""
     every = list(costs)
-    return Cost(sum(c.wall for c in every) / len(every), sum(c.cpu for c in every) / len(every))
+    return sum(every, Cost()) / len(every)
 
 
 def median(costs: Iterable[Cost]) -> Cost:
@@ -133,11 +136,6 @@ def show(document: dict[str, Any], lines: Sequence[str], *, as_json: bool) -> No
 def note(text: str) -> None:
     """Progress, on standard error."""
     print(text, file=sys.stderr, flush=True)
-
-
-def missing(package: str) -> str:
-    """What to do about a rival that is not installed."""
-    return f"{package} is not installed: pip install 'mbtl[rivals]'"
 
 
 def _version(package: str) -> str | None:

@@ -15,8 +15,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.objective import Array, generalisation_performance
+from mbtl.objective import generalisation_performance
 
 
 @dataclass(frozen=True)

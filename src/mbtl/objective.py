@@ -15,17 +15,19 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 
-Array = NDArray[np.float64]
 Direction = Literal["maximize", "minimize"]
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Affine normalisation of returns: performance 0 at the worst bound, 1 at the best; never clipped.
+    """Affine normalisation of returns: performance 0 at the worst bound, 1 at the best.
+
+    Nothing is clipped: a return beyond a bound gives a performance below 0 or above 1.
 
     Attributes:
         low: smaller return.
@@ -70,11 +72,6 @@ class Bounds:
         return self.low + p * span if self.direction == "maximize" else self.high - p * span
 
 
-def uniform_weights(n: int) -> Array:
-    """(n,) equal target weights."""
-    return np.full(n, 1.0 / n)
-
-
 def generalisation_performance(rows: Array) -> Array:
     """Per target, the best performance among the trained policies; (k, N) -> (N,).
 
@@ -85,7 +82,7 @@ def generalisation_performance(rows: Array) -> Array:
     rows = np.atleast_2d(np.asarray(rows, dtype=np.float64))
     if rows.shape[0] == 0:
         return np.full(rows.shape[1], -np.inf)
-    return np.fmax.reduce(rows, axis=0, initial=-np.inf)
+    return np.asarray(np.fmax.reduce(rows, axis=0, initial=-np.inf))
 
 
 def value(best: Array, weights: Array | None = None) -> float:

@@ -1,7 +1,8 @@
 """The trainer contract: how a study gets a policy for a context and its returns elsewhere.
 
 A user gives two functions (`FunctionTrainer`) or an environment factory and an algorithm
-(`mbtl.training.SB3Trainer`). Contexts are mappings axis name -> value. Nothing here knows an RL library.
+(`mbtl.training.SB3Trainer`). Contexts are mappings axis name -> value. Nothing here knows an RL
+library.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, TrainingFailed
-from mbtl.objective import Array
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,8 @@ def checked_returns(returns: Any, n_targets: int) -> Array:
         array = array[:, None]
     if array.ndim != 2 or array.shape[0] != n_targets or array.shape[1] < 1:
         raise TrainingFailed(
-            f"evaluate must return shape ({n_targets},) or ({n_targets}, n_episodes), got {np.shape(returns)}"
+            f"evaluate must return shape ({n_targets},) or ({n_targets}, n_episodes), "
+            f"got {np.shape(returns)}"
         )
     bad = int(np.count_nonzero(~np.isfinite(array)))
     if bad:

@@ -17,7 +17,14 @@ sys.path.insert(0, {folder!r})
 import quick_problem as q
 import mbtl
 problem = mbtl.CMDP.from_functions(
-    "mass", q.SPACE, train=q.train, evaluate=q.evaluate, save=q.save, load=q.load, bounds=(-20.0, 0.0), budget=4
+    "mass",
+    q.SPACE,
+    train=q.train,
+    evaluate=q.evaluate,
+    save=q.save,
+    load=q.load,
+    bounds=(-20.0, 0.0),
+    budget=4,
 )
 """
 
@@ -52,7 +59,12 @@ def test_run_again_prints_the_summary_and_trains_nothing(mbtl_command, own):
 def test_the_summary_says_what_a_person_wants_to_know(mbtl_command, own):
     code, out, _ = mbtl_command("run", own)
     assert code == 0
-    for words in ("fresh episodes", "One policy would", "One more training, at mass =", "no reference curves"):
+    for words in (
+        "fresh episodes",
+        "One policy would",
+        "One more training, at mass =",
+        "no reference curves",
+    ):
         assert words in out.replace("\n", " ")
     assert max(map(len, out.splitlines())) <= 100
 
@@ -72,7 +84,7 @@ def test_another_seed_is_another_study(mbtl_command, own, tmp_path):
     mbtl_command("run", own, "--seed", "1", "--selector", "greedy")
     names = sorted(p.name for p in (tmp_path / "runs").iterdir())
     assert names == ["mass-default-seed0", "mass-default-seed1"]
-    code, out, _ = mbtl_command("study", "list", "--json")
+    _, out, _ = mbtl_command("study", "list", "--json")
     assert [(s["selector"], s["told"]) for s in json.loads(out)] == [("mbtl", 4), ("greedy", 4)]
 
 
@@ -201,7 +213,9 @@ def test_a_failing_simulator_is_reported_and_the_study_ends(mbtl_command, tmp_pa
         "    return context['x']\n"
         "def evaluate(p, contexts, seed): return [1 - abs(c['x'] - p) for c in contexts]\n"
         "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 11})\n"
-        "problem = mbtl.CMDP.from_functions('sim', space, train=train, evaluate=evaluate, budget=5)\n"
+        "problem = mbtl.CMDP.from_functions(\n"
+        "    'sim', space, train=train, evaluate=evaluate, budget=5\n"
+        ")\n"
     )
     code, out, err = mbtl_command("run", "sim.py:problem", "--json")
     assert code == 0

@@ -89,7 +89,7 @@ def test_the_fast_gp_gives_the_picks_of_the_papers_gp(selector):
     matrix = matrix + 0.02 * rng.standard_normal(matrix.shape)
     sources = play(selector(), matrix, 12)[0]
     problem, rng = SelectionProblem.of(line(100), budget=12), np.random.default_rng(0)
-    # with a single observation the likelihood does not depend on the length-scale: nothing to compare
+    # the likelihood of a single observation does not depend on the length-scale: start from two
     for k in range(2, 12):
         history = History(100, tuple(sources[:k]), matrix[sources[:k]])
         assert selector(fitter=fit_sklearn).propose(problem, history, rng).source == sources[k]

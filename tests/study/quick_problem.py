@@ -55,7 +55,12 @@ TRAINER = FunctionTrainer(train, evaluate, save, load)
 
 def play(folder, parallel=1):
     study = mbtl.create_study(
-        SPACE, budget=BUDGET, bounds=None, seed=3, storage=Path(folder) / "study.db", load_if_exists=True
+        SPACE,
+        budget=BUDGET,
+        bounds=None,
+        seed=3,
+        storage=Path(folder) / "study.db",
+        load_if_exists=True,
     )
     study.run(trainer=TRAINER, parallel=parallel)
     return study

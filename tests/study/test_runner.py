@@ -9,7 +9,7 @@ import mbtl
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.seeds import evaluation_seed
 from mbtl.study import Callback
-from mbtl.study.runner import fresh_curve, routes_by_k, served_targets
+from mbtl.study.fresh import fresh_curve, routes_by_k, served_targets
 from mbtl.trainer import FunctionTrainer, Progress
 
 SPACE = quick_problem.SPACE
@@ -175,7 +175,9 @@ def test_an_interrupted_batch_asks_as_an_undisturbed_one(tmp_path):
                 raise KeyboardInterrupt
 
     with ThreadPoolExecutor(2) as pool:
-        calm = study_at(tmp_path / "calm").run(trainer=quick_problem.TRAINER, parallel=2, executor=pool)
+        calm = study_at(tmp_path / "calm").run(
+            trainer=quick_problem.TRAINER, parallel=2, executor=pool
+        )
         with pytest.raises(KeyboardInterrupt):
             study_at(tmp_path / "b").run(
                 trainer=quick_problem.TRAINER, parallel=2, executor=pool, callbacks=[Stop()]

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.objective import Array
 
 TIE = 1e-12
 """Values closer than this are equal: two exact formulas may differ in their last digits."""

@@ -16,9 +16,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.models.gp import squared_distances
-from mbtl.objective import Array
 
 _BLOCK_ENTRIES = 1 << 16  # candidate x target entries held at once: temporaries stay in cache
 
@@ -59,9 +59,9 @@ def expected_gain(
 ) -> Array:
     """Expected gain in V, the training performance being Gaussian and the gap linear.
 
-    a(x) = sum_t w_t ( m Phi(m/s) + s phi(m/s) ),  m = mean(x) - theta |x - t| - best(t),  s = std(x)
+    a(x) = sum_t w_t ( m Phi(m/s) + s phi(m/s) ),  m = mean(x) - theta |x - t| - best(t)
 
-    with max(m, 0) where s = 0. Source: method, section 2 (EI).
+    with s = std(x), and max(m, 0) where s = 0. Source: method, section 2 (EI).
 
     Returns:
         (M,) expected gain in units of performance.
@@ -124,7 +124,8 @@ def check_shapes(
         raise InvalidInput(f"theta must be finite and >= 0, got {theta!r}")
     if candidates.ndim != 2 or targets.ndim != 2 or candidates.shape[1] != targets.shape[1]:
         raise InvalidInput(
-            f"candidates and targets must be (M, D) and (N, D), got {candidates.shape}, {targets.shape}"
+            f"candidates and targets must be (M, D) and (N, D), got {candidates.shape}, "
+            f"{targets.shape}"
         )
     if best.shape != (n,) or weights.shape != (n,):
         raise InvalidInput(f"best and weights must be ({n},), got {best.shape} and {weights.shape}")

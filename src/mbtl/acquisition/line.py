@@ -1,23 +1,27 @@
 """The optimistic gain on one axis, exactly, in O(N log N) time and O(N) memory.
 
 Split the targets of a candidate x into those on its left and those on its right. On the left
-(t <= x), with p_t = theta t - best(t) and q_x = theta x - upper(x), a target improves iff p_t > q_x,
-so the sum is a dominance sum
+(t <= x), with p_t = theta t - best(t) and q_x = theta x - upper(x), a target improves iff
+p_t > q_x, so the sum is a dominance sum
 
     sum_{t <= x, p_t > q_x} w_t (p_t - q_x) = P - q_x W,
 
 with W, P the sums of w_t and w_t p_t over the dominating targets. The right side is its mirror.
 Dominance sums come from one sort by value and log2(M + N) stable partitions by position: at each
-level, a candidate in the right half of a node collects the targets of the left half that stand before
-it in value order. Every level is a handful of array operations; nodes of 32 are summed directly.
+level, a candidate in the right half of a node collects the targets of the left half that stand
+before it in value order. Every level is a handful of array operations; nodes of 32 are summed
+directly.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbtl.acquisition.gain import check_shapes, optimistic_gain
-from mbtl.objective import Array
+from mbtl.arrays import Array
+
+Index = NDArray[np.int64]
 
 _LEAF_BITS = 5
 _DENSE_BELOW = 500  # contexts; the direct formula is faster for fewer (benchmarks/pick_latency.py)
@@ -64,7 +68,7 @@ def _dominance_sum(x: Array, t: Array, q: Array, p: Array, weights: Array, *, ti
     is_target = np.concatenate([np.zeros(m, dtype=bool), np.ones(len(t), dtype=bool)])
     place = np.concatenate([x, t])
     first = is_target if ties else ~is_target  # who stands before whom at an equal place
-    rank = np.empty(total, dtype=np.int64)
+    rank: Index = np.empty(total, dtype=np.int64)
     rank[np.lexsort((~first, place))] = np.arange(total)
 
     near = _leaf_sums(rank[:m], rank[m:], q, p, weights)
@@ -93,7 +97,7 @@ def _dominance_sum(x: Array, t: Array, q: Array, p: Array, weights: Array, *, ti
     return np.asarray(sum_wp[:m] - q * sum_w[:m] + near)
 
 
-def _leaf_sums(x_rank: Array, t_rank: Array, q: Array, p: Array, weights: Array) -> Array:
+def _leaf_sums(x_rank: Index, t_rank: Index, q: Array, p: Array, weights: Array) -> Array:
     """The part of the dominance sum whose target lies in the candidate's own leaf of 32 ranks."""
     size = 1 << _LEAF_BITS
     leaves = -(-(len(x_rank) + len(t_rank)) // size)
@@ -107,4 +111,4 @@ def _leaf_sums(x_rank: Array, t_rank: Array, q: Array, p: Array, weights: Array)
         np.maximum(gain, 0.0, out=gain)
         gain *= before
         out[start : start + 16] = np.matmul(by_rank_w[block].reshape(-1, 1, size), gain)[:, 0]
-    return out.ravel()[x_rank]
+    return np.asarray(out.ravel()[x_rank])

@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbtl.objective import Array
+from mbtl.arrays import Array
 from mbtl.selectors.base import SelectionProblem
 
 BLOCK_BYTES = 256 * 2**20

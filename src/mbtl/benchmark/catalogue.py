@@ -24,12 +24,12 @@ from pathlib import Path
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.benchmark.base import RowSource
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.shipped import load_by_id, shipped_matrices
 from mbtl.benchmark.synthetic import SyntheticWorld, linear_gap_world
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.objective import Array
 
 PREFIX = "synthetic:"
 _ALIKE = 21 / 99  # steps along all axes of the 3d set over steps along the 1d one

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.benchmark.base import RowSource
 from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.oracle import Reference, reference
@@ -20,7 +21,7 @@ from mbtl.benchmark.records import Comparison, Run
 from mbtl.benchmark.summary import summarise
 from mbtl.errors import InvalidInput, UnknownName, unknown_name
 from mbtl.history import History
-from mbtl.objective import Array, value_curve
+from mbtl.objective import value_curve
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import SelectionProblem, Selector
 from mbtl.selectors.registry import get_selector, selector_names

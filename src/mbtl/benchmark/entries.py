@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mbtl.arrays import Array
 from mbtl.benchmark.npz import read_text
 from mbtl.contexts import ContextSpace, Integer, Linear
 from mbtl.contexts.space import factorial_shape
 from mbtl.errors import InvalidInput
-from mbtl.objective import Array, Bounds, Direction
+from mbtl.objective import Bounds, Direction
 
 Floats = NDArray[np.floating[Any]]
 DIRECTIONS: dict[str, Direction] = {"max": "maximize", "min": "minimize"}

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mbtl.arrays import Array
 from mbtl.benchmark.base import Levels, levels
 from mbtl.benchmark.entries import (
     DIRECTIONS,
@@ -28,7 +29,7 @@ from mbtl.benchmark.entries import (
 from mbtl.benchmark.npz import read_npz, text_array, write_npz
 from mbtl.contexts import Axis, Categorical, ContextSpace
 from mbtl.errors import InvalidInput
-from mbtl.objective import Array, Bounds
+from mbtl.objective import Bounds
 from mbtl.selectors.base import SelectionProblem, default_theta
 
 

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.benchmark.base import BLOCK_BYTES, Levels, RowSource, levels, row_blocks
 from mbtl.errors import InvalidInput
-from mbtl.objective import Array, value
+from mbtl.objective import value
 
 _ROUNDING = 1e-12  # slack of the bounds, far above the rounding of a mean
 

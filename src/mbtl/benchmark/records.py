@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from mbtl.objective import Array
+from mbtl.arrays import Array
 
 CONFIDENCE = 0.95
 RESAMPLES = 10_000

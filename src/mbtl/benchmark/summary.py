@@ -34,6 +34,7 @@ from typing import Any
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.benchmark.oracle import Reference
 from mbtl.benchmark.records import (
     CONFIDENCE,
@@ -44,7 +45,7 @@ from mbtl.benchmark.records import (
     Summary,
     Trainings,
 )
-from mbtl.objective import Array, k_star
+from mbtl.objective import k_star
 
 SHARES = (0.90, 0.95, 0.99)
 _SEED = 20240604

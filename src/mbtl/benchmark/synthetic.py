@@ -19,10 +19,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mbtl.arrays import Array
 from mbtl.benchmark.base import BLOCK_BYTES
 from mbtl.contexts import ContextSpace, Integer
 from mbtl.errors import InvalidInput
-from mbtl.objective import Array, Bounds
+from mbtl.objective import Bounds
 from mbtl.selectors.base import SelectionProblem, default_theta
 
 

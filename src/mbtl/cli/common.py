@@ -1,6 +1,7 @@
 """What every command shares: output on the right stream, errors in one line, exit codes.
 
-With `--json` standard output carries exactly one JSON document; everything else goes to standard error.
+With `--json` standard output carries exactly one JSON document; everything else goes to standard
+error.
 """
 
 from __future__ import annotations

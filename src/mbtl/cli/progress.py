@@ -6,7 +6,8 @@ import time
 from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress as Bars, TaskID, TextColumn
+from rich.progress import BarColumn, TaskID, TextColumn
+from rich.progress import Progress as Bars
 
 from mbtl.report.text import shown
 from mbtl.study import Callback, Pick, Study
@@ -70,8 +71,9 @@ class LiveProgress(Callback):
         """One line that stays."""
         took = self._end(pick)
         self._console.print(
-            f"pick {len(study.state.rows)}/{study.spec.budget}  {shown(pick.context, study.space):<24}"
-            f"  V {study.value:.4f}  {took / 60:.1f} min  {pick.reason}",
+            f"pick {len(study.state.rows)}/{study.spec.budget}  "
+            f"{shown(pick.context, study.space):<24}  "
+            f"V {study.value:.4f}  {took / 60:.1f} min  {pick.reason}",
             markup=False,
             highlight=False,
             soft_wrap=True,

@@ -1,4 +1,7 @@
-"""`mbtl run`: the main job. Train what the selector picks, evaluate everywhere, save the portfolio."""
+"""`mbtl run`: the main job.
+
+Train what the selector picks, evaluate everywhere, save the portfolio.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +23,8 @@ from mbtl.study import Callback, Study, create_study
 from mbtl.trainer import Trainer, recipe_of
 
 _PAPER = (
-    "The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million steps "
-    "each, 100 episodes per context)."
+    "The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million "
+    "steps each, 100 episodes per context)."
 )
 
 

@@ -83,7 +83,7 @@ def _paper(timesteps: int) -> Preset:
 _CARTPOLE = {
     "quick": Preset(
         budget=10,
-        timesteps=60_000,
+        timesteps=40_000,
         eval_episodes=10,
         algorithm="PPO",
         checkpoint="final",

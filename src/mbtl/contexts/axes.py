@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
-from mbtl.objective import Array
 
 Value = float | int | str
 
@@ -33,7 +33,11 @@ class Axis(ABC):
 
     @abstractmethod
     def encode(self, values: Sequence[Value]) -> Array:
-        """Values -> (len(values), width) unit columns; raises `ContextMismatch` outside the axis."""
+        """Values -> (len(values), width) unit columns.
+
+        Raises:
+            ContextMismatch: a value lies outside the axis.
+        """
 
     @abstractmethod
     def decode(self, unit: Array) -> list[Value]:
@@ -61,11 +65,13 @@ class _Numeric(Axis):
         _check_name(self.name)
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise InvalidInput(
-                f"axis {self.name!r} needs finite bounds with low < high, got ({self.low}, {self.high})"
+                f"axis {self.name!r} needs finite bounds with low < high, "
+                f"got ({self.low}, {self.high})"
             )
 
     @property
     def width(self) -> int:
+        """One column."""
         return 1
 
     def _checked(self, values: Sequence[Value]) -> Array:
@@ -76,13 +82,15 @@ class _Numeric(Axis):
         slack = 1e-9 * (self.high - self.low)
         bad = ~((array >= self.low - slack) & (array <= self.high + slack))
         if bad.any():
+            span = f"[{self.low:g}, {self.high:g}] {self.unit}".rstrip()
             raise ContextMismatch(
-                f"axis {self.name!r} takes values in [{self.low:g}, {self.high:g}] {self.unit}".rstrip()
-                + f", got {float(array[bad][0])!r}; widen the axis or leave this context out"
+                f"axis {self.name!r} takes values in {span}, got {float(array[bad][0])!r}; "
+                "widen the axis or leave this context out"
             )
         return np.clip(array, self.low, self.high)
 
     def to_json(self) -> dict[str, Any]:
+        """Kind, name, unit and bounds."""
         record = {"kind": type(self).__name__.lower(), "name": self.name, "unit": self.unit}
         return {**record, "low": self.low, "high": self.high}
 
@@ -92,12 +100,15 @@ class Linear(_Numeric):
     """A continuous axis on which equal differences mean equal change."""
 
     def encode(self, values: Sequence[Value]) -> Array:
+        """Unit column of the share of the range that lies below each value."""
         return ((self._checked(values) - self.low) / (self.high - self.low))[:, None]
 
     def decode(self, unit: Array) -> list[Value]:
+        """Values; see `Axis.decode`."""
         return list((self.low + unit[:, 0] * (self.high - self.low)).tolist())
 
     def spread(self, n: int) -> list[Value]:
+        """`n` values at equal differences."""
         return list(np.linspace(self.low, self.high, n).tolist())
 
 
@@ -111,12 +122,15 @@ class Log(_Numeric):
             raise InvalidInput(f"log axis {self.name!r} needs low > 0, got {self.low}; use Linear")
 
     def encode(self, values: Sequence[Value]) -> Array:
+        """Unit column, proportional to the logarithm of the value."""
         return (np.log(self._checked(values) / self.low) / math.log(self.high / self.low))[:, None]
 
     def decode(self, unit: Array) -> list[Value]:
+        """Values; see `Axis.decode`."""
         return list((self.low * (self.high / self.low) ** unit[:, 0]).tolist())
 
     def spread(self, n: int) -> list[Value]:
+        """`n` values at equal ratios."""
         return list(np.geomspace(self.low, self.high, n).tolist())
 
 
@@ -125,6 +139,7 @@ class Integer(_Numeric):
     """An axis of whole numbers, evenly spaced."""
 
     def encode(self, values: Sequence[Value]) -> Array:
+        """Unit column; raises `ContextMismatch` also for a number that is not whole."""
         array = self._checked(values)
         whole = np.round(array)
         if np.any(np.abs(array - whole) > 1e-9):
@@ -135,13 +150,16 @@ class Integer(_Numeric):
         return ((whole - self.low) / (self.high - self.low))[:, None]
 
     def decode(self, unit: Array) -> list[Value]:
+        """The nearest whole numbers."""
         return [int(v) for v in np.round(self.low + unit[:, 0] * (self.high - self.low))]
 
     def spread(self, n: int) -> list[Value]:
+        """`n` distinct whole numbers; raises `InvalidInput` when there are fewer."""
         values = np.round(np.linspace(self.low, self.high, n)).astype(int)
         if len(np.unique(values)) < n:
+            count = int(self.high - self.low) + 1
             raise InvalidInput(
-                f"axis {self.name!r} has {int(self.high - self.low) + 1} whole values, got a request for {n}"
+                f"axis {self.name!r} has {count} whole values, got a request for {n}"
             )
         return [int(v) for v in values]
 
@@ -164,9 +182,11 @@ class Categorical(Axis):
 
     @property
     def width(self) -> int:
+        """One column per level."""
         return len(self.choices)
 
     def encode(self, values: Sequence[Value]) -> Array:
+        """One-hot rows over sqrt(2); see `Axis.encode`."""
         for value in values:
             if value not in self.choices:
                 raise ContextMismatch(
@@ -176,14 +196,17 @@ class Categorical(Axis):
         return np.asarray(np.eye(self.width)[levels] / math.sqrt(2.0))
 
     def decode(self, unit: Array) -> list[Value]:
+        """The level of the largest column."""
         return [self.choices[level] for level in unit.argmax(axis=1)]
 
     def spread(self, n: int) -> list[Value]:
+        """All levels in their order; raises `InvalidInput` unless `n` is their number."""
         if n != self.width:
             raise InvalidInput(f"axis {self.name!r} has {self.width} levels, got a request for {n}")
         return list(self.choices)
 
     def to_json(self) -> dict[str, Any]:
+        """Kind, name, unit and choices."""
         record = {"kind": "categorical", "name": self.name, "unit": self.unit}
         return {**record, "choices": list(self.choices)}
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mbtl.arrays import Array, uniform_weights
 from mbtl.contexts.axes import Axis, Categorical, Value, axis_from_json
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
-from mbtl.objective import Array, uniform_weights
 
 Context = dict[str, Value]
 
@@ -281,8 +281,8 @@ class ContextSpace:
         if same.size:
             first, second = sorted((int(order[same[0]]), int(order[same[0] + 1])))
             raise InvalidInput(
-                f"contexts must be distinct, got {self.context(first)!r} at index {first} and again "
-                f"at index {second}; remove one"
+                f"contexts must be distinct, got {self.context(first)!r} at index {first} and "
+                f"again at index {second}; remove one"
             )
 
 
@@ -315,7 +315,8 @@ def _checked_weights(weights: ArrayLike | None, n: int) -> Array:
     array = np.asarray(weights, dtype=np.float64)
     if array.shape != (n,) or not np.isfinite(array).all() or (array < 0).any() or array.sum() <= 0:
         raise InvalidInput(
-            f"target weights must be {n} finite numbers >= 0 with a positive sum, got shape {array.shape}"
+            f"target weights must be {n} finite numbers >= 0 with a positive sum, "
+            f"got shape {array.shape}"
         )
     return np.asarray(array / array.sum())
 

@@ -12,10 +12,10 @@ from typing import Protocol
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.gp import squared_distances
-from mbtl.objective import Array
 
 
 class GapModel(Protocol):
@@ -68,6 +68,16 @@ class FittedGap:
 def predicted_rows(
     training_performance: Array, sources: Array, steps: Array, theta: float
 ) -> Array:
-    """Rows that the linear gap predicts, J(pi_i, x_i) - theta |x_i - x'|; (k,), (k, D), (N, D) -> (k, N)."""
+    """Rows that the linear gap predicts, J(pi_i, x_i) - theta |x_i - x'|.
+
+    Args:
+        training_performance: (k,) J(pi_i, x_i).
+        sources: (k, D) grid steps of x_i.
+        steps: (N, D) grid steps of the targets x'.
+        theta: slope of the gap, performance per grid step.
+
+    Returns:
+        (k, N) predicted performance.
+    """
     distance = np.sqrt(squared_distances(sources, steps))
     return np.asarray(training_performance[:, None] - theta * distance)

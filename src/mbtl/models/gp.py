@@ -8,9 +8,9 @@ Notation (shapes): n observations, M query points, D columns (grid steps).
     LML         -1/2 y' K^-1 y - 1/2 log|K| - n/2 log 2 pi
 
 The paper restarts a local optimiser 15 times. Two hyper-parameters and at most a few hundred points
-allow better: one eigendecomposition R = Q diag(e) Q' gives LML for *every* amplitude in O(n), so the
-length-scale alone is searched, on a grid fine enough to see each mode, and the best modes are then
-refined. No randomness, no restarts, and the same answer every time.
+allow better: one eigendecomposition R = Q diag(e) Q' gives LML for *every* amplitude in O(n), so
+the length-scale alone is searched, on a grid fine enough to see each mode, and the best modes are
+then refined. No randomness, no restarts, and the same answer every time.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.objective import Array
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 _BLOCK = 1 << 16  # query rows per block: 64 Ki rows x 45 observations is 24 MiB
@@ -124,7 +124,7 @@ class FittedGP:
         return mean, np.sqrt(np.maximum(variance, 0.0))
 
     def with_believed(self, points: Array) -> FittedGP:
-        """The same process after `points` were observed at their predicted means (pending picks)."""
+        """The same process with `points` (pending picks) observed at their predicted means."""
         mean, _ = self.predict(points)
         return FittedGP(
             np.vstack([self.points, points]),
@@ -190,7 +190,8 @@ class _Profile:
         self.squared, self.y = squared, y
         self.noise = settings.noise_std**2
         self.low, self.high = np.log(settings.length_bounds)
-        self.log_amplitudes = np.linspace(*np.log(settings.amplitude_bounds), 15)
+        lowest, highest = np.log(settings.amplitude_bounds)
+        self.log_amplitudes = np.linspace(lowest, highest, 15)
 
     def maximise(self) -> tuple[float, float]:
         """Global optimum (length, amplitude)."""
@@ -219,7 +220,7 @@ class _Profile:
         return self._best_amplitude(np.maximum(e, 0.0), np.square(self.y @ q))
 
     def _grid(self) -> Array:
-        """Log length-scales from the plateau R = I (one point stands for all of it) to the bound."""
+        """Log length-scales up to the bound, from one point that stands for the plateau R = I."""
         apart = self.squared[self.squared > 0]
         if apart.size == 0:  # one distinct point: LML does not depend on l; 1 is the paper's start
             return np.array([np.clip(0.0, self.low, self.high)])
@@ -230,7 +231,7 @@ class _Profile:
         return grid
 
     def _best_amplitude(self, e: Array, z2: Array) -> tuple[Array, Array]:
-        """Maximise over the amplitude, nearly: (m, n) spectra -> (m,) LML and (m,) log amplitudes."""
+        """(m, n) spectra -> (m,) LML at nearly the best amplitude, and (m,) log amplitudes."""
         scaled = np.exp(self.log_amplitudes)[:, None] * e[:, None, :] + self.noise
         grid = -0.5 * (z2[:, None, :] / scaled + np.log(scaled)).sum(axis=-1)
         log_c = self.log_amplitudes[grid.argmax(axis=1)]
@@ -269,9 +270,8 @@ class _Profile:
         z2 = np.square(z)
         low, high = self.log_amplitudes[0], self.log_amplitudes[-1]
         for _ in range(50):
-            moved = min(
-                max(log_c + float(self._amplitude_step(np.float64(log_c), e, z2)), low), high
-            )
+            step = float(self._amplitude_step(np.array(log_c), e, z2))
+            moved = min(max(log_c + step, low), high)
             log_c, change = moved, abs(moved - log_c)
             if change < 1e-5:  # Newton: the next error is the square of this
                 break

@@ -1,4 +1,4 @@
-"""The paper's own GP, scikit-learn with random restarts: the reference that `fit_gp` is held against."""
+"""The paper's own GP, scikit-learn with random restarts: what `fit_gp` is held against."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ def fit_sklearn(
     restarts: int = 15,
     seed: int = 0,
 ) -> FittedGP:
-    """Fit by `GaussianProcessRegressor`: Constant x RBF, fixed noise, L-BFGS from 1 + `restarts` starts.
+    """Fit by `GaussianProcessRegressor`: Constant x RBF with fixed noise.
+
+    L-BFGS climbs the likelihood from 1 + `restarts` starts.
 
     Args:
         points: (n, D) or (n,) locations in grid steps.

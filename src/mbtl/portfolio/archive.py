@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput, StorageError
-from mbtl.objective import Array
 from mbtl.portfolio.mlp import MLPPolicy, is_mlp_folder
 
 FORMAT = 1

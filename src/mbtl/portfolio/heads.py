@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.objective import Array
 
 Array32 = NDArray[np.float32]
 

@@ -22,8 +22,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput, StorageError
-from mbtl.objective import Array
 from mbtl.portfolio.heads import Array32, BoxHead, DiscreteHead, head_record, read_head
 
 FORMAT = 1

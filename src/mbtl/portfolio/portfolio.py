@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Value
 from mbtl.errors import InvalidInput, StorageError
-from mbtl.objective import Array, Bounds, generalisation_performance, value
+from mbtl.objective import Bounds, generalisation_performance, value
 from mbtl.portfolio import router
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
 from mbtl.portfolio.choice import Choice, explanation, shown

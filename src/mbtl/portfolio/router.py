@@ -24,9 +24,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mbtl.arrays import Array
 from mbtl.contexts import Categorical, ContextSpace, Value
 from mbtl.errors import ContextMismatch
-from mbtl.objective import Array
 
 Basis = Literal["observed", "interpolated", "gap model"]
 Indices = NDArray[np.intp]

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.errors import StorageError, missing_extra
-from mbtl.objective import Array
 from mbtl.report.reference import ReferenceCurves
 from mbtl.report.summary import StudySummary
 from mbtl.report.text import shown

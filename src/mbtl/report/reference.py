@@ -1,4 +1,7 @@
-"""Reference curves beside a study: Random, Greedy and the Oracle on a shipped matrix of the same recipe."""
+"""Reference curves beside a study: Random, Greedy and the Oracle on a shipped transfer matrix.
+
+They are shown only when the matrix was trained by the recipe of the study.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.benchmark import compare, load_matrix, reference, shipped_matrices
-from mbtl.objective import Array
 from mbtl.study import Study
 
 
@@ -29,7 +32,7 @@ class ReferenceCurves:
 
 
 def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
-    """Curves of a shipped matrix whose recipe is this study's, and a sentence that says what was found."""
+    """Curves of a shipped matrix whose recipe is this study's, and a sentence on what was found."""
     name, recipe = study.spec.problem, study.spec.settings.get("recipe")
     if name not in shipped_matrices():
         return None, f"no reference curves: no transfer matrix of {name!r} is shipped"

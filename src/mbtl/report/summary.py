@@ -1,7 +1,7 @@
 """The summary of a study: every number that the terminal, the JSON and the pictures show.
 
-Notation (shapes): k policies told, N contexts. V is performance. V on fresh episodes is the honest one:
-the rows that chose the routes are noisy, so their own maximum is biased upwards.
+Notation (shapes): k policies told, N contexts. V is performance. V on fresh episodes is the honest
+one: the rows that chose the routes are noisy, so their own maximum is biased upwards.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.objective import Array, value
+from mbtl.objective import value
 from mbtl.selectors.mbtl_ei import predicted_gain
 from mbtl.study import Study
-from mbtl.study.runner import fresh_curve
+from mbtl.study.fresh import fresh_curve
 
 ENOUGH = 0.99
 """Share of the portfolio's gain over its best single policy that counts as all of it."""
@@ -100,11 +101,12 @@ class StudySummary:
         """Whether one policy or more would do, in a sentence."""
         if self.value is None or self.best_single_value is None:
             return "No policy was trained yet."
-        gain = self.value - self.best_single_value
+        single = self.best_single_value
+        gain = self.value - single
         if gain < 0.01:
-            return f"One policy would do: the others add {gain:.4f} to its {self.best_single_value:.4f}."
+            return f"One policy would do: the others add {gain:.4f} to its {single:.4f}."
         return (
-            f"One policy would not do: the best alone reaches {self.best_single_value:.4f}, all "
+            f"One policy would not do: the best alone reaches {single:.4f}, all "
             f"{len(self.told)} reach {self.value:.4f}, and {self.policies_enough} of them give "
             f"{ENOUGH:.0%} of that gain."
         )
@@ -129,9 +131,17 @@ def summarise_study(study: Study) -> StudySummary:
     }
     if not len(history):
         return StudySummary(
-            **common, episodes=0, value=None, fresh_value=None, best_single=None,
-            best_single_value=None, policies_enough=None, next_source=None, next_gain=None, serving=(),
-        )  # fmt: skip
+            **common,
+            episodes=0,
+            value=None,
+            fresh_value=None,
+            best_single=None,
+            best_single_value=None,
+            policies_enough=None,
+            next_source=None,
+            next_gain=None,
+            serving=(),
+        )
     singles = history.rows @ weights
     best_single = int(singles.argmax())
     coming = predicted_gain(study.problem, history)
@@ -183,11 +193,17 @@ def _picks(study: Study, curve: Array, fresh: Array | None) -> tuple[PickSummary
     ]
     failed = [
         PickSummary(
-            f.pick, f.source, space.context(f.source), reasons[f.pick], f"failed: {f.reason}",
-            None, None, None,
+            f.pick,
+            f.source,
+            space.context(f.source),
+            reasons[f.pick],
+            f"failed: {f.reason}",
+            value=None,
+            fresh_value=None,
+            seconds=None,
         )
         for f in state.failures
-    ]  # fmt: skip
+    ]
     held = [
         PickSummary(n, p.source, space.context(p.source), p.reason, "open", None, None, None)
         for n, p in state.open_picks.items()

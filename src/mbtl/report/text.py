@@ -12,7 +12,8 @@ from mbtl.report.summary import StudySummary
 
 def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) -> None:
     """Print the summary: the picks, V, the verdict, what one more pick would bring."""
-    title = f"{summary.problem or 'study'}: {summary.selector}, K = {summary.budget}, N = {summary.n_contexts}"
+    size = f"K = {summary.budget}, N = {summary.n_contexts}"
+    title = f"{summary.problem or 'study'}: {summary.selector}, {size}"
     table = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)
     for head in ("pick", "trained on", "V", "V fresh", "minutes"):
         table.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
@@ -35,15 +36,18 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     """The sentences under the table."""
     worst, best = summary.bounds
     out = [
-        f"Performance 0 and 1 are returns of {worst:g} and {best:g}; {summary.episodes} episodes a target."
+        f"Performance 0 and 1 are returns of {worst:g} and {best:g}; "
+        f"{summary.episodes} episodes a target."
     ]
     if summary.fresh_value is not None:
         out.append(
-            f"V = {summary.fresh_value:.4f} on fresh episodes (selecting episodes: {summary.value:.4f})."
+            f"V = {summary.fresh_value:.4f} on fresh episodes "
+            f"(selecting episodes: {summary.value:.4f})."
         )
     elif summary.value is not None:
         out.append(
-            f"V = {summary.value:.4f} on the selecting episodes, which flatters; no fresh ones were run."
+            f"V = {summary.value:.4f} on the selecting episodes, which flatters; "
+            "no fresh ones were run."
         )
     out.append(summary.verdict)
     if summary.next_source is not None and summary.next_gain is not None:

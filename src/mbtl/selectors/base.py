@@ -13,14 +13,14 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.history import History
-from mbtl.objective import Array
 
 
 def default_theta(n: int) -> float:
-    """Slope of the linear gap, performance per grid step: 0.005 up to N = 100, then 0.5 per span."""
+    """Slope of the linear gap, performance per grid step: 0.005 to N = 100, then 0.5 per span."""
     return 0.005 if n <= 100 else 0.5 / (n - 1)
 
 
@@ -29,7 +29,7 @@ class SelectionProblem:
     """What a selector may know before any training.
 
     Attributes:
-        unit: (N, D) unit-cube coordinates of the contexts; candidates and targets are the same list.
+        unit: (N, D) unit-cube coordinates of the contexts; candidates and targets are one list.
         steps: (N, D) grid-step coordinates.
         weights: (N,) target weights, sum 1.
         budget: number of trainings K.
@@ -66,7 +66,7 @@ class SelectionProblem:
     @property
     def is_line(self) -> bool:
         """True when the contexts lie on one numeric axis."""
-        return self.steps.shape[1] == 1
+        return bool(self.steps.shape[1] == 1)
 
     @cached_property
     def line(self) -> Array:

@@ -12,7 +12,7 @@ from mbtl.selectors.base import Proposal, SelectionProblem, nearest_open, open_c
 
 @dataclass(frozen=True)
 class Equidistant:
-    """The K cell midpoints of a fixed budget K, on one axis; the budget must be known beforehand."""
+    """The K cell midpoints of a fixed budget K, on one axis; K must be known beforehand."""
 
     name: str = "equidistant"
 

@@ -1,5 +1,6 @@
-"""Greedy: split the widest gap. Optimal steps if training performance is constant and the gap linear.
+"""Greedy: split the widest gap.
 
+Each step is optimal if the training performance is constant and the gap linear.
 Source: cmdp-spec 8.1, "pseudo-greedy" of the released code; needs no returns.
 """
 

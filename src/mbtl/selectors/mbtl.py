@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.acquisition import linear_gap_gain
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models import FittedGap, FittedGP, GPSettings, LinearGap, fit_gp, predicted_rows
 from mbtl.models.gp import Fitter
-from mbtl.objective import Array
 from mbtl.selectors.base import Proposal, SelectionProblem, centre, nearest_open, open_candidates
 from mbtl.selectors.model_based import (
     choose,

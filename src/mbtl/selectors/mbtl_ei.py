@@ -41,8 +41,8 @@ class MBTLEI(MBTL):
 def predicted_gain(problem: SelectionProblem, history: History) -> Proposal | None:
     """The expected gain in V of the best next pick, by the model of `MBTLEI`; None if none is left.
 
-    The gain is `Proposal.acquisition`, units of performance. It rests on a linear gap and a Gaussian
-    training performance, so it is a guide, not a promise.
+    The gain is `Proposal.acquisition`, units of performance. It rests on a linear gap and a
+    Gaussian training performance, so it is a guide, not a promise.
     """
     mask = history.open_mask(problem.n)
     if not mask.any() or not np.isfinite(history.training_performance).any():

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbtl.acquisition import linear_gap_gain
+from mbtl.arrays import Array
 from mbtl.history import History
 from mbtl.models import GPSettings, fit_gp
 from mbtl.models.gp import Fitter
-from mbtl.objective import Array
 from mbtl.selectors.base import Proposal, SelectionProblem, open_candidates
 from mbtl.selectors.mbtl import start
 from mbtl.selectors.model_based import choose, fit_posterior, observed_incumbent
@@ -20,9 +20,9 @@ from mbtl.selectors.model_based import choose, fit_posterior, observed_incumbent
 class MBTLRelease:
     """The released rules: no warm-up, lambda = sqrt(log(n + 1)), GP noise std 0.1, incumbent >= 0.
 
-    The GP is fitted to the best score on each source right after it was trained, so to the larger of
-    its own and an earlier transferred one. Ties: the release leaves them to an unstable sort; here
-    the lowest index.
+    The GP is fitted to the best score on each source right after it was trained, so to the larger
+    of its own and an earlier transferred one. Ties: the release leaves them to an unstable sort;
+    here the lowest index.
     """
 
     gp: GPSettings = field(default_factory=lambda: GPSettings(noise_std=0.1))

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.acquisition import argmax_open
+from mbtl.arrays import Array
 from mbtl.errors import MbtlError
 from mbtl.history import History
 from mbtl.models import FittedGP, GPSettings, fit_gp, predicted_rows
 from mbtl.models.gp import Fitter, squared_distances
-from mbtl.objective import Array
 from mbtl.selectors.base import Proposal, SelectionProblem
 
 _NOTHING = 1e-12  # cmdp-spec 8.2: an acquisition below this everywhere says nothing
@@ -45,7 +45,7 @@ def fit_posterior(
 
 
 def _fallback(points: Array, y: Array, settings: GPSettings, reason: str) -> FittedGP:
-    """A GP that needs no fit: amplitude mean(y^2), length the median distance; noted in the study."""
+    """A GP without a fit: amplitude mean(y^2), length the median distance; noted in the study."""
     length = float(np.sqrt(np.median(squared_distances(points, points)))) or 1.0
     amplitude = float(np.mean(np.square(y))) or 1.0
     note = f"GP fit failed ({reason}); used amplitude {amplitude:.3g} and length {length:.3g}"
@@ -61,13 +61,14 @@ def observed_incumbent(
     A target nobody was evaluated on counts as performance 0.
     """
     best = np.where(np.isfinite(history.best), history.best, 0.0)
-    return np.fmax(best, _believed_rows(problem, history, gp, theta).max(axis=0, initial=-np.inf))
+    believed = _believed_rows(problem, history, gp, theta)
+    return np.asarray(np.fmax(best, believed.max(axis=0, initial=-np.inf)))
 
 
 def predicted_incumbent(
     problem: SelectionProblem, history: History, gp: FittedGP, theta: float
 ) -> Array:
-    """(N,) max_i J(pi_i, x_i) - theta |x_i - x'|: for users who evaluate only on the source itself."""
+    """(N,) max_i J(pi_i, x_i) - theta |x_i - x'|: for rows evaluated on the source itself only."""
     own = history.training_performance
     seen = np.isfinite(own)
     sources = np.asarray(history.sources, dtype=np.intp)[seen]

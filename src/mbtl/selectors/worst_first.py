@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.acquisition import TIE
+from mbtl.arrays import Array
 from mbtl.history import History
-from mbtl.objective import Array
 from mbtl.selectors.base import Proposal, SelectionProblem, centre, nearest_open, open_candidates
 
 

@@ -1,8 +1,9 @@
 """Study: ask, tell, run. Storage is an event log; state is a replay of it."""
 
 from mbtl.study.callbacks import Callback
+from mbtl.study.create import create_study, load_study
 from mbtl.study.storage import EventLog, MemoryLog, SqlLog, study_names
-from mbtl.study.study import Pick, Study, StudyFinished, create_study, load_study
+from mbtl.study.study import Pick, Study, StudyFinished
 
 __all__ = [
     "Callback",

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
-from mbtl.objective import Array
+from mbtl.arrays import Array
 
 Kind = Literal["created", "asked", "claimed", "released", "told", "failed", "reported"]
 KINDS: tuple[str, ...] = get_args(Kind)

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.errors import StorageError
 from mbtl.history import History
-from mbtl.objective import Array, Bounds, Direction
+from mbtl.objective import Bounds, Direction
 from mbtl.study.events import Event
 from mbtl.study.worker import Worker
 

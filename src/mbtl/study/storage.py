@@ -153,8 +153,19 @@ def sqlite_path(url: str) -> Path | None:
 
 
 def _open(url: str, *, create: bool) -> tuple[Engine, Table]:
-    from sqlalchemy import Column, Float, Integer, LargeBinary, MetaData, String, Table, Text
-    from sqlalchemy import create_engine, event, inspect
+    from sqlalchemy import (
+        Column,
+        Float,
+        Integer,
+        LargeBinary,
+        MetaData,
+        String,
+        Table,
+        Text,
+        create_engine,
+        event,
+        inspect,
+    )
     from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 
     path = sqlite_path(url)
@@ -165,8 +176,8 @@ def _open(url: str, *, create: bool) -> tuple[Engine, Table]:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise StorageError(
-                f"a study needs a folder it can write to, and {path.parent} is not ({error.strerror}); "
-                "choose another with --study or storage="
+                f"a study needs a folder it can write to, and {path.parent} is not "
+                f"({error.strerror}); choose another with --study or storage="
             ) from error
     try:
         engine = create_engine(url)
@@ -217,12 +228,12 @@ def _database_errors(url: str) -> Iterator[None]:
         cause = str(error.orig)
         if "not a database" in cause or "malformed" in cause:
             raise StorageError(
-                f"{url} is corrupt or not a study database ({cause}); restore a copy, or start a new "
-                "study elsewhere"
+                f"{url} is corrupt or not a study database ({cause}); restore a copy, or start a "
+                "new study elsewhere"
             ) from error
         raise StorageError(
-            f"the study at {url} could not be read or written ({cause}); what was told before is kept: "
-            "free space or mend access, then run the same command again"
+            f"the study at {url} could not be read or written ({cause}); what was told before is "
+            "kept: free space or mend access, then run the same command again"
         ) from error
 
 

@@ -14,8 +14,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.objective import Array
 
 Form = Literal["corrected", "printed"]
 """The correct formula, or the one the paper prints."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.objective import Array
 
 _TIE = 1e-12
 

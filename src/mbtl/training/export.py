@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.errors import missing_extra
-from mbtl.objective import Array
 from mbtl.portfolio import BoxHead, DiscreteHead, MLPPolicy
 
 _PROBES = 96

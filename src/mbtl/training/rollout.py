@@ -15,8 +15,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.errors import TrainingFailed
-from mbtl.objective import Array
 
 ROWS = 32
 """Observations per forward pass. Measured on 64-64 networks: 32 rows cost about twice one row."""

@@ -15,9 +15,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, TrainingFailed, missing_extra
-from mbtl.objective import Array
 from mbtl.seeds import Purpose, derive_seed, episode_seed
 from mbtl.trainer import OnProgress, checked_returns
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
@@ -125,6 +125,8 @@ class SB3Trainer:
                 tensorboard_log=self._log_folder(),
                 **settings,
             )
+            if self.tensorboard is None:
+                _log_nowhere(model)
             watch = Watch(model, self.timesteps, on_progress, best)
             _learn(model, self.timesteps, watch, _run_name(context, seed))
             if best is not None:
@@ -165,7 +167,7 @@ class SB3Trainer:
 
     @property
     def recipe(self) -> dict[str, Any]:
-        """Everything that decides the policies and their returns, JSON-able; not the place or speed."""
+        """What decides the policies and their returns, JSON-able; not the place or speed."""
         algorithm = self.algorithm if isinstance(self.algorithm, str) else self.algorithm.__name__
         policy = self.policy if isinstance(self.policy, str) else self.policy.__name__
         return {
@@ -230,6 +232,13 @@ def _monitored(make_env: Callable[[Context], Any], context: Context) -> Any:
     from stable_baselines3.common.monitor import Monitor
 
     return Monitor(make_env(context))
+
+
+def _log_nowhere(model: Any) -> None:
+    """Keep the library from making an empty temporary folder for each training."""
+    from stable_baselines3.common.logger import Logger
+
+    model.set_logger(Logger(folder=None, output_formats=[]))
 
 
 def _learn(model: Any, timesteps: int, watch: Watch, run_name: str) -> None:

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 
 class TensorBoardCallback(Callback):
-    """Writes `study/V`, `study/source`, `study/training_performance` per pick, and training metrics.
+    """Writes the metrics of each training, and three numbers per pick.
+
+    These are `study/V`, `study/source` and `study/training_performance`.
 
     Args:
         folder: where TensorBoard looks.

@@ -1,0 +1,186 @@
+"""Making and opening studies: settings are checked here, once, before anything is stored."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mbtl.contexts import ContextSpace
+from mbtl.errors import InvalidInput, StudyError, StudyMismatch
+from mbtl.objective import Bounds, Direction
+from mbtl.selectors import SelectionProblem, Selector, get_selector, selector_names
+from mbtl.study.events import Event
+from mbtl.study.state import StudySpec
+from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog, sqlite_path, study_names
+from mbtl.study.study import Study
+from mbtl.version import __version__
+
+
+def create_study(
+    space: ContextSpace,
+    *,
+    budget: int,
+    selector: str | Selector = "mbtl",
+    bounds: tuple[float, float] | None = None,
+    direction: Direction = "maximize",
+    theta: float | None = None,
+    seed: int = 0,
+    trial: int = 0,
+    stop_value: float | None = None,
+    cost_budget: float | None = None,
+    storage: str | Path | None = None,
+    name: str = "study",
+    problem: str = "",
+    settings: Mapping[str, Any] | None = None,
+    load_if_exists: bool = False,
+) -> Study:
+    """Start a study.
+
+    Args:
+        space: the contexts; sources and targets.
+        budget: number of trainings K, 1..N.
+        selector: a registered name, or an object with `propose`.
+        bounds: (low, high) of the returns; None takes the range told so far.
+        direction: "maximize" or "minimize" the returns.
+        theta: slope of the linear gap, performance per grid step; None: 0.005, or 0.5/(N-1) for
+            N > 100.
+        seed: root of the seed tree.
+        trial: repetition; another trial has other training seeds.
+        stop_value: end when V reaches this performance; needs bounds.
+        cost_budget: end when the costs told add up to this.
+        storage: path of an SQLite file or an SQLAlchemy URL; None keeps the study in memory.
+        name: name of the study within its storage.
+        problem: id of the problem, to refuse a study of another one.
+        settings: JSON-able record of the training recipe, to refuse a study of another one.
+        load_if_exists: go on with an existing study of the same name and the same settings.
+
+    Raises:
+        InvalidInput: budget out of range, bounds reversed, unknown selector, ...
+        StudyError: a study of this name exists and `load_if_exists` is False.
+        StudyMismatch: it exists with other settings.
+        StorageError: the storage cannot be written.
+    """
+    chosen = get_selector(selector)
+    if bounds is not None:
+        Bounds(float(bounds[0]), float(bounds[1]), direction)
+    if direction not in ("maximize", "minimize"):
+        raise InvalidInput(f"direction must be 'maximize' or 'minimize', got {direction!r}")
+    if stop_value is not None and bounds is None:
+        raise InvalidInput("stop_value is a performance, so it needs bounds=(low, high); got none")
+    if cost_budget is not None and not cost_budget > 0:
+        raise InvalidInput(f"cost_budget must be > 0, got {cost_budget!r}")
+    if seed < 0 or trial < 0:
+        raise InvalidInput(f"seed and trial must be >= 0, got {seed} and {trial}")
+    SelectionProblem.of(space, budget=budget, theta=theta)
+    spec = StudySpec(
+        space,
+        budget,
+        describe_selector(chosen),
+        (float(bounds[0]), float(bounds[1])) if bounds is not None else None,
+        direction,
+        theta,
+        seed,
+        trial,
+        stop_value,
+        cost_budget,
+        problem,
+        dict(settings or {}),
+    )
+    log: EventLog = MemoryLog() if storage is None else SqlLog(storage, name, create=True)
+    event = Event("created", {"spec": spec.to_json(), "version": __version__})
+    try:
+        log.append(event, after=0)
+    except Conflict:
+        study = Study(log, chosen, folder=_folder(storage), name=name)
+        if not load_if_exists:
+            raise StudyError(
+                f"a study named {name!r} exists in {storage}; load it, or choose another name"
+            ) from None
+        _check_same(study.spec, spec)
+        return study
+    return Study(log, chosen, folder=_folder(storage), name=name)
+
+
+def load_study(
+    storage: str | Path, name: str | None = None, *, selector: Selector | None = None
+) -> Study:
+    """Open an existing study.
+
+    Args:
+        storage: path of the SQLite file (or of the folder that holds `study.db`), or a URL.
+        name: name of the study; needed only when the storage holds several.
+        selector: the selector object, for studies made with one that has no registered name.
+
+    Raises:
+        StorageError: no database there, or a damaged one.
+        StudyError: no such study, or several and no name.
+    """
+    place = storage
+    if "://" not in str(storage) and Path(storage).is_dir():
+        place = Path(storage) / "study.db"
+    if name is None:
+        names = study_names(place)
+        if len(names) != 1:
+            raise StudyError(
+                f"{place} holds {len(names)} studies ({', '.join(names)}); give a name"
+            )
+        name = names[0]
+    log = SqlLog(place, name)
+    created = next(iter(log.read()), None)
+    if created is None or created.kind != "created":
+        raise StudyError(f"there is no study {name!r} in {place}; it holds {study_names(place)}")
+    spec = StudySpec.from_json(created.data["spec"])
+    if selector is None:
+        registered = str(spec.selector["name"])
+        if registered not in selector_names():
+            raise StudyError(
+                f"this study was made with the selector {registered!r}; give it as selector="
+            )
+        selector = get_selector(registered)
+    if describe_selector(selector) != dict(spec.selector):
+        raise StudyMismatch(
+            f"this study was made with the selector {dict(spec.selector)}, got "
+            f"{describe_selector(selector)}; give the same one as selector="
+        )
+    return Study(log, selector, folder=_folder(place), name=name)
+
+
+def describe_selector(selector: Selector) -> dict[str, Any]:
+    """Name and settings of a selector, JSON-able and the same in every process."""
+
+    def plain(value: Any) -> Any:
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        if isinstance(value, (list, tuple)):
+            return [plain(item) for item in value]
+        if value is None or isinstance(value, (str, int, float, bool)):
+            return value
+        return getattr(value, "__qualname__", type(value).__qualname__)
+
+    settings = plain(selector)
+    if not isinstance(settings, dict):
+        settings = {"class": settings}
+    return {**settings, "name": selector.name}
+
+
+def _folder(storage: str | Path | None) -> Path | None:
+    if storage is None:
+        return None
+    if "://" not in str(storage):
+        return Path(storage).parent
+    path = sqlite_path(str(storage))
+    return path.parent if path else None
+
+
+def _check_same(stored: StudySpec, given: StudySpec) -> None:
+    old, new = stored.to_json(), given.to_json()
+    changed = [key for key in new if old[key] != new[key]]
+    if changed:
+        key = changed[0]
+        was, now = (old[key], new[key]) if key != "space" else (stored.space, given.space)
+        raise StudyMismatch(
+            f"a stored study goes on only with the settings it was made with: {key} was {was!r}, "
+            f"got {now!r}; repeat the old setting, or start afresh with --new (or another name)"
+        )

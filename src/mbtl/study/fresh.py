@@ -1,0 +1,70 @@
+"""V for people: the routed policies on fresh evaluation seeds.
+
+The rows that choose the routes are noisy, so their maximum is biased upwards. The episodes here
+chose nothing.
+
+Notation (shapes): k policies in training order, N contexts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.arrays import Array
+from mbtl.seeds import Purpose, evaluation_seed
+from mbtl.study.study import Study
+from mbtl.trainer import Trainer, checked_returns
+
+Indices = NDArray[np.intp]
+
+
+def can_report(study: Study) -> bool:
+    """True when there is something to report and every policy is at hand."""
+    state = study.state
+    at_hand = all(row.policy or row.source in study.policies for row in state.rows)
+    return bool(state.rows) and state.fresh_returns is None and at_hand
+
+
+def report_fresh_returns(study: Study, trainer: Trainer) -> Array:
+    """Evaluate on fresh seeds each policy where it served at some k; record and return (k, N).
+
+    The rows that chose the routes are noisy, so their maximum is biased upwards; these episodes
+    chose nothing.
+    """
+    history = study.history
+    portfolio = study.portfolio(trainer)
+    seed = evaluation_seed(study.spec.seed, study.spec.trial, Purpose.REPORT)
+    fresh = np.full(history.rows.shape, np.nan)
+    for i, targets in enumerate(served_targets(history.rows)):
+        if targets.size:
+            contexts = [study.space.context(int(t)) for t in targets]
+            returns = trainer.evaluate(portfolio.policy(i), contexts, seed)
+            fresh[i, targets] = checked_returns(returns, targets.size).mean(axis=1)
+    study.record_fresh_returns(fresh)
+    return fresh
+
+
+def served_targets(rows: Array) -> list[Indices]:
+    """For each of k rows, the targets it serves after 1, 2, ... or k trainings."""
+    routes = routes_by_k(rows)
+    return [np.flatnonzero((routes == i).any(axis=0)) for i in range(len(rows))]
+
+
+def routes_by_k(rows: Array) -> Indices:
+    """(k, N) row index that serves each target after 1..k trainings; the first of equals."""
+    running = np.maximum.accumulate(rows, axis=0)
+    improved = np.vstack([np.ones((1, rows.shape[1]), dtype=bool), running[1:] > running[:-1]])
+    index = np.where(improved, np.arange(len(rows))[:, None], 0)
+    return np.asarray(np.maximum.accumulate(index, axis=0))
+
+
+def fresh_curve(study: Study) -> Array | None:
+    """(k,) V after each training, routed by the selecting rows, measured on fresh episodes."""
+    fresh = study.state.fresh_returns
+    if fresh is None:
+        return None
+    performance = study.bounds.normalise(fresh)
+    routes = routes_by_k(study.history.rows)
+    routed = np.take_along_axis(performance, routes, axis=0)
+    return np.asarray(routed @ study.space.weights)

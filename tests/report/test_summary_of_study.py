@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+
+import mbtl
+from mbtl.report import reference_curves, summarise_study
+from mbtl.report.plots import plot_curve, plot_policy_map
+from mbtl.report.reference import ReferenceCurves
+from mbtl.report.summary import policies_enough
+from mbtl.report.text import lines, shown
+
+N = 20
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0, unit="m"): N})
+
+
+def row(source):
+    return 0.9 - 0.02 * np.abs(source - np.arange(N))
+
+
+def study_of(picks, **settings):
+    study = mbtl.create_study(SPACE, budget=6, bounds=(0.0, 1.0), problem="toy", **settings)
+    for _ in range(picks):
+        pick = study.ask()
+        study.tell(pick, row(pick.source))
+    return study
+
+
+def test_numbers_of_a_known_study():
+    summary = summarise_study(study_of(4))
+    assert [p.source for p in summary.picks] == [9, 19, 0, 14]
+    assert summary.value == pytest.approx(np.max([row(s) for s in (9, 19, 0, 14)], axis=0).mean())
+    assert summary.best_single == 9
+    assert summary.best_single_value == pytest.approx(row(9).mean())
+    assert summary.serving == tuple([0] * 5 + [9] * 7 + [14] * 5 + [19] * 3)
+    assert summary.next_source in set(range(N)) - {0, 9, 14, 19}
+    assert 0 < summary.next_gain < 0.1
+    assert summary.finished is None
+
+
+def test_a_study_without_rows_has_a_summary():
+    summary = summarise_study(study_of(0))
+    assert summary.value is None
+    assert "No policy" in summary.verdict
+    assert summary.to_json()["picks"] == ()
+
+
+def test_failures_and_open_picks_are_listed():
+    study = study_of(1)
+    study.fail(study.ask(), "diverged")
+    study.ask()
+    statuses = [p.status for p in summarise_study(study).picks]
+    assert statuses == ["told", "failed: diverged", "open"]
+
+
+def test_fresh_episodes_are_the_headline_when_measured():
+    study = study_of(4)
+    study.record_fresh_returns(np.array([r.returns for r in study.state.rows]) - 0.1)
+    summary = summarise_study(study)
+    assert summary.fresh_value == pytest.approx(summary.value - 0.1)
+    assert f"V = {summary.fresh_value:.4f} on fresh episodes" in " ".join(lines(summary, SPACE))
+
+
+def test_verdict_tells_one_policy_from_many():
+    flat = mbtl.create_study(SPACE, budget=3, bounds=(0.0, 1.0))
+    for _ in range(3):
+        flat.tell(flat.ask(), np.full(N, 0.8))
+    assert "One policy would do" in summarise_study(flat).verdict
+    assert "One policy would not do" in summarise_study(study_of(4)).verdict
+
+
+def test_fewest_policies_for_nearly_all_the_gain():
+    rows = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.9, 0.9, 0.9]])
+    weights = np.full(3, 1 / 3)
+    assert policies_enough(rows[3:], weights) == 1
+    assert policies_enough(rows[:3], weights) == 3
+    assert policies_enough(np.array([[0.5, 0.5], [0.5, 0.5]]), np.full(2, 0.5)) == 1
+
+
+def test_contexts_are_shown_with_their_units():
+    assert shown({"x": 0.123456}, SPACE) == "x = 0.1235 m"
+
+
+def test_reference_curves_are_omitted_and_said():
+    curves, note = reference_curves(study_of(1))
+    assert curves is None
+    assert "no transfer matrix of 'toy'" in note
+
+
+def test_reference_curves_need_the_same_recipe(tmp_path, monkeypatch):
+    from mbtl.benchmark import TransferMatrix, save_shipped, shipped
+
+    rng = np.random.default_rng(0)
+    returns = np.array([[row(s) for s in range(N)]] * 2) + 0.01 * rng.standard_normal((2, N, N))
+    seeds = {"seeds": [{"recipe": {"timesteps": 5}}] * 2}
+    matrix = TransferMatrix.of(returns, space=SPACE, bounds=(0, 1), provenance=seeds)
+    save_shipped(matrix, tmp_path, "toy")
+    monkeypatch.setattr(
+        "mbtl.report.reference.shipped_matrices", lambda: shipped.shipped_matrices(tmp_path)
+    )
+    monkeypatch.setattr(
+        "mbtl.report.reference.load_matrix", lambda name: shipped.load_matrix(name, folder=tmp_path)
+    )
+    other, note = reference_curves(study_of(1, settings={"recipe": {"timesteps": 6}}))
+    assert other is None
+    assert "another recipe" in note
+    same, _ = reference_curves(study_of(1, settings={"recipe": {"timesteps": 5}}))
+    assert same.random.shape == same.greedy.shape == same.oracle.shape == (2, 6)
+    assert (same.oracle[:, -1] >= same.random[:, -1]).all()
+
+
+def test_pictures_are_drawn_from_the_summary(tmp_path):
+    study = study_of(4)
+    summary = summarise_study(study)
+    curves = ReferenceCurves(
+        "toy", np.full((2, 6), 0.5), np.full((2, 6), 0.6), np.full((2, 6), 0.9)
+    )
+    performance = study.history.best
+    for path in (
+        plot_curve(summary, tmp_path / "a" / "curve.png", curves),
+        plot_policy_map(summary, SPACE, performance, tmp_path / "map.png"),
+    ):
+        assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_picture_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(mbtl.MbtlError, match="choose another place"):
+        plot_curve(summarise_study(study_of(2)), tmp_path / "file" / "x.png")
