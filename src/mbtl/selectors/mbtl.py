@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.acquisition import linear_gap_gain
+from mbtl.acquisition import expected_gain, linear_gap_gain
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
@@ -32,13 +32,14 @@ Incumbent = Literal["observed", "predicted"]
 
 @dataclass(frozen=True)
 class MBTL:
-    """Model-based transfer learning with an upper confidence bound.
+    """Model-based transfer learning.
 
     k = 1: the middle. k = 2 .. 1 + warm_up: the worst-served context. Then
     argmax_x E_x' [ mu(x) + sqrt(beta_k) sigma(x) - theta |x - x'| - best(x') ]_+ with
-    beta_k = 2 log(N k^2).
+    beta_k = 2 log(N k^2), or the expected gain.
 
     Attributes:
+        acquisition: "ucb", the paper's optimistic gain, or "ei", the expected gain.
         warm_up: number of worst-first picks after the first (paper: 3); they count towards K.
         gp: kernel bounds and noise (paper: noise std 0.001).
         gap: "given" uses the problem's theta; "fitted" estimates it from the rows seen.
@@ -46,6 +47,7 @@ class MBTL:
         fitter: `fit_gp`, or `fit_sklearn` for the paper's own optimiser.
     """
 
+    acquisition: Literal["ucb", "ei"] = "ucb"
     warm_up: int = 3
     gp: GPSettings = field(default_factory=GPSettings)
     gap: Literal["given", "fitted"] = "given"
@@ -57,6 +59,7 @@ class MBTL:
         if self.warm_up < 0:
             raise InvalidInput(f"warm_up must be >= 0, got {self.warm_up}")
         for option, given, known in (
+            ("acquisition", self.acquisition, ("ucb", "ei")),
             ("gap", self.gap, ("given", "fitted")),
             ("incumbent", self.incumbent, ("observed", "predicted")),
         ):
@@ -83,14 +86,16 @@ class MBTL:
         gp: FittedGP,
         theta: float,
     ) -> Proposal:
-        """The optimistic gain and its argmax."""
-        mean, std = gp.predict(problem.steps)
+        """The acquisition and its argmax over the open contexts."""
+        where, weights = problem.steps, problem.weights
+        mean, std = gp.predict(where)
+        best = self.best(problem, history, gp, theta)
+        if self.acquisition == "ei":
+            gain = expected_gain(mean, std, where, where, best, weights, theta=theta)
+            return choose(gain, std, mask, "largest expected gain", gp.notes)
         k = len(history) + len(history.pending) + 1
         upper = mean + np.sqrt(beta_experiments(k, problem.n)) * std
-        best = self.best(problem, history, gp, theta)
-        gain = linear_gap_gain(
-            upper, problem.steps, problem.steps, best, problem.weights, theta=theta
-        )
+        gain = linear_gap_gain(upper, where, where, best, weights, theta=theta)
         return choose(gain, std, mask, "largest optimistic gain", gp.notes)
 
     def theta(self, problem: SelectionProblem, history: History) -> float:

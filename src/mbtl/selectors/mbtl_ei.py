@@ -3,39 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mbtl.acquisition import expected_gain
 from mbtl.history import History
-from mbtl.models import FittedGP
 from mbtl.selectors.base import Proposal, SelectionProblem
 from mbtl.selectors.mbtl import MBTL
-from mbtl.selectors.model_based import choose, fit_posterior
+from mbtl.selectors.model_based import fit_posterior
 
 
 @dataclass(frozen=True)
 class MBTLEI(MBTL):
     """`MBTL` whose acquisition is E_x' [ m Phi(m/s) + s phi(m/s) ]; see `expected_gain`."""
 
+    acquisition: Literal["ucb", "ei"] = "ei"
     name: str = "mbtl-ei"
-
-    def acquire(
-        self,
-        problem: SelectionProblem,
-        history: History,
-        mask: NDArray[np.bool_],
-        gp: FittedGP,
-        theta: float,
-    ) -> Proposal:
-        """The expected gain and its argmax."""
-        mean, std = gp.predict(problem.steps)
-        best = self.best(problem, history, gp, theta)
-        gain = expected_gain(
-            mean, std, problem.steps, problem.steps, best, problem.weights, theta=theta
-        )
-        return choose(gain, std, mask, "largest expected gain", gp.notes)
 
 
 def predicted_gain(problem: SelectionProblem, history: History) -> Proposal | None:
