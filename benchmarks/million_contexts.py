@@ -17,8 +17,8 @@ import numpy as np
 from measure import Cost, cost_of, digits, note, peak_gib
 
 from mbtl.acquisition import line_gain, optimistic_gain
-from mbtl.history import History
 from mbtl.arrays import Array, uniform_weights
+from mbtl.history import History
 from mbtl.selectors import MBTL
 from mbtl.selectors.base import SelectionProblem, default_theta
 

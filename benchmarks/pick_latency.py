@@ -24,11 +24,11 @@ from measure import Cost, Stopwatch, cost_of, digits, mean, median, note
 from rivals import RIVALS, Rival
 
 from mbtl.acquisition import line_gain, optimistic_gain
+from mbtl.arrays import Array
 from mbtl.benchmark import SyntheticWorld, linear_gap_world
 from mbtl.errors import MissingExtra
 from mbtl.history import History
 from mbtl.models import FittedGP, GPSettings, fit_gp, fit_sklearn
-from mbtl.arrays import Array
 from mbtl.selectors import MBTL
 
 FIRST, LAST = 5, 45
@@ -104,11 +104,11 @@ class Picks:
         if k == FIRST:
             self._propose(MBTL(), history)  # the first call ever also loads code
         self.own[k] = median(self._propose(MBTL(), history) for _ in range(self.repeats))
-        for _ in range(self.repeats):
-            watch = Stopwatch()
+        watches = [Stopwatch() for _ in range(self.repeats)]
+        for watch in watches:
             self._propose(MBTL(fitter=partial(timed_fit, watch=watch)), history)
-            for part, costs in self.parts.items():
-                costs.append(watch.parts[part])
+        for part, costs in self.parts.items():
+            costs.append(median(watch.parts[part] for watch in watches))
         if not self.peer_every or (k - FIRST) % self.peer_every:
             return
         paper = MBTL(fitter=partial(fit_sklearn, restarts=15))

@@ -255,3 +255,37 @@ def test_matrix_show_prints_the_levels(mbtl_command, tmp_path):
     (row,) = json.loads(out)["seeds"]
     assert row["oracle_transfer"] == pytest.approx(0.9)
     assert row["grand_mean"] == pytest.approx(0.575)
+
+
+def test_an_interrupt_says_how_to_go_on_and_does(mbtl_command, tmp_path):
+    (tmp_path / "stops.py").write_text(
+        "import mbtl\n"
+        "calls = []\n"
+        "def train(context, seed):\n"
+        "    calls.append(1)\n"
+        "    if len(calls) == 2: raise KeyboardInterrupt\n"
+        "    return context['x']\n"
+        "def evaluate(p, contexts, seed): return [1 - abs(c['x'] - p) for c in contexts]\n"
+        "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 11})\n"
+        "problem = mbtl.CMDP.from_functions(\n"
+        "    'stops', space, train=train, evaluate=evaluate, budget=3)\n"
+    )
+    code, out, err = mbtl_command("run", "stops.py:problem")
+    assert (code, out) == (1, "")
+    assert "interrupted: run the same command again to go on" in err
+    code, out, err = mbtl_command("run", "stops.py:problem", "--json")
+    assert code == 0
+    assert "going on after 1 of 3 trainings" in " ".join(err.split())
+    assert [p["source"] for p in json.loads(out)["picks"]] == [5, 0, 10]
+
+
+def test_a_failure_with_brackets_in_its_reason_is_shown_as_it_is(mbtl_command, tmp_path):
+    (tmp_path / "odd.py").write_text(
+        "import mbtl\n"
+        "def train(context, seed): raise RuntimeError('no file [/data/x] for [3]')\n"
+        "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 11})\n"
+        "problem = mbtl.CMDP.from_functions('odd', space, train=train, evaluate=None, budget=1)\n"
+    )
+    code, out, _ = mbtl_command("run", "odd.py:problem")
+    assert code == 0
+    assert "no file [/data/x] for [3]" in " ".join(out.split())

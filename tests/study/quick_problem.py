@@ -32,7 +32,7 @@ def rollout(gains, mass, starts):
 def train(context, seed):
     rng = np.random.default_rng(seed)
     starts = rng.uniform(-1, 1, (8, 2))
-    candidates = rng.uniform(0, 4, (60, 2))
+    candidates = rng.uniform(0, 4, (200, 2))
     scores = [rollout(gains, context["mass"], starts).mean() for gains in candidates]
     return candidates[int(np.argmax(scores))]
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from collections.abc import Callable
+from functools import wraps
+from typing import Annotated, Any
 
 import typer
 
@@ -24,8 +26,24 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+
+def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
+    """Say how to go on; the command-line library would print nothing and exit with 130."""
+
+    @wraps(command)
+    def wrapped(*args: Any, **kwargs: Any) -> None:
+        try:
+            command(*args, **kwargs)
+        except KeyboardInterrupt:
+            console.print("interrupted: run the same command again to go on")
+            raise typer.Exit(1) from None
+
+    return wrapped
+
+
 for command in (run, cmdps, bench, check):
-    app.command()(command)
+    app.command()(_interruptible(command))
 app.add_typer(study_app, name="study")
 app.add_typer(matrix_app, name="matrix")
 
@@ -52,9 +70,6 @@ def main() -> None:
     except MbtlError as error:
         console.print(f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
         sys.exit(2 if isinstance(error, InvalidInput) else 1)
-    except KeyboardInterrupt:
-        console.print("interrupted: run the same command again to go on")
-        sys.exit(1)
     except BrokenPipeError:  # the reader of a pipe has had enough
         sys.stderr.close()
         sys.exit(1)

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.contexts import Axis, Categorical, ContextSpace, Linear
@@ -55,7 +56,7 @@ def check(
         if axis:
             raise InvalidInput(f"{target!r} has its axes already; --axis goes with module:make_env")
         problem = get_cmdp(target, physics=physics, visibility=visibility)
-    console.print(f"checking {target}, {steps} steps per rollout", style="dim", highlight=False)
+    console.print(Text(f"checking {target}, {steps} steps per rollout", "dim"))
     report = check_cmdp(problem, space, steps=steps, seed=seed)
     if json:
         print_json({"target": target, **report.to_json()})
@@ -117,8 +118,8 @@ def _print(report: Any) -> None:
     table = Table(box=None, show_header=False, pad_edge=False)
     for found in report.checks:
         style = _STYLE[found.outcome]
-        table.add_row(f"[{style}]{found.outcome}[/{style}]", found.name, found.detail)
+        table.add_row(Text(found.outcome, style), Text(found.name), Text(found.detail))
     out = printer()
     out.print(table)
     n = len(report.checks)
-    out.print(f"{report.subject}: {n - len(report.failures)} of {n} checks hold", highlight=False)
+    out.print(Text(f"{report.subject}: {n - len(report.failures)} of {n} checks hold"))

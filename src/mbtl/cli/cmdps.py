@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, print_json, printer
 
@@ -85,7 +86,8 @@ def _list(records: list[dict[str, Any]]) -> None:
 
 def _show(record: dict[str, Any]) -> None:
     out = printer()
-    out.print(f"[bold]{record['id']}[/bold]  version {record['version']}  {record['description']}")
+    about = f"  version {record['version']}  {record['description']}"
+    out.print(Text(record["id"], "bold") + Text(about))
     facts = Table(box=None, show_header=False, pad_edge=False)
     for label, text in (
         ("contexts", f"{record['n']}: {_joined(_axis(axis) for axis in record['axes'])}"),
@@ -95,14 +97,15 @@ def _show(record: dict[str, Any]) -> None:
         ("theta, performance per grid step", _or_dash(record["theta"])),
         ("settings", _values(record["settings"])),
     ):
-        facts.add_row(label, text)
+        facts.add_row(label, Text(text))
     out.print(facts)
     for name, preset in record["presets"].items():
         default = " (default)" if name == record["default_preset"] else ""
         about = f"; {preset['description']}" if preset["description"] else ""
-        out.print(f"\npreset [bold]{name}[/bold]{default}: K = {preset['budget']}{about}")
+        rest = f"{default}: K = {preset['budget']}{about}"
+        out.print(Text("\npreset ") + Text(name, "bold") + Text(rest))
         if preset["trainer"]:
-            out.print(f"  {_values(preset['trainer'])}", highlight=False)
+            out.print(Text(f"  {_values(preset['trainer'])}"))
 
 
 def _axis(axis: dict[str, Any]) -> str:

@@ -71,7 +71,7 @@ class LiveProgress(Callback):
         """One line that stays."""
         took = self._end(pick)
         self._console.print(
-            f"pick {len(study.state.rows)}/{study.spec.budget}  "
+            f"pick {pick.number + 1}/{study.spec.budget}  "
             f"{shown(pick.context, study.space):<24}  "
             f"V {study.value:.4f}  {took / 60:.1f} min  {pick.reason}",
             markup=False,
@@ -97,6 +97,16 @@ class LiveProgress(Callback):
         """The last step."""
         self._bars.update(self._study_bar, note="measuring V on fresh episodes")
 
+    def on_report_failed(self, study: Study, reason: str) -> None:
+        """One line that stays."""
+        self._console.print(
+            f"V on fresh episodes could not be measured: {reason}",
+            style="red",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+
     def _end(self, pick: Pick) -> float:
         self._bars.remove_task(self._pick_bars.pop(pick.number))
         self._seconds.append(time.monotonic() - self._begun.pop(pick.number))
@@ -105,11 +115,19 @@ class LiveProgress(Callback):
     def _update(self, study: Study, share: float = 0.0) -> None:
         done = self._done(study)
         note = f"V {study.value:.4f}" if study.state.rows else ""
-        if self._seconds:
-            mean = sum(self._seconds) / len(self._seconds)
+        mean = self._mean_seconds(share)
+        if mean is not None:
             left = mean * max(study.spec.budget - done - share, 0.0) / max(len(self._begun), 1)
-            note += f", about {left / 60:.0f} min left"
+            note += f"{', ' if note else ''}about {max(round(left / 60), 1)} min left"
         self._bars.update(self._study_bar, completed=done, note=note)
+
+    def _mean_seconds(self, share: float) -> float | None:
+        """Seconds per pick: of the finished ones, else what the first one seems to need."""
+        if self._seconds:
+            return sum(self._seconds) / len(self._seconds)
+        if share < 0.05 or not self._begun:
+            return None
+        return (time.monotonic() - min(self._begun.values())) / share
 
     @staticmethod
     def _done(study: Study) -> int:

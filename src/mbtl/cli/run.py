@@ -14,7 +14,7 @@ import typer
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.cli.progress import LiveProgress
 from mbtl.cmdps import CMDP, resolve_cmdp
-from mbtl.errors import InvalidInput, MissingExtra
+from mbtl.errors import InvalidInput, MissingExtra, StorageError
 from mbtl.report import reference_curves, summarise_study
 from mbtl.report.plots import plot_curve, plot_policy_map
 from mbtl.report.text import show_summary
@@ -98,7 +98,7 @@ def run(
         seed=seed,
         stop_value=stop_value,
         storage=folder / "study.db",
-        name=folder.name,
+        name=folder.resolve().name,
         problem=cmdp.id,
         settings=_settings(cmdp, preset, trainer),
         load_if_exists=True,
@@ -163,7 +163,7 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
             files["policy map"] = str(
                 plot_policy_map(summary, study.space, serving, folder / "policy-map.png")
             )
-        except MissingExtra as error:
+        except (MissingExtra, StorageError) as error:
             notes.append(f"no pictures: {error}")
     if as_json:
         print_json({**summary.to_json(), "study": str(folder), "files": files, "notes": notes})
@@ -178,6 +178,10 @@ def _set_aside(folder: Path) -> None:
     """Rename an existing study folder; nothing is ever deleted."""
     if not folder.exists():
         return
+    if folder.resolve() == Path.cwd():
+        raise InvalidInput(
+            "--new renames the study's folder, so that cannot be the folder you are in; go one up"
+        )
     number = 1
     while (aside := folder.with_name(f"{folder.name}.{number}")).exists():
         number += 1

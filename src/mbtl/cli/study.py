@@ -8,13 +8,14 @@ from typing import Annotated
 import typer
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.errors import InvalidInput, MbtlError, StorageError
 from mbtl.report import summarise_study
 from mbtl.report.text import show_summary
 from mbtl.selectors import Selector, get_selector, selector_names
-from mbtl.study import Study, load_study
+from mbtl.study import SqlLog, Study, study_names
 
 study_app = typer.Typer(help="List, show and export studies.", no_args_is_help=True)
 
@@ -35,7 +36,7 @@ def list_studies(
     rows = []
     for database in sorted(folder.glob("**/study.db")):
         try:
-            study = load_study(database)
+            study = _open(database)
         except MbtlError as error:
             console.print(f"{database.parent}: {error}", style="red", markup=False, soft_wrap=True)
             continue
@@ -67,7 +68,7 @@ def list_studies(
             f"{v:.4f}" if isinstance(v, float) else "-" if v is None else str(v)
             for v in row.values()
         ]
-        table.add_row(*cells)
+        table.add_row(*map(Text, cells))
     printer().print(table)
 
 
@@ -147,8 +148,6 @@ def export(
 def _open(path: Path) -> Study:
     """A study for reading; one made with a selector of the user's own opens all the same."""
     place = path / "study.db" if path.is_dir() else path
-    from mbtl.study import SqlLog, study_names
-
     name = next(iter(study_names(place)), "study")
     log = SqlLog(place, name)
     chosen: Selector = get_selector("random")

@@ -63,6 +63,10 @@ class _Numeric(Axis):
 
     def __post_init__(self) -> None:
         _check_name(self.name)
+        for bound in ("low", "high"):  # numpy numbers cannot be stored
+            value = getattr(self, bound)
+            if isinstance(value, np.generic):
+                object.__setattr__(self, bound, value.item())
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise InvalidInput(
                 f"axis {self.name!r} needs finite bounds with low < high, "
@@ -136,7 +140,14 @@ class Log(_Numeric):
 
 @dataclass(frozen=True)
 class Integer(_Numeric):
-    """An axis of whole numbers, evenly spaced."""
+    """An axis of whole numbers, evenly spaced; both bounds are whole."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.low != round(self.low) or self.high != round(self.high):
+            raise InvalidInput(
+                f"axis {self.name!r} needs whole bounds, got ({self.low}, {self.high}); use Linear"
+            )
 
     def encode(self, values: Sequence[Value]) -> Array:
         """Unit column; raises `ContextMismatch` also for a number that is not whole."""

@@ -17,10 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array, uniform_weights
-from mbtl.contexts.axes import Axis, Categorical, Value, axis_from_json
+from mbtl.contexts.axes import Axis, Categorical, Integer, Value, axis_from_json
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
 
 Context = dict[str, Value]
+
+_DIGITS = 9
+"""Contexts whose unit-cube coordinates agree to this many digits are the same context."""
 
 
 class ContextSpace:
@@ -45,7 +48,7 @@ class ContextSpace:
             )
         self.axes = tuple(axes)
         self.shape = shape
-        self._columns = [list(column) for column in columns]
+        self._columns = [[_plain(value) for value in column] for column in columns]
         self.unit = np.hstack([a.encode(c) for a, c in zip(self.axes, self._columns, strict=True)])
         self._check_distinct()
         self.steps = self._grid_steps() if shape else self._scaled_steps()
@@ -55,7 +58,10 @@ class ContextSpace:
 
     @classmethod
     def grid(
-        cls, axes: Mapping[Axis, int | Sequence[Value]], *, weights: ArrayLike | None = None
+        cls,
+        axes: Mapping[Axis, int | Sequence[Value]],
+        *,
+        weights: ArrayLike | None = None,
     ) -> ContextSpace:
         """Full factorial grid, last axis fastest.
 
@@ -68,10 +74,7 @@ class ContextSpace:
             InvalidInput: values are not strictly increasing.
             ContextMismatch: a value lies outside its axis.
         """
-        levels = [
-            axis.spread(given) if isinstance(given, int) else list(given)
-            for axis, given in axes.items()
-        ]
+        levels = [_grid_values(axis, given) for axis, given in axes.items()]
         for axis, values in zip(axes, levels, strict=True):
             if not values:
                 raise InvalidInput(f"axis {axis.name!r} needs one or more values, got none")
@@ -275,7 +278,7 @@ class ContextSpace:
         return np.hstack(parts)
 
     def _check_distinct(self) -> None:
-        rounded = np.round(self.unit, 12)
+        rounded = np.round(self.unit, _DIGITS)
         order = np.lexsort(rounded.T)
         same = np.flatnonzero((np.diff(rounded[order], axis=0) == 0).all(axis=1))
         if same.size:
@@ -287,13 +290,30 @@ class ContextSpace:
 
 
 def _key(unit: Array) -> tuple[float, ...]:
-    return tuple((np.round(unit, 9) + 0.0).tolist())
+    return tuple((np.round(unit, _DIGITS) + 0.0).tolist())
+
+
+def _plain(value: Any) -> Value:
+    """A numpy number becomes Python's, so that a space can be stored."""
+    plain: Value = value.item() if isinstance(value, np.generic) else value
+    return plain
+
+
+def _grid_values(axis: Axis, given: int | Sequence[Value]) -> list[Value]:
+    if not isinstance(given, (int, np.integer)):
+        return list(given)
+    count = int(given)
+    if count < 1:
+        raise InvalidInput(f"axis {axis.name!r} needs one or more grid values, got {count}")
+    return axis.spread(count)
 
 
 def _from_fraction(axis: Axis, u: float) -> Value:
     """A fraction of the unit interval -> a value, each level of a discrete axis equally likely."""
     if isinstance(axis, Categorical):
         return axis.choices[min(int(u * axis.width), axis.width - 1)]
+    if isinstance(axis, Integer):
+        return int(axis.low) + min(int(u * (axis.high - axis.low + 1)), int(axis.high - axis.low))
     return axis.decode(np.array([[u]]))[0]
 
 
@@ -318,6 +338,8 @@ def _checked_weights(weights: ArrayLike | None, n: int) -> Array:
             f"target weights must be {n} finite numbers >= 0 with a positive sum, "
             f"got shape {array.shape}"
         )
+    if abs(float(array.sum()) - 1.0) < 1e-12:  # read back from a log: keep every digit
+        return array
     return np.asarray(array / array.sum())
 
 

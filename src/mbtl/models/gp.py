@@ -105,6 +105,11 @@ class FittedGP:
         )
 
     @property
+    def jitter(self) -> float:
+        """What had to be added to the diagonal beside the noise, in units of the amplitude."""
+        return self._factor[2]
+
+    @property
     def lml(self) -> float:
         """Log marginal likelihood at these hyper-parameters."""
         inverse, alpha, _ = self._factor

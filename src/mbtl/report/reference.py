@@ -13,6 +13,9 @@ from mbtl.arrays import Array
 from mbtl.benchmark import compare, load_matrix, reference, shipped_matrices
 from mbtl.study import Study
 
+_SAME = ("recipe", "version", "switches")
+"""What a matrix's provenance and a study's settings must agree on to be compared."""
+
 
 @dataclass(frozen=True)
 class ReferenceCurves:
@@ -33,12 +36,15 @@ class ReferenceCurves:
 
 def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
     """Curves of a shipped matrix whose recipe is this study's, and a sentence on what was found."""
-    name, recipe = study.spec.problem, study.spec.settings.get("recipe")
+    name, settings = study.spec.problem, study.spec.settings
     if name not in shipped_matrices():
         return None, f"no reference curves: no transfer matrix of {name!r} is shipped"
     matrix = load_matrix(name)
-    recipes = [record.get("recipe") for record in matrix.provenance["seeds"]]
-    if any(shipped != recipe for shipped in recipes):
+    same = [
+        all(record.get(key) == settings.get(key) for key in _SAME)
+        for record in matrix.provenance["seeds"]
+    ]
+    if not all(same) or matrix.space != study.space:
         return (
             None,
             f"no reference curves: the shipped matrix of {name!r} was trained by another recipe",

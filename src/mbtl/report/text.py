@@ -5,6 +5,7 @@ from __future__ import annotations
 from rich import box
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from mbtl.contexts import Context, ContextSpace
 from mbtl.report.summary import StudySummary
@@ -21,11 +22,11 @@ def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) ->
     for pick in summary.picks:
         table.add_row(
             "-" if pick.number is None else str(pick.number + 1),
-            shown(pick.context, space),
+            Text(shown(pick.context, space)),
             _number(pick.value),
             _number(pick.fresh_value),
             "-" if pick.seconds is None else f"{pick.seconds / 60:.1f}",
-            pick.reason if pick.status == "told" else pick.status,
+            Text(pick.reason if pick.status == "told" else pick.status),
         )
     screen.print(table)
     for line in lines(summary, space):

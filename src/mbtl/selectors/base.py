@@ -6,6 +6,7 @@ is in the history, so a resumed study proposes what an undisturbed one would hav
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, runtime_checkable
@@ -141,6 +142,24 @@ def nearest_open(problem: SelectionProblem, point: Array, mask: NDArray[np.bool_
     distance = np.sqrt(((problem.steps - point) ** 2).sum(axis=1))
     distance[~mask] = np.inf
     return int(np.flatnonzero(distance <= distance.min() + 1e-9)[0])
+
+
+def farthest_open(problem: SelectionProblem, taken: Sequence[int], mask: NDArray[np.bool_]) -> int:
+    """Open context whose nearest taken one is farthest; the lowest index on a tie."""
+    nearest = np.full(problem.n, np.inf)
+    for index in taken:
+        away = np.sqrt(((problem.steps - problem.steps[index]) ** 2).sum(axis=1))
+        nearest = np.minimum(nearest, away)
+    nearest[~mask] = -np.inf
+    return int(np.flatnonzero(nearest >= nearest.max() - 1e-9)[0])
+
+
+def first_pick(problem: SelectionProblem, history: History, mask: NDArray[np.bool_]) -> Proposal:
+    """Before any row is known: the middle, then far from what is under way or failed."""
+    taken = [*history.pending, *history.failed]
+    if taken:
+        return Proposal(farthest_open(problem, taken, mask), "far from what was tried so far")
+    return Proposal(nearest_open(problem, centre(problem), mask), "middle of the range")
 
 
 def centre(problem: SelectionProblem) -> Array:

@@ -17,7 +17,7 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models import FittedGap, FittedGP, GPSettings, LinearGap, fit_gp, predicted_rows
 from mbtl.models.gp import Fitter
-from mbtl.selectors.base import Proposal, SelectionProblem, centre, nearest_open, open_candidates
+from mbtl.selectors.base import Proposal, SelectionProblem, first_pick, open_candidates
 from mbtl.selectors.model_based import (
     choose,
     fit_posterior,
@@ -120,8 +120,8 @@ def start(
     """
     told = len(history)
     begun = told + len(history.pending)
-    if begun == 0 or told == 0:
-        return Proposal(nearest_open(problem, centre(problem), mask), "middle of the range")
+    if told == 0:
+        return first_pick(problem, history, mask)
     if begun < 1 + warm_up or not np.isfinite(history.training_performance).any():
         best = history.best
         if history.pending:  # other workers are serving the contexts around them already

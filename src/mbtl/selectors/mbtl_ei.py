@@ -12,6 +12,8 @@ from mbtl.selectors.base import Proposal, SelectionProblem
 from mbtl.selectors.mbtl import MBTL
 from mbtl.selectors.model_based import fit_posterior
 
+_MOST = 20_000
+
 
 @dataclass(frozen=True)
 class MBTLEI(MBTL):
@@ -22,13 +24,15 @@ class MBTLEI(MBTL):
 
 
 def predicted_gain(problem: SelectionProblem, history: History) -> Proposal | None:
-    """The expected gain in V of the best next pick, by the model of `MBTLEI`; None if none is left.
+    """The expected gain in V of the best next pick, by the model of `MBTLEI`.
+
+    None if no context is left, or there are more than 20,000 (it sums over all pairs).
 
     The gain is `Proposal.acquisition`, units of performance. It rests on a linear gap and a
     Gaussian training performance, so it is a guide, not a promise.
     """
     mask = history.open_mask(problem.n)
-    if not mask.any() or not np.isfinite(history.training_performance).any():
+    if problem.n > _MOST or not mask.any() or not np.isfinite(history.training_performance).any():
         return None
     model = MBTLEI()
     gp = fit_posterior(problem, history, history.training_performance, model.gp)

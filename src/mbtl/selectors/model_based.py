@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +38,9 @@ def fit_posterior(
     sources = np.asarray(history.sources, dtype=np.intp)[seen]
     try:
         gp = fitter(problem.steps[sources], targets[seen], settings)
-        gp.predict(problem.steps[:1])
+        if gp.jitter:
+            note = f"the kernel matrix was singular; added jitter {gp.jitter:g}"
+            gp = replace(gp, notes=(*gp.notes, note))
     except (np.linalg.LinAlgError, MbtlError) as error:
         gp = _fallback(problem.steps[sources], targets[seen], settings, str(error))
     if history.pending:
@@ -46,7 +50,9 @@ def fit_posterior(
 
 def _fallback(points: Array, y: Array, settings: GPSettings, reason: str) -> FittedGP:
     """A GP without a fit: amplitude mean(y^2), length the median distance; noted in the study."""
-    length = float(np.sqrt(np.median(squared_distances(points, points)))) or 1.0
+    squared = squared_distances(points, points)
+    apart = squared[squared > 0]
+    length = float(np.sqrt(np.median(apart))) if apart.size else 1.0
     amplitude = float(np.mean(np.square(y))) or 1.0
     note = f"GP fit failed ({reason}); used amplitude {amplitude:.3g} and length {length:.3g}"
     noise = max(settings.noise_std**2, 1e-6 * amplitude)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mbtl.acquisition import TIE
 from mbtl.arrays import Array
 from mbtl.history import History
-from mbtl.selectors.base import Proposal, SelectionProblem, centre, nearest_open, open_candidates
+from mbtl.selectors.base import Proposal, SelectionProblem, first_pick, open_candidates
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class WorstFirst:
         """Argmin of the best performance so far among open contexts; lowest index on a tie."""
         mask = open_candidates(problem, history)
         if not history.sources:
-            return Proposal(nearest_open(problem, centre(problem), mask), "middle of the range")
+            return first_pick(problem, history, mask)
         return Proposal(worst_context(history.best, mask), "worst context so far")
 
 

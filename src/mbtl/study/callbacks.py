@@ -31,5 +31,8 @@ class Callback:
     def on_report(self, study: Study) -> None:
         """The policies are now evaluated on fresh seeds."""
 
+    def on_report_failed(self, study: Study, reason: str) -> None:
+        """That evaluation failed; V on fresh episodes stays unknown."""
+
     def on_end(self, study: Study) -> None:
         """The run ends, also by an interrupt."""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import operator
+import uuid
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +16,15 @@ from mbtl.objective import Bounds, Direction
 from mbtl.selectors import SelectionProblem, Selector, get_selector, selector_names
 from mbtl.study.events import Event
 from mbtl.study.state import StudySpec
-from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog, sqlite_path, study_names
+from mbtl.study.storage import (
+    Conflict,
+    EventLog,
+    MemoryLog,
+    SqlLog,
+    as_url,
+    sqlite_path,
+    study_names,
+)
 from mbtl.study.study import Study
 from mbtl.version import __version__
 
@@ -73,6 +84,7 @@ def create_study(
         raise InvalidInput(f"cost_budget must be > 0, got {cost_budget!r}")
     if seed < 0 or trial < 0:
         raise InvalidInput(f"seed and trial must be >= 0, got {seed} and {trial}")
+    budget, seed, trial = operator.index(budget), operator.index(seed), operator.index(trial)
     SelectionProblem.of(space, budget=budget, theta=theta)
     spec = StudySpec(
         space,
@@ -86,10 +98,11 @@ def create_study(
         stop_value,
         cost_budget,
         problem,
-        dict(settings or {}),
+        _json_like(settings or {}),
     )
     log: EventLog = MemoryLog() if storage is None else SqlLog(storage, name, create=True)
-    event = Event("created", {"spec": spec.to_json(), "version": __version__})
+    created = {"spec": spec.to_json(), "version": __version__, "uid": uuid.uuid4().hex[:8]}
+    event = Event("created", created)
     try:
         log.append(event, after=0)
     except Conflict:
@@ -152,7 +165,8 @@ def describe_selector(selector: Selector) -> dict[str, Any]:
 
     def plain(value: Any) -> Any:
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+            changed = {f.name: _changed(value, f) for f in dataclasses.fields(value)}
+            return {name: plain(v) for name, v in changed.items() if v is not _KEPT}
         if isinstance(value, (list, tuple)):
             return [plain(item) for item in value]
         if value is None or isinstance(value, (str, int, float, bool)):
@@ -165,13 +179,37 @@ def describe_selector(selector: Selector) -> dict[str, Any]:
     return {**settings, "name": selector.name}
 
 
+_KEPT = object()
+
+
+def _changed(value: Any, field: dataclasses.Field[Any]) -> Any:
+    """The value of a field, or `_KEPT` where it is the default.
+
+    Only changes are stored, so a selector may gain a setting and old studies still open.
+    """
+    given = getattr(value, field.name)
+    default = field.default
+    if default is dataclasses.MISSING and field.default_factory is not dataclasses.MISSING:
+        default = field.default_factory()
+    return _KEPT if default is not dataclasses.MISSING and given == default else given
+
+
 def _folder(storage: str | Path | None) -> Path | None:
     if storage is None:
         return None
-    if "://" not in str(storage):
-        return Path(storage).parent
-    path = sqlite_path(str(storage))
+    path = sqlite_path(as_url(storage))
     return path.parent if path else None
+
+
+def _json_like(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings as they will read back from the log."""
+    try:
+        plain: dict[str, Any] = json.loads(json.dumps(settings, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(
+            f"settings must be JSON-able, got {dict(settings)!r} ({error})"
+        ) from error
+    return plain
 
 
 def _check_same(stored: StudySpec, given: StudySpec) -> None:

@@ -5,21 +5,23 @@ It loses at most the training in flight; see `mbtl.study.job` for how.
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
-from mbtl.errors import InvalidInput, MbtlError, MissingExtra, StorageError, TrainingFailed
+from mbtl.errors import InvalidInput, MissingExtra, StorageError, StudyError, TrainingFailed
 from mbtl.seeds import evaluation_seed
 from mbtl.study.callbacks import Callback
 from mbtl.study.fresh import can_report, report_fresh_returns
 from mbtl.study.job import Job, Outcome, perform
 from mbtl.study.study import Pick, Study, StudyFinished
-from mbtl.trainer import Progress, Trainer
+from mbtl.trainer import Trainer
 
 _NOT_THE_TRAININGS_FAULT = (StorageError, InvalidInput, MissingExtra)
 """Raised as they are: the pick is given back, to be trained once the cause is mended."""
@@ -64,12 +66,25 @@ def run(
             while batch := _next_batch(study, parallel):
                 work.do(batch)
         if report and can_report(study):
-            for callback in callbacks:
-                callback.on_report(study)
-            report_fresh_returns(study, trainer)
+            _report(study, trainer, callbacks)
     finally:
         for callback in callbacks:
             callback.on_end(study)
+
+
+def _report(study: Study, trainer: Trainer, callbacks: Sequence[Callback]) -> None:
+    """Measure V on fresh episodes; a failure there must not hide what the study found."""
+    for callback in callbacks:
+        callback.on_report(study)
+    try:
+        report_fresh_returns(study, trainer)
+    except StorageError:
+        raise
+    except StudyError:  # another process told a row meanwhile; it reports when it ends
+        return
+    except Exception as error:
+        for callback in callbacks:
+            callback.on_report_failed(study, _reason(error))
 
 
 def _next_batch(study: Study, size: int) -> list[Pick]:
@@ -101,82 +116,115 @@ class _Work:
 
     def do(self, batch: list[Pick]) -> None:
         """Train a batch and tell it; on any interrupt give the unanswered picks back."""
-        for pick in batch:
-            for callback in self.callbacks:
-                callback.on_pick(self.study, pick)
         waiting = list(batch)
         try:
+            for pick in batch:
+                self._announce("on_pick", pick)
             for pick, outcome in self._outcomes(batch):
-                self._answer(pick, outcome)
+                self._record(pick, outcome)
                 waiting.remove(pick)
-                if isinstance(outcome, Exception) and self.stop_on_failure:
+                if not isinstance(outcome, Exception):
+                    self._announce("on_told", pick)
+                    continue
+                self._announce("on_failed", pick, _reason(outcome))
+                if self.stop_on_failure:
                     raise TrainingFailed(
                         f"training on {pick.context} failed: {_reason(outcome)}"
                     ) from outcome
+        except _CallbackError as wrapped:
+            raise wrapped.error from None
         finally:
             self._give_back(waiting)
 
     def _outcomes(self, batch: list[Pick]) -> Iterator[tuple[Pick, Outcome | Exception]]:
         """What each pick gave, in pick order; the exception where its training failed."""
+        jobs = [self._job(pick) for pick in batch]
         calls: list[Callable[[], Outcome]]
         if self.executor is None:
-            calls = [partial(self._perform_here, pick) for pick in batch]
+            pairs = zip(batch, jobs, strict=True)
+            calls = [partial(self._perform_here, pick, job) for pick, job in pairs]
         else:
-            calls = [self.executor.submit(perform, self._job(pick)).result for pick in batch]
+            _check_can_travel(self.executor, jobs[0])
+            calls = [self.executor.submit(perform, job).result for job in jobs]
         for pick, call in zip(batch, calls, strict=True):
             try:
                 outcome: Outcome | Exception = call()
             except _NOT_THE_TRAININGS_FAULT:
                 raise
+            except BrokenExecutor as error:
+                raise StudyError(
+                    "a worker process died in the middle of a training (killed, or out of memory); "
+                    "its picks are given back: run again, with a smaller parallel if memory is "
+                    "short"
+                ) from error
             except Exception as error:
                 outcome = error
             yield pick, outcome
 
-    def _answer(self, pick: Pick, outcome: Outcome | Exception) -> None:
+    def _record(self, pick: Pick, outcome: Outcome | Exception) -> None:
         if isinstance(outcome, Exception):
             self.study.fail(pick, _reason(outcome))
-            for callback in self.callbacks:
-                callback.on_failed(self.study, pick, _reason(outcome))
             return
         self.study.tell(
             pick,
             outcome.returns,
             seconds=outcome.seconds,
-            policy=_policy_path(pick.source).as_posix() if outcome.saved else None,
+            policy=_policy_path(self.study, pick.source).as_posix() if outcome.saved else None,
             policy_object=outcome.policy,
         )
-        for callback in self.callbacks:
-            callback.on_told(self.study, pick)
 
     def _give_back(self, picks: list[Pick]) -> None:
         for pick in picks:
             try:
                 self.study.release(pick)
-            except (
-                MbtlError
-            ):  # the storage itself failed; a dead process's pick is taken over later
+            except StorageError:  # the storage is what failed; the pick is taken over later
                 return
+            except StudyError:  # somebody else answered it
+                continue
 
-    def _perform_here(self, pick: Pick) -> Outcome:
-        def on_progress(progress: Progress) -> None:
-            for callback in self.callbacks:
-                callback.on_progress(self.study, pick, progress)
+    def _perform_here(self, pick: Pick, job: Job) -> Outcome:
+        return perform(
+            job,
+            partial(self._announce, "on_progress", pick),
+            partial(self._announce, "on_evaluation", pick),
+        )
 
-        def on_trained() -> None:
-            for callback in self.callbacks:
-                callback.on_evaluation(self.study, pick)
-
-        return perform(self._job(pick), on_progress, on_trained)
+    def _announce(self, method: str, pick: Pick, *facts: Any) -> None:
+        for callback in self.callbacks:
+            try:
+                getattr(callback, method)(self.study, pick, *facts)
+            except Exception as error:
+                raise _CallbackError(error) from error
 
     def _job(self, pick: Pick) -> Job:
         study, spec = self.study, self.study.spec
-        folder = study.folder / _policy_path(pick.source) if study.folder else None
+        folder = study.folder / _policy_path(study, pick.source) if study.folder else None
         seed = evaluation_seed(spec.seed, spec.trial)
         return Job(self.trainer, pick.context, pick.seed, study.space.contexts, seed, folder)
 
 
-def _policy_path(source: int) -> Path:
-    return Path("policies") / f"source-{source:04d}"
+class _CallbackError(BaseException):
+    """Carries a callback's error past the code that records errors of trainings."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(error)
+        self.error = error
+
+
+def _policy_path(study: Study, source: int) -> Path:
+    """Below the study's folder; studies that share it, or a database, keep apart by their uid."""
+    return Path("policies", study.state.uid, f"source-{source:04d}")
+
+
+def _check_can_travel(executor: Executor, job: Job) -> None:
+    if isinstance(executor, ProcessPoolExecutor):
+        try:
+            pickle.dumps(job)
+        except Exception as error:
+            raise InvalidInput(
+                "training in other processes needs functions of a module that they can import, got "
+                f"one that cannot be sent ({error}); move it to a module, or use parallel=1"
+            ) from error
 
 
 def _reason(error: Exception) -> str:

@@ -126,6 +126,7 @@ class StudyState:
     seq: int = 0
     spec: StudySpec | None = None
     version: str = ""
+    uid: str = ""
     created_at: float = 0.0
     picks: list[PickRecord] = field(default_factory=list)
     open_picks: dict[int, PickRecord] = field(default_factory=dict)
@@ -181,6 +182,7 @@ class StudyState:
     def _created(self, event: Event) -> None:
         self.spec = StudySpec.from_json(event.data["spec"])
         self.version = event.data["version"]
+        self.uid = event.data["uid"]
         self.created_at = event.time
 
     def _asked(self, event: Event) -> None:

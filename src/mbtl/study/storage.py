@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
-from mbtl.errors import StorageError
+from mbtl.errors import InvalidInput, StorageError
 from mbtl.study.events import KINDS, Event, Kind
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection, Engine, Table
 
 _BUSY_SECONDS = 60.0
+_WRITES = "mbtl_writes"  # a reader takes no write lock, so a study may be read-only
 
 
 class Conflict(StorageError):
@@ -96,7 +97,7 @@ class SqlLog:
             "data": json.dumps(event.data, allow_nan=False),
             "arrays": _pack(event),
         }
-        with self._connection() as connection:
+        with self._connection(write=True) as connection:
             if self._last(connection) != after:
                 raise Conflict(f"event {after + 1} of study {self.study!r} is taken")
             try:
@@ -123,8 +124,9 @@ class SqlLog:
         return int(connection.execute(query).scalar_one())
 
     @contextmanager
-    def _connection(self) -> Iterator[Connection]:
-        with _database_errors(self.url), self._engine.begin() as connection:
+    def _connection(self, *, write: bool = False) -> Iterator[Connection]:
+        engine = self._engine.execution_options(**{_WRITES: write})
+        with _database_errors(self.url), engine.begin() as connection:
             yield connection
 
 
@@ -140,16 +142,40 @@ def study_names(url: str | Path) -> list[str]:
 
 
 def as_url(url: str | Path) -> str:
-    """A path becomes an SQLite URL; a URL stays as it is."""
+    """A path becomes an SQLite URL, whatever characters it has; a URL stays as it is.
+
+    Raises:
+        InvalidInput: ":memory:"; a study in memory needs no storage.
+    """
+    from sqlalchemy import URL
+
     text = str(url)
-    return text if "://" in text else f"sqlite:///{text}"
+    if "://" in text:
+        return text
+    if text in ("", ":memory:"):
+        raise InvalidInput(
+            f"storage must be a path or a URL, got {text!r}; leave it out for memory"
+        )
+    return URL.create("sqlite", database=text).render_as_string(hide_password=False)
 
 
 def sqlite_path(url: str) -> Path | None:
-    """The file of an SQLite URL; None for other databases and for `:memory:`."""
-    prefix = "sqlite:///"
-    name = url.removeprefix(prefix)
-    return Path(name) if url.startswith(prefix) and name not in ("", ":memory:") else None
+    """The file of an SQLite URL; None for other databases and for what is no URL."""
+    from sqlalchemy import make_url
+    from sqlalchemy.exc import ArgumentError
+
+    try:
+        parsed = make_url(url)
+    except ArgumentError:
+        return None
+    name = parsed.database or ""
+    if (
+        parsed.get_backend_name() != "sqlite"
+        or name in ("", ":memory:")
+        or name.startswith("file:")
+    ):
+        return None  # "file:...?uri=true" is SQLite's own way to open a file, e.g. read-only
+    return Path(name)
 
 
 def _open(url: str, *, create: bool) -> tuple[Engine, Table]:
@@ -196,7 +222,8 @@ def _open(url: str, *, create: bool) -> tuple[Engine, Table]:
 
         @event.listens_for(engine, "begin")
         def _lock(connection: Any) -> None:
-            connection.exec_driver_sql("BEGIN IMMEDIATE")
+            writes = connection.get_execution_options().get(_WRITES, False)
+            connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     table = Table(
         "mbtl_events",
@@ -208,7 +235,8 @@ def _open(url: str, *, create: bool) -> tuple[Engine, Table]:
         Column("data", Text, nullable=False),
         Column("arrays", LargeBinary(length=2**31 - 1), nullable=False),
     )
-    with _database_errors(url), engine.begin() as connection:
+    writer = engine.execution_options(**{_WRITES: create})
+    with _database_errors(url), writer.begin() as connection:
         if create:
             table.create(connection, checkfirst=True)
         elif not inspect(connection).has_table(table.name):

@@ -87,6 +87,8 @@ class Study:
         """
         while True:
             state = self.refresh()
+            if self._early_stop is not None:
+                raise StudyFinished(f"the study is finished: {self._early_stop}")
             orphans = self.orphans if take_over else self._given_back
             number = orphans[0] if orphans else None
             if number is None:
@@ -160,11 +162,21 @@ class Study:
         self._settle("released", pick, {})
 
     def record_fresh_returns(self, returns: Array) -> None:
-        """Record (k, N) returns on fresh evaluation seeds; NaN where a policy serves nobody."""
+        """Record (k, N) returns on fresh evaluation seeds; NaN where a policy serves nobody.
+
+        Raises:
+            StudyError: rows were told since; the report would not fit them.
+        """
+        returns = np.asarray(returns, dtype=np.float64)
         while True:
-            self.refresh()
+            rows = len(self.refresh().rows)
+            if returns.shape != (rows, self.space.n):
+                raise StudyError(
+                    f"fresh returns must have shape {(rows, self.space.n)}, a row per policy told, "
+                    f"got {returns.shape}; evaluate again"
+                )
             try:
-                self._append(Event("reported", {}, {"returns": np.asarray(returns, dtype=float)}))
+                self._append(Event("reported", {}, {"returns": returns}))
             except Conflict:
                 continue
             return
@@ -255,21 +267,30 @@ class Study:
     @property
     def stop_reason(self) -> str | None:
         """Why nothing more can be asked; None while something can."""
-        state, spec = self._state, self.spec
-        if len(state.picks) >= spec.budget:
-            return f"the budget of {spec.budget} trainings is spent"
-        if spec.stop_value is not None and state.rows and self.value >= spec.stop_value:
-            return f"V = {self.value:.4f} reaches the level {spec.stop_value:g}"
-        if spec.cost_budget is not None and state.cost >= spec.cost_budget:
-            return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
+        if self._early_stop is not None:
+            return self._early_stop
+        if len(self._state.picks) >= self.spec.budget:
+            return f"the budget of {self.spec.budget} trainings is spent"
         if not self.history.open_mask(self.space.n).any():
             return f"all {self.space.n} contexts are taken"
         return None
 
     @property
+    def _early_stop(self) -> str | None:
+        """The level or the cost budget that was reached; picks given back are not trained then."""
+        state, spec = self._state, self.spec
+        if spec.stop_value is not None and state.rows and self.value >= spec.stop_value:
+            return f"V = {self.value:.4f} reaches the level {spec.stop_value:g}"
+        if spec.cost_budget is not None and state.cost >= spec.cost_budget:
+            return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
+        return None
+
+    @property
     def is_finished(self) -> bool:
-        """True when nothing can be asked and no pick is open."""
-        return self.stop_reason is not None and not self._state.open_picks
+        """True when nothing can be asked and nobody works on a pick."""
+        held = len(self._state.open_picks) - len(self._given_back)
+        open_picks = held if self._early_stop else len(self._state.open_picks)
+        return self.stop_reason is not None and not open_picks
 
     @property
     def orphans(self) -> list[int]:

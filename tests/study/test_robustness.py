@@ -1,0 +1,197 @@
+"""What went wrong once, or would be easy to get wrong: each test names the promise it keeps."""
+
+import os
+import signal
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+import quick_problem
+
+import mbtl
+from mbtl.errors import InvalidInput, StudyError
+from mbtl.selectors import MBTL
+from mbtl.study import Callback
+from mbtl.study.create import describe_selector
+from mbtl.trainer import FunctionTrainer
+
+SPACE = quick_problem.SPACE
+LINE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 101})
+
+
+def new(path, **settings):
+    settings = {"budget": 4, "bounds": (-20.0, 0.0), "load_if_exists": True, **settings}
+    return mbtl.create_study(SPACE, storage=path, **settings)
+
+
+def scaled(factor):
+    def train(context, seed):
+        return factor * quick_problem.train(context, seed)
+
+    return FunctionTrainer(train, quick_problem.evaluate, quick_problem.save, quick_problem.load)
+
+
+def test_studies_in_one_folder_or_one_database_keep_their_policies_apart(tmp_path):
+    studies = [
+        new(tmp_path / "a.db").run(trainer=scaled(1.0)),
+        new(tmp_path / "b.db").run(trainer=scaled(0.5)),
+        new(tmp_path / "b.db", name="second").run(trainer=scaled(0.25)),
+    ]
+    for study, factor in zip(studies, (1.0, 0.5, 0.25), strict=True):
+        for pick in study.state.picks:
+            seed = mbtl.study.study.training_seed(0, 0, pick.source)
+            expected = factor * quick_problem.train(SPACE.context(pick.source), seed)
+            row = [r.source for r in study.state.rows].index(pick.source)
+            assert study.portfolio(scaled(1.0)).policy(row) == pytest.approx(expected)
+
+
+class Fails(Callback):
+    """Raises in one method, once."""
+
+    def __init__(self, method, error):
+        self.armed = True
+
+        def fail(*arguments):
+            if self.armed:
+                self.armed = False
+                raise error
+
+        setattr(self, method, fail)
+
+
+@pytest.mark.parametrize(
+    ("method", "parallel"),  # trainings in other processes do not report their evaluation
+    [("on_pick", 1), ("on_evaluation", 1), ("on_told", 1), ("on_pick", 2), ("on_told", 2)],
+)
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError("disk"), RuntimeError("plot")])
+def test_a_broken_callback_ends_the_run_and_nothing_is_lost(tmp_path, method, error, parallel):
+    study = new(tmp_path / "study.db")
+    with pytest.raises(type(error)):
+        study.run(
+            trainer=quick_problem.TRAINER, callbacks=[Fails(method, error)], parallel=parallel
+        )
+    assert not study.state.failures
+    study.run(trainer=quick_problem.TRAINER)
+    assert len(study.state.rows) == 4
+    assert not study.state.open_picks
+
+
+def test_functions_that_cannot_travel_are_refused_before_any_budget_is_spent(tmp_path):
+    study = new(tmp_path / "study.db")
+    with pytest.raises(InvalidInput, match="functions of a module"):
+        study.run(lambda c, s: c, lambda p, c, s: np.zeros(len(c)), parallel=2)
+    assert not study.state.failures
+    assert not [p for p in study.state.open_picks.values() if p.worker is not None]
+
+
+def _die(context, seed):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_worker_gives_its_picks_back(tmp_path):
+    study = new(tmp_path / "study.db")
+    pool = ProcessPoolExecutor(1, mp_context=get_context("fork"))
+    with pool, pytest.raises(StudyError, match="worker process died"):
+        study.run(_die, quick_problem.evaluate, parallel=2, executor=pool)
+    assert not study.state.failures
+    study.run(trainer=quick_problem.TRAINER)
+    assert len(study.state.rows) == 4
+
+
+def test_any_weights_survive_the_log(tmp_path):
+    rng = np.random.default_rng(0)
+    for i in range(30):
+        space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0, 1): 9}, weights=rng.uniform(size=9))
+        for _ in range(2):
+            mbtl.create_study(space, budget=2, storage=tmp_path / f"{i}.db", load_if_exists=True)
+
+
+def test_settings_read_back_as_they_compare(tmp_path):
+    for _ in range(2):
+        new(tmp_path / "s.db", settings={"net": (64, 64), "rate": 1e-3})
+    with pytest.raises(InvalidInput, match="JSON-able"):
+        new(tmp_path / "t.db", settings={"net": object()})
+
+
+def test_numpy_numbers_are_welcome(tmp_path):
+    space = mbtl.ContextSpace.grid({mbtl.Integer("n", np.int64(1), np.int64(5)): np.arange(1, 6)})
+    study = mbtl.create_study(
+        space, budget=np.int64(2), seed=np.int64(3), storage=tmp_path / "s.db"
+    )
+    assert study.ask().context == {"n": 3}
+    assert mbtl.ContextSpace.grid({mbtl.Linear("x", 0, 1): np.int64(4)}).n == 4
+    with pytest.raises(InvalidInput, match="one or more grid values"):
+        mbtl.ContextSpace.grid({mbtl.Linear("x", 0, 1): -3})
+
+
+def test_only_changed_settings_of_a_selector_are_stored():
+    assert describe_selector(MBTL()) == {"name": "mbtl"}
+    assert describe_selector(MBTL(warm_up=1)) == {"name": "mbtl", "warm_up": 1}
+
+
+def test_a_report_that_does_not_fit_the_rows_is_refused():
+    study = mbtl.create_study(SPACE, budget=3, bounds=(-20.0, 0.0))
+    study.tell(study.ask(), np.zeros(15))
+    with pytest.raises(StudyError, match=r"shape \(1, 15\)"):
+        study.record_fresh_returns(np.zeros((2, 15)))
+
+
+def test_a_new_row_makes_an_old_report_void():
+    study = mbtl.create_study(SPACE, budget=3, bounds=(-20.0, 0.0))
+    study.tell(study.ask(), np.zeros(15))
+    study.record_fresh_returns(np.zeros((1, 15)))
+    study.tell(study.ask(), np.zeros(15))
+    assert study.state.fresh_returns is None
+
+
+def test_a_report_that_fails_does_not_hide_the_study(tmp_path):
+    said = []
+
+    class Ear(Callback):
+        def on_report_failed(self, study, reason):
+            said.append(reason)
+
+    def evaluate(policy, contexts, seed):
+        if len(contexts) < 15 or seed >> 28 == 2:  # the fresh seeds
+            raise RuntimeError("licence expired")
+        return quick_problem.evaluate(policy, contexts, seed)
+
+    trainer = FunctionTrainer(quick_problem.train, evaluate)
+    study = new(tmp_path / "s.db").run(trainer=trainer, callbacks=[Ear()])
+    assert study.is_finished
+    assert said == ["RuntimeError: licence expired"]
+
+
+def test_the_first_picks_of_parallel_workers_spread_out():
+    for selector in ("mbtl", "mbtl-ei", "mbtl-release", "worst-first"):
+        study = mbtl.create_study(LINE, budget=8, selector=selector)
+        assert [study.ask().source for _ in range(5)] == [50, 0, 100, 25, 75]
+
+
+def test_a_level_once_reached_ends_the_study_also_for_picks_given_back():
+    study = mbtl.create_study(LINE, budget=8, bounds=(0.0, 1.0), stop_value=0.9)
+    first, second = study.ask(), study.ask()
+    study.tell(first, np.ones(101))
+    study.release(second)
+    with pytest.raises(mbtl.study.StudyFinished, match="reaches the level"):
+        study.ask()
+    assert study.is_finished
+
+
+@pytest.mark.parametrize("name", ["what?.db", "a b.db", "100%.db", "ü#.db"])
+def test_any_file_name_will_do(tmp_path, name):
+    new(tmp_path / name).run(trainer=quick_problem.TRAINER)
+    assert (tmp_path / "policies").is_dir()
+    assert len(mbtl.load_study(tmp_path / name).state.rows) == 4
+
+
+def test_memory_is_not_a_file_name():
+    with pytest.raises(InvalidInput, match="leave it out"):
+        new(":memory:")
+
+
+def test_a_study_on_a_read_only_medium_can_be_read(tmp_path):
+    new(tmp_path / "study.db").run(trainer=quick_problem.TRAINER)
+    url = f"sqlite:///file:{tmp_path / 'study.db'}?mode=ro&uri=true"
+    assert len(mbtl.study.SqlLog(url, "study").read()) > 4
