@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import measure
@@ -50,7 +51,7 @@ def compare(ours: Any, theirs: Any, steps: int, rounds: int) -> dict[str, Any]:
     costs: dict[str, list[Cost]] = {name: [] for name in envs}
     for _ in range(rounds):
         for name, env in envs.items():
-            costs[name].append(cost_of(lambda env=env: walk(env, actions)))
+            costs[name].append(cost_of(partial(walk, env, actions)))
     rates = {name: steps / median(each).cpu for name, each in costs.items()}
     return {
         "steps_per_second": {name: digits(rate, 3) for name, rate in rates.items()},
@@ -71,10 +72,10 @@ def main() -> None:
     results: dict[str, dict[str, Any]] = {}
     for name, (ours, theirs) in PAIRS.items():
         note(f"{name} ...")
-        made = [gymnasium.make(id) for id in (ours, theirs)]
+        our_env, their_env = gymnasium.make(ours), gymnasium.make(theirs)
         results[name] = {
-            "bare": compare(*(env.unwrapped for env in made), args.steps, args.rounds),
-            "made": compare(*made, args.steps, args.rounds),
+            "bare": compare(our_env.unwrapped, their_env.unwrapped, args.steps, args.rounds),
+            "made": compare(our_env, their_env, args.steps, args.rounds),
         }
     document = {
         "steps": args.steps,

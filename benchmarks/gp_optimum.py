@@ -46,13 +46,13 @@ def draw(rng: np.random.Generator) -> DataSet:
     where = points / n_contexts
     shape = SHAPES[int(rng.integers(len(SHAPES)))]
     phase, jitter = rng.uniform(0.0, 2.0 * np.pi), rng.standard_normal(n)
+    y: Array
     if shape == "smooth":
         y = 0.7 + 0.2 * np.sin(2.0 * np.pi * rng.uniform(0.3, 2.0) * where + phase)
     elif shape == "rough":
-        y = 0.6 + sum(
-            rng.normal(scale=0.3 / wave) * np.sin(2.0 * np.pi * wave * where + phase * wave)
-            for wave in range(1, 12)
-        )
+        waves = np.arange(1.0, 12.0)
+        sizes = rng.normal(scale=0.3 / waves)
+        y = 0.6 + np.sin(waves * (2.0 * np.pi * where[:, None] + phase)) @ sizes
     elif shape == "flat":
         y = np.full(n, rng.uniform(0.1, 1.0))
     elif shape == "failures":

@@ -2,7 +2,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mbtl.acquisition import line_gain, linear_gap_gain, optimistic_gain
@@ -22,7 +22,20 @@ def test_line_gain_equals_the_direct_formula(m, n, kind):
     assert line_gain(upper, x, t, best, weights, theta=0.01) == pytest.approx(direct, abs=1e-12)
 
 
-@settings(max_examples=200, deadline=None)
+@pytest.fixture
+def tiny_leaves():
+    """Leaves of a few candidates, so that small cases go through every step."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mbtl.acquisition.line._LEAF", 3)
+        yield
+
+
+@pytest.mark.usefixtures("tiny_leaves")
+@settings(
+    max_examples=300,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 @given(
     st.integers(1, 80),
     st.sampled_from([0.0, 0.005, 0.3]),

@@ -20,7 +20,10 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.models.gp import squared_distances
 
-_BLOCK_ENTRIES = 1 << 16  # candidate x target entries held at once: temporaries stay in cache
+# candidate x target entries held at once, so that temporaries stay in cache: one array for the
+# optimistic gain, four for the expected one
+_BLOCK_ENTRIES = 1 << 16
+_EXPECTED_BLOCK_ENTRIES = 1 << 14
 
 
 def optimistic_gain(
@@ -44,7 +47,7 @@ def optimistic_gain(
         np.maximum(gain, 0.0, out=gain)
         return np.asarray(gain @ weights)
 
-    return _blocked(block, candidates, targets, theta)
+    return _blocked(block, candidates, targets, theta, _BLOCK_ENTRIES)
 
 
 def expected_gain(
@@ -76,7 +79,7 @@ def expected_gain(
         m = mean[rows, None] - gap - best
         return np.asarray(scale[rows] * (_unit_improvement(m / scale[rows, None]) @ weights))
 
-    return _blocked(block, candidates, targets, theta)
+    return _blocked(block, candidates, targets, theta, _EXPECTED_BLOCK_ENTRIES)
 
 
 def _unit_improvement(z: Array) -> Array:
@@ -93,11 +96,15 @@ def _unit_improvement(z: Array) -> Array:
 
 
 def _blocked(
-    block: Callable[[slice, Array], Array], candidates: Array, targets: Array, theta: float
+    block: Callable[[slice, Array], Array],
+    candidates: Array,
+    targets: Array,
+    theta: float,
+    entries: int,
 ) -> Array:
     """Run `block(rows, gap)` over blocks of candidates; gap is (rows, N)."""
     out = np.empty(len(candidates))
-    size = max(_BLOCK_ENTRIES // max(len(targets), 1), 1)
+    size = max(entries // max(len(targets), 1), 1)
     for start in range(0, len(candidates), size):
         rows = slice(start, start + size)
         if targets.shape[1] == 1:

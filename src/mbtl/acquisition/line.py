@@ -1,19 +1,19 @@
 """The optimistic gain on one axis, exactly, in O(N log N) time and O(N) memory.
 
-Split the targets of a candidate x into those on its left and those on its right. On the left
-(t <= x), with p_t = theta t - best(t) and q_x = theta x - upper(x), a target improves iff
-p_t > q_x, so the sum is a dominance sum
+Halve the candidates by position, again and again, and the targets with them. Between two halves the
+distance has one sign, so each side has a number of its own: a candidate x on the right improves a
+target t on the left iff a_t < b_x with a_t = best(t) - theta t and b_x = upper(x) - theta x, and
 
-    sum_{t <= x, p_t > q_x} w_t (p_t - q_x) = P - q_x W,
+    sum_{t: a_t < b_x} w_t (b_x - a_t) = b_x W - A,
 
-with W, P the sums of w_t and w_t p_t over the dominating targets. The right side is its mirror.
-Dominance sums come from one sort by value and log2(M + N) stable partitions by position: at each
-level, a candidate in the right half of a node collects the targets of the left half that stand
-before it in value order. Every level is a handful of array operations; nodes of 32 are summed
-directly.
+with W, A the sums of w_t and w_t a_t over those targets: prefix sums over sorted a, found by one
+search. For candidates on the left of their targets theta changes sign. The orders by a and b are
+made once and only split afterwards; small halves are summed directly.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +21,14 @@ from numpy.typing import NDArray
 from mbtl.acquisition.gain import check_shapes, optimistic_gain
 from mbtl.arrays import Array
 
-Index = NDArray[np.int64]
-
-_LEAF_BITS = 5
-_DENSE_BELOW = 500  # contexts; the direct formula is faster for fewer (benchmarks/pick_latency.py)
+_LEAF = 192  # candidates; the direct formula is faster for fewer (benchmarks/pick_latency.py)
 
 
 def linear_gap_gain(
     upper: Array, candidates: Array, targets: Array, best: Array, weights: Array, *, theta: float
 ) -> Array:
     """`optimistic_gain` by whichever exact method is faster for this size and dimension."""
-    if candidates.shape[1] > 1 or len(targets) < _DENSE_BELOW:
+    if candidates.shape[1] > 1 or len(candidates) <= 2 * _LEAF:
         return optimistic_gain(upper, candidates, targets, best, weights, theta=theta)
     return line_gain(upper, candidates, targets, best, weights, theta=theta)
 
@@ -56,59 +53,101 @@ def line_gain(
         InvalidInput: theta < 0, or shapes that do not fit.
     """
     check_shapes(candidates, targets, best, weights, theta, upper=upper)
-    x, t = candidates[:, 0], targets[:, 0]
-    left = _dominance_sum(x, t, theta * x - upper, theta * t - best, weights, ties=True)
-    right = _dominance_sum(-x, -t, -theta * x - upper, -theta * t - best, weights, ties=False)
-    return np.maximum(left + right, 0.0)
+    by_place = np.argsort(candidates[:, 0], kind="stable")
+    targets_by_place = np.argsort(targets[:, 0], kind="stable")
+    line = _Line(
+        upper[by_place],
+        candidates[by_place],
+        targets[targets_by_place],
+        best[targets_by_place],
+        weights[targets_by_place],
+        theta,
+    )
+    gain = np.empty(len(candidates))
+    gain[by_place] = np.maximum(line.gain(), 0.0)
+    return gain
 
 
-def _dominance_sum(x: Array, t: Array, q: Array, p: Array, weights: Array, *, ties: bool) -> Array:
-    """(M,) sums over targets with t <= x (t < x without `ties`) and p > q of weights (p - q)."""
-    m, total = len(x), len(x) + len(t)
-    is_target = np.concatenate([np.zeros(m, dtype=bool), np.ones(len(t), dtype=bool)])
-    place = np.concatenate([x, t])
-    first = is_target if ties else ~is_target  # who stands before whom at an equal place
-    rank: Index = np.empty(total, dtype=np.int64)
-    rank[np.lexsort((~first, place))] = np.arange(total)
+class _Sorted(NamedTuple):
+    """Numbers in ascending order, each with the place of its owner along the line."""
 
-    near = _leaf_sums(rank[:m], rank[m:], q, p, weights)
-    order = np.argsort(-np.concatenate([q, p]), kind="stable")
-    rank, is_target = rank[order], is_target[order]
-    weight = np.concatenate([np.zeros(m), weights])[order]
-    weighted = np.concatenate([np.zeros(m), weights * p])[order]
-    owner = order
-    sum_w, sum_wp = np.zeros(total), np.zeros(total)
-    running, lows = np.zeros(total + 1), np.zeros(total + 1, dtype=np.int64)
+    place: NDArray[np.intp]
+    number: Array
 
-    index = np.arange(total)
-    for bit in range(max(total - 1, 1).bit_length() - 1, _LEAF_BITS - 1, -1):
-        start = rank & (-1 << (bit + 1))  # ranks are 0..total-1, so nodes are contiguous
-        low = (rank & (1 << bit)) == 0
-        gives = low & is_target
-        takes = np.flatnonzero(~(low | is_target))
-        for terms, sums in ((weight, sum_w), (weighted, sum_wp)):
-            np.cumsum(terms * gives, out=running[1:])
-            sums[owner[takes]] += running[takes] - running[start[takes]]
-        np.cumsum(low, out=lows[1:])
-        lows_before = lows[:-1] - lows[start]
-        goes = np.where(low, start + lows_before, (1 << bit) + index - lows_before)
-        for array in (rank, is_target, weight, weighted, owner):
-            array[goes] = array.copy()
-    return np.asarray(sum_wp[:m] - q * sum_w[:m] + near)
+    @classmethod
+    def of(cls, numbers: Array) -> _Sorted:
+        order = np.argsort(numbers)
+        return cls(order, numbers[order])
+
+    def split(self, place: int) -> tuple[_Sorted, _Sorted]:
+        """Owners before `place`, and the others; both stay sorted."""
+        before = self.place < place
+        parts = [np.flatnonzero(side) for side in (before, ~before)]
+        left, right = (_Sorted(self.place[part], self.number[part]) for part in parts)
+        return left, right
 
 
-def _leaf_sums(x_rank: Index, t_rank: Index, q: Array, p: Array, weights: Array) -> Array:
-    """The part of the dominance sum whose target lies in the candidate's own leaf of 32 ranks."""
-    size = 1 << _LEAF_BITS
-    leaves = -(-(len(x_rank) + len(t_rank)) // size)
-    by_rank_q, by_rank_p = np.full(leaves * size, np.inf), np.full(leaves * size, -np.inf)
-    by_rank_w, out = np.zeros(leaves * size), np.empty((leaves, size))
-    by_rank_q[x_rank], by_rank_p[t_rank], by_rank_w[t_rank] = q, p, weights
-    before = np.triu(np.ones((size, size)), 1)  # target's rank below the candidate's
-    for start in range(0, leaves, 16):  # 16 leaves are 128 KiB
-        block = slice(start * size, (start + 16) * size)
-        gain = by_rank_p[block].reshape(-1, size, 1) - by_rank_q[block].reshape(-1, 1, size)
-        np.maximum(gain, 0.0, out=gain)
-        gain *= before
-        out[start : start + 16] = np.matmul(by_rank_w[block].reshape(-1, 1, size), gain)[:, 0]
-    return np.asarray(out.ravel()[x_rank])
+class _Side(NamedTuple):
+    """Numbers of the targets (a) and the candidates (b) of one stretch, for one sign of theta."""
+
+    targets: _Sorted
+    candidates: _Sorted
+
+    def split(self, target: int, candidate: int) -> tuple[_Side, _Side]:
+        targets, candidates = self.targets.split(target), self.candidates.split(candidate)
+        return _Side(targets[0], candidates[0]), _Side(targets[1], candidates[1])
+
+
+class _Line:
+    """Candidates and targets ordered along the line, and the gain summed up so far."""
+
+    def __init__(
+        self,
+        upper: Array,
+        candidates: Array,
+        targets: Array,
+        best: Array,
+        weights: Array,
+        theta: float,
+    ) -> None:
+        self.upper, self.candidates = upper, candidates
+        self.targets, self.best, self.weights, self.theta = targets, best, weights, theta
+        self.total = np.zeros(len(candidates))
+
+    def gain(self) -> Array:
+        """(M,) gains along the line."""
+        t, x = self.theta * self.targets[:, 0], self.theta * self.candidates[:, 0]
+        left = _Side(_Sorted.of(self.best - t), _Sorted.of(self.upper - x))
+        right = _Side(_Sorted.of(self.best + t), _Sorted.of(self.upper + x))
+        self._halve(slice(0, len(x)), slice(0, len(t)), left, right)
+        return self.total
+
+    def _halve(self, candidates: slice, targets: slice, left: _Side, right: _Side) -> None:
+        """Add what the targets of a stretch give its candidates; `left`: targets on the left."""
+        if candidates.stop - candidates.start <= _LEAF:
+            self.total[candidates] += optimistic_gain(
+                self.upper[candidates],
+                self.candidates[candidates],
+                self.targets[targets],
+                self.best[targets],
+                self.weights[targets],
+                theta=self.theta,
+            )
+            return
+        middle = (candidates.start + candidates.stop) // 2
+        here = self.candidates[middle, 0]
+        cut = targets.start + int(np.searchsorted(self.targets[targets, 0], here))
+        (near_l, far_l), (near_r, far_r) = left.split(cut, middle), right.split(cut, middle)
+        self._add(near_l.targets, far_l.candidates)
+        self._add(far_r.targets, near_r.candidates)
+        self._halve(slice(candidates.start, middle), slice(targets.start, cut), near_l, near_r)
+        self._halve(slice(middle, candidates.stop), slice(cut, targets.stop), far_l, far_r)
+
+    def _add(self, targets: _Sorted, candidates: _Sorted) -> None:
+        """Add b W - A to candidates that all lie on the same side of all these targets."""
+        weights = self.weights[targets.place]
+        below = np.searchsorted(targets.number, candidates.number)
+        sums = np.zeros((2, len(weights) + 1))
+        np.cumsum(weights, out=sums[0, 1:])
+        np.cumsum(weights * targets.number, out=sums[1, 1:])
+        self.total[candidates.place] += candidates.number * sums[0][below] - sums[1][below]

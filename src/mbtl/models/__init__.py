@@ -1,7 +1,8 @@
 """Models of what training and transfer will give: Gaussian process and generalisation gap."""
 
 from mbtl.models.gap import FittedGap, GapModel, LinearGap, predicted_rows
-from mbtl.models.gp import FittedGP, GPSettings, Posterior, fit_gp
+from mbtl.models.gp import FittedGP, GPSettings, Posterior
+from mbtl.models.gp_fit import fit_gp
 from mbtl.models.sklearn_gp import fit_sklearn
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Gaussian process of the training performance, fitted to the global optimum of its likelihood.
+"""Gaussian process of the training performance: kernel, posterior, likelihood.
 
 Notation (shapes): n observations, M query points, D columns (grid steps).
     X  (n, D)   where policies were trained
@@ -6,11 +6,6 @@ Notation (shapes): n observations, M query points, D columns (grid steps).
     R  (n, n)   R_ij = exp(-|x_i - x_j|^2 / (2 l^2)), l the length-scale
     K  (n, n)   K = c R + noise^2 I, c the amplitude
     LML         -1/2 y' K^-1 y - 1/2 log|K| - n/2 log 2 pi
-
-The paper restarts a local optimiser 15 times. Two hyper-parameters and at most a few hundred points
-allow better: one eigendecomposition R = Q diag(e) Q' gives LML for *every* amplitude in O(n), so
-the length-scale alone is searched, on a grid fine enough to see each mode, and the best modes are
-then refined. No randomness, no restarts, and the same answer every time.
 """
 
 from __future__ import annotations
@@ -26,11 +21,8 @@ from numpy.typing import ArrayLike
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 
-_LOG_2PI = float(np.log(2.0 * np.pi))
+LOG_2PI = float(np.log(2.0 * np.pi))
 _BLOCK = 1 << 16  # query rows per block: 64 Ki rows x 45 observations is 24 MiB
-_SPACING = 0.52  # of the first length-scale grid, in log units; halved twice near the top
-_PLATEAU = 6.0  # at l = nearest distance / 6, R equals the identity to 2e-8
-_MARGINS = (12.0, 3.0)  # LML below the best that is still searched when the spacing is halved
 _JITTERS = (0.0, 1e-12, 1e-10, 1e-8, 1e-6)
 
 
@@ -114,7 +106,7 @@ class FittedGP:
         """Log marginal likelihood at these hyper-parameters."""
         inverse, alpha, _ = self._factor
         log_det = -2.0 * np.log(np.diagonal(inverse)).sum()
-        return float(-0.5 * self.y @ alpha - 0.5 * log_det - 0.5 * len(self.y) * _LOG_2PI)
+        return float(-0.5 * self.y @ alpha - 0.5 * log_det - 0.5 * len(self.y) * LOG_2PI)
 
     def predict(self, points: Array) -> tuple[Array, Array]:
         """Posterior mean (M,) and standard deviation (M,) without noise, in bounded memory."""
@@ -153,25 +145,6 @@ def rbf(squared: Array, length: float) -> Array:
     return np.asarray(np.exp(squared * (-0.5 / length**2)))
 
 
-def fit_gp(points: ArrayLike, y: ArrayLike, settings: GPSettings | None = None) -> FittedGP:
-    """Fit amplitude and length-scale to the global optimum of the marginal likelihood.
-
-    Args:
-        points: (n, D) or (n,) locations in grid steps.
-        y: (n,) training performances.
-        settings: bounds and noise.
-
-    Raises:
-        InvalidInput: no observation, unequal lengths, or a value that is not finite.
-    """
-    settings = settings or GPSettings()
-    x, target = checked_data(points, y)
-    squared = squared_distances(x, x)
-    profile = _Profile(squared, target, settings)
-    length, amplitude = profile.maximise()
-    return FittedGP(x, target, amplitude, length, settings.noise_std**2)
-
-
 def checked_data(points: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
     """Observations as float64 (n, D) and (n,); raises `InvalidInput` when they are unusable."""
     x = np.asarray(points, dtype=np.float64)
@@ -186,144 +159,3 @@ def checked_data(points: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
             "a GP needs finite points and values, got NaN or infinity; drop those rows"
         )
     return x, target
-
-
-class _Profile:
-    """LML maximised over the amplitude, as a function of the log length-scale."""
-
-    def __init__(self, squared: Array, y: Array, settings: GPSettings) -> None:
-        self.squared, self.y = squared, y
-        self.noise = settings.noise_std**2
-        self.low, self.high = np.log(settings.length_bounds)
-        lowest, highest = np.log(settings.amplitude_bounds)
-        self.log_amplitudes = np.linspace(lowest, highest, 15)
-
-    def maximise(self) -> tuple[float, float]:
-        """Global optimum (length, amplitude)."""
-        grid = self._grid()
-        values, logs = self._scan(grid)
-        for margin in _MARGINS:  # halve the spacing wherever a higher mode could still hide
-            near = values >= values.max() - margin
-            middles = (0.5 * (grid[1:] + grid[:-1]))[near[1:] | near[:-1]]
-            new_values, new_logs = self._scan(middles)
-            order = np.argsort(np.concatenate([grid, middles]))
-            grid = np.concatenate([grid, middles])[order]
-            values = np.concatenate([values, new_values])[order]
-            logs = np.concatenate([logs, new_logs])[order]
-        best = int(values.argmax())
-        answer = (float(values[best]), float(grid[best]), float(logs[best]))
-        inner = np.flatnonzero((values[1:-1] >= values[:-2]) & (values[1:-1] > values[2:])) + 1
-        for i in [*inner, len(grid) - 1]:
-            if values[i] >= values[best] - _MARGINS[-1]:
-                around = slice(max(i - 1, 0), i + 2)
-                answer = max(answer, self._climb(grid[around], values[around], float(logs[i])))
-        return float(np.exp(answer[1])), float(np.exp(answer[2]))
-
-    def _scan(self, grid: Array) -> tuple[Array, Array]:
-        """(m,) log length-scales -> (m,) LML and (m,) log amplitudes, both nearly optimal."""
-        e, q = np.linalg.eigh(np.exp(self.squared * (-0.5 * np.exp(-2.0 * grid))[:, None, None]))
-        return self._best_amplitude(np.maximum(e, 0.0), np.square(self.y @ q))
-
-    def _grid(self) -> Array:
-        """Log length-scales up to the bound, from one point that stands for the plateau R = I."""
-        apart = self.squared[self.squared > 0]
-        if apart.size == 0:  # one distinct point: LML does not depend on l; 1 is the paper's start
-            return np.array([np.clip(0.0, self.low, self.high)])
-        edge = float(np.clip(0.5 * np.log(apart.min()) - np.log(_PLATEAU), self.low, self.high))
-        steps = max(int(np.ceil((self.high - edge) / _SPACING)), 1)
-        grid = np.linspace(edge, self.high, steps + 1)
-        grid[0] = min(edge, max(self.low, 0.0))
-        return grid
-
-    def _best_amplitude(self, e: Array, z2: Array) -> tuple[Array, Array]:
-        """(m, n) spectra -> (m,) LML at nearly the best amplitude, and (m,) log amplitudes."""
-        scaled = np.exp(self.log_amplitudes)[:, None] * e[:, None, :] + self.noise
-        grid = -0.5 * (z2[:, None, :] / scaled + np.log(scaled)).sum(axis=-1)
-        log_c = self.log_amplitudes[grid.argmax(axis=1)]
-        for _ in range(3):
-            log_c = np.clip(
-                log_c + self._amplitude_step(log_c, e, z2), *self.log_amplitudes[[0, -1]]
-            )
-        total = np.exp(log_c)[:, None] * e + self.noise
-        polished = -0.5 * (z2 / total + np.log(total)).sum(axis=1)
-        return np.maximum(polished, grid.max(axis=1)) - 0.5 * len(self.y) * _LOG_2PI, log_c
-
-    @staticmethod
-    def _slope_and_curve(signal: Array, noise: float, z2: Array) -> tuple[Array, Array]:
-        """First and second derivative of LML in the log amplitude."""
-        total = signal + noise
-        share, fit = signal / total, z2 / total
-        excess = share * (fit - 1.0)
-        return 0.5 * excess.sum(axis=-1), 0.5 * (excess * (1.0 - share) - share * share * fit).sum(
-            -1
-        )
-
-    def _amplitude_step(self, log_c: Array, e: Array, z2: Array) -> Array:
-        """Newton step, at most 1, and uphill where the curvature has the wrong sign."""
-        slope, curve = self._slope_and_curve(np.exp(log_c)[..., None] * e, self.noise, z2)
-        return np.asarray(
-            np.clip(slope / np.maximum(-curve, 1e-3 + 0.1 * np.abs(slope)), -1.0, 1.0)
-        )
-
-    def _at(self, log_length: float, log_c: float) -> tuple[float, float, float]:
-        """LML, its slope in the log length-scale, and the best log amplitude, at one length-scale.
-
-        The amplitude is climbed to from `log_c`, its optimum at a neighbouring length-scale.
-        """
-        e, q = np.linalg.eigh(np.exp(self.squared * (-0.5 * np.exp(-2.0 * log_length))))
-        e, z = np.maximum(e, 0.0), self.y @ q
-        z2 = np.square(z)
-        low, high = self.log_amplitudes[0], self.log_amplitudes[-1]
-        for _ in range(50):
-            step = float(self._amplitude_step(np.array(log_c), e, z2))
-            moved = min(max(log_c + step, low), high)
-            log_c, change = moved, abs(moved - log_c)
-            if change < 1e-5:  # Newton: the next error is the square of this
-                break
-        total = np.exp(log_c) * e + self.noise
-        value = -0.5 * float((z2 / total + np.log(total)).sum()) - 0.5 * len(self.y) * _LOG_2PI
-        return value, self._slope(log_length, log_c, e, q, z), log_c
-
-    def _slope(self, log_length: float, log_c: float, e: Array, q: Array, z: Array) -> float:
-        """D LML / d log length-scale; the amplitude is optimal, so its own change adds nothing."""
-        weighted = self.squared * np.exp(-2.0 * log_length)
-        amplitude = np.exp(log_c)
-        total = amplitude * e + self.noise
-        alpha = q @ (z / total)
-        tilt = np.outer(alpha, alpha) - (q / total) @ q.T
-        return 0.5 * float(amplitude * np.vdot(tilt, np.exp(-0.5 * weighted) * weighted))
-
-    def _climb(self, x: Array, values: Array, log_c: float) -> tuple[float, float, float]:
-        """Climb within [x[0], x[-1]] from three scanned points: safeguarded secant on the slope.
-
-        Returns:
-            (LML, log length-scale, log amplitude) of the best point seen.
-        """
-        left, right = float(x[0]), float(x[-1])
-        now, bend = right, -1.0
-        if len(x) == 3:  # start at the vertex of the parabola through the three
-            bend, slope, now = _parabola(x, values)
-            now = min(max(now - slope / bend, left), right)
-        best = (-np.inf, now, log_c)
-        previous: tuple[float, float] | None = None
-        for _ in range(40):
-            value, slope, log_c = self._at(now, log_c)
-            best = max(best, (value, now, log_c))
-            if previous is not None:
-                bend = min((slope - previous[1]) / (now - previous[0]), -1e-9)
-            left, right = (now, right) if slope > 0 else (left, now)
-            step = now - slope / bend
-            if not left < step < right:
-                step = 0.5 * (left + right)
-            if abs(slope * (step - now)) < 1e-10 * (1.0 + abs(value)) or right - left < 1e-9:
-                break
-            previous, now = (now, slope), step
-        return best
-
-
-def _parabola(x: Array, values: Array) -> tuple[float, float, float]:
-    """Curvature (< 0), slope and place of the middle of three points, unevenly spaced."""
-    before, after = (values[1] - values[0]) / (x[1] - x[0]), (values[2] - values[1]) / (x[2] - x[1])
-    bend = 2.0 * (after - before) / (x[2] - x[0])
-    slope = before + 0.5 * bend * (x[1] - x[0])
-    return min(float(bend), -1e-6), float(slope), float(x[1])
