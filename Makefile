@@ -7,13 +7,17 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 PROBLEM ?= cartpole-length
 
-.PHONY: run test lint format bench clean
+.PHONY: run test test-jax lint format bench clean
 
 run: .venv/run.stamp
 	$(BIN)/mbtl run $(PROBLEM)
 
 test: .venv/dev.stamp
 	$(BIN)/python -m pytest $(TESTS)
+
+# the vectorised engine is being built (src/mbtl/training/jax); `make test` skips it without jax
+test-jax: .venv/jax.stamp
+	$(BIN)/python -m pytest tests/training_jax
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check src tests benchmarks examples
@@ -46,6 +50,10 @@ clean:
 
 .venv/dev.stamp: .venv/run.stamp
 	$(PIP) --editable '.[train,plots,dev]'
+	touch $@
+
+.venv/jax.stamp: .venv/dev.stamp
+	$(PIP) --editable '.[train,plots,dev,jax]'
 	touch $@
 
 .venv/rivals.stamp: .venv/dev.stamp

@@ -46,5 +46,6 @@ problem = mbtl.CMDP.from_functions(
 if __name__ == "__main__":
     study = mbtl.create_study(problem.space, budget=5).run(trainer=problem.trainer)
     portfolio = study.portfolio()
-    print("trained on masses", [round(problem.space.context(s)["mass"], 2) for s in portfolio.sources])
+    masses = [problem.space.context(source)["mass"] for source in portfolio.sources]
+    print("trained on masses", np.round(masses, 2))
     print(portfolio.explain({"mass": 1.7}).explanation)

@@ -119,22 +119,24 @@ def checked_returns(returns: Any, n_targets: int) -> Array:
         TrainingFailed: wrong shape, or a value that is NaN or infinite.
     """
     try:
+        if np.iscomplexobj(returns):
+            raise TypeError("complex")
         array = np.asarray(returns, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise TrainingFailed(
-            f"evaluate must return numbers, got {type(returns).__name__} ({error})"
+            f"returns must be real numbers, got {type(returns).__name__} ({error})"
         ) from error
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2 or array.shape[0] != n_targets or array.shape[1] < 1:
         raise TrainingFailed(
-            f"evaluate must return shape ({n_targets},) or ({n_targets}, n_episodes), "
+            f"returns must have shape ({n_targets},) or ({n_targets}, n_episodes), "
             f"got {np.shape(returns)}"
         )
     bad = int(np.count_nonzero(~np.isfinite(array)))
     if bad:
         raise TrainingFailed(
-            f"evaluate must return finite numbers, got {bad} NaN or infinite of {array.size}"
+            f"returns must be finite numbers, got {bad} NaN or infinite of {array.size}"
         )
     return array
 

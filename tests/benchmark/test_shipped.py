@@ -49,7 +49,7 @@ def test_ids_are_listed_and_a_near_miss_is_answered(tmp_path, matrix):
 
 
 def test_a_missing_matrix_says_how_to_get_one():
-    with pytest.raises(UnknownName, match="mbtl matrix build"):
+    with pytest.raises(UnknownName, match="ships none"):
         load_matrix("no-such-cmdp")
     with pytest.raises(UnknownName, match=r"path of an \.npz"):
         open_matrix("no-such-cmdp")

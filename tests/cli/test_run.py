@@ -282,10 +282,77 @@ def test_an_interrupt_says_how_to_go_on_and_does(mbtl_command, tmp_path):
 def test_a_failure_with_brackets_in_its_reason_is_shown_as_it_is(mbtl_command, tmp_path):
     (tmp_path / "odd.py").write_text(
         "import mbtl\n"
-        "def train(context, seed): raise RuntimeError('no file [/data/x] for [3]')\n"
+        "def train(context, seed):\n"
+        "    if context['x'] == 0.0: raise RuntimeError('no file [/data/x] for [3]')\n"
+        "    return 1.0\n"
+        "def evaluate(p, contexts, seed): return [p for c in contexts]\n"
         "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 11})\n"
-        "problem = mbtl.CMDP.from_functions('odd', space, train=train, evaluate=None, budget=1)\n"
+        "problem = mbtl.CMDP.from_functions(\n"
+        "    'odd', space, train=train, evaluate=evaluate, budget=2)\n"
     )
     code, out, _ = mbtl_command("run", "odd.py:problem")
     assert code == 0
     assert "no file [/data/x] for [3]" in " ".join(out.split())
+
+
+def test_a_run_in_which_everything_failed_exits_1_and_says_what_failed(mbtl_command, tmp_path):
+    (tmp_path / "dead.py").write_text(
+        "import mbtl\n"
+        "def train(context, seed): raise RuntimeError('licence expired')\n"
+        "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 11})\n"
+        "problem = mbtl.CMDP.from_functions('dead', space, train=train, evaluate=None, budget=2)\n"
+    )
+    code, out, err = mbtl_command("run", "dead.py:problem")
+    assert (code, out) == (1, "")
+    assert "all 2 trainings failed, the last with RuntimeError: licence expired" in " ".join(
+        err.split()
+    )
+    assert "--new" in err
+
+
+def test_a_larger_budget_extends_a_finished_study(mbtl_command, own):
+    first = json.loads(mbtl_command("run", own, "--json")[1])
+    code, out, err = mbtl_command("run", own, "--budget", "6", "--json")
+    assert code == 0, err
+    longer = json.loads(out)
+    assert [p["source"] for p in longer["picks"][:4]] == [p["source"] for p in first["picks"]]
+    assert len(longer["picks"]) == 6
+    assert longer["fresh_value"] is not None
+
+
+def test_only_the_differing_setting_is_named(mbtl_command, tmp_path):
+    for seed in (1, 2):
+        (tmp_path / "p.py").write_text(
+            "import mbtl\n"
+            "class T(mbtl.trainer.FunctionTrainer):\n"
+            f"    recipe = {{'steps': {seed}, 'rate': 0.1}}\n"
+            "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 5})\n"
+            "t = T(lambda c, s: c['x'], lambda p, cs, s: [1 - abs(c['x'] - p) for c in cs])\n"
+            "problem = mbtl.CMDP('p', space, t)\n"
+        )
+        import sys
+
+        sys.modules.pop("p", None)
+        code, _, err = mbtl_command("run", "p.py:problem", "--budget", "1")
+    assert code == 2
+    assert "settings.recipe.steps was 1, got 2" in " ".join(err.split())
+
+
+def test_names_with_brackets_are_shown_as_they_are(mbtl_command, tmp_path):
+    np.savez(tmp_path / "we[x].npz", returns=np.array([[[1.0, 0.5], [0.0, 0.8]]]))
+    for command in (["matrix", "show"], ["bench", "--budget", "1", "--matrix"]):
+        code, out, err = mbtl_command(*command, "we[x].npz")
+        assert code == 0, err
+        assert "we[x].npz" in out
+
+
+def test_policies_without_save_functions_are_said_to_end(mbtl_command, tmp_path):
+    (tmp_path / "kept.py").write_text(
+        "import mbtl\n"
+        "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 5})\n"
+        "problem = mbtl.CMDP.from_functions('kept', space, train=lambda c, s: c['x'], budget=2,\n"
+        "    evaluate=lambda p, cs, s: [1 - abs(c['x'] - p) for c in cs])\n"
+    )
+    code, out, _ = mbtl_command("run", "kept.py:problem")
+    assert code == 0
+    assert "no save and load functions" in " ".join(out.split())

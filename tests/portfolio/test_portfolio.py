@@ -196,7 +196,10 @@ def test_trained_folders_are_copied_and_outlive_the_study(tmp_path):
 
 
 def test_policy_that_was_not_saved_says_so(tmp_path):
-    folder = make(in_memory={0: object()}, policy_format="custom").save(tmp_path / "p")
+    unsaved = make(in_memory={0: object()}, policy_format="custom")
+    with pytest.raises(StorageError, match="allow_missing=True"):
+        unsaved.save(tmp_path / "p")
+    folder = unsaved.save(tmp_path / "p", allow_missing=True)
     again = load_portfolio(folder)
     assert again.explain({"length": 0.5}).policy == 0  # routing still works
     with pytest.raises(StorageError, match=r"trained on length = 0.5 m\) was not saved"):

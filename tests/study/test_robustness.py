@@ -10,7 +10,7 @@ import pytest
 import quick_problem
 
 import mbtl
-from mbtl.errors import InvalidInput, StudyError
+from mbtl.errors import InvalidInput, StudyError, TrainingFailed
 from mbtl.selectors import MBTL
 from mbtl.study import Callback
 from mbtl.study.create import describe_selector
@@ -195,3 +195,55 @@ def test_a_study_on_a_read_only_medium_can_be_read(tmp_path):
     new(tmp_path / "study.db").run(trainer=quick_problem.TRAINER)
     url = f"sqlite:///file:{tmp_path / 'study.db'}?mode=ro&uri=true"
     assert len(mbtl.study.SqlLog(url, "study").read()) > 4
+
+
+def test_a_run_in_which_every_training_failed_raises_the_last_reason(tmp_path, caplog):
+    study = new(tmp_path / "s.db")
+    with pytest.raises(TrainingFailed, match=r"all 4 trainings failed.*shape \(15,\)"):
+        study.run(quick_problem.train, lambda p, c, s: np.zeros(7))
+    assert len(study.state.failures) == 4
+    assert "failed: TrainingFailed" in caplog.text
+
+
+def test_a_budget_can_be_raised_and_goes_on_as_if_it_had_been_larger(tmp_path):
+    long = new(tmp_path / "long.db", budget=6).run(trainer=quick_problem.TRAINER)
+    short = new(tmp_path / "short.db", budget=4).run(trainer=quick_problem.TRAINER)
+    short.extend(6)
+    short.run(trainer=quick_problem.TRAINER)
+    assert [p.source for p in short.state.picks] == [p.source for p in long.state.picks]
+    assert np.array_equal(short.curve, long.curve)
+    for budget in (6, 5, 16):
+        with pytest.raises(InvalidInput, match="can only be raised"):
+            short.extend(budget)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda: new(None, budget=2.5), "budget must be a whole number, got 2.5"),
+        (lambda: new(None, seed="a"), "seed must be a whole number"),
+        (lambda: mbtl.create_study([1, 2], budget=1), "must be a ContextSpace, got list"),
+        (lambda: mbtl.ContextSpace.grid({"g": 5}), "axes as keys"),
+        (lambda: SPACE.encode(7.3), "a context is a mapping"),
+        (lambda: new(None).tell("p", np.zeros(15)), "tell takes what ask gave"),
+        (lambda: new(None).tell(0, np.zeros(15) + 1j), "real numbers"),
+    ],
+)
+def test_wrong_types_get_the_rule_not_pythons_own_words(wrong, words):
+    with pytest.raises(mbtl.MbtlError, match=words):
+        wrong()
+
+
+def test_studies_and_portfolios_introduce_themselves():
+    study = new(None, budget=4)
+    study.tell(study.ask(), np.full(15, -5.0))
+    assert repr(study).startswith("Study('study': 1 of 4 trainings told")
+    assert repr(study.portfolio()).startswith("Portfolio(1 policies for ContextSpace(mass [kg]")
+
+
+def test_a_portfolio_does_not_drop_policies_silently(tmp_path):
+    study = new(None).run(quick_problem.train, quick_problem.evaluate)
+    with pytest.raises(mbtl.MbtlError, match="allow_missing=True"):
+        study.portfolio().save(tmp_path / "p")
+    study.portfolio().save(tmp_path / "p", allow_missing=True)
+    assert mbtl.load_portfolio(tmp_path / "p").explain({"mass": 1.0}).source in range(15)

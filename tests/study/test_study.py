@@ -179,7 +179,7 @@ def test_automatic_bounds_move_with_the_rows_and_never_change_past_picks(tmp_pat
 def test_a_stored_study_refuses_other_settings(tmp_path):
     new(tmp_path)
     for change in (
-        {"budget": 7},
+        {"budget": 5},
         {"seed": 1},
         {"selector": "greedy"},
         {"bounds": (0, 2)},

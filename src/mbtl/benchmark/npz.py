@@ -44,7 +44,7 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
     except _UNREADABLE as error:
         raise InvalidInput(
             f"{path} must be an .npz file of plain numbers (no pickled objects), got something "
-            f"else or a damaged file ({error}); write it with numpy.savez"
+            "else or a damaged file; write it with numpy.savez"
         ) from error
 
 

@@ -39,7 +39,7 @@ def load_matrix(
     Args:
         cmdp: CMDP id, e.g. "cartpole-length".
         variant: recipe, e.g. "hidden", "final", "dqn", "a2c".
-        folder: where to look instead of the package data, e.g. what `mbtl matrix build` wrote.
+        folder: where to look instead of the package data, e.g. of matrices you built yourself.
 
     Returns:
         The matrix; its provenance is {"seeds": [one record per seed]}.
@@ -61,7 +61,7 @@ def load_by_id(name: str, *, folder: str | Path | None = None) -> TransferMatrix
             "transfer matrix",
             name,
             files,
-            hint=f"{hint} Build one with `mbtl matrix build`, or give the path of an .npz file.",
+            hint=f"{hint} Give the path of an .npz file.",
         )
     by_seed = files[name]
     parts = [TransferMatrix.load(by_seed[seed], name=name) for seed in sorted(by_seed)]

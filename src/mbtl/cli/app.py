@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable
 from functools import wraps
@@ -65,6 +66,7 @@ def _root(
 
 def main() -> None:
     """Run the program; errors cost one line, not a page."""
+    logging.getLogger("mbtl").addHandler(logging.NullHandler())  # callbacks show it all
     try:
         app()
     except MbtlError as error:

@@ -12,6 +12,7 @@ import typer
 from rich import box
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.compare import RANDOM, Step, compare, default_selectors
@@ -49,15 +50,17 @@ def bench(
 
     Example: mbtl bench --matrix mine.npz --selectors random,greedy,mbtl,oracle --budget 15
     """
-    if out is not None and not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
-        raise InvalidInput(f"--out must lie in a folder that can be written, got {str(out)!r}")
+    if out is not None and (out.is_dir() or not _writable(out.parent)):
+        raise InvalidInput(
+            f"--out must be a file in a folder that can be written, got {str(out)!r}"
+        )
     sources = list(open_matrices(matrix).values())
     if selectors is None:
         names = default_selectors(sources)
     else:
         names = [name.strip() for name in selectors.split(",") if name.strip()]
     with Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.completed}/{task.total}"),
         TimeElapsedColumn(),
@@ -76,6 +79,10 @@ def bench(
         print_json(comparison.to_json())
     else:
         _show(comparison)
+
+
+def _writable(folder: Path) -> bool:
+    return folder.is_dir() and os.access(folder, os.W_OK)
 
 
 def _write(comparison: Comparison, path: Path) -> None:
@@ -116,7 +123,9 @@ def _show(comparison: Comparison) -> None:
 
 
 def _table(title: str, selectors: Mapping[str, SelectorSummary]) -> Table:
-    table = Table(title=title, box=box.SIMPLE, padding=0, show_edge=False)  # within 80 columns
+    table = Table(
+        title=Text(title), box=box.SIMPLE, padding=0, show_edge=False
+    )  # within 80 columns
     table.add_column("selector", no_wrap=True)
     for head in ("V_K", "mean V", "k*", "k90", "k99", "closed\nat K", "closed,\ncurve"):
         table.add_column(head, justify="right", no_wrap=True)

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 from mbtl.benchmark import levels, open_matrix
 from mbtl.cli.common import JsonFlag, print_json, printer
@@ -48,7 +49,7 @@ def show(
     if as_json:
         print_json({"matrix": matrix, "n": source.n, "seeds": rows})
         return
-    table = Table(title=f"{matrix}: N = {source.n}", box=box.SIMPLE, show_edge=False)
+    table = Table(title=Text(f"{matrix}: N = {source.n}"), box=box.SIMPLE, show_edge=False)
     for head in ("seed", "grand mean", "Independent", "Oracle Transfer"):
         table.add_column(head, justify="right")
     for row in rows:

@@ -153,8 +153,16 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
     notes: list[str] = []
     if study.state.rows:
         portfolio = study.portfolio(trainer)
-        portfolio.save(folder / "portfolio", overwrite=True)
-        files["portfolio"] = str(folder / "portfolio")
+        if portfolio.policies_missing:
+            notes.append(
+                "the portfolio holds returns and routes only: this problem has no save and load "
+                "functions, so its policies end with this process"
+            )
+        try:
+            portfolio.save(folder / "portfolio", overwrite=True, allow_missing=True)
+            files["portfolio"] = str(folder / "portfolio")
+        except StorageError as error:
+            notes.append(f"no portfolio: {error}")
         curves, note = reference_curves(study)
         notes.append(note)
         try:

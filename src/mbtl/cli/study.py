@@ -61,13 +61,13 @@ def list_studies(
         printer().print(f"no studies below {folder}; `mbtl run cartpole-length` makes one")
         return
     table = Table(box=box.SIMPLE, show_edge=False)
-    for head in rows[0]:
-        table.add_column(head, no_wrap=head != "study")
+    for head in ("study", "selector", "told", "failed", "V", "state"):
+        table.add_column(head, overflow="fold" if head == "study" else "ellipsis")
     for row in rows:
-        cells = [
-            f"{v:.4f}" if isinstance(v, float) else "-" if v is None else str(v)
-            for v in row.values()
-        ]
+        condition = "finished" if row["finished"] else f"{row['open']} open" if row["open"] else ""
+        value = "-" if row["value"] is None else f"{row['value']:.4f}"
+        told = f"{row['told']}/{row['budget']}"
+        cells = (row["study"], row["selector"], told, str(row["failed"]), value, condition)
         table.add_row(*map(Text, cells))
     printer().print(table)
 
@@ -142,7 +142,7 @@ def export(
     if as_json:
         print_json({"written": str(out), "rows": len(state.rows)})
     else:
-        printer().print(f"wrote {len(state.rows)} rows to {out}", highlight=False)
+        printer().print(Text(f"wrote {len(state.rows)} transfer rows to {out}"))
 
 
 def _open(path: Path) -> Study:

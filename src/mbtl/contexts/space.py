@@ -74,6 +74,11 @@ class ContextSpace:
             InvalidInput: values are not strictly increasing.
             ContextMismatch: a value lies outside its axis.
         """
+        for axis in axes:
+            if not isinstance(axis, Axis):
+                raise InvalidInput(
+                    f"grid takes axes as keys, such as Linear('x', 0, 1), got {axis!r}"
+                )
         levels = [_grid_values(axis, given) for axis, given in axes.items()]
         for axis, values in zip(axes, levels, strict=True):
             if not values:
@@ -318,6 +323,9 @@ def _from_fraction(axis: Axis, u: float) -> Value:
 
 
 def _check_keys(axes: Sequence[Axis], context: Mapping[str, Value]) -> None:
+    if not isinstance(context, Mapping):
+        example = {axis.name: "..." for axis in axes}
+        raise ContextMismatch(f"a context is a mapping such as {example}, got {context!r}")
     names = [axis.name for axis in axes]
     for key in context:
         if key not in names:

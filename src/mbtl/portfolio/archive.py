@@ -165,7 +165,10 @@ def _write_policy(root: Path, name: str, saved: Path | None, policy: Any) -> Rec
     target = root / place
     if saved is not None:
         if not saved.is_dir():
-            raise StorageError(f"the policy folder {saved} must exist; it was moved or deleted")
+            raise StorageError(
+                f"the policy folder {saved} must exist; it was moved or deleted: put it back, or "
+                "start the study afresh (--new, or another name)"
+            )
         shutil.copytree(saved, target)
     elif isinstance(policy, MLPPolicy):
         target.mkdir(parents=True)

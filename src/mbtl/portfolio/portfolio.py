@@ -23,10 +23,11 @@ from mbtl.objective import Bounds, generalisation_performance, value
 from mbtl.portfolio import router
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
 from mbtl.portfolio.choice import Choice, explanation, shown
+from mbtl.portfolio.mlp import MLPPolicy
 from mbtl.portfolio.router import Indices
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Portfolio:
     """Policies trained on some contexts of a space, and their measured returns on all of them.
 
@@ -172,17 +173,28 @@ class Portfolio:
 
     # ---- keeping -----------------------------------------------------------------------------
 
-    def save(self, folder: Path | str, *, overwrite: bool = False) -> Path:
+    def save(
+        self, folder: Path | str, *, overwrite: bool = False, allow_missing: bool = False
+    ) -> Path:
         """Write everything, policies included, into a folder that appears whole or not at all.
 
         Args:
             folder: does not exist, or is empty, or holds a portfolio and `overwrite` is set.
             overwrite: replace the portfolio that is there.
+            allow_missing: keep returns and routes even of policies that cannot be saved.
 
         Raises:
             InvalidInput: something else is in the way.
+            StorageError: a policy is in memory only, because its trainer cannot save it.
             StorageError: the place cannot be written, or a policy folder is gone.
         """
+        missing = self.policies_missing
+        if missing and not allow_missing:
+            raise StorageError(
+                f"a saved portfolio holds its policies, but {len(missing)} of {len(self)} were "
+                "never saved; give the problem save and load functions, or pass "
+                "allow_missing=True to keep only their returns and routes"
+            )
         bounds = self.bounds
         record = {
             "cmdp": self.cmdp,
@@ -196,6 +208,18 @@ class Portfolio:
         return write_portfolio(
             Path(folder), record, self.returns, self._saved_policies(), overwrite=overwrite
         )
+
+    @property
+    def policies_missing(self) -> tuple[int, ...]:
+        """Positions of the policies that `save` could not write."""
+        return tuple(
+            i
+            for i, (_, folder, policy) in enumerate(self._saved_policies())
+            if folder is None and not isinstance(policy, MLPPolicy)
+        )
+
+    def __repr__(self) -> str:
+        return f"Portfolio({len(self)} policies for {self.space!r}, V = {self.value:.4f})"
 
     def _saved_policies(self) -> list[SavedPolicy]:
         names: list[str] = []

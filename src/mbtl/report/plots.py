@@ -67,7 +67,7 @@ def plot_policy_map(
     x = np.asarray(space.values(space.axes[0].name), dtype=float) if line else np.arange(space.n)
     serving = np.asarray(summary.serving)
     order = np.argsort(x)
-    used = [s for s in (p.source for p in summary.told) if s in set(summary.serving)]
+    used = sorted(set(summary.serving))
     colours = _colours(len(used))
     for colour, source in zip(colours, used, strict=True):
         mine = serving == source

@@ -58,6 +58,7 @@ class StudySummary:
         n_contexts: N.
         finished: why nothing more is asked; None while something is.
         bounds: (low, high) of the returns that performance 0 and 1 mean (high, low if minimised).
+        automatic_bounds: the bounds are the range of the returns told so far.
         episodes: episodes behind each entry of a row.
         picks: the sources in order.
         value: V now, on the selecting episodes; None before the first row.
@@ -76,6 +77,7 @@ class StudySummary:
     n_contexts: int
     finished: str | None
     bounds: tuple[float, float]
+    automatic_bounds: bool
     episodes: int
     picks: tuple[PickSummary, ...]
     value: float | None
@@ -127,6 +129,7 @@ def summarise_study(study: Study) -> StudySummary:
         "n_contexts": space.n,
         "finished": study.stop_reason,
         "bounds": best_and_worst,
+        "automatic_bounds": study.spec.bounds is None,
         "picks": picks,
     }
     if not len(history):

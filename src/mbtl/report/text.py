@@ -37,9 +37,14 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     """The sentences under the table."""
     worst, best = summary.bounds
     out = [
-        f"Performance 0 and 1 are returns of {worst:g} and {best:g}; "
-        f"{summary.episodes} episodes a target."
+        f"Performance 0 and 1 are returns of {worst:g} and {best:g}; {summary.episodes} episodes a "
+        "target."
     ]
+    if summary.automatic_bounds:
+        out.append(
+            "Those are the extremes of the returns told so far, so V moves with them and may leave "
+            "0..1 on fresh episodes; give the problem bounds for a fixed scale."
+        )
     if summary.fresh_value is not None:
         out.append(
             f"V = {summary.fresh_value:.4f} on fresh episodes "

@@ -2,8 +2,9 @@
 
 from mbtl.study.callbacks import Callback
 from mbtl.study.create import create_study, load_study
+from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.storage import EventLog, MemoryLog, SqlLog, study_names
-from mbtl.study.study import Pick, Study, StudyFinished
+from mbtl.study.study import Study
 
 __all__ = [
     "Callback",

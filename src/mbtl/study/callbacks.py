@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from mbtl.trainer import Progress
 
 if TYPE_CHECKING:
-    from mbtl.study.study import Pick, Study
+    from mbtl.study.pick import Pick
+    from mbtl.study.study import Study
 
 
 class Callback:

@@ -65,7 +65,8 @@ def create_study(
         name: name of the study within its storage.
         problem: id of the problem, to refuse a study of another one.
         settings: JSON-able record of the training recipe, to refuse a study of another one.
-        load_if_exists: go on with an existing study of the same name and the same settings.
+        load_if_exists: go on with an existing study of the same name and the same settings; a
+            larger budget extends it.
 
     Raises:
         InvalidInput: budget out of range, bounds reversed, unknown selector, ...
@@ -74,6 +75,13 @@ def create_study(
         StorageError: the storage cannot be written.
     """
     chosen = get_selector(selector)
+    if not isinstance(space, ContextSpace):
+        raise InvalidInput(
+            f"space must be a ContextSpace, got {type(space).__name__}; build one with "
+            "ContextSpace.grid or ContextSpace.points"
+        )
+    budget, seed = _whole("budget", budget), _whole("seed", seed)
+    trial = _whole("trial", trial)
     if bounds is not None:
         Bounds(float(bounds[0]), float(bounds[1]), direction)
     if direction not in ("maximize", "minimize"):
@@ -84,7 +92,6 @@ def create_study(
         raise InvalidInput(f"cost_budget must be > 0, got {cost_budget!r}")
     if seed < 0 or trial < 0:
         raise InvalidInput(f"seed and trial must be >= 0, got {seed} and {trial}")
-    budget, seed, trial = operator.index(budget), operator.index(seed), operator.index(trial)
     SelectionProblem.of(space, budget=budget, theta=theta)
     spec = StudySpec(
         space,
@@ -109,8 +116,12 @@ def create_study(
         study = Study(log, chosen, folder=_folder(storage), name=name)
         if not load_if_exists:
             raise StudyError(
-                f"a study named {name!r} exists in {storage}; load it, or choose another name"
+                f"a study named {name!r} exists in {storage}; pass load_if_exists=True to go on "
+                "with it, or choose another name"
             ) from None
+        if spec.budget > study.spec.budget:
+            _check_same(dataclasses.replace(study.spec, budget=spec.budget), spec)
+            study.extend(spec.budget)
         _check_same(study.spec, spec)
         return study
     return Study(log, chosen, folder=_folder(storage), name=name)
@@ -201,6 +212,13 @@ def _folder(storage: str | Path | None) -> Path | None:
     return path.parent if path else None
 
 
+def _whole(name: str, number: Any) -> int:
+    try:
+        return operator.index(number)
+    except TypeError:
+        raise InvalidInput(f"{name} must be a whole number, got {number!r}") from None
+
+
 def _json_like(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings as they will read back from the log."""
     try:
@@ -213,12 +231,27 @@ def _json_like(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _check_same(stored: StudySpec, given: StudySpec) -> None:
-    old, new = stored.to_json(), given.to_json()
-    changed = [key for key in new if old[key] != new[key]]
-    if changed:
-        key = changed[0]
-        was, now = (old[key], new[key]) if key != "space" else (stored.space, given.space)
+    if stored.space != given.space:
+        difference: tuple[str, Any, Any] | None = ("space", stored.space, given.space)
+    else:
+        difference = _first_difference(stored.to_json(), given.to_json())
+    if difference:
+        key, was, now = difference
         raise StudyMismatch(
             f"a stored study goes on only with the settings it was made with: {key} was {was!r}, "
             f"got {now!r}; repeat the old setting, or start afresh with --new (or another name)"
         )
+
+
+def _first_difference(
+    old: Mapping[str, Any], new: Mapping[str, Any], path: str = ""
+) -> tuple[str, Any, Any] | None:
+    """Dotted name of the first setting that differs, with both values."""
+    for key in [*new, *(key for key in old if key not in new)]:
+        was, now = old.get(key), new.get(key)
+        if was == now:
+            continue
+        if isinstance(was, Mapping) and isinstance(now, Mapping):
+            return _first_difference(was, now, f"{path}{key}.")
+        return f"{path}{key}", was, now
+    return None

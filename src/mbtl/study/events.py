@@ -1,6 +1,7 @@
 """Events: everything that ever happened to a study, in order. State is a replay of them.
 
 created   the problem and the settings; always the first
+extended  the budget was raised
 asked     the selector proposed a source to a worker
 claimed   a worker took over a pick whose worker is gone
 released  a worker gave its pick back untrained
@@ -17,7 +18,7 @@ from typing import Any, Literal, get_args
 
 from mbtl.arrays import Array
 
-Kind = Literal["created", "asked", "claimed", "released", "told", "failed", "reported"]
+Kind = Literal["created", "extended", "asked", "claimed", "released", "told", "failed", "reported"]
 KINDS: tuple[str, ...] = get_args(Kind)
 
 

@@ -5,6 +5,7 @@ It loses at most the training in flight; see `mbtl.study.job` for how.
 
 from __future__ import annotations
 
+import logging
 import pickle
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
@@ -20,8 +21,11 @@ from mbtl.seeds import evaluation_seed
 from mbtl.study.callbacks import Callback
 from mbtl.study.fresh import can_report, report_fresh_returns
 from mbtl.study.job import Job, Outcome, perform
-from mbtl.study.study import Pick, Study, StudyFinished
+from mbtl.study.pick import Pick, StudyFinished
+from mbtl.study.study import Study
 from mbtl.trainer import Trainer
+
+_logger = logging.getLogger(__name__)
 
 _NOT_THE_TRAININGS_FAULT = (StorageError, InvalidInput, MissingExtra)
 """Raised as they are: the pick is given back, to be trained once the cause is mended."""
@@ -50,7 +54,7 @@ def run(
         report: evaluate the routed policies on fresh seeds at the end.
 
     Raises:
-        TrainingFailed: a training failed and on_failure is "stop".
+        TrainingFailed: a training failed and on_failure is "stop", or every training failed.
     """
     if on_failure not in ("continue", "stop"):
         raise InvalidInput(f"on_failure must be 'continue' or 'stop', got {on_failure!r}")
@@ -65,6 +69,12 @@ def run(
             work = _Work(study, trainer, pooled, on_failure == "stop", callbacks)
             while batch := _next_batch(study, parallel):
                 work.do(batch)
+        if study.state.failures and not study.state.rows:
+            last = study.state.failures[-1]
+            raise TrainingFailed(
+                f"all {len(study.state.failures)} trainings failed, the last with {last.reason}; "
+                "mend the cause and start afresh (--new, or another name)"
+            )
         if report and can_report(study):
             _report(study, trainer, callbacks)
     finally:
@@ -123,6 +133,7 @@ class _Work:
             for pick, outcome in self._outcomes(batch):
                 self._record(pick, outcome)
                 waiting.remove(pick)
+                self._log(pick, outcome)
                 if not isinstance(outcome, Exception):
                     self._announce("on_told", pick)
                     continue
@@ -153,9 +164,9 @@ class _Work:
                 raise
             except BrokenExecutor as error:
                 raise StudyError(
-                    "a worker process died in the middle of a training (killed, or out of memory); "
-                    "its picks are given back: run again, with a smaller parallel if memory is "
-                    "short"
+                    "a worker process died (a script without `if __name__ == '__main__':`, killed, "
+                    "or out of memory); its picks are given back: run again, with a smaller "
+                    "parallel if memory is short"
                 ) from error
             except Exception as error:
                 outcome = error
@@ -172,6 +183,13 @@ class _Work:
             policy=_policy_path(self.study, pick.source).as_posix() if outcome.saved else None,
             policy_object=outcome.policy,
         )
+
+    def _log(self, pick: Pick, outcome: Outcome | Exception) -> None:
+        where = f"pick {pick.number + 1} of {self.study.spec.budget}, {pick.context}"
+        if isinstance(outcome, Exception):
+            _logger.warning("%s failed: %s", where, _reason(outcome))
+        else:
+            _logger.info("%s: V = %.4f", where, self.study.value)
 
     def _give_back(self, picks: list[Pick]) -> None:
         for pick in picks:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -184,6 +184,10 @@ class StudyState:
         self.version = event.data["version"]
         self.uid = event.data["uid"]
         self.created_at = event.time
+
+    def _extended(self, event: Event) -> None:
+        assert self.spec is not None
+        self.spec = replace(self.spec, budget=event.data["budget"])
 
     def _asked(self, event: Event) -> None:
         data = event.data

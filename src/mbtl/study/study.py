@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +21,7 @@ from mbtl.objective import Bounds, value, value_curve
 from mbtl.seeds import selection_rng, training_seed
 from mbtl.selectors import Exhausted, SelectionProblem, Selector
 from mbtl.study.events import Event, Kind
+from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.state import PickRecord, StudySpec, StudyState
 from mbtl.study.storage import Conflict, EventLog
 from mbtl.study.worker import this_worker
@@ -30,29 +30,6 @@ from mbtl.trainer import Trainer, checked_returns
 if TYPE_CHECKING:
     from mbtl.portfolio import Portfolio
     from mbtl.study.callbacks import Callback
-
-
-class StudyFinished(StudyError):
-    """There is nothing left to ask for."""
-
-
-@dataclass(frozen=True)
-class Pick:
-    """A source to train on.
-
-    Attributes:
-        number: 0-based number of the pick in its study.
-        source: context index.
-        context: the context itself, axis name -> value.
-        seed: training seed; it depends on the source, not on the pick number.
-        reason: why the selector chose it.
-    """
-
-    number: int
-    source: int
-    context: Context
-    seed: int
-    reason: str
 
 
 class Study:
@@ -85,23 +62,8 @@ class Study:
         Raises:
             StudyFinished: the budget is spent, a stopping rule is met, or no context is left.
         """
-        while True:
-            state = self.refresh()
-            if self._early_stop is not None:
-                raise StudyFinished(f"the study is finished: {self._early_stop}")
-            orphans = self.orphans if take_over else self._given_back
-            number = orphans[0] if orphans else None
-            if number is None:
-                number = len(state.picks)
-                event = self._proposal(state)
-            else:
-                worker = this_worker().to_json()
-                event = Event("claimed", {"pick": number, "worker": worker})
-            try:
-                self._append(event)
-            except Conflict:
-                continue  # somebody was faster: look again
-            return self._pick(self._state.picks[number])
+        asked = self._commit(lambda state: self._next_event(state, take_over))
+        return self._pick(self._state.picks[asked.data["pick"]])
 
     def tell(
         self,
@@ -135,27 +97,42 @@ class Study:
             raise InvalidInput(f"cost must be finite and >= 0, got {cost!r}")
         source = self._source(pick)
         arrays = {"returns": rows.mean(axis=1), "std": rows.std(axis=1)}
-        while True:
-            state = self.refresh()
-            data = {
-                "source": source,
-                "pick": self._answered(state, pick, source),
-                "episodes": rows.shape[1],
-                "cost": float(cost),
-                "seconds": seconds,
-                "policy": policy,
-            }
-            try:
-                self._append(Event("told", data, arrays))
-            except Conflict:
-                continue
-            if policy_object is not None:
-                self.policies[source] = policy_object
-            return
+        data = {
+            "source": source,
+            "episodes": rows.shape[1],
+            "cost": float(cost),
+            "seconds": seconds,
+            "policy": policy,
+        }
+
+        def told(state: StudyState) -> Event:
+            return Event("told", {**data, "pick": self._answered(state, pick, source)}, arrays)
+
+        self._commit(told)
+        if policy_object is not None:
+            self.policies[source] = policy_object
 
     def fail(self, pick: Pick, reason: str) -> None:
         """Record that a pick gave nothing usable; it spends budget and is never proposed again."""
         self._settle("failed", pick, {"source": pick.source, "reason": reason})
+
+    def extend(self, budget: int) -> None:
+        """Raise the budget to `budget` trainings in all, for a few more picks.
+
+        Raises:
+            InvalidInput: it is not larger than now, or exceeds the number of contexts.
+        """
+
+        def extended(state: StudyState) -> Event:
+            now = self.spec.budget
+            if not now < budget <= self.space.n:
+                raise InvalidInput(
+                    f"a budget can only be raised, from {now} up to the {self.space.n} contexts, "
+                    f"got {budget}"
+                )
+            return Event("extended", {"budget": int(budget)})
+
+        self._commit(extended)
 
     def release(self, pick: Pick) -> None:
         """Give a pick back untrained; the next `ask` hands it out again."""
@@ -168,18 +145,17 @@ class Study:
             StudyError: rows were told since; the report would not fit them.
         """
         returns = np.asarray(returns, dtype=np.float64)
-        while True:
-            rows = len(self.refresh().rows)
-            if returns.shape != (rows, self.space.n):
+
+        def reported(state: StudyState) -> Event:
+            expected = (len(state.rows), self.space.n)
+            if returns.shape != expected:
                 raise StudyError(
-                    f"fresh returns must have shape {(rows, self.space.n)}, a row per policy told, "
-                    f"got {returns.shape}; evaluate again"
+                    f"fresh returns must have shape {expected}, a row per policy told, got "
+                    f"{returns.shape}; evaluate again"
                 )
-            try:
-                self._append(Event("reported", {}, {"returns": returns}))
-            except Conflict:
-                continue
-            return
+            return Event("reported", {}, {"returns": returns})
+
+        self._commit(reported)
 
     def run(
         self,
@@ -212,6 +188,10 @@ class Study:
             report=report,
         )
         return self
+
+    def __repr__(self) -> str:
+        told, spec = len(self._state.rows), self.spec
+        return f"Study({self.name!r}: {told} of {spec.budget} trainings told, {spec.space!r})"
 
     # ---- reading -----------------------------------------------------------------------------
 
@@ -330,6 +310,14 @@ class Study:
     def _given_back(self) -> list[int]:
         return sorted(n for n, pick in self._state.open_picks.items() if pick.worker is None)
 
+    def _next_event(self, state: StudyState, take_over: bool) -> Event:
+        if self._early_stop is not None:
+            raise StudyFinished(f"the study is finished: {self._early_stop}")
+        orphans = self.orphans if take_over else self._given_back
+        if not orphans:
+            return self._proposal(state)
+        return Event("claimed", {"pick": orphans[0], "worker": this_worker().to_json()})
+
     def _proposal(self, state: StudyState) -> Event:
         reason = self.stop_reason
         if reason is not None:
@@ -362,6 +350,11 @@ class Study:
             return pick.source
         if isinstance(pick, Mapping):
             return self.space.index(pick)
+        if not isinstance(pick, (int, np.integer)):
+            raise InvalidInput(
+                f"tell takes what ask gave, a context or its index, got {type(pick).__name__} "
+                f"{pick!r}"
+            )
         if not 0 <= int(pick) < self.space.n:
             raise InvalidInput(f"context indices run from 0 to {self.space.n - 1}, got {pick}")
         return int(pick)
@@ -382,17 +375,23 @@ class Study:
         return None
 
     def _settle(self, kind: Kind, pick: Pick, data: dict[str, Any]) -> None:
-        while True:
-            if pick.number not in self.refresh().open_picks:
+        def settled(state: StudyState) -> Event:
+            if pick.number not in state.open_picks:
                 raise StudyError(
                     f"pick {pick.number} is not open: it was answered before, or given up"
                 )
+            return Event(kind, {"pick": pick.number, **data})
+
+        self._commit(settled)
+
+    def _commit(self, decide: Callable[[StudyState], Event]) -> Event:
+        """Append what `decide` makes of the newest state; decide anew if somebody was faster."""
+        while True:
+            state = self.refresh()
+            event = decide(state)
             try:
-                self._append(Event(kind, {"pick": pick.number, **data}))
+                self._log.append(event, after=state.seq)
             except Conflict:
                 continue
-            return
-
-    def _append(self, event: Event) -> None:
-        self._log.append(event, after=self._state.seq)
-        self.refresh()
+            self.refresh()
+            return event

@@ -1,0 +1,31 @@
+"""What `ask` gives: a source to train on, or the news that there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mbtl.contexts import Context
+from mbtl.errors import StudyError
+
+
+class StudyFinished(StudyError):
+    """There is nothing left to ask for."""
+
+
+@dataclass(frozen=True)
+class Pick:
+    """A source to train on.
+
+    Attributes:
+        number: 0-based number of the pick in its study.
+        source: context index.
+        context: the context itself, axis name -> value.
+        seed: training seed; it depends on the source, not on the pick number.
+        reason: why the selector chose it.
+    """
+
+    number: int
+    source: int
+    context: Context
+    seed: int
+    reason: str
