@@ -1,0 +1,98 @@
+"""Does PPO in jax learn as Stable-Baselines3's does? Same environment, recipe and seeds.
+
+    .venv/bin/python benchmarks/jax_parity.py [--cmdp cartpole] [--seeds 10] [--steps 50000]
+
+At five checkpoints the latest policy of each seed plays 20 deterministic episodes. Printed: means,
+their difference and its 90 % interval (Welch), in raw returns and as a share of the CMDP's bounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+
+import numpy as np
+from scipy import stats
+
+from mbtl.cmdps import cartpole, pendulum
+
+CHECKPOINTS, EPISODES, UPDATE = 5, 20, 2048
+GYM = {"cartpole": (cartpole, cartpole.CartPole), "pendulum": (pendulum, pendulum.Pendulum)}
+CONTEXT = {"cartpole": {"length": 0.5}, "pendulum": {"mass": 1.0}}
+BOUNDS = {"cartpole": (0.0, 500.0), "pendulum": (-2200.0, -500.0)}
+
+
+def sb3_curve(name: str, every: int, seed: int) -> list[float]:
+    """Mean return at each checkpoint."""
+    import torch
+    from stable_baselines3 import PPO
+
+    from mbtl.training.rollout import Job, play
+    from mbtl.training.watch import actor_for
+
+    torch.set_num_threads(1)
+    make = partial(GYM[name][1], CONTEXT[name])
+    model = PPO("MlpPolicy", make(), seed=seed, device="cpu")
+    curve = []
+    for _ in range(CHECKPOINTS):
+        model.learn(every, reset_num_timesteps=False)
+        (returns,) = play([Job(make, range(EPISODES))], actor_for(model), max_envs=1)
+        curve.append(float(np.mean(returns)))
+    return curve
+
+
+def jax_curves(name: str, every: int, seeds: int) -> np.ndarray:
+    """(seeds, checkpoints) mean returns."""
+    import mbtl.training.jax as engine
+
+    module, gym_class = GYM[name]
+    env = {"cartpole": engine.CartPole, "pendulum": engine.Pendulum}[name]()
+    there = gym_class(CONTEXT[name])
+    constants = [module.derive(there.features)]
+    one = engine.stack_params(env, constants, [there.visible])
+    params = engine.stack_params(env, constants * seeds, [there.visible] * seeds)
+    noise, curves = engine.episode_noise(env, range(EPISODES)), []
+
+    def look(block: engine.Block) -> None:
+        actors = block.training.state.weights.actor
+        curves.append(engine.evaluate(env, actors, one, noise).mean(axis=(1, 2)))
+
+    engine.train(
+        env, engine.RECIPES["sb3"], range(seeds), params, CHECKPOINTS * every,
+        checkpoint_every=every, checkpoint_episodes=1, on_block=look,
+    )  # fmt: skip
+    return np.stack(curves, axis=1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cmdp", choices=sorted(GYM), default="cartpole")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--steps", type=int, default=50_000)
+    args = parser.parse_args()
+    every = UPDATE * max(1, round(args.steps / CHECKPOINTS / UPDATE))
+    ours = jax_curves(args.cmdp, every, args.seeds)
+    cores = len(os.sched_getaffinity(0))
+    with ProcessPoolExecutor(cores, mp_context=get_context("spawn")) as pool:
+        theirs = np.array(list(pool.map(partial(sb3_curve, args.cmdp, every), range(args.seeds))))
+    low, high = BOUNDS[args.cmdp]
+    print(f"{args.cmdp}, {args.seeds} seeds each, recipe sb3")
+    print("   steps       jax       SB3   difference   90 % interval   of the bounds")
+    for k in range(CHECKPOINTS):
+        a, b = ours[:, k], theirs[:, k]
+        if np.ptp(a) == np.ptp(b) == 0.0:
+            less = more = a.mean() - b.mean()
+        else:
+            less, more = stats.ttest_ind(a, b, equal_var=False).confidence_interval(0.9)
+        share = 100.0 / (high - low)
+        print(
+            f"{(k + 1) * every:8,d}  {a.mean():8.1f}  {b.mean():8.1f}  {a.mean() - b.mean():11.1f}"
+            f"  [{less:6.1f}, {more:6.1f}]  [{less * share:+.1f} %, {more * share:+.1f} %]"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,142 @@
+"""What the trainers ask of an environment: pure functions of a state and of context parameters.
+
+Parameters are arguments and never closed over, so one compiled program serves every context, and
+contexts, seeds and copies are axes of `jax.vmap`. A state knows no time limit and never resets
+itself: whoever steps it counts the steps, tells truncation from termination and starts anew.
+
+Parameters are a NamedTuple of arrays: the constants that the Gymnasium environment of the same name
+derives from its features, then `visible`, the context features appended to each observation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbtl.errors import InvalidInput
+
+TimeLimit = Literal["truncation", "terminal"]
+
+Tree = Any
+"""Arrays in nested tuples, lists or dictionaries: what jax calls a pytree."""
+
+
+@dataclass(frozen=True)
+class Discrete:
+    """Actions 0..n-1."""
+
+    n: int
+
+
+@dataclass(frozen=True)
+class Box:
+    """Actions are vectors within bounds, one entry of `low` and `high` per dimension."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+class Step(NamedTuple):
+    """What one step gives.
+
+    Attributes:
+        state: the next state, also after a terminal step.
+        reward: scalar.
+        terminated: the state is terminal; the time limit does not count.
+    """
+
+    state: Tree
+    reward: jax.Array
+    terminated: jax.Array
+
+
+class Environment(Protocol):
+    """One context's dynamics, hashable, as it is a compile-time constant; `jax.vmap` makes batches.
+
+    Attributes:
+        horizon: steps after which an episode is cut off.
+        time_limit: whether learning sees the cut-off as truncation or as a terminal state.
+        action: the action space.
+        n_features: length of an observation without visible context features.
+        n_noise: uniform random numbers that start an episode.
+        params: class of the parameters; its last field is `visible`.
+    """
+
+    @property
+    def horizon(self) -> int: ...  # noqa: D102
+    @property
+    def time_limit(self) -> TimeLimit: ...  # noqa: D102
+    @property
+    def action(self) -> Discrete | Box: ...  # noqa: D102
+    @property
+    def n_features(self) -> int: ...  # noqa: D102
+    @property
+    def n_noise(self) -> int: ...  # noqa: D102
+    @property
+    def params(self) -> type[Any]: ...  # noqa: D102
+
+    def initial(self, noise: jax.Array, params: Tree) -> Tree:
+        """First state from `noise`, (n_noise,) uniform in [0, 1)."""
+        ...
+
+    def reset(self, key: jax.Array, params: Tree) -> Tree:
+        """First state from a random key."""
+        ...
+
+    def step(self, state: Tree, action: jax.Array, params: Tree) -> Step:
+        """One step; `action` is an integer, or a vector within the box."""
+        ...
+
+    def observe(self, state: Tree, params: Tree) -> jax.Array:
+        """(n_features + visible,) float32, what the policy sees."""
+        ...
+
+
+def stack_params(
+    env: Environment, constants: Sequence[Sequence[float]], visible: ArrayLike | None = None
+) -> Tree:
+    """Parameters of many contexts, one leading axis.
+
+    Args:
+        env: the environment they are for.
+        constants: per context what the Gymnasium module's `derive` gives.
+        visible: (contexts, v) features appended to observations; None for none.
+
+    Returns:
+        `env.params` of numpy arrays in float64 (jax rounds them when x64 is off): (contexts,) per
+        constant, (contexts, v) visible.
+
+    Raises:
+        InvalidInput: the constants are not those of this environment.
+    """
+    table = np.asarray(constants, dtype=np.float64)
+    fields = env.params._fields[:-1]
+    if table.ndim != 2 or table.shape[1] != len(fields):
+        raise InvalidInput(
+            f"constants must be (contexts, {len(fields)}) for {', '.join(fields)}, "
+            f"got shape {table.shape}; pass what `derive` returns for each context"
+        )
+    shown: NDArray[np.float64] = (
+        np.zeros((len(table), 0)) if visible is None else np.asarray(visible, dtype=np.float64)
+    )
+    if shown.ndim != 2 or len(shown) != len(table):
+        raise InvalidInput(
+            f"visible features must be ({len(table)}, v), one row per context, got {shown.shape}"
+        )
+    return env.params(*table.T, shown)
+
+
+def uniform_reset(env: Environment, key: jax.Array, params: Tree) -> Tree:
+    """`reset` in terms of `initial`: draws the noise."""
+    return env.initial(jax.random.uniform(key, (env.n_noise,)), params)
+
+
+def stack_observation(parts: Sequence[jax.Array], visible: jax.Array) -> jax.Array:
+    """Observation from its scalars and the visible features."""
+    return jnp.concatenate([jnp.stack(list(parts)), visible]).astype(jnp.float32)

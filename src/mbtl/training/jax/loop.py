@@ -1,0 +1,234 @@
+"""Many trainings at once, in blocks of updates with an evaluation after each.
+
+Contexts and seeds are one axis of P policies. Everything that decides the future is in `Training`,
+so a run that is stopped after a block goes on from it with the same result as if it had not been.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.errors import InvalidInput, StorageError, TrainingFailed
+from mbtl.seeds import Purpose, derive_seed
+from mbtl.training.jax import ppo
+from mbtl.training.jax.environments import Environment, Tree
+from mbtl.training.jax.evaluation import episode_noise, own_returns
+from mbtl.training.jax.networks import Weights
+from mbtl.training.jax.recipes import PPORecipe
+
+BLOCKS = 50
+"""Evaluations per training unless told otherwise: one every 2 % of the steps."""
+
+_SHUFFLE = 0x6D62_746C  # root of the order of minibatches, the same in every training
+
+
+class Training(NamedTuple):
+    """P trainings between two blocks.
+
+    Attributes:
+        state: the algorithm's; `state.weights` are the latest ones.
+        best: weights of the best evaluation so far, the earliest of equals.
+        best_return: (P,) mean return of that evaluation; optimistic, being a maximum.
+        latest_return: (P,) mean return of the last evaluation.
+        updates: updates done.
+    """
+
+    state: ppo.State
+    best: Weights
+    best_return: jax.Array
+    latest_return: jax.Array
+    updates: jax.Array
+
+
+class Block(NamedTuple):
+    """What `on_block` is told.
+
+    Attributes:
+        steps: environment steps done, per policy.
+        total: environment steps planned, per policy.
+        training: everything, e.g. to save it with `to_arrays`. Read it before returning: its
+            memory is used again by the next block.
+    """
+
+    steps: int
+    total: int
+    training: Training
+
+
+def start(env: Environment, recipe: PPORecipe, seeds: Sequence[int], params: Tree) -> Training:
+    """Trainings before their first update.
+
+    Raises:
+        InvalidInput: there is not one seed per context.
+    """
+    n_contexts = len(params.visible)
+    if len(seeds) != n_contexts or not seeds:
+        raise InvalidInput(
+            f"training takes one seed per context (repeat contexts for more seeds), "
+            f"got {len(seeds)} seeds and {n_contexts} contexts"
+        )
+    state = ppo.init(env, recipe, seeds, _float32(params))
+    return Training(
+        state,
+        jax.tree.map(jnp.copy, state.weights),
+        jnp.full(n_contexts, -jnp.inf, dtype=jnp.float32),
+        jnp.full(n_contexts, -jnp.inf, dtype=jnp.float32),
+        jnp.int32(0),
+    )
+
+
+def train(
+    env: Environment,
+    recipe: PPORecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    timesteps: int,
+    *,
+    on_block: Callable[[Block], None] | None = None,
+    checkpoint_every: int | None = None,
+    checkpoint_episodes: int = 10,
+    resume: Training | None = None,
+) -> Training:
+    """Train one policy per (context, seed), all of them together.
+
+    A policy depends on its own seed and context, on the recipe and on `timesteps`; not on the
+    others. (Another number of policies is another program, whose rounding may differ.)
+
+    Args:
+        env: the dynamics.
+        recipe: hyper-parameters.
+        seeds: P training seeds of 32 bits.
+        params: P contexts, leading axis; repeat a context to train it with several seeds.
+        timesteps: environment steps per policy, rounded up to whole updates.
+        on_block: called after each block.
+        checkpoint_every: environment steps between two evaluations of each policy on its own
+            context, rounded up to whole updates; None for 2 % of `timesteps`.
+        checkpoint_episodes: deterministic episodes of an evaluation, the same at every one.
+        resume: what an interrupted call had reached (given again with the same arguments).
+
+    Returns:
+        Final and best weights.
+
+    Raises:
+        InvalidInput: seeds and contexts do not match, or a number is below 1.
+        TrainingFailed: weights are no longer finite.
+    """
+    for name, value in (("timesteps", timesteps), ("checkpoint_episodes", checkpoint_episodes)):
+        if value < 1:
+            raise InvalidInput(f"{name} must be >= 1, got {value}")
+    every = checkpoint_every or math.ceil(timesteps / BLOCKS)
+    per_update = recipe.steps_per_update
+    total, block = math.ceil(timesteps / per_update), math.ceil(every / per_update)
+    params = _float32(params)
+    noise = np.stack([_checkpoint_noise(env, seed, checkpoint_episodes) for seed in seeds])
+    training = start(env, recipe, seeds, params) if resume is None else resume
+    done = int(training.updates)
+    while done < total:
+        count = min(block, total - done)
+        training, finite = _run_block(env, recipe, training, params, noise, count, total)
+        done += count
+        _check_finite(np.asarray(finite), done * per_update)
+        if on_block is not None:
+            on_block(Block(done * per_update, total * per_update, training))
+    return training
+
+
+@partial(jax.jit, static_argnums=(0, 1), donate_argnums=2)
+def _run_block(
+    env: Environment,
+    recipe: PPORecipe,
+    training: Training,
+    params: Tree,
+    noise: jax.Array,
+    count: jax.Array,
+    total: jax.Array,
+) -> tuple[Training, jax.Array]:
+    """`count` updates, then an evaluation; also (P,) whether all weights are finite."""
+
+    def one(i: jax.Array, state: ppo.State) -> ppo.State:
+        number = training.updates + i
+        shuffle = jax.random.fold_in(jax.random.PRNGKey(_SHUFFLE), number)
+        scale = 1.0 - number / total if recipe.anneal else jnp.float32(1.0)
+        update = jax.vmap(partial(ppo.update, env, recipe), in_axes=(0, 0, None, None))
+        updated: ppo.State = update(state, params, shuffle, scale)
+        return updated
+
+    state = jax.lax.fori_loop(0, count, one, training.state)
+    latest = own_returns(env, state.weights.actor, params, noise).mean(axis=1)
+    better = latest > training.best_return
+
+    def keep(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+    best = jax.tree.map(keep, state.weights, training.best)
+    finite = [
+        jnp.isfinite(x.reshape(len(x), -1)).all(axis=1) for x in jax.tree.leaves(state.weights)
+    ]
+    return (
+        Training(
+            state,
+            best,
+            jnp.where(better, latest, training.best_return),
+            latest,
+            training.updates + count,
+        ),
+        jnp.stack(finite).all(axis=0),
+    )
+
+
+def to_arrays(training: Training) -> dict[str, NDArray[Any]]:
+    """Plain arrays to be saved, e.g. with `numpy.savez`."""
+    return {f"leaf_{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(training))}
+
+
+def from_arrays(template: Training, arrays: Mapping[str, NDArray[Any]]) -> Training:
+    """What `to_arrays` took apart.
+
+    Args:
+        template: what `start` gives for the same arguments.
+        arrays: as saved.
+
+    Raises:
+        StorageError: the arrays belong to other arguments.
+    """
+    leaves, structure = jax.tree.flatten(template)
+    try:
+        loaded = [np.asarray(arrays[f"leaf_{i}"]) for i in range(len(leaves))]
+    except KeyError as error:
+        raise StorageError(
+            f"a saved training must hold {error}, which is missing; start anew"
+        ) from error
+    for old, new in zip(leaves, loaded, strict=True):
+        if old.shape != new.shape or old.dtype != new.dtype:
+            raise StorageError(
+                f"a saved training must fit its recipe and contexts, got {new.dtype}{new.shape} "
+                f"where {old.dtype}{old.shape} belongs; start anew"
+            )
+    restored: Training = jax.tree.unflatten(structure, [jnp.asarray(x) for x in loaded])
+    return restored
+
+
+def _checkpoint_noise(env: Environment, seed: int, episodes: int) -> NDArray[np.float32]:
+    return episode_noise(env, [derive_seed(seed, Purpose.CHECKPOINT, e) for e in range(episodes)])
+
+
+def _float32(params: Tree) -> Tree:
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params)
+
+
+def _check_finite(finite: NDArray[np.bool_], step: int) -> None:
+    if not finite.all():
+        bad = np.flatnonzero(~finite)
+        raise TrainingFailed(
+            f"training must keep finite weights, got NaN or infinity by step {step} in policies "
+            f"{', '.join(map(str, bad[:10]))} ({len(bad)} in all); lower the learning rate, or "
+            "check the contexts"
+        )

@@ -1,0 +1,148 @@
+"""The pure environments step as the Gymnasium ones do."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+import mbtl.training.jax as engine  # before jax: it sets jax's flags
+from mbtl.cmdps import cartpole, pendulum
+from mbtl.errors import InvalidInput
+
+N = 10_000
+
+
+def cartpole_corners():
+    """Corners of the paper's grids; the reference's frozen masses at the nominal and two others."""
+    grids = {"masscart": (0.1, 10.0), "masspole": (0.01, 1.0), "length": (0.05, 5.0)}
+    corners = [dict(zip(grids, values, strict=True)) for values in product(*grids.values())]
+    return [(c, p) for c in corners for p in ("intended", "reference")]
+
+
+def pendulum_corners():
+    grids = {"timestep": (0.005, 0.5), "mass": (0.1, 10.0), "length": (0.1, 10.0)}
+    return [dict(zip(grids, values, strict=True)) for values in product(*grids.values())]
+
+
+def cartpole_pairs():
+    """(Gymnasium environment, constants) per corner."""
+    for context, physics in cartpole_corners():
+        env = cartpole.CartPole(context, physics=physics)
+        yield env, cartpole.derive(env.features, physics)
+
+
+def pendulum_pairs():
+    for context in pendulum_corners():
+        env = pendulum.Pendulum(context)
+        yield env, pendulum.derive(env.features)
+
+
+FAMILIES = {
+    "cartpole": (engine.CartPole(), cartpole_pairs),
+    "pendulum": (engine.Pendulum(), pendulum_pairs),
+}
+
+
+def random_states(name, rng, n):
+    if name == "cartpole":
+        return rng.uniform(-1, 1, (n, 4)) * [2.4, 3.0, 0.2, 3.0]
+    return rng.uniform(-1, 1, (n, 2)) * [3.1, 8.0]
+
+
+def random_actions(name, rng, n):
+    if name == "cartpole":
+        return rng.integers(0, 2, n)
+    return rng.uniform(-3, 3, (n, 1)).astype(np.float32)  # beyond the torque limit, too
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_one_step_from_identical_states_agrees_in_float32(name):
+    env, pairs = FAMILIES[name]
+    pairs = list(pairs())
+    rng = np.random.default_rng(0)
+    each = N // len(pairs) + 1
+    step = jax.jit(jax.vmap(env.step, (0, 0, None)))
+    observe = jax.vmap(env.observe, (0, None))
+    compared = 0
+    for gym_env, constants in pairs:
+        params = jax.tree.map(
+            lambda x: jnp.asarray(x[0], jnp.float32),
+            engine.stack_params(env, [constants], [gym_env.visible]),
+        )
+        states = random_states(name, rng, each).astype(np.float32)
+        actions = random_actions(name, rng, each)
+        ours = step(type(env.initial(jnp.zeros(env.n_noise), params))(*states.T), actions, params)
+        seen = np.asarray(observe(ours.state, params))
+        gym_env.reset(seed=0)
+        new, rewards, ended, theirs_seen = [], [], [], []
+        for state, action in zip(states, actions, strict=True):
+            gym_env._left = 2
+            gym_env.state = state
+            obs, reward, terminated, _, _ = gym_env.step(action)
+            new.append(gym_env.state)
+            rewards.append(reward)
+            ended.append(terminated)
+            theirs_seen.append(obs)
+        new = np.array(new)
+        # relative to the larger of old state, new state and 1 % of the change's own scale
+        scale = np.maximum(np.abs(new), np.abs(states)) + np.abs(new - states).max(axis=0) * 1e-2
+        assert (np.abs(np.stack(ours.state, axis=1) - new) <= 1e-5 * scale).all()
+        np.testing.assert_allclose(ours.reward, rewards, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(seen, theirs_seen, rtol=1e-5, atol=1e-4)
+        np.testing.assert_array_equal(ours.terminated, ended)
+        compared += each
+    assert compared >= N
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_rollouts_agree_in_float64_up_to_the_first_termination(name):
+    env, pairs = FAMILIES[name]
+    with jax.enable_x64(True):
+        step = jax.jit(env.step)
+        for index, (gym_env, constants) in enumerate(pairs()):
+            params = jax.tree.map(
+                lambda x: jnp.asarray(x[0], jnp.float64), engine.stack_params(env, [constants])
+            )
+            gym_env.reset(seed=index)
+            noise = np.random.default_rng(index).random(env.n_noise)
+            state = env.initial(jnp.asarray(noise), params)
+            np.testing.assert_allclose(np.stack(state), gym_env.state, rtol=0, atol=1e-15)
+            rng = np.random.default_rng(index)
+            for _ in range(200):
+                action = random_actions(name, rng, 1)[0]
+                state, reward, terminated = step(state, jnp.asarray(action), params)
+                _, theirs, ended, truncated, _ = gym_env.step(action)
+                np.testing.assert_allclose(np.stack(state), gym_env.state, rtol=1e-8, atol=1e-8)
+                assert float(reward) == pytest.approx(theirs, rel=1e-8, abs=1e-8)
+                assert bool(terminated) == ended
+                if ended or truncated:
+                    break
+
+
+def test_a_key_starts_episodes_within_the_reset_range():
+    env = engine.CartPole()
+    params = jax.tree.map(
+        lambda x: jnp.asarray(x[0], jnp.float32),
+        engine.stack_params(env, [cartpole.derive(cartpole.CartPole.FEATURES)]),
+    )
+    keys = jax.random.split(jax.random.PRNGKey(0), 2000)
+    states = np.stack(jax.vmap(partial(env.reset, params=params))(keys))
+    assert states.min() == pytest.approx(-0.05, abs=1e-3)
+    assert states.max() == pytest.approx(0.05, abs=1e-3)
+    assert abs(states.mean()) < 2e-3
+
+
+def test_constants_of_another_environment_are_refused():
+    constants = pendulum.derive(pendulum.Pendulum.FEATURES)
+    with pytest.raises(InvalidInput, match=r"pole_moment.*`derive`"):
+        engine.stack_params(engine.CartPole(), [constants])
+    with pytest.raises(InvalidInput, match="one row per context"):
+        engine.stack_params(engine.Pendulum(), [constants], [[1.0], [2.0]])

@@ -1,0 +1,316 @@
+"""PPO over many contexts and seeds: independence, resuming, learning, export, evaluation."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+import jax
+import jax.numpy as jnp
+
+import mbtl.training.jax as engine  # before jax: it sets jax's flags
+from mbtl.cmdps import cartpole, pendulum
+from mbtl.errors import InvalidInput, StorageError, TrainingFailed, UnknownName
+from mbtl.portfolio import MLPPolicy
+from mbtl.training.jax import loop, networks, ppo
+from mbtl.training.jax.environments import Box, Discrete
+from mbtl.training.jax.flags import set_flags
+
+TINY = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32, n_epochs=2, learning_rate=1e-3)
+CARTPOLE = engine.CartPole()
+PENDULUM = engine.Pendulum()
+# compiling a program takes longer than running it, so most tests share these, with P = 2
+RECIPE = {"cartpole": TINY, "pendulum": replace(TINY, anneal=True, entropy_coef=0.01)}
+
+
+def cartpole_params(lengths):
+    envs = [cartpole.CartPole({"length": length}) for length in lengths]
+    constants = [cartpole.derive(env.features) for env in envs]
+    return engine.stack_params(CARTPOLE, constants, [env.visible for env in envs])
+
+
+def pendulum_params(masses):
+    envs = [pendulum.Pendulum({"mass": mass}) for mass in masses]
+    constants = [pendulum.derive(env.features) for env in envs]
+    return engine.stack_params(PENDULUM, constants, [env.visible for env in envs])
+
+
+def assert_same(one, other):
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+# ---- training ------------------------------------------------------------------------------------
+
+
+def test_a_policy_does_not_depend_on_its_company():
+    mixed = engine.train(CARTPOLE, TINY, [3, 7], cartpole_params([0.5, 0.1]), 256)
+    other = engine.train(CARTPOLE, TINY, [3, 9], cartpole_params([0.5, 4.0]), 256)
+    first, again = (jax.tree.map(lambda x: x[0], t.state) for t in (mixed, other))
+    assert_same(first, again)
+    second = jax.tree.map(lambda x: x[1], mixed.state.weights)
+    assert not np.array_equal(second.actor[0][0], first.weights.actor[0][0])
+
+
+@pytest.mark.parametrize("name", ["cartpole", "pendulum"])
+def test_a_training_resumed_from_saved_arrays_ends_where_it_would_have(name, tmp_path):
+    env, params = {
+        "cartpole": (CARTPOLE, cartpole_params([0.5, 1.0])),
+        "pendulum": (PENDULUM, pendulum_params([1.0, 2.0])),
+    }[name]
+    recipe, settings = RECIPE[name], {"checkpoint_every": 128}
+    seen = []
+
+    def save_first(block):
+        seen.append((block.steps, block.total))
+        if len(seen) == 1:
+            np.savez(tmp_path / "training.npz", **engine.to_arrays(block.training))
+
+    whole = engine.train(env, recipe, [0, 1], params, 350, on_block=save_first, **settings)
+    assert seen == [(128, 384), (256, 384), (384, 384)]
+    template = engine.start(env, recipe, [0, 1], params)
+    with np.load(tmp_path / "training.npz") as arrays:
+        halfway = engine.from_arrays(template, arrays)
+    assert int(halfway.updates) == 2
+    assert_same(whole, engine.train(env, recipe, [0, 1], params, 350, resume=halfway, **settings))
+
+
+def test_saved_arrays_of_another_training_are_refused():
+    small = engine.start(CARTPOLE, TINY, [0], cartpole_params([0.5]))
+    large = engine.start(CARTPOLE, TINY, [0, 1], cartpole_params([0.5, 1.0]))
+    with pytest.raises(StorageError, match="must fit its recipe"):
+        engine.from_arrays(large, engine.to_arrays(small))
+    with pytest.raises(StorageError, match="leaf_0"):
+        engine.from_arrays(large, {})
+
+
+def test_cartpole_is_learnt_and_the_best_checkpoint_is_kept():
+    recipe = replace(engine.RECIPES["fast"], anneal=False)
+    bests = []
+    training = engine.train(
+        CARTPOLE,
+        recipe,
+        [0, 1],
+        cartpole_params([0.5, 0.5]),
+        60_000,
+        checkpoint_every=6_000,
+        on_block=lambda b: bests.append(np.array(b.training.best_return)),
+    )
+    assert (np.diff(bests, axis=0) >= 0).all()
+    assert (bests[-1] >= 400).all()
+    assert (bests[-1] >= np.asarray(training.latest_return)).all()
+
+
+def test_pendulum_improves():
+    recipe = engine.PPORecipe(
+        n_envs=8, n_steps=128, batch_size=256, n_epochs=10, learning_rate=1e-3, gamma=0.9
+    )
+    latest = []
+    engine.train(
+        PENDULUM,
+        recipe,
+        [0],
+        pendulum_params([1.0]),
+        80_000,
+        checkpoint_every=8_000,
+        on_block=lambda b: latest.append(float(b.training.latest_return[0])),
+    )
+    assert max(latest) > latest[0] + 300
+
+
+def test_bad_arguments_and_diverged_trainings_are_named():
+    params = cartpole_params([0.5])
+    with pytest.raises(InvalidInput, match="one seed per context"):
+        engine.train(CARTPOLE, TINY, [0, 1], params, 100)
+    with pytest.raises(InvalidInput, match="timesteps must be >= 1"):
+        engine.train(CARTPOLE, TINY, [0], params, 0)
+    with pytest.raises(InvalidInput, match="batch_size must divide"):
+        replace(TINY, batch_size=48)
+    with pytest.raises(UnknownName, match="'fast'"):
+        engine.recipe_named("fats")
+    with pytest.raises(TrainingFailed, match=r"step 64 in policies 1 \(1 in all\)"):
+        loop._check_finite(np.array([True, False]), 64)
+
+
+# ---- the algorithm's parts -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("time_limit", ["truncation", "terminal"])
+def test_advantages_follow_their_definition(time_limit):
+    env = engine.CartPole(horizon=7, time_limit=time_limit)
+    recipe = replace(TINY, n_steps=24, n_envs=2, batch_size=48)
+    params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), cartpole_params([0.05]))
+    state = jax.tree.map(lambda x: x[0], ppo.init(env, recipe, [5], params))
+    params = jax.tree.map(lambda x: x[0], params)
+    _, rollout = ppo.play(env, recipe, state, params)
+    batch = ppo.learn_from(env, recipe, state.weights, rollout)
+    value = np.asarray(networks.apply(state.weights.critic, rollout.obs))[..., 0]
+    after = np.asarray(networks.apply(state.weights.critic, rollout.after))[..., 0]
+    done, terminated = np.asarray(rollout.done), np.asarray(rollout.terminated)
+    assert done.any()
+    assert (done == terminated).all() == (time_limit == "terminal")
+    expected, carry = np.zeros((24, 2)), np.zeros(2)
+    for t in reversed(range(24)):
+        target = 1.0 + 0.99 * np.where(terminated[t], 0.0, after[t])
+        carry = target - value[t] + 0.99 * 0.95 * np.where(done[t], 0.0, carry)
+        expected[t] = carry
+    np.testing.assert_allclose(batch.advantage.reshape(24, 2), expected, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(batch.target, batch.advantage + value.reshape(-1), rtol=1e-6)
+    # within an episode what was seen after a step is what is seen next
+    after, seen = np.asarray(rollout.after)[:-1], np.asarray(rollout.obs)[1:]
+    going = ~done[:-1]
+    np.testing.assert_array_equal(after[going], seen[going])
+
+
+def test_sampling_has_the_stated_distribution():
+    rng = np.random.default_rng(0)
+    logits = jnp.asarray([0.3, -1.0, 0.7])
+    noise = jnp.asarray(rng.random(40_000), jnp.float32)
+    outputs = jnp.broadcast_to(logits, (40_000, 3))
+    drawn = np.asarray(networks.sample(outputs, jnp.zeros(0), noise, Discrete(3)))
+    shares = np.bincount(drawn, minlength=3) / 40_000
+    np.testing.assert_allclose(shares, jax.nn.softmax(logits), atol=0.01)
+    chosen = networks.log_prob(outputs[:3], jnp.zeros(0), jnp.arange(3), Discrete(3))
+    np.testing.assert_allclose(chosen, jax.nn.log_softmax(logits), rtol=1e-6)
+
+
+def test_gaussian_density_and_entropy_are_scipys():
+    from scipy.stats import norm
+
+    box = Box((-1.0, -1.0), (1.0, 1.0))
+    mean, log_std, action = jnp.array([0.2, -3.0]), jnp.array([0.1, -0.5]), jnp.array([1.0, -2.0])
+    scipys = norm(np.asarray(mean), np.exp(np.asarray(log_std)))
+    ours = float(networks.log_prob(mean, log_std, action, box))
+    assert ours == pytest.approx(scipys.logpdf(np.asarray(action)).sum(), rel=1e-5)
+    assert float(networks.entropy(mean, log_std, box)) == pytest.approx(
+        scipys.entropy().sum(), rel=1e-5
+    )
+    np.testing.assert_allclose(networks.mode(mean, box), [0.2, -1.0])
+
+
+def test_initial_weights_are_orthogonal_with_the_stated_gains():
+    weights = networks.init_weights(0, 5, Discrete(2), (64, 64))
+    (first, _), (second, _), (last, bias) = weights.actor
+    np.testing.assert_allclose(first @ first.T, 2.0 * np.eye(5), atol=1e-5)
+    np.testing.assert_allclose(second @ second.T, 2.0 * np.eye(64), atol=1e-5)
+    np.testing.assert_allclose(last.T @ last, 1e-4 * np.eye(2), atol=1e-9)
+    assert weights.critic[2][0].shape == (64, 1)
+    assert np.linalg.norm(weights.critic[2][0]) == pytest.approx(1.0, rel=1e-5)
+    assert not bias.any()
+
+
+# ---- evaluation and export -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=["cartpole", "pendulum"])
+def trained(request):
+    """Environment, two contexts, the same in Gymnasium, and a short training on them."""
+    if request.param == "cartpole":
+        env, params = CARTPOLE, cartpole_params([0.1, 2.0])
+        theirs = [cartpole.CartPole({"length": v}) for v in (0.1, 2.0)]
+    else:
+        env, params = PENDULUM, pendulum_params([0.5, 3.0])
+        theirs = [pendulum.Pendulum({"mass": v}) for v in (0.5, 3.0)]
+    return env, params, theirs, engine.train(env, RECIPE[request.param], [0, 1], params, 512)
+
+
+def test_returns_are_those_of_the_exported_policies_in_gymnasium(trained):
+    env, params, theirs, training = trained
+    seeds = [11, 12]
+    noise, actor = engine.episode_noise(env, seeds), training.state.weights.actor
+    returns = engine.evaluate(env, actor, params, noise)
+    assert returns.shape == (2, 2, 2)
+    for p, policy in enumerate(engine.export_policies(env, training.state.weights)):
+        for c, gym_env in enumerate(theirs):
+            for e, seed in enumerate(seeds):
+                obs, _ = gym_env.reset(seed=seed)
+                total, over = 0.0, False
+                while not over:
+                    obs, reward, terminated, truncated, _ = gym_env.step(policy.predict(obs)[0])
+                    total, over = total + reward, terminated or truncated
+                assert returns[p, c, e] == pytest.approx(total, rel=0.02, abs=1.0)
+
+
+def test_the_size_of_blocks_does_not_change_returns(trained):
+    env, params, _, training = trained
+    noise, actor = engine.episode_noise(env, range(3)), training.best.actor
+    params = jax.tree.map(lambda x: np.concatenate([x, x[:1]]), params)
+    blocks = []
+    small = engine.evaluate(env, actor, params, noise, rows=6, on_block=lambda *b: blocks.append(b))
+    assert blocks == [(2, 6), (3, 6), (5, 6), (6, 6)]
+    np.testing.assert_allclose(small, engine.evaluate(env, actor, params, noise), rtol=1e-3)
+    np.testing.assert_array_equal(small[:, 0], small[:, 2])
+    actors = engine.import_actors(engine.export_policies(env, training.best))
+    np.testing.assert_array_equal(small, engine.evaluate(env, actors, params, noise, rows=6))
+
+
+def test_exported_policies_act_as_in_jax_and_survive_saving(trained, tmp_path):
+    env, _, _, training = trained
+    engine.export_policies(env, training.best)[1].save(tmp_path)
+    policy = MLPPolicy.load(tmp_path)
+    rng = np.random.default_rng(0)
+    observations = rng.normal(size=(500, env.n_features + 1)).astype(np.float32)
+    actor = jax.tree.map(lambda x: x[1], training.best.actor)
+    outputs = np.asarray(networks.apply(actor, jnp.asarray(observations)))
+    ours, _ = policy.predict(observations)
+    theirs = np.asarray(networks.mode(outputs, env.action))
+    if isinstance(env.action, Discrete):
+        clear = np.abs(np.diff(outputs)[:, 0]) > 1e-6
+        assert clear.mean() > 0.95
+        np.testing.assert_array_equal(ours[clear], theirs[clear])
+    else:
+        np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-6)
+        np.testing.assert_array_equal(policy.head.log_std, training.best.log_std[1])
+
+
+def test_nothing_to_evaluate_is_refused():
+    actors = engine.start(CARTPOLE, TINY, [0], cartpole_params([0.5])).state.weights.actor
+    with pytest.raises(InvalidInput, match="at least one"):
+        engine.evaluate(CARTPOLE, actors, cartpole_params([0.5]), np.zeros((0, 4), np.float32))
+
+
+# ---- flags and the hang --------------------------------------------------------------------------
+
+
+def test_flags_are_added_and_a_users_own_are_kept():
+    name = "--xla_cpu_enable_concurrency_optimized_scheduler"
+    environ = {}
+    set_flags(environ)
+    assert environ["XLA_FLAGS"] == f"{name}=false"
+    set_flags(environ)
+    assert environ["XLA_FLAGS"] == f"{name}=false"
+    environ = {"XLA_FLAGS": f"--xla_dump_to=x {name}=true"}
+    set_flags(environ)
+    assert environ["XLA_FLAGS"] == f"--xla_dump_to=x {name}=true"
+
+
+HUNDRED = """
+import mbtl.training.jax as engine
+env = engine.CartPole()
+params = engine.stack_params(env, [(9.8, 10.0, 0.02, 0.5, 0.1, 1.1, 0.05)] * 100)
+training = engine.train(env, engine.RECIPES["fast"], range(100), params, 3_000)
+print(int(training.updates))
+"""
+
+
+def test_a_hundred_policies_do_not_hang():
+    environ = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    done = subprocess.run(
+        [sys.executable, "-c", HUNDRED],
+        env=environ, capture_output=True, text=True, check=True, timeout=240,
+    )  # fmt: skip
+    assert done.stdout.split() == ["3"]
+
+
+def test_training_is_importable_without_jax():
+    program = (
+        "import sys; sys.modules['jax'] = None; import mbtl, mbtl.training, mbtl.cmdps;"
+        "assert 'mbtl.training.jax' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
