@@ -36,7 +36,7 @@ def run(
         ),
     ],
     preset: Annotated[
-        str | None, typer.Option(help="Training recipe; `mbtl cmdps` lists them.")
+        str | None, typer.Option(help="Training recipe; `mbtl cmdps CMDP` lists them.")
     ] = None,
     budget: Annotated[
         int | None, typer.Option(help="Number of trainings K; default: the preset's.")
