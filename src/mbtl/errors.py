@@ -66,6 +66,13 @@ def unknown_name(kind: str, name: str, known: Iterable[str], *, hint: str = "") 
     return UnknownName(f"no {kind} is called {name!r}.{guess}{where}")
 
 
+def cannot_write(path: object, error: OSError) -> StorageError:
+    """Build the error for a file that the system refuses to write."""
+    return StorageError(
+        f"{path} cannot be written ({error.strerror or error}); choose another place"
+    )
+
+
 def missing_extra(package: str, extra: str) -> MissingExtra:
     """Build the error for an optional dependency, with the one-line install."""
     return MissingExtra(

@@ -18,7 +18,7 @@ from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.compare import RANDOM, Step, compare, default_selectors
 from mbtl.benchmark.records import Comparison, Estimate, SelectorSummary, Trainings
 from mbtl.cli.common import JsonFlag, console, print_json, printer
-from mbtl.errors import InvalidInput, StorageError
+from mbtl.errors import InvalidInput, cannot_write
 
 
 def bench(
@@ -90,9 +90,7 @@ def _write(comparison: Comparison, path: Path) -> None:
     try:
         path.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
-        raise StorageError(
-            f"{path} cannot be written ({error.strerror or error}); choose another place"
-        ) from error
+        raise cannot_write(path, error) from error
 
 
 def _show(comparison: Comparison) -> None:

@@ -22,11 +22,6 @@ from mbtl.selectors import get_selector
 from mbtl.study import Callback, Study, create_study
 from mbtl.trainer import Trainer, recipe_of
 
-_PAPER = (
-    "The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million "
-    "steps each, 100 episodes per context)."
-)
-
 
 def run(
     problem: Annotated[
@@ -76,9 +71,12 @@ def run(
     Interrupt it at any time; the same command goes on where it was.
 
     Example: mbtl run cartpole-length --budget 6 --seed 1
+
+    The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million
+    steps each, 100 episodes per context).
     """
     cmdp = resolve_cmdp(problem)
-    get_selector(selector)
+    get_selector(selector)  # a mistyped name must not set a study aside
     overrides = {"timesteps": timesteps, "eval_episodes": eval_episodes, "tensorboard": tensorboard}
     trainer = cmdp.trainer_for(preset, **{k: v for k, v in overrides.items() if v is not None})
     folder = study or Path("runs") / f"{cmdp.id}-{preset or cmdp.default_preset}-seed{seed}"
@@ -117,9 +115,6 @@ def run(
             callbacks=callbacks,
         )
     _finish(running, trainer, folder, as_json=as_json)
-
-
-run.__doc__ = f"{run.__doc__}\n    {_PAPER}\n"
 
 
 def _settings(cmdp: CMDP, preset: str | None, trainer: Trainer) -> dict[str, Any]:

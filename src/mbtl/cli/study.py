@@ -11,10 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, console, print_json, printer
-from mbtl.errors import InvalidInput, MbtlError, StorageError
+from mbtl.errors import InvalidInput, MbtlError, cannot_write
 from mbtl.report import summarise_study
 from mbtl.report.text import show_summary
-from mbtl.selectors import Selector, get_selector, selector_names
+from mbtl.selectors import get_selector
 from mbtl.study import SqlLog, Study, study_names
 
 study_app = typer.Typer(help="List, show and export studies.", no_args_is_help=True)
@@ -136,9 +136,7 @@ def export(
                             [r.source, t, *home, *there, r.returns[t], r.std[t], r.episodes]
                         )
     except OSError as error:
-        raise StorageError(
-            f"{out} cannot be written ({error.strerror or error}); choose another place"
-        ) from error
+        raise cannot_write(out, error) from error
     if as_json:
         print_json({"written": str(out), "rows": len(state.rows)})
     else:
@@ -146,13 +144,7 @@ def export(
 
 
 def _open(path: Path) -> Study:
-    """A study for reading; one made with a selector of the user's own opens all the same."""
+    """A study for reading only: with any selector, so that one of the user's own opens too."""
     place = path / "study.db" if path.is_dir() else path
     name = next(iter(study_names(place)), "study")
-    log = SqlLog(place, name)
-    chosen: Selector = get_selector("random")
-    study = Study(log, chosen, folder=place.parent, name=name)
-    registered = str(study.spec.selector["name"])
-    if registered in selector_names():
-        study.selector = get_selector(registered)
-    return study
+    return Study(SqlLog(place, name), get_selector("random"), folder=place.parent, name=name)

@@ -1,7 +1,7 @@
 """Models of what training and transfer will give: Gaussian process and generalisation gap."""
 
 from mbtl.models.gap import FittedGap, GapModel, LinearGap, predicted_rows
-from mbtl.models.gp import FittedGP, GPSettings, Posterior
+from mbtl.models.gp import FittedGP, GPSettings
 from mbtl.models.gp_fit import fit_gp
 from mbtl.models.sklearn_gp import fit_sklearn
 
@@ -11,7 +11,6 @@ __all__ = [
     "GPSettings",
     "GapModel",
     "LinearGap",
-    "Posterior",
     "fit_gp",
     "fit_sklearn",
     "predicted_rows",

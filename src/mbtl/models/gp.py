@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,14 +47,6 @@ class GPSettings:
                 raise InvalidInput(
                     f"kernel bounds must satisfy 0 < low < high, got ({low}, {high})"
                 )
-
-
-class Posterior(Protocol):
-    """What an acquisition needs to know of a fitted model."""
-
-    def predict(self, points: Array) -> tuple[Array, Array]:
-        """(M, D) points -> posterior mean (M,) and standard deviation (M,), without noise."""
-        ...
 
 
 Fitter = Callable[[Array, Array, GPSettings], "FittedGP"]

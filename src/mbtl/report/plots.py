@@ -9,7 +9,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
-from mbtl.errors import StorageError, missing_extra
+from mbtl.errors import cannot_write, missing_extra
 from mbtl.report.reference import ReferenceCurves
 from mbtl.report.summary import StudySummary
 from mbtl.report.text import shown
@@ -121,7 +121,5 @@ def _save(figure: Any, path: Path) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=150)
     except OSError as error:
-        raise StorageError(
-            f"{path} cannot be written ({error.strerror or error}); choose another place"
-        ) from error
+        raise cannot_write(path, error) from error
     return path

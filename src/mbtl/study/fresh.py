@@ -27,11 +27,7 @@ def can_report(study: Study) -> bool:
 
 
 def report_fresh_returns(study: Study, trainer: Trainer) -> Array:
-    """Evaluate on fresh seeds each policy where it served at some k; record and return (k, N).
-
-    The rows that chose the routes are noisy, so their maximum is biased upwards; these episodes
-    chose nothing.
-    """
+    """Evaluate on fresh seeds each policy where it served at some k; record and return (k, N)."""
     history = study.history
     portfolio = study.portfolio(trainer)
     seed = evaluation_seed(study.spec.seed, study.spec.trial, Purpose.REPORT)

@@ -133,6 +133,7 @@ class StudyState:
     rows: list[ToldRow] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     fresh_returns: Array | None = None
+    _history: History | None = field(default=None, repr=False)
 
     def apply(self, event: Event) -> None:
         """Advance by one event."""
@@ -142,18 +143,29 @@ class StudyState:
             raise StorageError(
                 f"event {event.seq} ({event.kind}) is out of place; the log is damaged"
             )
+        self._history = None
         getattr(self, f"_{event.kind}")(event)
         self.seq = event.seq
 
     def history(self) -> History:
-        """What a selector may see: rows as performance under the bounds of this moment."""
+        """What a selector may see: rows as performance under the bounds of this moment.
+
+        Made once per event, since asking, stopping rules, progress and reports all look at it.
+        """
+        if self._history is None:
+            self._history = self._make_history()
+        return self._history
+
+    def _make_history(self) -> History:
         assert self.spec is not None
         n = self.spec.space.n
         rows = np.array([row.returns for row in self.rows]).reshape(-1, n)
+        performance = self.bounds().normalise(rows) if len(rows) else rows
+        performance.setflags(write=False)  # the same history is handed out until the next event
         return History(
             n,
             tuple(row.source for row in self.rows),
-            self.bounds().normalise(rows) if len(rows) else rows,
+            performance,
             tuple(pick.source for pick in self.open_picks.values()),
             tuple(failure.source for failure in self.failures),
         )

@@ -362,11 +362,7 @@ class Study:
     def _answered(self, state: StudyState, pick: Any, source: int) -> int | None:
         """Number of the open pick that this row answers; None for a row nobody asked for."""
         if isinstance(pick, Pick):
-            if pick.number not in state.open_picks:
-                raise StudyError(
-                    f"pick {pick.number} is not open: it was answered before, or given up"
-                )
-            return pick.number
+            return self._open_number(state, pick)
         for number, record in state.open_picks.items():
             if record.source == source:
                 return number
@@ -376,13 +372,15 @@ class Study:
 
     def _settle(self, kind: Kind, pick: Pick, data: dict[str, Any]) -> None:
         def settled(state: StudyState) -> Event:
-            if pick.number not in state.open_picks:
-                raise StudyError(
-                    f"pick {pick.number} is not open: it was answered before, or given up"
-                )
-            return Event(kind, {"pick": pick.number, **data})
+            return Event(kind, {"pick": self._open_number(state, pick), **data})
 
         self._commit(settled)
+
+    @staticmethod
+    def _open_number(state: StudyState, pick: Pick) -> int:
+        if pick.number not in state.open_picks:
+            raise StudyError(f"pick {pick.number} is not open: it was answered before, or given up")
+        return pick.number
 
     def _commit(self, decide: Callable[[StudyState], Event]) -> Event:
         """Append what `decide` makes of the newest state; decide anew if somebody was faster."""
