@@ -61,7 +61,7 @@ def jax_curves(name: str, every: int, seeds: int) -> np.ndarray:
         curves.append(engine.evaluate(env, actors, one, noise).mean(axis=(1, 2)))
 
     engine.train(
-        env, engine.RECIPES["sb3"], range(seeds), params, CHECKPOINTS * every,
+        env, engine.recipe_named("PPO", "sb3"), range(seeds), params, CHECKPOINTS * every,
         checkpoint_every=every, checkpoint_episodes=1, on_block=look,
     )  # fmt: skip
     return np.stack(curves, axis=1)

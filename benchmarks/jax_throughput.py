@@ -104,8 +104,8 @@ def main() -> None:
     print("recipe  policies     steps/s   x SB3   of peak")
     for name in ("sb3", "fast"):
         for n_policies in args.policies:
-            steps = jax_rate(n_policies, engine.RECIPES[name], args.seconds)
-            share = steps * flops_per_step(engine.RECIPES[name], 5) / rate
+            steps = jax_rate(n_policies, engine.recipe_named("PPO", name), args.seconds)
+            share = steps * flops_per_step(engine.recipe_named("PPO", name), 5) / rate
             print(
                 f"{name:6}  {n_policies:8d}  {steps:10,.0f}  {steps / peer:6.1f}  {share:8.1%}",
                 flush=True,

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -62,6 +62,37 @@ class Trainer(Protocol):
 
     def load(self, folder: Path) -> Any:
         """Read back what `save` wrote."""
+        ...
+
+
+@runtime_checkable
+class ManyTrainer(Protocol):
+    """A trainer that trains and evaluates many policies at once, e.g. in one compiled program."""
+
+    @property
+    def lanes(self) -> int:
+        """Policies that are best trained together on this machine."""
+        ...
+
+    def train_many(
+        self,
+        contexts: Sequence[Context],
+        seeds: Sequence[int],
+        on_progress: OnProgress | None = None,
+        *,
+        keep: Sequence[str] = ...,
+        partial: Path | None = None,
+    ) -> dict[str, list[Any]]:
+        """One policy per (context, seed), for each checkpoint of `keep` ("best", "final").
+
+        `partial` is a file for the state of an interrupted training, to go on from.
+        """
+        ...
+
+    def evaluate_many(
+        self, policies: Sequence[Any], contexts: Sequence[Context], seed: int
+    ) -> Array:
+        """(P, n_targets, n_episodes) returns; the same seed means the same episodes for all."""
         ...
 
 

@@ -72,7 +72,11 @@ def test_unknown_switches_are_named(switch, value):
 
 def test_switches_reach_the_environment_and_the_record():
     cmdp = get_cmdp(
-        "cartpole-masscart", physics="reference", visibility="raw", time_limit="terminal"
+        "cartpole-masscart",
+        physics="reference",
+        visibility="raw",
+        time_limit="terminal",
+        engine="gymnasium",
     )
     env = cmdp.make_env({"masscart": 7.0})
     np.testing.assert_allclose(env.reset(seed=0)[0][4:], [9.8, 7.0, 0.1, 0.5, 10.0, 0.02])
@@ -81,6 +85,7 @@ def test_switches_reach_the_environment_and_the_record():
         "visibility": "raw",
         "grid": "code",
         "time_limit": "terminal",
+        "engine": "gymnasium",
     }
 
 
@@ -99,19 +104,19 @@ def test_reference_physics_of_the_pendulum_is_the_intended_one():
 
 
 def test_presets_and_overrides_shape_the_trainer():
-    cmdp = get_cmdp("pendulum-length")
+    cmdp = get_cmdp("pendulum-length", engine="gymnasium")
     assert list(cmdp.presets) == ["quick", "standard", "paper"]
     assert cmdp.default_preset == "quick"
     assert cmdp.trainer == cmdp.trainer_for() == cmdp.trainer_for("quick")
     paper = cmdp.trainer_for("paper")
     assert (paper.timesteps, paper.eval_episodes, paper.checkpoint) == (1_000_000, 100, "best")
     assert paper.hyperparameters == {}, "a recipe that names its algorithm starts afresh"
-    assert get_cmdp("cartpole-length").trainer_for("paper").timesteps == 5_000_000
+    assert get_cmdp("cartpole-length", engine="gymnasium").trainer_for("paper").timesteps == 5_000_000
     assert cmdp.preset("paper").budget == 15
 
 
 def test_hyperparameters_add_to_the_recipe_unless_the_algorithm_changes():
-    cmdp = get_cmdp("pendulum-length")
+    cmdp = get_cmdp("pendulum-length", engine="gymnasium")
     quick = cmdp.trainer_for("quick").hyperparameters
     assert cmdp.trainer_for("quick", hyperparameters={"n_epochs": 3}).hyperparameters == {
         **quick,
@@ -123,7 +128,7 @@ def test_hyperparameters_add_to_the_recipe_unless_the_algorithm_changes():
 
 
 def test_unknown_presets_and_options_are_named():
-    cmdp = get_cmdp("cartpole-length")
+    cmdp = get_cmdp("cartpole-length", engine="gymnasium")
     with pytest.raises(UnknownName, match="Did you mean 'quick'"):
         cmdp.trainer_for("quik")
     with pytest.raises(UnknownName, match="Did you mean 'timesteps'"):

@@ -91,7 +91,7 @@ def test_saved_arrays_of_another_training_are_refused():
 
 
 def test_cartpole_is_learnt_and_the_best_checkpoint_is_kept():
-    recipe = replace(engine.RECIPES["fast"], anneal=False)
+    recipe = replace(engine.recipe_named("PPO", "fast"), anneal=False)
     bests = []
     training = engine.train(
         CARTPOLE,
@@ -133,7 +133,7 @@ def test_bad_arguments_and_diverged_trainings_are_named():
     with pytest.raises(InvalidInput, match="batch_size must divide"):
         replace(TINY, batch_size=48)
     with pytest.raises(UnknownName, match="'fast'"):
-        engine.recipe_named("fats")
+        engine.recipe_named("PPO", "fats")
     with pytest.raises(TrainingFailed, match=r"step 64 in policies 1 \(1 in all\)"):
         loop._check_finite(np.array([True, False]), 64)
 
@@ -294,7 +294,7 @@ HUNDRED = """
 import mbtl.training.jax as engine
 env = engine.CartPole()
 params = engine.stack_params(env, [(9.8, 10.0, 0.02, 0.5, 0.1, 1.1, 0.05)] * 100)
-training = engine.train(env, engine.RECIPES["fast"], range(100), params, 3_000)
+training = engine.train(env, engine.recipe_named("PPO", "fast"), range(100), params, 3_000)
 print(int(training.updates))
 """
 

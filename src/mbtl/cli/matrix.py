@@ -1,4 +1,4 @@
-"""`mbtl matrix show`: what a transfer matrix holds."""
+"""`mbtl matrix`: build transfer matrices (`build`), and see what they hold (`show`)."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.benchmark import levels, open_matrix
+from mbtl.cli.build import build
 from mbtl.cli.common import JsonFlag, print_json, printer
 
-matrix_app = typer.Typer(help="Look at transfer matrices.", no_args_is_help=True)
-
-
-@matrix_app.callback()
-def _group() -> None:
-    """Keep `show` a subcommand while it is the only one."""
+matrix_app = typer.Typer(help="Build transfer matrices and look at them.", no_args_is_help=True)
+matrix_app.command("build")(build)
 
 
 @matrix_app.command("show")

@@ -109,7 +109,7 @@ class CartPole(ContextualEnv):
         super().__init__(
             context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
         )
-        self._constants = derive(self.features, physics)
+        self.constants = derive(self.features, physics)
         self._state = (0.0, 0.0, 0.0, 0.0)
         reach = [2 * X_LIMIT, math.inf, 2 * ANGLE_LIMIT, math.inf]
         self.observation_space = self._space([-r for r in reach], reach)
@@ -142,7 +142,7 @@ class CartPole(ContextualEnv):
         """
         if self._left <= 0:
             raise self._no_episode()
-        g, force, tau, length, m, total, p = self._constants
+        g, force, tau, length, m, total, p = self.constants
         if action == 0:
             force = -force
         elif action != 1:

@@ -35,6 +35,7 @@ class Preset:
         timesteps: environment steps of one training.
         eval_episodes: episodes per (source, target).
         algorithm: name of the RL algorithm.
+        recipe_name: named hyper-parameters, where the trainer has names for them.
         hyperparameters: its keyword arguments.
         checkpoint: which policy a training returns, the last or the best of its own evaluations.
         checkpoint_episodes: episodes of each such evaluation.
@@ -46,6 +47,7 @@ class Preset:
     timesteps: int | None = None
     eval_episodes: int | None = None
     algorithm: str | None = None
+    recipe_name: str | None = None
     hyperparameters: Mapping[str, Any] | None = None
     checkpoint: Literal["final", "best"] | None = None
     checkpoint_episodes: int | None = None

@@ -14,6 +14,19 @@ from mbtl.cmdps.cmdp import Preset
 
 
 @dataclass(frozen=True)
+class JaxFamily:
+    """A family in the jax engine.
+
+    Attributes:
+        environment: name of the class in `mbtl.training.jax`.
+        presets: recipes by name, the first is the default.
+    """
+
+    environment: str
+    presets: Mapping[str, Preset]
+
+
+@dataclass(frozen=True)
 class Family:
     """What the CMDPs of one simulator share.
 
@@ -22,7 +35,8 @@ class Family:
         horizon: longest episode, environment steps.
         bounds: returns at which performance is 0 and 1 (spec, 2.2).
         theta: slope of the linear gap, performance per grid step (spec, 2.2).
-        presets: recipes by name, the first is the default.
+        presets: recipes of Stable-Baselines3 by name, the first is the default.
+        jax: the same in the jax engine, if it is there.
         switches: options of the environment beside visibility and time limit.
     """
 
@@ -31,6 +45,7 @@ class Family:
     bounds: tuple[float, float]
     theta: float
     presets: Mapping[str, Preset]
+    jax: JaxFamily | None = None
     switches: tuple[str, ...] = ()
 
 
@@ -129,6 +144,33 @@ _PENDULUM = {
     "paper": _paper(1_000_000),
 }
 
+
+def _jax(environment: str, paper_steps: int, gamma: float) -> JaxFamily:
+    """The paper's steps are the default here: a policy takes seconds."""
+
+    def preset(timesteps: int, eval_episodes: int, budget: int, description: str) -> Preset:
+        return Preset(
+            budget=budget,
+            timesteps=timesteps,
+            eval_episodes=eval_episodes,
+            algorithm="PPO",
+            recipe_name="fast",
+            hyperparameters={"gamma": gamma},
+            checkpoint="best",
+            checkpoint_episodes=10,
+            description=description,
+        )
+
+    return JaxFamily(
+        environment,
+        {
+            "paper": preset(paper_steps, 100, 15, "the paper's steps, best-of-evaluations policy"),
+            "standard": preset(300_000, 20, 15, "fewer steps, best-of-evaluations policy"),
+            "quick": preset(100_000, 10, 10, "a first look, best-of-evaluations policy"),
+        },
+    )
+
+
 FAMILIES: Mapping[str, Family] = {
     "cartpole": Family(
         entry_point="mbtl.cmdps.cartpole:CartPole",
@@ -136,6 +178,7 @@ FAMILIES: Mapping[str, Family] = {
         bounds=(0.0, 500.0),
         theta=0.005,
         presets=_CARTPOLE,
+        jax=_jax("CartPole", 5_000_000, gamma=0.99),
         switches=("physics",),
     ),
     "pendulum": Family(
@@ -144,6 +187,7 @@ FAMILIES: Mapping[str, Family] = {
         bounds=(-2200.0, -500.0),
         theta=0.005,
         presets=_PENDULUM,
+        jax=_jax("Pendulum", 1_000_000, gamma=0.95),
     ),
 }
 

@@ -88,7 +88,7 @@ class Pendulum(ContextualEnv):
         super().__init__(
             context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
         )
-        self._constants = derive(self.features)
+        self.constants = derive(self.features)
         self._state = (0.0, 0.0)
         # The space must not depend on the context, so a varied speed limit is not in its bounds.
         speed = math.inf if "max_speed" in (context or {}) else self.FEATURES["max_speed"]
@@ -123,7 +123,7 @@ class Pendulum(ContextualEnv):
         """
         if self._left <= 0:
             raise self._no_episode()
-        gravity_gain, torque_gain, dt, max_speed = self._constants
+        gravity_gain, torque_gain, dt, max_speed = self.constants
         t, w = self._state
         u = min(max(float(action[0]), -MAX_TORQUE), MAX_TORQUE)
         wrapped = (t + math.pi) % _TURN - math.pi

@@ -2,50 +2,22 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
 
-from mbtl.cmdps.cmdp import CMDP
+from mbtl.cmdps.cmdp import CMDP, Preset
+from mbtl.cmdps.engines import ENGINES, EnvFactory, JaxProblem, default_engine
 from mbtl.cmdps.families import FAMILIES, VARIANTS, Family, Variant
 from mbtl.contexts import Context, ContextSpace, Linear
-from mbtl.errors import missing_extra, unknown_name
+from mbtl.errors import InvalidInput, unknown_name
+from mbtl.trainer import Trainer
 
 _CHOICES: Mapping[str, tuple[str, ...]] = {
     "physics": ("intended", "reference"),
     "visibility": ("hidden", "multiplier", "raw"),
     "grid": ("code", "paper"),
     "time limit": ("truncation", "terminal"),
+    "engine": ENGINES,
 }
-
-
-@dataclass(frozen=True)
-class EnvFactory:
-    """context -> environment; can be sent to another process, imports the simulator when called.
-
-    Attributes:
-        entry_point: "module:Class".
-        options: keyword arguments of the class.
-    """
-
-    entry_point: str
-    options: Mapping[str, Any] = field(default_factory=dict)
-
-    def __call__(self, context: Mapping[str, Any]) -> Any:
-        """A new environment.
-
-        Raises:
-            MissingExtra: Gymnasium is not installed.
-        """
-        module, _, name = self.entry_point.partition(":")
-        try:
-            kind = getattr(importlib.import_module(module), name)
-        except ModuleNotFoundError as error:
-            if (error.name or "").partition(".")[0] != "gymnasium":
-                raise
-            raise missing_extra("gymnasium", "envs") from error
-        return kind(context, **self.options)
 
 
 def cmdp_ids() -> list[str]:
@@ -93,6 +65,7 @@ def get_cmdp(
     visibility: str | None = None,
     grid: str = "code",
     time_limit: str = "truncation",
+    engine: str | None = None,
 ) -> CMDP:
     """One of our CMDPs.
 
@@ -105,20 +78,26 @@ def get_cmdp(
         grid: "code": contexts of the released scripts. "paper": of the paper's text. The same for
             CartPole and Pendulum.
         time_limit: how the horizon is reported, "truncation" or "terminal" (the reference).
+        engine: "jax" (vectorised, needs the extra) or "gymnasium" (Stable-Baselines3); None: jax
+            where it is installed and this CMDP has it. The presets are those of the engine.
 
     Raises:
         UnknownName: no CMDP has this id, or a switch has no such setting.
+        InvalidInput: this CMDP is not simulated in jax.
     """
     variant, family = _entry(id)
+    if engine is None:
+        engine = default_engine(has_jax_environment=family.jax is not None)
+    _check_choice("engine", engine)
     _check_choice("grid", grid)
     make_env = env_factory(id, physics=physics, visibility=visibility, time_limit=time_limit)
     values = variant.values(grid)
     axis = Linear(variant.axis, values[0], values[-1], variant.axis_unit)
-    default = next(iter(family.presets.values()))
+    presets, trainer = _training(id, family, engine, make_env)
     return CMDP(
         id,
         ContextSpace.grid({axis: values}),
-        _trainer(make_env, default.options()),
+        trainer,
         bounds=family.bounds,
         theta=family.theta,
         version=variant.version,
@@ -127,12 +106,13 @@ def get_cmdp(
         unit=_unit(variant, grid),
         horizon=family.horizon,
         family=variant.family,
-        presets=family.presets,
+        presets=presets,
         settings={
             "physics": physics,
             "visibility": make_env.options["visibility"],
             "grid": grid,
             "time_limit": time_limit,
+            "engine": engine,
         },
         description=variant.description,
     )
@@ -154,7 +134,19 @@ def _unit(variant: Variant, grid: str) -> Context:
     return {variant.axis: variant.values(grid)[variant.unit_index]}
 
 
-def _trainer(make_env: EnvFactory, options: Mapping[str, Any]) -> Any:
-    from mbtl.training import SB3Trainer
+def _training(
+    id: str, family: Family, engine: str, make_env: EnvFactory
+) -> tuple[Mapping[str, Preset], Trainer]:
+    """Recipes of the engine, and the trainer of the first of them."""
+    if engine == "gymnasium":
+        from mbtl.training import SB3Trainer
 
-    return SB3Trainer(make_env, **options)
+        default = next(iter(family.presets.values()))
+        return family.presets, SB3Trainer(make_env, **default.options())
+    if family.jax is None:
+        raise InvalidInput(f"{id!r} is not simulated in jax; use engine='gymnasium'")
+    from mbtl.training import JaxTrainer
+
+    problem = JaxProblem(family.jax.environment, make_env)
+    default = next(iter(family.jax.presets.values()))
+    return family.jax.presets, JaxTrainer(problem, **default.options())

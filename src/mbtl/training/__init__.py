@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mbtl.training.export import export_mlp
+    from mbtl.training.jax_trainer import JaxTrainer
     from mbtl.training.sb3 import SB3Trainer
     from mbtl.training.sb3_files import load_sb3
 
-__all__ = ["SB3Trainer", "export_mlp", "load_sb3"]
+__all__ = ["JaxTrainer", "SB3Trainer", "export_mlp", "load_sb3"]
 
 _HOMES = {
+    "JaxTrainer": "mbtl.training.jax_trainer",
     "SB3Trainer": "mbtl.training.sb3",
     "export_mlp": "mbtl.training.export",
     "load_sb3": "mbtl.training.sb3_files",

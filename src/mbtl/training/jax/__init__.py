@@ -2,7 +2,7 @@
 
 env = CartPole()
 params = stack_params(env, [derive(...) for each context], visible)
-training = train(env, RECIPES["fast"], seeds, params, timesteps=200_000)
+training = train(env, recipe_named("PPO", "fast"), seeds, params, timesteps=200_000)
 returns = evaluate(env, training.best.actor, params, episode_noise(env, episode_seeds))
 policies = export_policies(env, training.best)
 """
@@ -12,25 +12,29 @@ from __future__ import annotations
 from mbtl.training.jax import flags as flags  # isort: skip  # jax reads them when it starts
 from mbtl.training.jax.cartpole import CartPole
 from mbtl.training.jax.environments import Environment, stack_params
-from mbtl.training.jax.evaluation import episode_noise, evaluate
+from mbtl.training.jax.evaluation import episode_noise, evaluate, on_cpu
 from mbtl.training.jax.export import export_policies, import_actors
 from mbtl.training.jax.loop import Block, Training, from_arrays, start, to_arrays, train
 from mbtl.training.jax.pendulum import Pendulum
-from mbtl.training.jax.recipes import RECIPES, PPORecipe, recipe_named
+from mbtl.training.jax.recipes import RECIPES, A2CRecipe, DQNRecipe, PPORecipe, Recipe, recipe_named
 
 __all__ = [
     "RECIPES",
+    "A2CRecipe",
     "Block",
     "CartPole",
+    "DQNRecipe",
     "Environment",
     "PPORecipe",
     "Pendulum",
+    "Recipe",
     "Training",
     "episode_noise",
     "evaluate",
     "export_policies",
     "from_arrays",
     "import_actors",
+    "on_cpu",
     "recipe_named",
     "stack_params",
     "start",

@@ -56,6 +56,11 @@ class CartPole:
     n_noise: int = 4
     params: type[CartPoleParams] = CartPoleParams
 
+    @property
+    def max_return(self) -> float:
+        """1 per step, up to the horizon."""
+        return float(self.horizon)
+
     def initial(self, noise: jax.Array, params: CartPoleParams) -> CartPoleState:
         """Every state variable uniform in +-0.05."""
         spread = RESET_HALF_WIDTH * (2.0 * noise - 1.0)

@@ -65,6 +65,7 @@ class Environment(Protocol):
         action: the action space.
         n_features: length of an observation without visible context features.
         n_noise: uniform random numbers that start an episode.
+        max_return: no episode can return more; None where that is not known.
         params: class of the parameters; its last field is `visible`.
     """
 
@@ -78,6 +79,8 @@ class Environment(Protocol):
     def n_features(self) -> int: ...  # noqa: D102
     @property
     def n_noise(self) -> int: ...  # noqa: D102
+    @property
+    def max_return(self) -> float | None: ...  # noqa: D102
     @property
     def params(self) -> type[Any]: ...  # noqa: D102
 

@@ -22,12 +22,18 @@ from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
 from mbtl.training.jax.environments import Environment, Tree
 from mbtl.training.jax.networks import Network
+from mbtl.training.jax.recipes import Activation
 
-CPU_ROWS = 8192
+CPU_ROWS = 400
 """Episodes played together on a CPU: few enough that their activations stay in its cache."""
 
 DEVICE_ROWS = 1 << 20
 """The same on an accelerator: 256 MB for each layer of 64 units."""
+
+
+def on_cpu() -> bool:
+    """Whether jax computes on the CPU of this machine."""
+    return bool(jax.default_backend() == "cpu")
 
 
 def episode_noise(env: Environment, seeds: Sequence[int]) -> NDArray[np.float32]:
@@ -42,6 +48,7 @@ def evaluate(
     params: Tree,
     noise: NDArray[np.float32],
     *,
+    activation: Activation = "tanh",
     rows: int | None = None,
     on_block: Callable[[int, int], None] | None = None,
 ) -> Array:
@@ -54,6 +61,7 @@ def evaluate(
         actors: of P policies, leading axis.
         params: of C contexts, leading axis.
         noise: (E, n_noise), see `episode_noise`.
+        activation: between the layers of the actors.
         rows: episodes at a time; None chooses for the device.
         on_block: called with (pairs of policy and context done, planned) after each block.
 
@@ -70,7 +78,7 @@ def evaluate(
             f"got {n_policies}, {n_contexts} and {len(noise)}"
         )
     if rows is None:
-        rows = CPU_ROWS if jax.default_backend() == "cpu" else DEVICE_ROWS
+        rows = CPU_ROWS if on_cpu() else DEVICE_ROWS
     width = max(1, min(n_contexts, rows // len(noise)))
     height = max(1, min(n_policies, rows // (width * len(noise))))
     returns = np.empty((n_policies, n_contexts, len(noise)))
@@ -78,7 +86,7 @@ def evaluate(
     for p in range(0, n_policies, height):
         some = _take(actors, p, height)
         for c in range(0, n_contexts, width):
-            part = np.asarray(_every_pair(env, some, _take(params, c, width), noise))
+            part = np.asarray(_every_pair(env, activation, some, _take(params, c, width), noise))
             target = returns[p : p + height, c : c + width]
             target[...] = part[: target.shape[0], : target.shape[1]]
             done += target.shape[0] * target.shape[1]
@@ -97,19 +105,26 @@ def _take(tree: Tree, first: int, count: int) -> Tree:
     return jax.tree.map(part, tree)
 
 
-@partial(jax.jit, static_argnums=0)
-def _every_pair(env: Environment, actors: Network, params: Tree, noise: jax.Array) -> jax.Array:
+@partial(jax.jit, static_argnums=(0, 1))
+def _every_pair(
+    env: Environment, activation: Activation, actors: Network, params: Tree, noise: jax.Array
+) -> jax.Array:
     """(P, C, E): every policy on every context."""
-    return jax.vmap(partial(_play, env), in_axes=(0, None, None))(actors, params, noise)
+    play = partial(_play, env, activation)
+    return jax.vmap(play, in_axes=(0, None, None))(actors, params, noise)
 
 
-def own_returns(env: Environment, actors: Network, params: Tree, noise: jax.Array) -> jax.Array:
+def own_returns(
+    env: Environment, activation: Activation, actors: Network, params: Tree, noise: jax.Array
+) -> jax.Array:
     """(P, E): each policy on its own context with its own (P, E, n_noise) noise; can be traced."""
     alone = jax.tree.map(lambda x: x[:, None], params)
-    return jax.vmap(partial(_play, env))(actors, alone, noise)[:, 0]
+    return jax.vmap(partial(_play, env, activation))(actors, alone, noise)[:, 0]
 
 
-def _play(env: Environment, actor: Network, params: Tree, noise: jax.Array) -> jax.Array:
+def _play(
+    env: Environment, activation: Activation, actor: Network, params: Tree, noise: jax.Array
+) -> jax.Array:
     """(C, E) returns of one policy; stops when no episode is alive."""
     start = jax.vmap(jax.vmap(env.initial, (0, None)), (None, 0))
     step = jax.vmap(jax.vmap(env.step, (0, 0, None)))
@@ -125,7 +140,7 @@ def _play(env: Environment, actor: Network, params: Tree, noise: jax.Array) -> j
         carry: tuple[jax.Array, Tree, jax.Array, jax.Array],
     ) -> tuple[jax.Array, Tree, jax.Array, jax.Array]:
         steps, state, alive, total = carry
-        outputs = networks.apply(actor, observe(state, params))
+        outputs = networks.apply(actor, observe(state, params), activation)
         new, reward, terminated = step(state, networks.mode(outputs, env.action), params)
         total = total + jnp.where(alive, reward, 0.0).astype(jnp.float32)
         return steps + 1, new, alive & ~terminated, total

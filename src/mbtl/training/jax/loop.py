@@ -18,16 +18,15 @@ from numpy.typing import NDArray
 
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed
 from mbtl.seeds import Purpose, derive_seed
-from mbtl.training.jax import ppo
+from mbtl.training.jax.algorithms import algorithm_of
+from mbtl.training.jax.clock import clock_at
 from mbtl.training.jax.environments import Environment, Tree
 from mbtl.training.jax.evaluation import episode_noise, own_returns
 from mbtl.training.jax.networks import Weights
-from mbtl.training.jax.recipes import PPORecipe
+from mbtl.training.jax.recipes import Recipe
 
 BLOCKS = 50
 """Evaluations per training unless told otherwise: one every 2 % of the steps."""
-
-_SHUFFLE = 0x6D62_746C  # root of the order of minibatches, the same in every training
 
 
 class Training(NamedTuple):
@@ -41,7 +40,7 @@ class Training(NamedTuple):
         updates: updates done.
     """
 
-    state: ppo.State
+    state: Any
     best: Weights
     best_return: jax.Array
     latest_return: jax.Array
@@ -63,7 +62,7 @@ class Block(NamedTuple):
     training: Training
 
 
-def start(env: Environment, recipe: PPORecipe, seeds: Sequence[int], params: Tree) -> Training:
+def start(env: Environment, recipe: Recipe, seeds: Sequence[int], params: Tree) -> Training:
     """Trainings before their first update.
 
     Raises:
@@ -75,7 +74,7 @@ def start(env: Environment, recipe: PPORecipe, seeds: Sequence[int], params: Tre
             f"training takes one seed per context (repeat contexts for more seeds), "
             f"got {len(seeds)} seeds and {n_contexts} contexts"
         )
-    state = ppo.init(env, recipe, seeds, _float32(params))
+    state = algorithm_of(recipe).init(env, recipe, seeds, _float32(params))
     return Training(
         state,
         jax.tree.map(jnp.copy, state.weights),
@@ -87,7 +86,7 @@ def start(env: Environment, recipe: PPORecipe, seeds: Sequence[int], params: Tre
 
 def train(
     env: Environment,
-    recipe: PPORecipe,
+    recipe: Recipe,
     seeds: Sequence[int],
     params: Tree,
     timesteps: int,
@@ -95,6 +94,7 @@ def train(
     on_block: Callable[[Block], None] | None = None,
     checkpoint_every: int | None = None,
     checkpoint_episodes: int = 10,
+    only_best: bool = False,
     resume: Training | None = None,
 ) -> Training:
     """Train one policy per (context, seed), all of them together.
@@ -112,6 +112,8 @@ def train(
         checkpoint_every: environment steps between two evaluations of each policy on its own
             context, rounded up to whole updates; None for 2 % of `timesteps`.
         checkpoint_episodes: deterministic episodes of an evaluation, the same at every one.
+        only_best: end as soon as the best evaluation of every policy is the largest return there
+            is (`env.max_return`): the best weights, the earliest of equals, cannot change any more.
         resume: what an interrupted call had reached (given again with the same arguments).
 
     Returns:
@@ -131,7 +133,7 @@ def train(
     noise = np.stack([_checkpoint_noise(env, seed, checkpoint_episodes) for seed in seeds])
     training = start(env, recipe, seeds, params) if resume is None else resume
     done = int(training.updates)
-    while done < total:
+    while done < total and not (only_best and _nothing_to_gain(env, training)):
         count = min(block, total - done)
         training, finite = _run_block(env, recipe, training, params, noise, count, total)
         done += count
@@ -144,7 +146,7 @@ def train(
 @partial(jax.jit, static_argnums=(0, 1), donate_argnums=2)
 def _run_block(
     env: Environment,
-    recipe: PPORecipe,
+    recipe: Recipe,
     training: Training,
     params: Tree,
     noise: jax.Array,
@@ -153,16 +155,13 @@ def _run_block(
 ) -> tuple[Training, jax.Array]:
     """`count` updates, then an evaluation; also (P,) whether all weights are finite."""
 
-    def one(i: jax.Array, state: ppo.State) -> ppo.State:
-        number = training.updates + i
-        shuffle = jax.random.fold_in(jax.random.PRNGKey(_SHUFFLE), number)
-        scale = 1.0 - number / total if recipe.anneal else jnp.float32(1.0)
-        update = jax.vmap(partial(ppo.update, env, recipe), in_axes=(0, 0, None, None))
-        updated: ppo.State = update(state, params, shuffle, scale)
-        return updated
+    def one(i: jax.Array, state: Any) -> Any:
+        update = partial(algorithm_of(recipe).update, env, recipe)
+        every = jax.vmap(update, in_axes=(0, 0, None))
+        return every(state, params, clock_at(training.updates + i, total))
 
     state = jax.lax.fori_loop(0, count, one, training.state)
-    latest = own_returns(env, state.weights.actor, params, noise).mean(axis=1)
+    latest = own_returns(env, recipe.activation, state.weights.actor, params, noise).mean(axis=1)
     better = latest > training.best_return
 
     def keep(new: jax.Array, old: jax.Array) -> jax.Array:
@@ -214,6 +213,12 @@ def from_arrays(template: Training, arrays: Mapping[str, NDArray[Any]]) -> Train
             )
     restored: Training = jax.tree.unflatten(structure, [jnp.asarray(x) for x in loaded])
     return restored
+
+
+def _nothing_to_gain(env: Environment, training: Training) -> bool:
+    if env.max_return is None:
+        return False
+    return bool((np.asarray(training.best_return) >= env.max_return).all())
 
 
 def _checkpoint_noise(env: Environment, seed: int, episodes: int) -> NDArray[np.float32]:

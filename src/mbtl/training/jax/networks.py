@@ -1,6 +1,6 @@
 """Small actor and critic networks as plain arrays, and what the actor's outputs mean.
 
-A network is a tuple of layers (weight (n_in, n_out), bias (n_out,)) with tanh between them.
+A network is a tuple of layers (weight (n_in, n_out), bias (n_out,)) with an activation between.
 Functions here take one policy and any leading axes of observations; `jax.vmap` over policies turns
 each layer of all policies into one batched matrix product, which is what makes training them
 together fast.
@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mbtl.training.jax.environments import Box, Discrete
+from mbtl.training.jax.environments import Box, Discrete, Tree
+from mbtl.training.jax.recipes import Activation
 
 Network = tuple[tuple[jax.Array, jax.Array], ...]
 
@@ -26,7 +27,7 @@ class Weights(NamedTuple):
 
     Attributes:
         actor: observation -> logits, or the mean of a Gaussian.
-        critic: observation -> value, (..., 1).
+        critic: observation -> value, (..., 1); () where there is none.
         log_std: (d,) logarithm of the Gaussian's standard deviation; (0,) for discrete actions.
     """
 
@@ -73,6 +74,33 @@ def init_weights(
     )
 
 
+def init_q_network(seed: int, widths: Sequence[int]) -> Weights:
+    """A network of action values as the actor; uniform in +-1 / sqrt(n_in), PyTorch's default.
+
+    Args:
+        seed: >= 0.
+        widths: of the observation, the hidden layers and the actions.
+
+    Returns:
+        Numpy arrays in float32; no critic.
+    """
+    rng = np.random.default_rng(seed)
+
+    def layer(n_in: int, n_out: int) -> Any:
+        bound = 1.0 / math.sqrt(n_in)
+        shapes = (n_in, n_out), (n_out,)
+        return tuple(rng.uniform(-bound, bound, shape).astype(np.float32) for shape in shapes)
+
+    pairs = zip(widths[:-1], widths[1:], strict=True)
+    no_std = cast(jax.Array, np.zeros(0, dtype=np.float32))
+    return Weights(tuple(layer(*pair) for pair in pairs), (), no_std)
+
+
+def stack(each: Sequence[Tree]) -> Any:
+    """Weights of several policies as one tree of jax arrays, leading axis."""
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *each)
+
+
 def _init_network(rng: np.random.Generator, widths: Sequence[int], last_gain: float) -> Network:
     gains = [math.sqrt(2.0)] * (len(widths) - 2) + [last_gain]
     pairs = zip(gains, widths[:-1], widths[1:], strict=True)
@@ -90,11 +118,12 @@ def _orthogonal(rng: np.random.Generator, n_in: int, n_out: int, gain: float) ->
     return (gain * (q if n_in >= n_out else q.T)).astype(np.float32)
 
 
-def apply(network: Network, observations: jax.Array) -> jax.Array:
+def apply(network: Network, observations: jax.Array, activation: Activation = "tanh") -> jax.Array:
     """(..., n_inputs) -> (..., n_outputs)."""
+    bend = jnp.tanh if activation == "tanh" else jax.nn.relu
     x = observations
     for weight, bias in network[:-1]:
-        x = jnp.tanh(x @ weight + bias)
+        x = bend(x @ weight + bias)
     weight, bias = network[-1]
     return x @ weight + bias
 

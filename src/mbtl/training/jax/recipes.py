@@ -2,10 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Literal
 
 from mbtl.errors import InvalidInput, unknown_name
+
+Activation = Literal["tanh", "relu"]
+
+_STEPS_PER_CALL = 256
+"""A2C and DQN learn every few steps: as many of those as give this many steps are one update."""
+
+
+def _check_counts(recipe: Recipe, *names: str) -> None:
+    for name in names:
+        if getattr(recipe, name) < 1:
+            raise InvalidInput(f"{name} must be >= 1, got {getattr(recipe, name)}")
+
+
+def _record(recipe: Recipe) -> dict[str, object]:
+    values = {field.name: getattr(recipe, field.name) for field in fields(recipe)}
+    return values | {"hidden": list(recipe.hidden)}
 
 
 @dataclass(frozen=True)
@@ -29,6 +47,7 @@ class PPORecipe:
         anneal: learning rate falls linearly to 0 over the training.
         hidden: widths of the hidden layers of actor and critic.
         log_std: initial log standard deviation of a Gaussian policy.
+        activation: between the layers.
 
     Raises:
         InvalidInput: a count is below 1, or the minibatches do not fill the rollout.
@@ -50,11 +69,10 @@ class PPORecipe:
     anneal: bool = False
     hidden: tuple[int, ...] = (64, 64)
     log_std: float = 0.0
+    activation: Activation = "tanh"
 
     def __post_init__(self) -> None:
-        for name in ("n_envs", "n_steps", "batch_size", "n_epochs"):
-            if getattr(self, name) < 1:
-                raise InvalidInput(f"{name} must be >= 1, got {getattr(self, name)}")
+        _check_counts(self, "n_envs", "n_steps", "batch_size", "n_epochs")
         if self.steps_per_update % self.batch_size:
             raise InvalidInput(
                 f"batch_size must divide n_envs x n_steps = {self.steps_per_update}, "
@@ -69,24 +87,184 @@ class PPORecipe:
     @property
     def record(self) -> dict[str, object]:
         """JSON-able: what decides the policy."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return values | {"hidden": list(self.hidden)}
+        return _record(self)
 
 
-RECIPES: Mapping[str, PPORecipe] = {
-    "sb3": PPORecipe(),
-    "fast": PPORecipe(
-        n_envs=8, n_steps=128, batch_size=256, n_epochs=4, learning_rate=1e-3, anneal=True
-    ),
+@dataclass(frozen=True)
+class A2CRecipe:
+    """Hyper-parameters of A2C; the defaults are those of Stable-Baselines3.
+
+    Attributes:
+        n_envs: copies of the environment per policy.
+        n_steps: steps of each copy between two gradient steps.
+        learning_rate: RMSprop's.
+        gamma: discount per step.
+        gae_lambda: decay of generalised advantage estimation; 1 gives n-step returns.
+        entropy_coef: weight of the entropy bonus.
+        value_coef: weight of the value loss.
+        max_grad_norm: gradients of one policy are scaled down to this norm.
+        rms_decay: of RMSprop's mean of squares, which starts at 1 as in TensorFlow.
+        rms_eps: offset under RMSprop's root.
+        normalize_advantage: to mean 0 and standard deviation 1 in each rollout.
+        anneal: learning rate falls linearly to 0 over the training.
+        hidden: widths of the hidden layers of actor and critic.
+        log_std: initial log standard deviation of a Gaussian policy.
+        activation: between the layers.
+
+    Raises:
+        InvalidInput: a count is below 1.
+    """
+
+    n_envs: int = 1
+    n_steps: int = 5
+    learning_rate: float = 7e-4
+    gamma: float = 0.99
+    gae_lambda: float = 1.0
+    entropy_coef: float = 0.0
+    value_coef: float = 0.5
+    max_grad_norm: float = 0.5
+    rms_decay: float = 0.99
+    rms_eps: float = 1e-5
+    normalize_advantage: bool = False
+    anneal: bool = False
+    hidden: tuple[int, ...] = (64, 64)
+    log_std: float = 0.0
+    activation: Activation = "tanh"
+
+    def __post_init__(self) -> None:
+        _check_counts(self, "n_envs", "n_steps")
+
+    @property
+    def rollouts_per_update(self) -> int:
+        """Rollouts, each with its gradient step, that the loop sees as one update."""
+        return math.ceil(_STEPS_PER_CALL / (self.n_envs * self.n_steps))
+
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps of one policy in one call of `a2c.update`."""
+        return self.rollouts_per_update * self.n_envs * self.n_steps
+
+    @property
+    def record(self) -> dict[str, object]:
+        """JSON-able: what decides the policy."""
+        return _record(self)
+
+
+@dataclass(frozen=True)
+class DQNRecipe:
+    """Hyper-parameters of DQN; the defaults are those of Stable-Baselines3 but for the replay.
+
+    (Stable-Baselines3 keeps 1,000,000 transitions; a tenth of it is what fits for many policies.)
+
+    Attributes:
+        n_envs: copies of the environment per policy.
+        train_freq: steps of each copy between two rounds of learning.
+        gradient_steps: minibatches per round.
+        batch_size: transitions per minibatch, drawn with replacement.
+        learning_rate: Adam's.
+        gamma: discount per step.
+        buffer_size: transitions kept for replay, per policy; the oldest are overwritten.
+        learning_starts: environment steps of uniformly random actions before the first round.
+        target_every: environment steps between two copies of the network to its target.
+        exploration_fraction: share of the training in which epsilon falls linearly from 1.
+        final_epsilon: probability of a random action afterwards.
+        max_grad_norm: gradients of one policy are scaled down to this norm.
+        adam_eps: Adam's denominator offset.
+        anneal: learning rate falls linearly to 0 over the training.
+        hidden: widths of the hidden layers.
+        activation: between the layers.
+
+    Raises:
+        InvalidInput: a count is below 1, or rounds do not fill the replay.
+    """
+
+    n_envs: int = 1
+    train_freq: int = 4
+    gradient_steps: int = 1
+    batch_size: int = 32
+    learning_rate: float = 1e-4
+    gamma: float = 0.99
+    buffer_size: int = 100_000
+    learning_starts: int = 100
+    target_every: int = 10_000
+    exploration_fraction: float = 0.1
+    final_epsilon: float = 0.05
+    max_grad_norm: float = 10.0
+    adam_eps: float = 1e-8
+    anneal: bool = False
+    hidden: tuple[int, ...] = (64, 64)
+    activation: Activation = "relu"
+
+    def __post_init__(self) -> None:
+        counts = (
+            "n_envs",
+            "train_freq",
+            "gradient_steps",
+            "batch_size",
+            "buffer_size",
+            "target_every",
+        )
+        _check_counts(self, *counts)
+        if self.buffer_size % self.steps_per_round:
+            raise InvalidInput(
+                f"buffer_size must be a multiple of n_envs x train_freq = {self.steps_per_round}, "
+                f"got {self.buffer_size}"
+            )
+
+    @property
+    def steps_per_round(self) -> int:
+        """Environment steps of one policy between two rounds of learning."""
+        return self.n_envs * self.train_freq
+
+    @property
+    def rounds_per_update(self) -> int:
+        """Rounds that the loop sees as one update."""
+        return math.ceil(_STEPS_PER_CALL / self.steps_per_round)
+
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps of one policy in one call of `dqn.update`."""
+        return self.rounds_per_update * self.steps_per_round
+
+    @property
+    def record(self) -> dict[str, object]:
+        """JSON-able: what decides the policy."""
+        return _record(self)
+
+
+Recipe = PPORecipe | A2CRecipe | DQNRecipe
+
+RECIPES: Mapping[str, Mapping[str, Recipe]] = {
+    "PPO": {
+        "sb3": PPORecipe(),
+        "fast": PPORecipe(
+            n_envs=8, n_steps=128, batch_size=128, n_epochs=1, learning_rate=2e-3, anneal=True
+        ),
+    },
+    "A2C": {
+        "sb3": A2CRecipe(),
+        "fast": A2CRecipe(n_envs=16),
+    },
+    "DQN": {
+        "sb3": DQNRecipe(),
+        "fast": DQNRecipe(n_envs=8),
+    },
 }
+"""Recipes by algorithm and name: `sb3` has Stable-Baselines3's defaults, `fast` ends sooner."""
 
 
-def recipe_named(name: str) -> PPORecipe:
+def recipe_named(algorithm: str, name: str) -> Recipe:
     """The recipe called `name`.
+
+    Args:
+        algorithm: "PPO", "A2C" or "DQN".
+        name: one of `RECIPES[algorithm]`.
 
     Raises:
         UnknownName: there is none.
     """
-    if name not in RECIPES:
-        raise unknown_name("PPO recipe", name, RECIPES)
-    return RECIPES[name]
+    if algorithm not in RECIPES:
+        raise unknown_name("algorithm with recipes", algorithm, RECIPES)
+    if name not in RECIPES[algorithm]:
+        raise unknown_name(f"{algorithm} recipe", name, RECIPES[algorithm])
+    return RECIPES[algorithm][name]

@@ -1,0 +1,238 @@
+"""Building a transfer matrix: train every source, run each policy on every target.
+
+Work is done in pieces of a few sources. A piece is one file that appears whole or not at all, so
+an interrupted build goes on where it was, in any number of processes.
+
+Notation (shapes): N contexts, P sources of a piece, E episodes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.benchmark.npz import read_npz, write_npz
+from mbtl.contexts import Context, ContextSpace
+from mbtl.errors import InvalidInput, StorageError, StudyError, cannot_write
+from mbtl.seeds import evaluation_seed, training_seed
+from mbtl.trainer import ManyTrainer, Trainer, checked_returns
+
+ONLY = "policy"
+"""Name of the one checkpoint of a trainer that does not offer several."""
+
+_TRIAL = 0  # of the seed tree: matrix seed s holds the policies of a study with root seed s
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Some sources of a matrix, complete in itself so that any process can do it.
+
+    Attributes:
+        trainer: trains and evaluates.
+        sources: P indices.
+        contexts: the P sources.
+        seeds: their training seeds.
+        targets: the N contexts.
+        evaluation: seed of all evaluations.
+        keep: checkpoints to evaluate.
+        path: where its rows go.
+    """
+
+    trainer: Trainer
+    sources: Sequence[int]
+    contexts: Sequence[Context]
+    seeds: Sequence[int]
+    targets: Sequence[Context]
+    evaluation: int
+    keep: tuple[str, ...]
+    path: Path
+
+
+@dataclass(frozen=True)
+class Build:
+    """One seed of a transfer matrix, and the folder in which it grows.
+
+    Attributes:
+        trainer: trains and evaluates.
+        space: the N contexts.
+        seed: of the matrix; a study with this root seed trains the same policies.
+        folder: of the pieces; created when missing.
+        settings: JSON-able; a folder goes on only with equal settings.
+        keep: checkpoints to evaluate, of a trainer that offers several (`ManyTrainer`).
+        lanes: sources trained together, P.
+    """
+
+    trainer: Trainer
+    space: ContextSpace
+    seed: int
+    folder: Path
+    settings: Mapping[str, Any]
+    keep: tuple[str, ...] = (ONLY,)
+    lanes: int = 1
+
+    def __post_init__(self) -> None:
+        if self.lanes < 1:
+            raise InvalidInput(f"lanes must be >= 1, got {self.lanes}")
+
+    def pieces(self) -> list[Piece]:
+        """All of the matrix, done or not."""
+        contexts = self.space.contexts
+        return [
+            Piece(
+                self.trainer,
+                range(first, min(first + self.lanes, self.space.n)),
+                contexts[first : first + self.lanes],
+                [
+                    training_seed(self.seed, _TRIAL, source)
+                    for source in range(first, min(first + self.lanes, self.space.n))
+                ],
+                contexts,
+                evaluation_seed(self.seed, _TRIAL),
+                self.keep,
+                self.folder / f"sources-{first:05d}.npz",
+            )
+            for first in range(0, self.space.n, self.lanes)
+        ]
+
+    def run(self, workers: int = 1, on_piece: Callable[[int, int], None] | None = None) -> None:
+        """Do what is missing.
+
+        Args:
+            workers: processes; with 1 this process does it itself.
+            on_piece: called with (sources done, N), first with what was there already.
+
+        Raises:
+            InvalidInput: the folder holds another matrix, or `workers` < 1.
+            StorageError: the folder cannot be written.
+            StudyError: a worker process died.
+            TrainingFailed: a training failed; what was done before is kept.
+        """
+        if workers < 1:
+            raise InvalidInput(f"workers must be >= 1, got {workers}")
+        self._claim()
+        pieces = self.pieces()
+        todo = [piece for piece in pieces if not piece.path.is_file()]
+        done = sum(len(p.sources) for p in pieces) - sum(len(p.sources) for p in todo)
+        if on_piece is not None:
+            on_piece(done, self.space.n)
+        for piece in _perform_all(todo, workers):
+            done += len(piece.sources)
+            if on_piece is not None:
+                on_piece(done, self.space.n)
+
+    def rows(self, checkpoint: str) -> tuple[Array, Array]:
+        """(N, N) mean return and (N, N) standard deviation over episodes, axes (source, target).
+
+        Raises:
+            StorageError: pieces are missing.
+        """
+        found = [read_npz(piece.path) for piece in self._finished()]
+        mean = np.concatenate([arrays[f"{checkpoint}_mean"] for arrays in found])
+        return mean, np.concatenate([arrays[f"{checkpoint}_std"] for arrays in found])
+
+    def seconds(self) -> float:
+        """Wall time of all pieces together, seconds of one process."""
+        return float(sum(read_npz(piece.path)["seconds"] for piece in self._finished()))
+
+    def _finished(self) -> list[Piece]:
+        pieces = self.pieces()
+        missing = sum(not piece.path.is_file() for piece in pieces)
+        if missing:
+            raise StorageError(
+                f"the matrix in {self.folder} needs {len(pieces)} pieces, {missing} are missing; "
+                "run the same command again"
+            )
+        return pieces
+
+    def _claim(self) -> None:
+        """Write down what grows in the folder, or check that it is this."""
+        record = json.loads(
+            json.dumps(
+                {**self.settings, "seed": self.seed, "lanes": self.lanes, "keep": list(self.keep)}
+            )
+        )
+        file = self.folder / "build.json"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if not file.exists():
+                unfinished = file.with_name(f".build.{os.getpid()}.tmp")
+                unfinished.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+                unfinished.replace(file)
+            there = json.loads(file.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise cannot_write(file, error) from error
+        if there != record:
+            differing = sorted(k for k in {*there, *record} if there.get(k) != record.get(k))
+            raise InvalidInput(
+                f"{self.folder} holds a matrix of other settings ({', '.join(differing)}); "
+                "choose another folder, or remove it"
+            )
+
+
+def perform(piece: Piece) -> None:
+    """Train and evaluate the sources of one piece, and write its file."""
+    begin = time.perf_counter()
+    arrays: dict[str, Any] = {}
+    for checkpoint, returns in _returns(piece).items():
+        arrays[f"{checkpoint}_mean"] = returns.mean(axis=2)
+        arrays[f"{checkpoint}_std"] = returns.std(axis=2)
+    arrays["seconds"] = np.array(time.perf_counter() - begin)
+    write_npz(piece.path, arrays)
+
+
+def _returns(piece: Piece) -> dict[str, Array]:
+    """(P, N, E) returns of each checkpoint."""
+    trainer, targets = piece.trainer, list(piece.targets)
+    if isinstance(trainer, ManyTrainer):
+        policies = trainer.train_many(
+            piece.contexts,
+            piece.seeds,
+            keep=piece.keep,
+            partial=piece.path.with_suffix(".partial.npz"),
+        )
+        return {
+            checkpoint: np.stack(
+                [
+                    checked_returns(row, len(targets))
+                    for row in trainer.evaluate_many(some, targets, piece.evaluation)
+                ]
+            )
+            for checkpoint, some in policies.items()
+        }
+    rows = [
+        trainer.evaluate(trainer.train(dict(context), seed), targets, piece.evaluation)
+        for context, seed in zip(piece.contexts, piece.seeds, strict=True)
+    ]
+    return {ONLY: np.stack([checked_returns(row, len(targets)) for row in rows])}
+
+
+def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Piece]:
+    """Do all pieces; yields each when its file is there."""
+    if workers == 1 or len(pieces) <= 1:
+        for piece in pieces:
+            perform(piece)
+            yield piece
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        futures = {pool.submit(perform, piece): piece for piece in pieces}
+        try:
+            for future in as_completed(futures):
+                future.result()
+                yield futures[future]
+        except BrokenExecutor as error:
+            raise StudyError(
+                "a worker process died (killed, or out of memory); what was done is kept: run "
+                "again, with fewer workers if memory is short"
+            ) from error
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)

@@ -1,0 +1,273 @@
+"""`mbtl matrix build`: a transfer matrix from real training."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from mbtl.benchmark import TransferMatrix, levels, save_shipped
+from mbtl.benchmark.build import ONLY, Build
+from mbtl.benchmark.provenance import here
+from mbtl.benchmark.shipped import DEFAULT, matrix_id
+from mbtl.cli.common import JsonFlag, console, print_json
+from mbtl.cmdps import CMDP, get_cmdp, resolve_cmdp
+from mbtl.errors import InvalidInput
+from mbtl.trainer import ManyTrainer, Trainer, recipe_of
+
+Checkpoint = Literal["best", "final", "both"]
+
+
+def build(
+    problem: Annotated[
+        str,
+        typer.Argument(
+            metavar="CMDP", help="Id of a CMDP (`mbtl cmdps`), or module:problem of your own."
+        ),
+    ],
+    seeds: Annotated[int, typer.Option(help="Number of matrices, one per seed.")] = 3,
+    first_seed: Annotated[int, typer.Option(help="Seed of the first matrix.")] = 0,
+    preset: Annotated[
+        str | None,
+        typer.Option("--preset", "--tier", help="Training recipe; `mbtl cmdps CMDP` lists them."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the finished files.")] = Path("matrices"),
+    variant: Annotated[
+        str | None,
+        typer.Option(help="Name of the set in the file names; default: from the options below."),
+    ] = None,
+    visibility: Annotated[
+        str | None, typer.Option(help="What of the context the policy sees.")
+    ] = None,
+    physics: Annotated[str, typer.Option(help="How contexts act on CartPole.")] = "intended",
+    engine: Annotated[str | None, typer.Option(help="jax or gymnasium.")] = None,
+    algorithm: Annotated[str | None, typer.Option(help="Default: the preset's.")] = None,
+    recipe: Annotated[
+        str | None, typer.Option(help="Named hyper-parameters of the jax engine.")
+    ] = None,
+    timesteps: Annotated[int | None, typer.Option(help="Environment steps per training.")] = None,
+    eval_episodes: Annotated[
+        int | None, typer.Option(help="Episodes per policy and context.")
+    ] = None,
+    checkpoint: Annotated[
+        str | None,
+        typer.Option(
+            help="Policies to evaluate: best, final, or both (two sets from one training)."
+        ),
+    ] = None,
+    lanes: Annotated[
+        int | None, typer.Option(help="Sources trained together in one program.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes; default: one per core, one on a GPU.")
+    ] = None,
+    work: Annotated[Path, typer.Option(help="Folder of unfinished matrices.")] = Path("runs"),
+    as_json: JsonFlag = False,
+) -> None:
+    """Train a policy on every context, evaluate each on every context, and save the returns.
+
+    Interrupt it at any time; the same command goes on where it was.
+
+    Example: mbtl matrix build pendulum-length --seeds 3 --tier paper
+
+    The files are read by `mbtl bench --matrix FILE` and `mbtl matrix show FILE`.
+    """
+    if seeds < 1:
+        raise InvalidInput(f"--seeds must be >= 1, got {seeds}")
+    cmdp = _problem(problem, visibility=visibility, physics=physics, engine=engine)
+    keep = _checkpoints(checkpoint)
+    overrides = {
+        "timesteps": timesteps,
+        "eval_episodes": eval_episodes,
+        "algorithm": algorithm,
+        "recipe_name": recipe,
+        "checkpoint": keep[0] if keep else None,
+    }
+    given = {k: v for k, v in overrides.items() if v is not None}
+    trainer = cmdp.trainer_for(preset, **given)
+    name = variant or _variant(cmdp, given)
+    command = _command(problem, preset, visibility, physics, engine, lanes, given)
+    results = []
+    for seed in range(first_seed, first_seed + seeds):
+        results += _one(
+            cmdp, trainer, seed, keep, name, command,
+            preset=preset or cmdp.default_preset, out=out, work=work, lanes=lanes, workers=workers,
+        )  # fmt: skip
+    if as_json:
+        print_json({"matrices": results})
+
+
+def _one(
+    cmdp: CMDP,
+    trainer: Trainer,
+    seed: int,
+    keep: tuple[str, ...],
+    variant: str,
+    command: str,
+    *,
+    preset: str,
+    out: Path,
+    work: Path,
+    lanes: int | None,
+    workers: int | None,
+) -> list[dict[str, Any]]:
+    """One seed: build what is missing, write its files."""
+    checkpoints, best_lanes = keep or (ONLY,), 1
+    if isinstance(trainer, ManyTrainer):
+        checkpoints = keep or (str(getattr(trainer, "checkpoint", "final")),)
+        best_lanes = trainer.lanes
+    names = _names(variant, checkpoints, trainer)
+    files = {c: out / f"{matrix_id(cmdp.id, names[c])}-seed{seed}.npz" for c in checkpoints}
+    if all(file.is_file() for file in files.values()):
+        console.print(f"{', '.join(map(str, files.values()))}: there already", markup=False)
+        return [_shown(file, TransferMatrix.load(file)) for file in files.values()]
+    lanes = min(lanes or best_lanes, cmdp.space.n)
+    settings: dict[str, Any] = {
+        "problem": cmdp.id,
+        "version": cmdp.version,
+        "switches": dict(cmdp.settings),
+        "recipe": recipe_of(trainer),
+    }
+    building = Build(
+        trainer,
+        cmdp.space,
+        seed,
+        work / f"matrix-{matrix_id(cmdp.id, variant)}-{preset}-seed{seed}",
+        settings,
+        checkpoints,
+        lanes,
+    )
+    if workers is None:
+        workers = 1 if lanes >= cmdp.space.n else len(os.sched_getaffinity(0))
+    begin = time.perf_counter()
+    _run(building, workers, f"{matrix_id(cmdp.id, variant)} seed {seed}")
+    wall = time.perf_counter() - begin
+    results = []
+    for checkpoint, file in files.items():
+        mean, std = building.rows(checkpoint)
+        changed = {} if checkpoint == ONLY else {"checkpoint": checkpoint}
+        matrix = TransferMatrix.of(
+            mean[None],
+            std=std[None],
+            space=cmdp.space,
+            bounds=cmdp.bounds,
+            theta=cmdp.theta,
+            direction="max" if cmdp.direction == "maximize" else "min",
+            provenance={
+                **settings,
+                "recipe": {**settings["recipe"], **changed},
+                "preset": preset,
+                "seed": seed,
+                "lanes": lanes,
+                "command": f"{command} --seeds 1 --first-seed {seed}",
+                "process_seconds": round(building.seconds(), 1),
+                "wall_seconds_of_last_run": round(wall, 1),
+                **here(),
+            },
+            name=file.name,
+        )
+        save_shipped(matrix, out, cmdp.id, names[checkpoint], first_seed=seed)
+        results.append(_shown(file, matrix))
+    return results
+
+
+def _run(building: Build, workers: int, label: str) -> None:
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=30),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(label, total=building.space.n)
+        building.run(workers, lambda done, total: bar.update(task, completed=done, total=total))
+
+
+def _shown(file: Path, matrix: TransferMatrix) -> dict[str, Any]:
+    known = levels(matrix, 0)
+    record = {
+        "file": str(file),
+        "grand_mean": known.grand_mean,
+        "independent": known.independent,
+        "oracle_transfer": known.oracle_transfer,
+    }
+    console.print(
+        f"{file}: one policy {known.grand_mean:.4f}, Independent {known.independent:.4f}, "
+        f"Oracle Transfer {known.oracle_transfer:.4f}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+    return record
+
+
+def _problem(problem: str, *, visibility: str | None, physics: str, engine: str | None) -> CMDP:
+    if ":" in problem:
+        if visibility is not None or engine is not None or physics != "intended":
+            raise InvalidInput(
+                "--visibility, --physics and --engine are switches of our CMDPs, got one with "
+                f"{problem!r}; set it in your problem"
+            )
+        return resolve_cmdp(problem)
+    return get_cmdp(problem, visibility=visibility, physics=physics, engine=engine)
+
+
+def _checkpoints(checkpoint: str | None) -> tuple[str, ...]:
+    choices = {None: (), "best": ("best",), "final": ("final",), "both": ("best", "final")}
+    if checkpoint not in choices:
+        raise InvalidInput(f"--checkpoint is best, final or both, got {checkpoint!r}")
+    return choices[checkpoint]
+
+
+def _variant(cmdp: CMDP, given: Mapping[str, Any]) -> str:
+    """Name of the set: what differs from the CMDP as it is by default."""
+    parts = []
+    if cmdp.settings.get("visibility", "multiplier") != "multiplier":
+        parts.append(str(cmdp.settings["visibility"]))
+    if cmdp.settings.get("physics", "intended") != "intended":
+        parts.append(str(cmdp.settings["physics"]))
+    if "algorithm" in given:
+        parts.append(str(given["algorithm"]).lower())
+    return "-".join(parts) or DEFAULT
+
+
+def _names(variant: str, checkpoints: tuple[str, ...], trainer: Trainer) -> dict[str, str]:
+    """Variant of each checkpoint: "final" is named where it stands beside, or instead of, best."""
+    names = {}
+    for checkpoint in checkpoints:
+        parts = [] if variant == DEFAULT else [variant]
+        if checkpoint == "final":
+            parts.append("final")
+        names[checkpoint] = "-".join(parts) or DEFAULT
+    return names
+
+
+def _command(
+    problem: str,
+    preset: str | None,
+    visibility: str | None,
+    physics: str,
+    engine: str | None,
+    lanes: int | None,
+    given: Mapping[str, Any],
+) -> str:
+    """The command that builds the same again; folders and processes do not matter to it."""
+    options: dict[str, Any] = {
+        "preset": preset,
+        "visibility": visibility,
+        "physics": None if physics == "intended" else physics,
+        "engine": engine,
+        "lanes": lanes,
+        **{("recipe" if k == "recipe_name" else k): v for k, v in given.items()},
+    }
+    words = ["mbtl", "matrix", "build", problem]
+    for name, value in options.items():
+        if value is not None:
+            words += [f"--{name.replace('_', '-')}", str(value)]
+    return shlex.join(words)

@@ -1,0 +1,81 @@
+"""Where a CMDP is simulated: in Gymnasium step by step, or in jax for whole batches of contexts.
+
+Both take their physics from the same Gymnasium environment, so no constant is derived twice.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from typing import Any
+
+from mbtl.contexts import Context
+from mbtl.errors import missing_extra
+
+ENGINES = ("jax", "gymnasium")
+
+
+def default_engine(*, has_jax_environment: bool) -> str:
+    """Jax where the CMDP has an environment in it and the extra is installed, else Gymnasium."""
+    installed = all(find_spec(name) is not None for name in ("jax", "optax"))
+    return "jax" if has_jax_environment and installed else "gymnasium"
+
+
+@dataclass(frozen=True)
+class EnvFactory:
+    """context -> environment; can be sent to another process, imports the simulator when called.
+
+    Attributes:
+        entry_point: "module:Class".
+        options: keyword arguments of the class.
+    """
+
+    entry_point: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __call__(self, context: Mapping[str, Any]) -> Any:
+        """A new environment.
+
+        Raises:
+            MissingExtra: Gymnasium is not installed.
+        """
+        module, _, name = self.entry_point.partition(":")
+        try:
+            kind = getattr(importlib.import_module(module), name)
+        except ModuleNotFoundError as error:
+            if (error.name or "").partition(".")[0] != "gymnasium":
+                raise
+            raise missing_extra("gymnasium", "envs") from error
+        return kind(context, **self.options)
+
+
+@dataclass(frozen=True)
+class JaxProblem:
+    """contexts -> jax environment and parameters (`mbtl.training.jax_trainer.Problem`).
+
+    Attributes:
+        environment: name of the class in `mbtl.training.jax`.
+        make_env: the Gymnasium environment of the same physics; its `constants` and `visible`
+            become the parameters.
+    """
+
+    environment: str
+    make_env: EnvFactory
+
+    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
+        """The environment, and the parameters of `contexts` with one leading axis.
+
+        Raises:
+            MissingExtra: jax or Gymnasium is not installed.
+        """
+        import mbtl.training.jax as engine
+
+        options = self.make_env.options
+        kind = getattr(engine, self.environment)
+        env = kind(horizon=options["horizon"], time_limit=options["time_limit"])
+        twins = [self.make_env(context) for context in contexts]
+        return env, engine.stack_params(
+            env, [twin.constants for twin in twins], [twin.visible for twin in twins]
+        )

@@ -1,0 +1,87 @@
+"""Advantage actor-critic of one policy, written to be vectorised over many with `jax.vmap`.
+
+State in, state out, as in `ppo`: short rollouts, one gradient step on each with every transition
+seen once, RMSprop. Semantics are those of Stable-Baselines3. An update is many rollouts, so that
+random numbers are drawn for all of them together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax.flatten_util import ravel_pytree
+
+from mbtl.training.jax import networks
+from mbtl.training.jax.clock import Clock
+from mbtl.training.jax.environments import Environment, Tree
+from mbtl.training.jax.networks import Weights
+from mbtl.training.jax.recipes import A2CRecipe
+from mbtl.training.jax.rollout import Noise, Rollout, State, advantages, draw, play, start
+
+
+def init(env: Environment, recipe: A2CRecipe, seeds: Sequence[int], params: Tree) -> State:
+    """All policies before their first update; see `rollout.start`."""
+    return start(env, recipe, optimizer, seeds, params)
+
+
+def update(env: Environment, recipe: A2CRecipe, state: State, params: Tree, clock: Clock) -> State:
+    """`recipe.rollouts_per_update` rollouts with a gradient step on each.
+
+    Args:
+        env: the dynamics; static.
+        recipe: hyper-parameters; static.
+        state: one policy's.
+        params: its context.
+        clock: which update it is; decides the learning rate.
+    """
+    shape = (recipe.rollouts_per_update, recipe.n_steps, recipe.n_envs)
+    key, noise = draw(env, state.key, shape)
+    scale = 1.0 - clock.progress if recipe.anneal else jnp.float32(1.0)
+    flat, unravel = ravel_pytree(state.weights)  # one vector: few large operations, not many small
+
+    def learn(carry: tuple[jax.Array, State], drawn: Noise) -> Any:
+        flat, state = carry
+        state, rollout = play(env, recipe, state._replace(weights=unravel(flat)), params, drawn)
+        gradient, _ = ravel_pytree(jax.grad(loss, argnums=2)(env, recipe, state.weights, rollout))
+        steps, moments = optimizer(recipe).update(gradient, state.optimizer)
+        return (flat + scale * steps, state._replace(weights=(), optimizer=moments)), None
+
+    carry = (flat, state._replace(weights=(), key=key))
+    (flat, state), _ = jax.lax.scan(learn, carry, noise)
+    return state._replace(weights=unravel(flat))
+
+
+def loss(env: Environment, recipe: A2CRecipe, weights: Weights, rollout: Rollout) -> jax.Array:
+    """-A log pi(a|s) + value_coef x (A + V(s)_old - V(s))^2 - entropy_coef x entropy, on average.
+
+    The advantage A and the target A + V_old are constants of the gradient.
+    """
+    outputs = networks.apply(weights.actor, rollout.obs, recipe.activation)
+    value = networks.apply(weights.critic, rollout.obs, recipe.activation)[..., 0]
+    advantage = jax.lax.stop_gradient(advantages(recipe, weights.critic, rollout, value))
+    target = advantage + jax.lax.stop_gradient(value)
+    if recipe.normalize_advantage:
+        advantage = (advantage - advantage.mean()) / (advantage.std(ddof=1) + 1e-8)
+    log_prob = networks.log_prob(outputs, weights.log_std, rollout.action, env.action)
+    total = -(advantage * log_prob).mean()
+    total += recipe.value_coef * jnp.square(target - value).mean()
+    if recipe.entropy_coef:
+        total -= recipe.entropy_coef * networks.entropy(outputs, weights.log_std, env.action).mean()
+    return total
+
+
+def optimizer(recipe: A2CRecipe) -> optax.GradientTransformation:
+    """RMSprop as in TensorFlow after clipping the norm of one policy's gradient.
+
+    square <- decay square + (1 - decay) g^2, from 1; the step is -lr g / sqrt(square + eps). (PyTorch
+    starts from 0 and adds eps outside the root, which Stable-Baselines3 found to be less stable.)
+    """
+    return optax.chain(
+        optax.clip_by_global_norm(recipe.max_grad_norm),
+        optax.scale_by_rms(recipe.rms_decay, recipe.rms_eps, initial_scale=1.0),
+        optax.scale(-recipe.learning_rate),
+    )

@@ -1,0 +1,266 @@
+"""Deep Q-learning of one policy, written to be vectorised over many with `jax.vmap`.
+
+State in, state out. Semantics are those of Stable-Baselines3: epsilon-greedy steps into a ring of
+transitions, Huber loss towards a target network that is copied now and then, and truncated episodes
+that bootstrap. All policies are at the same step, so they share what only the step decides, the
+place of new transitions in the ring and which of the old ones a minibatch takes: the ring is then
+written by one slice and read by one gather of whole rows, whatever its size.
+
+Notation (shapes of one policy): R rounds per update, T steps per round, E environment copies,
+G gradient steps per round, B minibatch, N transitions in the ring, f features of the state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax.flatten_util import ravel_pytree
+
+from mbtl.errors import InvalidInput
+from mbtl.training.jax import networks
+from mbtl.training.jax.clock import Clock
+from mbtl.training.jax.environments import Discrete, Environment, Tree
+from mbtl.training.jax.networks import Network, Weights
+from mbtl.training.jax.recipes import DQNRecipe
+from mbtl.training.jax.rollout import advance, first_copies
+
+
+class State(NamedTuple):
+    """All of one training: with the next `update`'s arguments it decides everything to come.
+
+    Attributes:
+        weights: the network of action values as `actor`: the largest value is the action.
+        target: the target network as one vector.
+        optimizer: Adam's moments.
+        replay: (N, 2 f + 3) ring of transitions: state before, state after, action, reward,
+            terminated. Visible context features are constants of a policy and not in it.
+        env: states of the E copies.
+        elapsed: (E,) steps since each copy was reset.
+        key: the policy's own random key.
+    """
+
+    weights: Weights
+    target: jax.Array
+    optimizer: Tree
+    replay: jax.Array
+    env: Tree
+    elapsed: jax.Array
+    key: jax.Array
+
+
+class Batch(NamedTuple):
+    """Transitions to learn from, one leading axis."""
+
+    obs: jax.Array
+    after: jax.Array
+    action: jax.Array
+    reward: jax.Array
+    terminated: jax.Array
+
+
+class Round(NamedTuple):
+    """What one round is given.
+
+    Attributes:
+        step: environment steps done before it.
+        coin: (T, E) uniform, for the actions.
+        reset: (T, E, n_noise) uniform, for the states after a reset.
+        pick: (G, B) uniform, for the minibatches.
+    """
+
+    step: jax.Array
+    coin: jax.Array
+    reset: jax.Array
+    pick: jax.Array
+
+
+def init(env: Environment, recipe: DQNRecipe, seeds: Sequence[int], params: Tree) -> State:
+    """Fresh networks, freshly reset environments and empty rings of all policies.
+
+    Args:
+        env: the dynamics.
+        recipe: hyper-parameters.
+        seeds: one per policy, 32 bits; decides its whole training.
+        params: one context per policy, leading axis.
+
+    Raises:
+        InvalidInput: actions are not discrete.
+    """
+    widths = [env.n_features + params.visible.shape[-1], *recipe.hidden, _options(env)]
+    weights = networks.stack([networks.init_q_network(seed, widths) for seed in seeds])
+    roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
+    state: State = _start(env, recipe, weights, roots, params)
+    return state
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+@partial(jax.vmap, in_axes=(None, None, 0, 0, 0))
+def _start(
+    env: Environment, recipe: DQNRecipe, weights: Weights, seed: jax.Array, params: Tree
+) -> State:
+    flat, _ = ravel_pytree(weights.actor)
+    moments = _optimizer(recipe).init(flat)
+    replay = jnp.zeros((recipe.buffer_size, 2 * env.n_features + 3))
+    copies = first_copies(env, recipe.n_envs, seed, params)
+    return State(weights, flat, moments, replay, *copies)
+
+
+def update(env: Environment, recipe: DQNRecipe, state: State, params: Tree, clock: Clock) -> State:
+    """`recipe.rounds_per_update` rounds of some steps and some gradient steps.
+
+    Args:
+        env: the dynamics; static.
+        recipe: hyper-parameters; static.
+        state: one policy's.
+        params: its context.
+        clock: which update it is; decides epsilon, the places in the ring, when the target is
+            copied, and by its key which transitions are learnt from.
+    """
+    n_rounds, per_round = recipe.rounds_per_update, recipe.steps_per_round
+    shape = (n_rounds, recipe.train_freq, recipe.n_envs)
+    key, coin_key, reset_key = jax.random.split(state.key, 3)
+    rounds = Round(
+        clock.number * recipe.steps_per_update + per_round * jnp.arange(n_rounds),
+        jax.random.uniform(coin_key, shape),
+        jax.random.uniform(reset_key, (*shape, env.n_noise)),
+        jax.random.uniform(clock.key, (n_rounds, recipe.gradient_steps, recipe.batch_size)),
+    )
+    scale = 1.0 - clock.progress if recipe.anneal else jnp.float32(1.0)
+    total = clock.total * recipe.steps_per_update
+    flat, unravel = ravel_pytree(state.weights.actor)
+
+    def one(carry: tuple[jax.Array, State], now: Round) -> Any:
+        flat, state = carry
+        state, rows = explore(env, recipe, unravel(flat), state, params, now, total)
+        place = now.step % recipe.buffer_size
+        replay = jax.lax.dynamic_update_slice(state.replay, rows, (place, 0))
+        step = now.step + per_round
+        copy = step // recipe.target_every > now.step // recipe.target_every
+        target = jnp.where(copy, flat, state.target)
+        filled = jnp.minimum(step, recipe.buffer_size)
+        picked = replay[jnp.floor(now.pick * filled).astype(jnp.int32)]
+        learn = partial(_learn, env, recipe, unravel, scale, target, params.visible)
+        flat, moments = jax.lax.cond(
+            step > recipe.learning_starts,
+            learn,
+            lambda flat, moments, picked: (flat, moments),
+            flat, state.optimizer, picked,
+        )  # fmt: skip
+        return (flat, state._replace(target=target, optimizer=moments, replay=replay)), None
+
+    carry = (flat, state._replace(weights=(), key=key))
+    (flat, state), _ = jax.lax.scan(one, carry, rounds)
+    return state._replace(weights=Weights(unravel(flat), (), jnp.zeros(0)))
+
+
+def epsilon(recipe: DQNRecipe, step: jax.Array, total: jax.Array) -> jax.Array:
+    """Probability of a random action at environment step `step` of `total`."""
+    share = jnp.minimum(step / (recipe.exploration_fraction * total), 1.0)
+    falling = 1.0 + share * (recipe.final_epsilon - 1.0)
+    return jnp.where(step < recipe.learning_starts, 1.0, falling)
+
+
+def explore(
+    env: Environment,
+    recipe: DQNRecipe,
+    network: Network,
+    state: State,
+    params: Tree,
+    now: Round,
+    total: jax.Array,
+) -> tuple[State, jax.Array]:
+    """T epsilon-greedy steps of the E copies, and their (T x E, 2 f + 3) rows of the ring."""
+    observe = jax.vmap(env.observe, (0, None))
+    n, f = _options(env), env.n_features
+
+    def step(carry: tuple[Tree, jax.Array, jax.Array], drawn: Any) -> Any:
+        env_state, elapsed, obs = carry
+        t, coin, reset = drawn
+        chance = epsilon(recipe, now.step + t * recipe.n_envs, total)
+        random = jnp.minimum((coin / chance * n).astype(jnp.int32), n - 1)
+        greedy = jnp.argmax(networks.apply(network, obs, recipe.activation), axis=-1)
+        action = jnp.where(coin < chance, random, greedy)
+        moved = advance(env, params, env_state, elapsed, action, reset)
+        scalars = jnp.stack([action, moved.reward, moved.terminated], axis=-1)
+        row = jnp.concatenate([obs[:, :f], moved.after[:, :f], scalars], axis=-1)
+        return (moved.env, moved.elapsed, observe(moved.env, params)), row
+
+    carry = (state.env, state.elapsed, observe(state.env, params))
+    steps = (jnp.arange(recipe.train_freq), now.coin, now.reset)
+    (env_state, elapsed, _), rows = jax.lax.scan(step, carry, steps)
+    state = state._replace(env=env_state, elapsed=elapsed)
+    return state, rows.reshape(recipe.steps_per_round, -1)
+
+
+def _learn(
+    env: Environment,
+    recipe: DQNRecipe,
+    unravel: Callable[[jax.Array], Network],
+    scale: jax.Array,
+    target: jax.Array,
+    visible: jax.Array,
+    flat: jax.Array,
+    moments: Tree,
+    picked: jax.Array,
+) -> tuple[jax.Array, Tree]:
+    """G gradient steps on (G, B, 2 f + 3) rows."""
+
+    def one(carry: tuple[jax.Array, Tree], rows: jax.Array) -> Any:
+        flat, moments = carry
+        batch = unpack(env, rows, visible)
+        goal = td_target(recipe, unravel(target), batch)
+        gradient, _ = ravel_pytree(jax.grad(loss, argnums=1)(recipe, unravel(flat), batch, goal))
+        steps, moments = _optimizer(recipe).update(gradient, moments)
+        return (flat + scale * steps, moments), None
+
+    return jax.lax.scan(one, (flat, moments), picked)[0]
+
+
+def unpack(env: Environment, rows: jax.Array, visible: jax.Array) -> Batch:
+    """Rows of the ring as transitions, with the (v,) visible features back in the observations."""
+    f = env.n_features
+    shown = jnp.broadcast_to(visible, (len(rows), *visible.shape))
+    return Batch(
+        jnp.concatenate([rows[:, :f], shown], axis=-1),
+        jnp.concatenate([rows[:, f : 2 * f], shown], axis=-1),
+        *(rows[:, 2 * f + k] for k in range(3)),
+    )
+
+
+def td_target(recipe: DQNRecipe, target: Network, batch: Batch) -> jax.Array:
+    """(B,) r + gamma max_a Q_target(after, a) (1 - terminated)."""
+    ahead = networks.apply(target, batch.after, recipe.activation).max(axis=-1)
+    return batch.reward + recipe.gamma * (1.0 - batch.terminated) * ahead
+
+
+def loss(recipe: DQNRecipe, network: Network, batch: Batch, goal: jax.Array) -> jax.Array:
+    """Mean Huber loss, quadratic up to an error of 1, of the values of the actions taken."""
+    values = networks.apply(network, batch.obs, recipe.activation)
+    # a sum over a mask, not a gather: gathers with batched indices are slow on a CPU
+    taken = batch.action[:, None] == jnp.arange(values.shape[-1])
+    value = jnp.where(taken, values, 0.0).sum(axis=-1)
+    return optax.losses.huber_loss(value, goal).mean()
+
+
+def _optimizer(recipe: DQNRecipe) -> optax.GradientTransformation:
+    """Adam after clipping the norm of one policy's gradient; the step is -lr times Adam's."""
+    return optax.chain(
+        optax.clip_by_global_norm(recipe.max_grad_norm),
+        optax.scale_by_adam(eps=recipe.adam_eps),
+        optax.scale(-recipe.learning_rate),
+    )
+
+
+def _options(env: Environment) -> int:
+    if not isinstance(env.action, Discrete):
+        raise InvalidInput(
+            f"DQN must have discrete actions, got a box of {len(env.action.low)} dimensions; use "
+            "PPO or A2C"
+        )
+    return env.action.n

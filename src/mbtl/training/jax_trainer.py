@@ -1,0 +1,253 @@
+"""The jax engine as a trainer of a study, and of whole transfer matrices.
+
+Nothing of jax is imported before a training or evaluation, so the record can be made, printed and
+sent to another process anywhere.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.contexts import Context
+from mbtl.errors import InvalidInput, MbtlError, unknown_name
+from mbtl.portfolio import MLPPolicy
+from mbtl.seeds import episode_seed
+from mbtl.trainer import OnProgress, Progress, checked_returns
+
+ALGORITHMS = ("PPO", "A2C", "DQN")
+
+_COUNTS = ("timesteps", "eval_episodes", "checkpoint_episodes")
+_SAVE_SECONDS = 30.0
+
+Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
+"""contexts -> (`mbtl.training.jax.Environment`, its parameters with one leading axis)."""
+
+
+@dataclass(frozen=True)
+class JaxTrainer:
+    """Trains policies with the jax engine (`mbtl.trainer.Trainer`), one or many at once.
+
+        trainer = get_cmdp("cartpole-length", engine="jax").trainer_for("paper")
+        policy = trainer.train({"length": 0.5}, seed=0)
+        returns = trainer.evaluate(policy, space.contexts, seed=1)      # (n_targets, 100)
+
+    Attributes:
+        problem: contexts -> environment and parameters; a function of a module, or a record.
+        timesteps: environment steps of one training, rounded up to whole updates.
+        algorithm: "PPO", "A2C" or "DQN".
+        recipe_name: named hyper-parameters of the algorithm, e.g. "sb3" or "fast".
+        hyperparameters: fields of the recipe that differ from the named one.
+        eval_episodes: episodes per target in `evaluate`.
+        checkpoint: "final" weights, or the "best" of periodic evaluations on the own context. The
+            best cannot change once it has the largest return there is, so training ends there.
+        checkpoint_every: environment steps between those evaluations; default 2 % of `timesteps`.
+        checkpoint_episodes: deterministic episodes of each.
+
+    Raises:
+        InvalidInput: a number is not positive, or `checkpoint` is neither "final" nor "best".
+        UnknownName: no such algorithm.
+    """
+
+    problem: Problem
+    _: KW_ONLY
+    timesteps: int
+    algorithm: str = "PPO"
+    recipe_name: str = "fast"
+    hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+    eval_episodes: int = 100
+    checkpoint: Literal["final", "best"] = "best"
+    checkpoint_every: int | None = None
+    checkpoint_episodes: int = 10
+
+    policy_format = "mlp"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hyperparameters", dict(self.hyperparameters or {}))
+        if self.algorithm not in ALGORITHMS:
+            raise unknown_name("algorithm of the jax engine", self.algorithm, ALGORITHMS)
+        for name in (*_COUNTS, *(["checkpoint_every"] if self.checkpoint_every else [])):
+            number = getattr(self, name)
+            if not (isinstance(number, int) and number >= 1):
+                raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
+        if self.checkpoint not in ("final", "best"):
+            raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
+
+    # ---- one policy (what a study asks for) --------------------------------------------------
+
+    def train(
+        self, context: Context, seed: int, on_progress: OnProgress | None = None
+    ) -> MLPPolicy:
+        """Train on one context; the same seed gives the same policy.
+
+        Raises:
+            TrainingFailed: the weights became NaN.
+            InvalidInput: a hyper-parameter that the recipe does not have.
+            MissingExtra: jax is not installed.
+        """
+        policies = self.train_many([context], [seed], on_progress, keep=(self.checkpoint,))
+        return policies[self.checkpoint][0]
+
+    def evaluate(self, policy: MLPPolicy, contexts: Sequence[Context], seed: int) -> Array:
+        """Undiscounted returns of deterministic episodes, (n_targets, eval_episodes).
+
+        Episode e starts from the same random numbers for every policy and every target.
+
+        Args:
+            policy: what `train` or `load` gave.
+            contexts: the targets.
+            seed: what `mbtl.seeds.evaluation_seed` gave.
+
+        Raises:
+            TrainingFailed: a return is NaN or infinite.
+        """
+        return checked_returns(self.evaluate_many([policy], contexts, seed)[0], len(contexts))
+
+    def save(self, policy: MLPPolicy, folder: Path) -> bool:
+        """Write weights and manifest into the empty `folder`."""
+        policy.save(Path(folder))
+        return True
+
+    def load(self, folder: Path) -> MLPPolicy:
+        """Read what `save` wrote; nothing but numbers is loaded."""
+        return MLPPolicy.load(Path(folder))
+
+    # ---- many policies (what a transfer matrix asks for) -------------------------------------
+
+    @property
+    def lanes(self) -> int:
+        """Policies that are best trained together here.
+
+        All on an accelerator. On a CPU one PPO program already keeps a core busy, and a policy
+        trained alone is, bit for bit, the one that a study trains; the small steps of the other
+        algorithms need company.
+        """
+        import mbtl.training.jax as engine
+
+        if not engine.on_cpu():
+            return 1 << 20
+        return 1 if self.algorithm == "PPO" else 25
+
+    def train_many(
+        self,
+        contexts: Sequence[Context],
+        seeds: Sequence[int],
+        on_progress: OnProgress | None = None,
+        *,
+        keep: Sequence[str] = ("best", "final"),
+        partial: Path | None = None,
+    ) -> dict[str, list[MLPPolicy]]:
+        """Train one policy per (context, seed), all in one compiled program.
+
+        Args:
+            contexts: P sources; repeat one to train it with several seeds.
+            seeds: P training seeds.
+            on_progress: told steps of one policy, and the mean return of the latest evaluations.
+            keep: "best" weights, "final" weights, or both; the best alone may need fewer steps.
+            partial: file in which to save the training now and then, and from which to go on if it
+                is there. Removed at the end.
+
+        Returns:
+            P policies under each name of `keep`.
+        """
+        import mbtl.training.jax as engine
+
+        env, params = self.problem(contexts)
+        recipe = self._recipe()
+        saved_at = time.monotonic()
+
+        def on_block(block: engine.Block) -> None:
+            nonlocal saved_at
+            if on_progress is not None:
+                latest = float(np.mean(block.training.latest_return))
+                on_progress(Progress(block.steps, block.total, {"episode_return": latest}))
+            if partial is not None and time.monotonic() - saved_at > _SAVE_SECONDS:
+                _save_arrays(partial, engine.to_arrays(block.training))
+                saved_at = time.monotonic()
+
+        training = engine.train(
+            env,
+            recipe,
+            seeds,
+            params,
+            self.timesteps,
+            on_block=on_block,
+            checkpoint_every=self.checkpoint_every,
+            checkpoint_episodes=self.checkpoint_episodes,
+            only_best="final" not in keep,
+            resume=_load_training(engine.start(env, recipe, seeds, params), partial),
+        )
+        weights = {"best": training.best, "final": training.state.weights}
+        if partial is not None:
+            partial.unlink(missing_ok=True)
+        return {k: engine.export_policies(env, weights[k], recipe.activation) for k in keep}
+
+    def evaluate_many(
+        self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seed: int
+    ) -> Array:
+        """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`."""
+        import mbtl.training.jax as engine
+
+        env, params = self.problem(contexts)
+        seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
+        actors = engine.import_actors(list(policies))
+        activation = policies[0].activation
+        return engine.evaluate(
+            env, actors, params, engine.episode_noise(env, seeds), activation=activation
+        )
+
+    @property
+    def recipe(self) -> dict[str, Any]:
+        """What decides the policies and their returns, JSON-able; not the place or speed."""
+        return {
+            "trainer": "mbtl-jax",
+            "algorithm": self.algorithm,
+            "recipe": self.recipe_name,
+            "hyperparameters": dict(sorted(self.hyperparameters.items())),
+            "timesteps": self.timesteps,
+            "checkpoint": self.checkpoint,
+            "checkpoint_every": self.checkpoint_every,
+            "checkpoint_episodes": self.checkpoint_episodes,
+            "eval_episodes": self.eval_episodes,
+        }
+
+    # ---- inside ------------------------------------------------------------------------------
+
+    def _recipe(self) -> Any:
+        import mbtl.training.jax as engine
+
+        named = engine.recipe_named(self.algorithm, self.recipe_name)
+        known = named.record
+        for name in self.hyperparameters:
+            if name not in known:
+                raise unknown_name(f"hyperparameter of {self.algorithm}", name, known)
+        return replace(named, **self.hyperparameters)
+
+
+def _save_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Replace the file only when the new one is complete."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with unfinished.open("wb") as file:
+        np.savez(file, **arrays)
+    unfinished.replace(path)
+
+
+def _load_training(template: Any, partial: Path | None) -> Any:
+    """The saved training, or None where there is none that fits: then it starts anew."""
+    import mbtl.training.jax as engine
+
+    if partial is None or not partial.is_file():
+        return None
+    try:
+        with np.load(partial, allow_pickle=False) as arrays:
+            return engine.from_arrays(template, arrays)
+    except (MbtlError, ValueError, OSError, KeyError):
+        return None
