@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Callable
-from functools import wraps
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from mbtl.cli.bench import bench
 from mbtl.cli.check import check
 from mbtl.cli.cmdps import cmdps
-from mbtl.cli.common import console
+from mbtl.cli.common import console, interruptible
 from mbtl.cli.matrix import matrix_app
+from mbtl.cli.reproduce import reproduce_command
 from mbtl.cli.run import run
 from mbtl.cli.study import study_app
 from mbtl.errors import InvalidInput, MbtlError
@@ -29,22 +28,9 @@ app = typer.Typer(
 )
 
 
-def _interruptible(command: Callable[..., None]) -> Callable[..., None]:
-    """Say how to go on; the command-line library would print nothing and exit with 130."""
-
-    @wraps(command)
-    def wrapped(*args: Any, **kwargs: Any) -> None:
-        try:
-            command(*args, **kwargs)
-        except KeyboardInterrupt:
-            console.print("interrupted: run the same command again to go on")
-            raise typer.Exit(1) from None
-
-    return wrapped
-
-
 for command in (run, cmdps, bench, check):
-    app.command()(_interruptible(command))
+    app.command()(interruptible(command))
+app.command("reproduce")(interruptible(reproduce_command))
 app.add_typer(study_app, name="study")
 app.add_typer(matrix_app, name="matrix")
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
+from functools import wraps
 from typing import Annotated, Any
 
 import numpy as np
@@ -20,6 +22,20 @@ console = Console(stderr=True)
 JsonFlag = Annotated[
     bool, typer.Option("--json", help="Print one JSON document on standard output.")
 ]
+
+
+def interruptible(command: Callable[..., None]) -> Callable[..., None]:
+    """Say how to go on; the command-line library would print nothing and exit with 130."""
+
+    @wraps(command)
+    def wrapped(*args: Any, **kwargs: Any) -> None:
+        try:
+            command(*args, **kwargs)
+        except KeyboardInterrupt:
+            console.print("interrupted: run the same command again to go on")
+            raise typer.Exit(1) from None
+
+    return wrapped
 
 
 def printer() -> Console:

@@ -1,0 +1,114 @@
+"""Building matrices: the same rows as a study's, in pieces, resumed, in one process or several."""
+
+import numpy as np
+import pytest
+
+from mbtl.benchmark.build import ONLY, Build
+from mbtl.contexts import ContextSpace, Linear
+from mbtl.errors import InvalidInput, StorageError, TrainingFailed
+from mbtl.seeds import evaluation_seed, training_seed
+from mbtl.trainer import FunctionTrainer
+
+SPACE = ContextSpace.grid({Linear("x", 0.0, 4.0): [0.0, 1.0, 2.0, 3.0, 4.0]})
+SETTINGS = {"problem": "line"}
+
+
+def train(context, seed):
+    return context["x"], seed
+
+
+def evaluate(policy, contexts, seed):
+    """Two episodes that differ by 2; the seeds are in the numbers, so that they can be checked."""
+    x, trained = policy
+    middle = np.array([-abs(x - c["x"]) + trained % 7 + seed % 5 for c in contexts])
+    return np.stack([middle - 1.0, middle + 1.0], axis=1)
+
+
+class Several:
+    """A trainer of many policies with two checkpoints; counts what it is asked."""
+
+    lanes = 2
+    policy_format = "custom"
+
+    def __init__(self):
+        self.calls = []
+
+    def train_many(self, contexts, seeds, on_progress=None, *, keep=(), partial=None):
+        self.calls.append(len(contexts))
+        shift = {"best": 0.0, "final": -10.0}
+        return {
+            k: [(c["x"] + shift[k], s) for c, s in zip(contexts, seeds, strict=True)] for k in keep
+        }
+
+    def evaluate_many(self, policies, contexts, seed):
+        return np.stack([evaluate(policy, contexts, seed) for policy in policies])
+
+
+def expected(shift=0.0):
+    x = np.arange(5.0)
+    trained = np.array([training_seed(3, 0, source) % 7 for source in range(5)])
+    return -abs(x[:, None] + shift - x) + trained[:, None] + evaluation_seed(3, 0) % 5
+
+
+def building(tmp_path, trainer, **options):
+    return Build(trainer, SPACE, 3, tmp_path / "work", SETTINGS, **options)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_rows_of_a_plain_trainer(tmp_path, workers):
+    one = building(tmp_path, FunctionTrainer(train, evaluate))
+    seen = []
+    one.run(workers, lambda done, total: seen.append((done, total)))
+    mean, std = one.rows(ONLY)
+    np.testing.assert_allclose(mean, expected())
+    np.testing.assert_allclose(std, 1.0)
+    assert seen == [(k, 5) for k in range(6)]
+    assert one.seconds() > 0
+
+
+def test_both_checkpoints_come_from_one_training(tmp_path):
+    trainer = Several()
+    one = building(tmp_path, trainer, keep=("best", "final"), lanes=2)
+    one.run()
+    assert trainer.calls == [2, 2, 1]
+    np.testing.assert_allclose(one.rows("best")[0], expected())
+    np.testing.assert_allclose(one.rows("final")[0], expected(-10.0))
+
+
+def test_only_missing_pieces_are_done_again(tmp_path):
+    first, again = Several(), Several()
+    options = {"keep": ("best",), "lanes": 2}
+    building(tmp_path, first, **options).run()
+    pieces = sorted((tmp_path / "work").glob("sources-*.npz"))
+    assert len(pieces) == 3
+    pieces[2].unlink()
+    one = building(tmp_path, again, **options)
+    with pytest.raises(StorageError, match="1 are missing"):
+        one.rows("best")
+    one.run()
+    assert again.calls == [1]
+    np.testing.assert_allclose(one.rows("best")[0], expected())
+
+
+def test_a_failure_keeps_what_was_done(tmp_path):
+    def fails_at_two(context, seed):
+        if context["x"] == 2.0:
+            raise TrainingFailed("diverged")
+        return train(context, seed)
+
+    with pytest.raises(TrainingFailed, match="diverged"):
+        building(tmp_path, FunctionTrainer(fails_at_two, evaluate)).run()
+    assert len(list((tmp_path / "work").glob("sources-*.npz"))) == 2
+
+
+def test_a_folder_of_another_matrix_is_refused(tmp_path):
+    building(tmp_path, Several(), keep=("best",)).run()
+    with pytest.raises(InvalidInput, match=r"other settings \(lanes\)"):
+        building(tmp_path, Several(), keep=("best",), lanes=3).run()
+
+
+def test_bad_numbers_are_refused(tmp_path):
+    with pytest.raises(InvalidInput, match="lanes"):
+        building(tmp_path, Several(), lanes=0)
+    with pytest.raises(InvalidInput, match="workers"):
+        building(tmp_path, Several()).run(0)

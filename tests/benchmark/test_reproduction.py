@@ -1,0 +1,62 @@
+"""The paper's table: closed-form matrices in, known values out; the published numbers are there."""
+
+import numpy as np
+import pytest
+
+from mbtl.benchmark import TransferMatrix, save_shipped
+from mbtl.benchmark.multitask import load_multitask, save_multitask
+from mbtl.benchmark.reproduction import METHODS, published, reproduce
+from mbtl.errors import UnknownName
+
+N = 6
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Every policy returns 50 at home and 10 elsewhere, of bounds 0..100; two seeds."""
+    returns = np.full((2, N, N), 10.0) + 40.0 * np.eye(N)
+    matrix = TransferMatrix.of(
+        returns, contexts=np.arange(1.0, N + 1)[:, None], axes=["length"], bounds=(0, 100)
+    )
+    save_shipped(matrix, tmp_path, "cartpole-length")
+    for seed in range(2):
+        row = np.full(N, 30.0 + 2 * seed)
+        save_multitask(row, row / 10, {"s": seed}, tmp_path / "multitask", "cartpole-length", "ppo",
+                       seed)  # fmt: skip
+    return tmp_path
+
+
+def test_published_numbers_of_all_22():
+    table = published()
+    assert len(table) == 22
+    values, stars = table["cartpole-length"]
+    assert set(values) == set(METHODS) - {"oracle_transfer"}
+    assert (values["mbtl"].mean, values["mbtl"].std, stars) == (0.9717, 0.0148, 11.67)
+
+
+def test_values_of_a_known_matrix(folder):
+    (row,) = reproduce(["cartpole-length"], budget=3, folder=folder)
+    after_three = (3 * 0.5 + 3 * 0.1) / 6
+    for method in ("random", "greedy", "mbtl", "sequential_oracle"):
+        assert row.ours[method].mean == pytest.approx(after_three)
+        assert row.ours[method].std == pytest.approx(0.0)
+    assert row.ours["independent"].mean == row.ours["oracle_transfer"].mean == pytest.approx(0.5)
+    assert row.ours["multitask"].mean == pytest.approx(0.31)
+    assert row.ours["multitask"].std == pytest.approx(0.01)
+    assert row.k_star == (None, None)
+    assert (row.n, row.n_seeds, row.published["greedy"].mean) == (N, 2, 0.9424)
+
+
+def test_only_cmdps_with_matrices_are_shown_and_others_refused(folder):
+    assert [row.cmdp for row in reproduce(folder=folder, budget=2)] == ["cartpole-length"]
+    with pytest.raises(UnknownName, match="pendulum-mass"):
+        reproduce(["pendulum-mass"], folder=folder)
+
+
+def test_multitask_files_go_round(folder):
+    found = load_multitask("cartpole-length", folder=folder / "multitask")
+    assert list(found) == ["ppo"]
+    np.testing.assert_allclose(found["ppo"].returns, [[30.0] * N, [32.0] * N])
+    np.testing.assert_allclose(found["ppo"].std[1], 3.2, rtol=1e-6)
+    assert found["ppo"].provenance == ({"s": 0}, {"s": 1})
+    assert load_multitask("cartpole-masscart", folder=folder / "multitask") == {}

@@ -1,0 +1,107 @@
+"""`mbtl matrix build` on a user's own problem, and `mbtl reproduce` on what it wrote."""
+
+import json
+
+import numpy as np
+import pytest
+
+from mbtl.benchmark import TransferMatrix, load_matrix
+
+PROBLEM = """
+from mbtl import ContextSpace
+from mbtl.cmdps import CMDP
+from mbtl.contexts import Linear
+
+def train(context, seed):
+    if STOP.exists() and context["length"] == 3.0:
+        raise KeyboardInterrupt
+    with LOG.open("a") as log:
+        log.write(f"{context['length']}\\n")
+    return context["length"]
+
+def evaluate(policy, contexts, seed):
+    return [100.0 - 10.0 * abs(policy - c["length"]) for c in contexts]
+
+from pathlib import Path
+LOG, STOP = Path("trained.txt"), Path("stop")
+mine = CMDP.from_functions(
+    "cartpole-length", ContextSpace.grid({Linear("length", 1, 4): [1, 2, 3, 4]}),
+    train=train, evaluate=evaluate, bounds=(0.0, 100.0), theta=0.1,
+)
+"""
+
+
+@pytest.fixture
+def problem(mbtl_command, tmp_path):
+    (tmp_path / "own.py").write_text(PROBLEM)
+    return tmp_path
+
+
+BUILD = ("matrix", "build", "own.py:mine", "--workers", 1)
+
+
+def test_a_users_problem_becomes_matrix_files(mbtl_command, problem):
+    code, out, err = mbtl_command(*BUILD, "--seeds", 2, "--json")
+    assert code == 0, err
+    assert [one["file"] for one in json.loads(out)["matrices"]] == [
+        f"matrices/cartpole-length-seed{seed}.npz" for seed in range(2)
+    ]
+    matrix = load_matrix("cartpole-length", folder=problem / "matrices")
+    x = np.arange(4.0)
+    np.testing.assert_allclose(matrix.performance(1), 1.0 - 0.1 * abs(x[:, None] - x))
+    assert (matrix.theta, matrix.bounds.high) == (0.1, 100.0)
+    record = matrix.provenance["seeds"][1]
+    assert record["command"] == "mbtl matrix build own.py:mine --seeds 1 --first-seed 1"
+    assert record["versions"]["numpy"] == np.__version__
+    assert record["recipe"] == {"trainer": "FunctionTrainer"}
+    assert record["problem"] == "cartpole-length"
+
+
+def test_an_interrupted_build_goes_on(mbtl_command, problem):
+    (problem / "stop").touch()
+    code, _, err = mbtl_command(*BUILD, "--seeds", 1)
+    assert code == 1
+    assert "run the same command again" in err
+    (problem / "stop").unlink()
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    assert (problem / "trained.txt").read_text().split() == ["1", "2", "3", "4"]
+    code, _, err = mbtl_command(*BUILD, "--seeds", 1)
+    assert code == 0
+    assert "there already" in err
+    assert len((problem / "trained.txt").read_text().split()) == 4
+
+
+def test_reproduce_prints_ours_beside_the_papers(mbtl_command, problem):
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    code, out, _ = mbtl_command("reproduce", "--folder", "matrices", "--budget", 2)
+    assert code == 0
+    for number in ("0.9500", "0.9717", "1.0000"):  # Greedy, the paper's MBTL, Independent
+        assert number in out
+    code, out, _ = mbtl_command("reproduce", "--folder", "matrices", "--budget", 2, "--json")
+    assert json.loads(out)["rows"][0]["ours"]["independent"]["mean"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("matrix", "build", "own.py:mine", "--seeds", 0), "--seeds must be >= 1"),
+        (("matrix", "build", "own.py:mine", "--checkpoint", "worst"), "best, final or both"),
+        (("matrix", "build", "own.py:mine", "--visibility", "hidden"), "switches of our CMDPs"),
+        (("matrix", "build", "own.py:mine", "--timesteps", 5), "takes no options"),
+        (("matrix", "build", "cartpole-lenght"), "cartpole-length"),
+        (("reproduce", "--budget", 0), "--budget must be >= 1"),
+        (("reproduce", "--variant", "nothing"), "no matrices of the variant"),
+        (("reproduce", "walker-gravity"), "transfer matrix"),
+    ],
+)
+def test_bad_input_says_what_to_do(mbtl_command, problem, arguments, complaint):
+    code, _, err = mbtl_command(*arguments)
+    assert code == 2
+    assert complaint in err
+
+
+def test_an_unfinished_file_is_no_matrix(mbtl_command, problem):
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    names = {path.name for path in (problem / "matrices").iterdir()}
+    assert names == {"cartpole-length-seed0.npz"}
+    assert isinstance(TransferMatrix.load(problem / "matrices" / names.pop()), TransferMatrix)
