@@ -66,7 +66,7 @@ def _table(rows: list[Reproduced], budget: int) -> Table:
     table = Table(
         title=Text(f"V at K = {budget}, mean over {seeds} seeds (the paper: 3 trials, K = 15)"),
         box=box.SIMPLE,
-        padding=(0, 1),
+        padding=(0, 1, 0, 0),
         show_edge=False,
     )
     table.add_column("CMDP", no_wrap=True)

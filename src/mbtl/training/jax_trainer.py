@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import time
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
@@ -249,5 +250,5 @@ def _load_training(template: Any, partial: Path | None) -> Any:
     try:
         with np.load(partial, allow_pickle=False) as arrays:
             return engine.from_arrays(template, arrays)
-    except (MbtlError, ValueError, OSError, KeyError):
+    except (MbtlError, ValueError, OSError, zipfile.BadZipFile):
         return None
