@@ -1,23 +1,19 @@
 # Two commands do all the set-up on a fresh machine: `make run` (the main job) and `make test`.
-# Each creates .venv with what it needs. A PyTorch that is already in .venv is kept, so to avoid the
-# CUDA build on a machine without a GPU, install PyTorch's CPU build there first.
+# Each creates .venv with what it needs; only the tests need PyTorch. One that is in .venv is kept, so
+# to avoid the CUDA build on a machine without a GPU, install PyTorch's CPU build there first.
 
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 PROBLEM ?= cartpole-length
 
-.PHONY: run test test-jax lint format bench clean
+.PHONY: run test lint format bench clean
 
 run: .venv/run.stamp
 	$(BIN)/mbtl run $(PROBLEM)
 
 test: .venv/dev.stamp
 	$(BIN)/python -m pytest $(TESTS)
-
-# the vectorised engine is being built (src/mbtl/training/jax); `make test` skips it without jax
-test-jax: .venv/jax.stamp
-	$(BIN)/python -m pytest tests/training_jax
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check src tests benchmarks examples
@@ -35,6 +31,8 @@ bench: .venv/rivals.stamp
 	$(BIN)/python benchmarks/bench_six.py
 	$(BIN)/python benchmarks/gp_optimum.py
 	$(BIN)/python benchmarks/env_speed.py
+	$(BIN)/python benchmarks/jax_throughput.py
+	$(BIN)/python benchmarks/jax_evaluation.py
 
 clean:
 	rm -rf .venv build .mypy_cache .ruff_cache .pytest_cache
@@ -42,20 +40,16 @@ clean:
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
-# torch alone first: asked for together with others, pip may prefer another build of it
 .venv/run.stamp: .venv/bin/python pyproject.toml constraints.txt
-	$(PIP) torch
-	$(PIP) --editable '.[train,plots]'
+	$(PIP) --editable '.[jax,plots]'
 	touch $@
 
+# torch alone first: asked for together with others, pip may prefer another build of it
 .venv/dev.stamp: .venv/run.stamp
-	$(PIP) --editable '.[train,plots,dev]'
-	touch $@
-
-.venv/jax.stamp: .venv/dev.stamp
-	$(PIP) --editable '.[train,plots,dev,jax]'
+	$(PIP) torch
+	$(PIP) --editable '.[jax,plots,train,dev]'
 	touch $@
 
 .venv/rivals.stamp: .venv/dev.stamp
-	$(PIP) --editable '.[train,plots,dev,rivals]'
+	$(PIP) --editable '.[jax,plots,train,dev,rivals]'
 	touch $@
