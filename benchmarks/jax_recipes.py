@@ -51,8 +51,12 @@ def main() -> None:
                 for policy, context in zip(policies[checkpoint], contexts, strict=True)
             ]
             found[name, checkpoint] = np.array(own)
-        print(f"{name}: {seconds:.0f} s of processor time for {len(contexts)} trainings", flush=True)
-    print(f"{args.cmdp}, {args.algorithm}, {args.steps:,} steps; mean return per source, best policy")
+        print(
+            f"{name}: {seconds:.0f} s of processor time for {len(contexts)} trainings", flush=True
+        )
+    print(
+        f"{args.cmdp}, {args.algorithm}, {args.steps:,} steps; mean return per source, best policy"
+    )
     print("multiplier " + " ".join(f"{(s + 1) / 10:7.1f}" for s in SOURCES))
     for name in ("sb3", "default"):
         means = found[name, "best"].reshape(-1, SEEDS).mean(axis=1)

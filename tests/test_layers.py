@@ -14,6 +14,7 @@ CORE = [
     "errors",
     "version",
     "arrays",
+    "files",
     "seeds",
     "contexts",
     "objective",

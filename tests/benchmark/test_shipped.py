@@ -48,9 +48,9 @@ def test_ids_are_listed_and_a_near_miss_is_answered(tmp_path, matrix):
         load_matrix("cartpole-lenght", folder=tmp_path)
 
 
-def test_a_missing_matrix_says_how_to_get_one():
-    with pytest.raises(UnknownName, match="ships none"):
-        load_matrix("no-such-cmdp")
+def test_a_missing_matrix_says_how_to_get_one(tmp_path):
+    with pytest.raises(UnknownName, match="holds none"):
+        load_matrix("no-such-cmdp", folder=tmp_path)
     with pytest.raises(UnknownName, match=r"path of an \.npz"):
         open_matrix("no-such-cmdp")
 

@@ -8,8 +8,6 @@ Notation (shapes): N contexts, P sources of a piece, E episodes.
 
 from __future__ import annotations
 
-import json
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
@@ -23,7 +21,8 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.benchmark.npz import read_npz, write_npz
 from mbtl.contexts import Context, ContextSpace
-from mbtl.errors import InvalidInput, StorageError, StudyError, cannot_write
+from mbtl.errors import InvalidInput, StorageError, StudyError
+from mbtl.files import claim_folder
 from mbtl.seeds import evaluation_seed, training_seed
 from mbtl.trainer import ManyTrainer, Trainer, checked_returns
 
@@ -119,7 +118,8 @@ class Build:
         """
         if workers < 1:
             raise InvalidInput(f"workers must be >= 1, got {workers}")
-        self._claim()
+        grows = {"seed": self.seed, "lanes": self.lanes, "keep": self.keep}
+        claim_folder(self.folder, {**self.settings, **grows}, "a transfer matrix")
         pieces = self.pieces()
         todo = [piece for piece in pieces if not piece.path.is_file()]
         done = sum(len(p.sources) for p in pieces) - sum(len(p.sources) for p in todo)
@@ -153,30 +153,6 @@ class Build:
                 "run the same command again"
             )
         return pieces
-
-    def _claim(self) -> None:
-        """Write down what grows in the folder, or check that it is this."""
-        record = json.loads(
-            json.dumps(
-                {**self.settings, "seed": self.seed, "lanes": self.lanes, "keep": list(self.keep)}
-            )
-        )
-        file = self.folder / "build.json"
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            if not file.exists():
-                unfinished = file.with_name(f".build.{os.getpid()}.tmp")
-                unfinished.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-                unfinished.replace(file)
-            there = json.loads(file.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise cannot_write(file, error) from error
-        if there != record:
-            differing = sorted(k for k in {*there, *record} if there.get(k) != record.get(k))
-            raise InvalidInput(
-                f"{self.folder} holds a matrix of other settings ({', '.join(differing)}); "
-                "choose another folder, or remove it"
-            )
 
 
 def perform(piece: Piece) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -14,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.errors import InvalidInput, cannot_write
+from mbtl.errors import InvalidInput
+from mbtl.files import whole_file
 
 _UNREADABLE = (ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error)
 
@@ -58,18 +57,8 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     if path.suffix != ".npz":
         raise InvalidInput(f"a matrix file ends in .npz, got {str(path)!r}")
     assert not any(array.dtype.hasobject for array in arrays.values())
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with unfinished.open("wb") as file:
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(path)
-    except OSError as error:
-        raise cannot_write(path, error) from error
-    finally:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
+    with whole_file(path) as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
 def text_array(record: Mapping[str, Any]) -> NDArray[np.str_]:

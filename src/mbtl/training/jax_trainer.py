@@ -6,7 +6,6 @@ sent to another process anywhere.
 
 from __future__ import annotations
 
-import os
 import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -19,6 +18,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, MbtlError, unknown_name
+from mbtl.files import whole_file
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
 from mbtl.trainer import OnProgress, Progress, checked_returns
@@ -170,7 +170,8 @@ class JaxTrainer:
                 latest = float(np.mean(block.training.latest_return))
                 on_progress(Progress(block.steps, block.total, {"episode_return": latest}))
             if partial is not None and time.monotonic() - saved_at > _SAVE_SECONDS:
-                _save_arrays(partial, engine.to_arrays(block.training))
+                with whole_file(partial) as file:
+                    np.savez(file, **engine.to_arrays(block.training))  # type: ignore[arg-type]
                 saved_at = time.monotonic()
 
         training = engine.train(
@@ -230,15 +231,6 @@ class JaxTrainer:
             if name not in known:
                 raise unknown_name(f"hyperparameter of {self.algorithm}", name, known)
         return replace(named, **self.hyperparameters)
-
-
-def _save_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Replace the file only when the new one is complete."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with unfinished.open("wb") as file:
-        np.savez(file, **arrays)
-    unfinished.replace(path)
 
 
 def _load_training(template: Any, partial: Path | None) -> Any:

@@ -1,0 +1,63 @@
+"""Files that appear whole or not at all, and folders that know what grows in them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+from mbtl.errors import InvalidInput, cannot_write
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[IO[bytes]]:
+    """Write to a file that replaces `path` only when the block ends without an error.
+
+    Raises:
+        StorageError: the place cannot be written.
+    """
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with unfinished.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(path)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+
+
+def claim_folder(folder: Path, settings: Mapping[str, Any], what: str) -> None:
+    """Write down what grows in `folder`, or check that it is this.
+
+    Args:
+        folder: made when missing.
+        settings: JSON-able; all that the contents depend on.
+        what: of its contents, for the message, e.g. "a transfer matrix".
+
+    Raises:
+        InvalidInput: the folder was claimed with other settings.
+        StorageError: the place cannot be read or written.
+    """
+    record = json.loads(json.dumps(settings))
+    file = folder / "settings.json"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not file.exists():
+            with whole_file(file) as writing:
+                writing.write((json.dumps(record, indent=2) + "\n").encode())
+        there = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise cannot_write(file, error) from error
+    if there != record:
+        differing = sorted(k for k in {*there, *record} if there.get(k) != record.get(k))
+        raise InvalidInput(
+            f"{folder} holds {what} of other settings ({', '.join(differing)}); "
+            "choose another folder, or remove it"
+        )

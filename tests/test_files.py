@@ -1,0 +1,30 @@
+"""A file is whole or absent; a folder goes on only with equal settings."""
+
+import pytest
+
+from mbtl.errors import InvalidInput, StorageError
+from mbtl.files import claim_folder, whole_file
+
+
+def test_a_file_is_replaced_only_when_the_new_one_is_complete(tmp_path):
+    path = tmp_path / "numbers.txt"
+    with whole_file(path) as file:
+        file.write(b"one")
+        assert not path.exists()
+    with pytest.raises(TypeError), whole_file(path) as file:
+        file.write("no bytes")
+    assert path.read_bytes() == b"one"
+    assert [found.name for found in path.parent.iterdir()] == ["numbers.txt"]
+
+
+def test_a_place_that_cannot_be_written_is_a_storage_error(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError, match="cannot"), whole_file(tmp_path / "file" / "numbers"):
+        pass
+
+
+def test_a_claimed_folder_names_what_differs(tmp_path):
+    claim_folder(tmp_path / "a", {"seed": 1, "keep": ("best",)}, "a matrix")
+    claim_folder(tmp_path / "a", {"seed": 1, "keep": ["best"]}, "a matrix")
+    with pytest.raises(InvalidInput, match=r"holds a matrix of other settings \(lanes, seed\)"):
+        claim_folder(tmp_path / "a", {"seed": 2, "keep": ["best"], "lanes": 1}, "a matrix")
