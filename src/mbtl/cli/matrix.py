@@ -12,9 +12,11 @@ from rich.text import Text
 from mbtl.benchmark import levels, open_matrix
 from mbtl.cli.build import build
 from mbtl.cli.common import JsonFlag, interruptible, print_json, printer
+from mbtl.cli.multitask import multitask
 
 matrix_app = typer.Typer(help="Build transfer matrices and look at them.", no_args_is_help=True)
 matrix_app.command("build")(interruptible(build))
+matrix_app.command("multitask")(interruptible(multitask))
 
 
 @matrix_app.command("show")

@@ -15,8 +15,23 @@ from mbtl.training.jax.environments import Environment, stack_params
 from mbtl.training.jax.evaluation import episode_noise, evaluate, on_cpu
 from mbtl.training.jax.export import export_policies, import_actors
 from mbtl.training.jax.loop import Block, Training, from_arrays, start, to_arrays, train
+from mbtl.training.jax.multitask.run import MultiTaskRun, run_multitask
+from mbtl.training.jax.multitask.training import (
+    evaluate_multitask,
+    start_multitask,
+    train_multitask,
+)
 from mbtl.training.jax.pendulum import Pendulum
-from mbtl.training.jax.recipes import RECIPES, A2CRecipe, DQNRecipe, PPORecipe, Recipe, recipe_named
+from mbtl.training.jax.recipes import (
+    RECIPES,
+    A2CRecipe,
+    DQNRecipe,
+    MultiTaskRecipe,
+    PPORecipe,
+    Recipe,
+    multitask_recipe,
+    recipe_named,
+)
 
 __all__ = [
     "RECIPES",
@@ -25,19 +40,26 @@ __all__ = [
     "CartPole",
     "DQNRecipe",
     "Environment",
+    "MultiTaskRecipe",
+    "MultiTaskRun",
     "PPORecipe",
     "Pendulum",
     "Recipe",
     "Training",
     "episode_noise",
     "evaluate",
+    "evaluate_multitask",
     "export_policies",
     "from_arrays",
     "import_actors",
+    "multitask_recipe",
     "on_cpu",
     "recipe_named",
+    "run_multitask",
     "stack_params",
     "start",
+    "start_multitask",
     "to_arrays",
     "train",
+    "train_multitask",
 ]

@@ -8,7 +8,6 @@ random numbers are drawn for all of them together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -41,18 +40,24 @@ def update(env: Environment, recipe: A2CRecipe, state: State, params: Tree, cloc
     shape = (recipe.rollouts_per_update, recipe.n_steps, recipe.n_envs)
     key, noise = draw(env, state.key, shape)
     scale = 1.0 - clock.progress if recipe.anneal else jnp.float32(1.0)
-    flat, unravel = ravel_pytree(state.weights)  # one vector: few large operations, not many small
 
-    def learn(carry: tuple[jax.Array, State], drawn: Noise) -> Any:
-        flat, state = carry
-        state, rollout = play(env, recipe, state._replace(weights=unravel(flat)), params, drawn)
-        gradient, _ = ravel_pytree(jax.grad(loss, argnums=2)(env, recipe, state.weights, rollout))
-        steps, moments = optimizer(recipe).update(gradient, state.optimizer)
-        return (flat + scale * steps, state._replace(weights=(), optimizer=moments)), None
+    def one(state: State, drawn: Noise) -> tuple[State, None]:
+        state, rollout = play(env, recipe, state, params, drawn)
+        return learn(env, recipe, state, rollout, scale), None
 
-    carry = (flat, state._replace(weights=(), key=key))
-    (flat, state), _ = jax.lax.scan(learn, carry, noise)
-    return state._replace(weights=unravel(flat))
+    state, _ = jax.lax.scan(one, state._replace(key=key), noise)
+    return state
+
+
+def learn(
+    env: Environment, recipe: A2CRecipe, state: State, rollout: Rollout, scale: jax.Array
+) -> State:
+    """One gradient step, `scale` times the recipe's learning rate."""
+    gradient = jax.grad(loss, argnums=2)(env, recipe, state.weights, rollout)
+    flat, unravel = ravel_pytree(gradient)  # one vector: few large operations, not many small
+    steps, moments = optimizer(recipe).update(flat, state.optimizer)
+    weights = jax.tree.map(jnp.add, state.weights, unravel(scale * steps))
+    return state._replace(weights=weights, optimizer=moments)
 
 
 def loss(env: Environment, recipe: A2CRecipe, weights: Weights, rollout: Rollout) -> jax.Array:
@@ -75,13 +80,20 @@ def loss(env: Environment, recipe: A2CRecipe, weights: Weights, rollout: Rollout
 
 
 def optimizer(recipe: A2CRecipe) -> optax.GradientTransformation:
-    """RMSprop as in TensorFlow after clipping the norm of one policy's gradient.
+    """RMSprop after clipping the norm of one policy's gradient.
 
-    square <- decay square + (1 - decay) g^2, from 1; the step is -lr g / sqrt(square + eps). (PyTorch
-    starts from 0 and adds eps outside the root, which Stable-Baselines3 found to be less stable.)
+    square <- decay square + (1 - decay) g^2, and the step is
+        -lr g / (sqrt(square) + eps), square from 0 on      as in PyTorch
+        -lr g / sqrt(square + eps),   square from 1 on      as in TensorFlow: smaller, steadier
     """
+    tensorflow = recipe.rms_like_tensorflow
     return optax.chain(
         optax.clip_by_global_norm(recipe.max_grad_norm),
-        optax.scale_by_rms(recipe.rms_decay, recipe.rms_eps, initial_scale=1.0),
+        optax.scale_by_rms(
+            recipe.rms_decay,
+            recipe.rms_eps,
+            initial_scale=1.0 if tensorflow else 0.0,
+            eps_in_sqrt=tensorflow,
+        ),
         optax.scale(-recipe.learning_rate),
     )

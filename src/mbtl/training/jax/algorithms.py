@@ -17,7 +17,8 @@ from typing import Any, Protocol
 from mbtl.training.jax import a2c, dqn, ppo
 from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.environments import Environment, Tree
-from mbtl.training.jax.recipes import A2CRecipe, DQNRecipe, PPORecipe, Recipe
+from mbtl.training.jax.multitask import round_robin
+from mbtl.training.jax.recipes import A2CRecipe, DQNRecipe, MultiTaskRecipe, PPORecipe, Recipe
 
 
 class Algorithm(Protocol):
@@ -39,7 +40,12 @@ class Algorithm(Protocol):
         ...
 
 
-_MODULES: Mapping[type, Algorithm] = {PPORecipe: ppo, A2CRecipe: a2c, DQNRecipe: dqn}
+_MODULES: Mapping[type, Algorithm] = {
+    PPORecipe: ppo,
+    A2CRecipe: a2c,
+    DQNRecipe: dqn,
+    MultiTaskRecipe: round_robin,
+}
 
 
 def algorithm_of(recipe: Recipe) -> Algorithm:

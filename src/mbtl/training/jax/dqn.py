@@ -12,7 +12,7 @@ G gradient steps per round, B minibatch, N transitions in the ring, f features o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -36,7 +36,7 @@ class State(NamedTuple):
 
     Attributes:
         weights: the network of action values as `actor`: the largest value is the action.
-        target: the target network as one vector.
+        target: what `weights.actor` was when it was last copied.
         optimizer: Adam's moments.
         replay: (N, 2 f + 3) ring of transitions: state before, state after, action, reward,
             terminated. Visible context features are constants of a policy and not in it.
@@ -46,7 +46,7 @@ class State(NamedTuple):
     """
 
     weights: Weights
-    target: jax.Array
+    target: Network
     optimizer: Tree
     replay: jax.Array
     env: Tree
@@ -104,11 +104,11 @@ def init(env: Environment, recipe: DQNRecipe, seeds: Sequence[int], params: Tree
 def _start(
     env: Environment, recipe: DQNRecipe, weights: Weights, seed: jax.Array, params: Tree
 ) -> State:
-    flat, _ = ravel_pytree(weights.actor)
-    moments = _optimizer(recipe).init(flat)
+    moments = optimizer(recipe).init(ravel_pytree(weights.actor)[0])
+    target = jax.tree.map(jnp.copy, weights.actor)  # memory of its own: a block takes over both
     replay = jnp.zeros((recipe.buffer_size, 2 * env.n_features + 3))
     copies = first_copies(env, recipe.n_envs, seed, params)
-    return State(weights, flat, moments, replay, *copies)
+    return State(weights, target, moments, replay, *copies)
 
 
 def update(env: Environment, recipe: DQNRecipe, state: State, params: Tree, clock: Clock) -> State:
@@ -133,30 +133,30 @@ def update(env: Environment, recipe: DQNRecipe, state: State, params: Tree, cloc
     )
     scale = 1.0 - clock.progress if recipe.anneal else jnp.float32(1.0)
     total = clock.total * recipe.steps_per_update
-    flat, unravel = ravel_pytree(state.weights.actor)
 
-    def one(carry: tuple[jax.Array, State], now: Round) -> Any:
-        flat, state = carry
-        state, rows = explore(env, recipe, unravel(flat), state, params, now, total)
-        place = now.step % recipe.buffer_size
-        replay = jax.lax.dynamic_update_slice(state.replay, rows, (place, 0))
+    def one(state: State, now: Round) -> tuple[State, None]:
+        state, rows = explore(env, recipe, state, params, now, total)
+        replay = jax.lax.dynamic_update_slice(
+            state.replay, rows, (now.step % recipe.buffer_size, 0)
+        )
         step = now.step + per_round
         copy = step // recipe.target_every > now.step // recipe.target_every
-        target = jnp.where(copy, flat, state.target)
+        target = jax.tree.map(partial(jnp.where, copy), state.weights.actor, state.target)
         filled = jnp.minimum(step, recipe.buffer_size)
         picked = replay[jnp.floor(now.pick * filled).astype(jnp.int32)]
-        learn = partial(_learn, env, recipe, unravel, scale, target, params.visible)
-        flat, moments = jax.lax.cond(
+        network, moments = jax.lax.cond(
             step > recipe.learning_starts,
-            learn,
-            lambda flat, moments, picked: (flat, moments),
-            flat, state.optimizer, picked,
-        )  # fmt: skip
-        return (flat, state._replace(target=target, optimizer=moments, replay=replay)), None
+            partial(learn, env, recipe, scale, params.visible),
+            lambda network, moments, *_: (network, moments),
+            *(state.weights.actor, state.optimizer, target, picked),
+        )
+        weights = state.weights._replace(actor=network)
+        return state._replace(
+            weights=weights, target=target, optimizer=moments, replay=replay
+        ), None
 
-    carry = (flat, state._replace(weights=(), key=key))
-    (flat, state), _ = jax.lax.scan(one, carry, rounds)
-    return state._replace(weights=Weights(unravel(flat), (), jnp.zeros(0)))
+    state, _ = jax.lax.scan(one, state._replace(key=key), rounds)
+    return state
 
 
 def epsilon(recipe: DQNRecipe, step: jax.Array, total: jax.Array) -> jax.Array:
@@ -169,7 +169,6 @@ def epsilon(recipe: DQNRecipe, step: jax.Array, total: jax.Array) -> jax.Array:
 def explore(
     env: Environment,
     recipe: DQNRecipe,
-    network: Network,
     state: State,
     params: Tree,
     now: Round,
@@ -177,7 +176,7 @@ def explore(
 ) -> tuple[State, jax.Array]:
     """T epsilon-greedy steps of the E copies, and their (T x E, 2 f + 3) rows of the ring."""
     observe = jax.vmap(env.observe, (0, None))
-    n, f = _options(env), env.n_features
+    network, n, f = state.weights.actor, _options(env), env.n_features
 
     def step(carry: tuple[Tree, jax.Array, jax.Array], drawn: Any) -> Any:
         env_state, elapsed, obs = carry
@@ -198,28 +197,28 @@ def explore(
     return state, rows.reshape(recipe.steps_per_round, -1)
 
 
-def _learn(
+def learn(
     env: Environment,
     recipe: DQNRecipe,
-    unravel: Callable[[jax.Array], Network],
     scale: jax.Array,
-    target: jax.Array,
     visible: jax.Array,
-    flat: jax.Array,
+    network: Network,
     moments: Tree,
-    picked: jax.Array,
-) -> tuple[jax.Array, Tree]:
-    """G gradient steps on (G, B, 2 f + 3) rows."""
+    target: Network,
+    rows: jax.Array,
+) -> tuple[Network, Tree]:
+    """G gradient steps, `scale` times the recipe's learning rate, on (G, B, 2 f + 3) rows."""
 
-    def one(carry: tuple[jax.Array, Tree], rows: jax.Array) -> Any:
-        flat, moments = carry
+    def one(carry: tuple[Network, Tree], rows: jax.Array) -> tuple[tuple[Network, Tree], None]:
+        network, moments = carry
         batch = unpack(env, rows, visible)
-        goal = td_target(recipe, unravel(target), batch)
-        gradient, _ = ravel_pytree(jax.grad(loss, argnums=1)(recipe, unravel(flat), batch, goal))
-        steps, moments = _optimizer(recipe).update(gradient, moments)
-        return (flat + scale * steps, moments), None
+        gradient = jax.grad(loss, argnums=1)(recipe, network, batch, goal(recipe, target, batch))
+        flat, unravel = ravel_pytree(gradient)  # one vector: few large operations, not many small
+        steps, moments = optimizer(recipe).update(flat, moments)
+        return (jax.tree.map(jnp.add, network, unravel(scale * steps)), moments), None
 
-    return jax.lax.scan(one, (flat, moments), picked)[0]
+    (network, moments), _ = jax.lax.scan(one, (network, moments), rows)
+    return network, moments
 
 
 def unpack(env: Environment, rows: jax.Array, visible: jax.Array) -> Batch:
@@ -233,22 +232,22 @@ def unpack(env: Environment, rows: jax.Array, visible: jax.Array) -> Batch:
     )
 
 
-def td_target(recipe: DQNRecipe, target: Network, batch: Batch) -> jax.Array:
+def goal(recipe: DQNRecipe, target: Network, batch: Batch) -> jax.Array:
     """(B,) r + gamma max_a Q_target(after, a) (1 - terminated)."""
     ahead = networks.apply(target, batch.after, recipe.activation).max(axis=-1)
     return batch.reward + recipe.gamma * (1.0 - batch.terminated) * ahead
 
 
-def loss(recipe: DQNRecipe, network: Network, batch: Batch, goal: jax.Array) -> jax.Array:
+def loss(recipe: DQNRecipe, network: Network, batch: Batch, goals: jax.Array) -> jax.Array:
     """Mean Huber loss, quadratic up to an error of 1, of the values of the actions taken."""
     values = networks.apply(network, batch.obs, recipe.activation)
     # a sum over a mask, not a gather: gathers with batched indices are slow on a CPU
     taken = batch.action[:, None] == jnp.arange(values.shape[-1])
     value = jnp.where(taken, values, 0.0).sum(axis=-1)
-    return optax.losses.huber_loss(value, goal).mean()
+    return optax.losses.huber_loss(value, goals).mean()
 
 
-def _optimizer(recipe: DQNRecipe) -> optax.GradientTransformation:
+def optimizer(recipe: DQNRecipe) -> optax.GradientTransformation:
     """Adam after clipping the norm of one policy's gradient; the step is -lr times Adam's."""
     return optax.chain(
         optax.clip_by_global_norm(recipe.max_grad_norm),

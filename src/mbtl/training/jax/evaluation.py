@@ -117,9 +117,22 @@ def _every_pair(
 def own_returns(
     env: Environment, activation: Activation, actors: Network, params: Tree, noise: jax.Array
 ) -> jax.Array:
-    """(P, E): each policy on its own context with its own (P, E, n_noise) noise; can be traced."""
-    alone = jax.tree.map(lambda x: x[:, None], params)
-    return jax.vmap(partial(_play, env, activation))(actors, alone, noise)[:, 0]
+    """(P, E): each policy on its own contexts with its own (P, E, n_noise) noise; can be traced.
+
+    Parameters are (P, ...), one context per policy, or (P, C, ...): then the episodes are dealt out
+    evenly, the first E / C to the first context.
+    """
+    if params.visible.ndim == 2:
+        alone = jax.tree.map(lambda x: x[:, None], params)
+        return jax.vmap(partial(_play, env, activation))(actors, alone, noise)[:, 0]
+    dealt = noise.reshape(*params.visible.shape[:2], -1, noise.shape[-1])
+
+    def one(actor: Network, params: Tree, noise: jax.Array) -> jax.Array:
+        alone = jax.tree.map(lambda x: x[None], params)
+        return _play(env, activation, actor, alone, noise)[0]
+
+    returns = jax.vmap(jax.vmap(one, (None, 0, 0)))(actors, params, dealt)
+    return returns.reshape(len(returns), -1)
 
 
 def _play(

@@ -9,7 +9,7 @@ together fast.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
 
 import jax
@@ -105,12 +105,12 @@ def _init_network(rng: np.random.Generator, widths: Sequence[int], last_gain: fl
     gains = [math.sqrt(2.0)] * (len(widths) - 2) + [last_gain]
     pairs = zip(gains, widths[:-1], widths[1:], strict=True)
     return tuple(
-        (_orthogonal(rng, n_in, n_out, gain), cast(jax.Array, np.zeros(n_out, dtype=np.float32)))
+        (orthogonal(rng, n_in, n_out, gain), cast(jax.Array, np.zeros(n_out, dtype=np.float32)))
         for gain, n_in, n_out in pairs
     )
 
 
-def _orthogonal(rng: np.random.Generator, n_in: int, n_out: int, gain: float) -> Any:
+def orthogonal(rng: np.random.Generator, n_in: int, n_out: int, gain: float) -> Any:
     """(n_in, n_out) with orthogonal columns or rows of length `gain`, uniformly distributed."""
     tall = rng.standard_normal((max(n_in, n_out), min(n_in, n_out)))
     q, r = np.linalg.qr(tall)
@@ -118,14 +118,25 @@ def _orthogonal(rng: np.random.Generator, n_in: int, n_out: int, gain: float) ->
     return (gain * (q if n_in >= n_out else q.T)).astype(np.float32)
 
 
-def apply(network: Network, observations: jax.Array, activation: Activation = "tanh") -> jax.Array:
-    """(..., n_inputs) -> (..., n_outputs)."""
-    bend = jnp.tanh if activation == "tanh" else jax.nn.relu
+def apply(
+    network: Network | Callable[[jax.Array, Activation], jax.Array],
+    observations: jax.Array,
+    activation: Activation = "tanh",
+) -> jax.Array:
+    """(..., n_inputs) -> (..., n_outputs); a network that is no list of layers knows how itself."""
+    if callable(network):
+        return network(observations, activation)
+    bend = bend_of(activation)
     x = observations
     for weight, bias in network[:-1]:
         x = bend(x @ weight + bias)
     weight, bias = network[-1]
     return x @ weight + bias
+
+
+def bend_of(activation: Activation) -> Callable[[jax.Array], jax.Array]:
+    """The function between the layers."""
+    return jnp.tanh if activation == "tanh" else jax.nn.relu
 
 
 def action_noise(key: jax.Array, shape: tuple[int, ...], action: Discrete | Box) -> jax.Array:

@@ -38,7 +38,7 @@ class Batch(NamedTuple):
 
 def init(env: Environment, recipe: PPORecipe, seeds: Sequence[int], params: Tree) -> State:
     """All policies before their first update; see `rollout.start`."""
-    return start(env, recipe, _optimizer, seeds, params)
+    return start(env, recipe, optimizer, seeds, params)
 
 
 def update(
@@ -60,10 +60,23 @@ def update(
     """
     key, noise = draw(env, state.key, (recipe.n_steps, recipe.n_envs))
     state, rollout = play(env, recipe, state._replace(key=key), params, noise)
-    batch = learn_from(env, recipe, state.weights, rollout)
+    weights, moments = learn(env, recipe, state.weights, state.optimizer, rollout, clock)
+    return state._replace(weights=weights, optimizer=moments)
+
+
+def learn(
+    env: Environment,
+    recipe: PPORecipe,
+    weights: Weights,
+    moments: Tree,
+    rollout: Rollout,
+    clock: Clock,
+) -> tuple[Weights, Tree]:
+    """Weights and the optimiser's memory after the gradient steps on one rollout."""
+    batch = learn_from(env, recipe, weights, rollout)
     loss = jax.grad(_loss, argnums=2)
 
-    flat, unravel = ravel_pytree(state.weights)  # one vector: few large operations, not many small
+    flat, unravel = ravel_pytree(weights)  # one vector: few large operations, not many small
     scale = 1.0 - clock.progress if recipe.anneal else jnp.float32(1.0)
 
     def minibatch(
@@ -71,7 +84,7 @@ def update(
     ) -> tuple[tuple[jax.Array, Tree], None]:
         weights, moments = carry
         gradient, _ = ravel_pytree(loss(env, recipe, unravel(weights), part))
-        steps, moments = _optimizer(recipe).update(gradient, moments)
+        steps, moments = optimizer(recipe).update(gradient, moments)
         return (weights + scale * steps, moments), None
 
     def epoch(carry: tuple[jax.Array, Tree], key: jax.Array) -> tuple[tuple[jax.Array, Tree], None]:
@@ -81,9 +94,9 @@ def update(
         return carry, None
 
     (flat, moments), _ = jax.lax.scan(
-        epoch, (flat, state.optimizer), jax.random.split(clock.key, recipe.n_epochs)
+        epoch, (flat, moments), jax.random.split(clock.key, recipe.n_epochs)
     )
-    return state._replace(weights=unravel(flat), optimizer=moments)
+    return unravel(flat), moments
 
 
 def learn_from(env: Environment, recipe: PPORecipe, weights: Weights, rollout: Rollout) -> Batch:
@@ -113,7 +126,7 @@ def _loss(env: Environment, recipe: PPORecipe, weights: Weights, batch: Batch) -
     return loss
 
 
-def _optimizer(recipe: PPORecipe) -> optax.GradientTransformation:
+def optimizer(recipe: PPORecipe) -> optax.GradientTransformation:
     """Adam after clipping the norm of one policy's gradient; the step is -lr times Adam's."""
     return optax.chain(
         optax.clip_by_global_norm(recipe.max_grad_norm),

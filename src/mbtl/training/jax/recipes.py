@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Literal
+from dataclasses import dataclass, field, fields, replace
+from typing import Literal, get_args
 
 from mbtl.errors import InvalidInput, unknown_name
 
@@ -21,8 +21,8 @@ def _check_counts(recipe: Recipe, *names: str) -> None:
             raise InvalidInput(f"{name} must be >= 1, got {getattr(recipe, name)}")
 
 
-def _record(recipe: Recipe) -> dict[str, object]:
-    values = {field.name: getattr(recipe, field.name) for field in fields(recipe)}
+def _record(recipe: PPORecipe | A2CRecipe | DQNRecipe) -> dict[str, object]:
+    values = {one.name: getattr(recipe, one.name) for one in fields(recipe)}
     return values | {"hidden": list(recipe.hidden)}
 
 
@@ -103,8 +103,9 @@ class A2CRecipe:
         entropy_coef: weight of the entropy bonus.
         value_coef: weight of the value loss.
         max_grad_norm: gradients of one policy are scaled down to this norm.
-        rms_decay: of RMSprop's mean of squares, which starts at 1 as in TensorFlow.
-        rms_eps: offset under RMSprop's root.
+        rms_decay: of RMSprop's mean of squares.
+        rms_eps: RMSprop's denominator offset.
+        rms_like_tensorflow: RMSprop as it is there, not as in PyTorch; see `a2c.optimizer`.
         normalize_advantage: to mean 0 and standard deviation 1 in each rollout.
         anneal: learning rate falls linearly to 0 over the training.
         hidden: widths of the hidden layers of actor and critic.
@@ -125,6 +126,7 @@ class A2CRecipe:
     max_grad_norm: float = 0.5
     rms_decay: float = 0.99
     rms_eps: float = 1e-5
+    rms_like_tensorflow: bool = False
     normalize_advantage: bool = False
     anneal: bool = False
     hidden: tuple[int, ...] = (64, 64)
@@ -232,7 +234,55 @@ class DQNRecipe:
         return _record(self)
 
 
-Recipe = PPORecipe | A2CRecipe | DQNRecipe
+MultiTaskMethod = Literal["ppo", "paco", "moore"]
+
+
+@dataclass(frozen=True)
+class MultiTaskRecipe:
+    """One policy for all contexts (`mbtl.training.jax.multitask`).
+
+    Attributes:
+        method: "ppo" (context-conditioned PPO), "paco" or "moore".
+        ppo: how it learns; its copies of the environment are shared by all contexts.
+        n_parts: parameter sets of PaCo, experts of MOORE; context-conditioned PPO has none.
+
+    Raises:
+        UnknownName: no such method.
+        InvalidInput: less than one part.
+    """
+
+    method: MultiTaskMethod = "ppo"
+    ppo: PPORecipe = field(default_factory=PPORecipe)
+    n_parts: int = 5
+
+    def __post_init__(self) -> None:
+        if self.method not in get_args(MultiTaskMethod):
+            raise unknown_name("multi-task method", self.method, get_args(MultiTaskMethod))
+        _check_counts(self, "n_parts")
+
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps of one policy between two updates."""
+        return self.ppo.steps_per_update
+
+    @property
+    def activation(self) -> Activation:
+        """Between the layers."""
+        return self.ppo.activation
+
+    @property
+    def has_vectors(self) -> bool:
+        """Whether there is a learned vector per context; networks must know then where they are."""
+        return self.method != "ppo"
+
+    @property
+    def record(self) -> dict[str, object]:
+        """JSON-able: what decides the policy."""
+        parts = {"n_parts": self.n_parts} if self.has_vectors else {}
+        return {"method": self.method, "ppo": self.ppo.record, **parts}
+
+
+Recipe = PPORecipe | A2CRecipe | DQNRecipe | MultiTaskRecipe
 
 RECIPES: Mapping[str, Mapping[str, Recipe]] = {
     "PPO": {
@@ -243,14 +293,40 @@ RECIPES: Mapping[str, Mapping[str, Recipe]] = {
     },
     "A2C": {
         "sb3": A2CRecipe(),
-        "fast": A2CRecipe(n_envs=16),
+        "fast": A2CRecipe(n_envs=16, learning_rate=3e-3, anneal=True, rms_like_tensorflow=True),
     },
     "DQN": {
         "sb3": DQNRecipe(),
-        "fast": DQNRecipe(n_envs=8),
+        "fast": DQNRecipe(
+            n_envs=8, batch_size=64, learning_rate=1e-3, buffer_size=51_200, target_every=2048
+        ),
     },
 }
 """Recipes by algorithm and name: `sb3` has Stable-Baselines3's defaults, `fast` ends sooner."""
+
+
+_SHARED = PPORecipe(
+    n_envs=100, n_steps=128, batch_size=512, n_epochs=1, learning_rate=2e-3, anneal=True
+)
+_MULTI_TASK = {"CartPole": _SHARED, "Pendulum": replace(_SHARED, gamma=0.95, n_epochs=4)}
+_N_PARTS: Mapping[MultiTaskMethod, int] = {"ppo": 1, "paco": 5, "moore": 4}
+
+
+def multitask_recipe(method: MultiTaskMethod, environment: str) -> MultiTaskRecipe:
+    """Our recipe for a hundred contexts.
+
+    Args:
+        method: "ppo", "paco" or "moore".
+        environment: name of the class, "CartPole" or "Pendulum".
+
+    Raises:
+        UnknownName: there is none.
+    """
+    if method not in _N_PARTS:
+        raise unknown_name("multi-task method", method, _N_PARTS)
+    if environment not in _MULTI_TASK:
+        raise unknown_name("environment with multi-task recipes", environment, _MULTI_TASK)
+    return MultiTaskRecipe(method, _MULTI_TASK[environment], _N_PARTS[method])
 
 
 def recipe_named(algorithm: str, name: str) -> Recipe:

@@ -1,0 +1,14 @@
+"""One policy for all contexts of a CMDP: the baselines that train once instead of choosing sources.
+
+    params = stack_params(env, [derive(...) for each context], visible)
+    training = train_multitask(env, MultiTaskRecipe("paco"), seeds, params, timesteps=5_000_000)
+    returns = evaluate_multitask(env, recipe, training.best, params, noise)     # (S, N, E)
+
+Methods: `ppo` is context-conditioned PPO, an ordinary policy that reads the context in its
+observation; `paco` composes a network per context (`paco.py`); `moore` mixes orthogonal
+representations per context (`moore.py`). All three learn by the same PPO from the same rollouts,
+in which contexts take turns (`round_robin.py`).
+
+This module is imported by the training loop, so it must not import it: functions that train are
+in `run.py` and, like everything public, in `mbtl.training.jax`.
+"""

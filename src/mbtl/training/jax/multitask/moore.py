@@ -1,0 +1,132 @@
+"""MOORE: one policy on a mixture of orthogonal representations, weighted per context.
+
+Hendawy, Peters, D'Eramo: "Multi-Task Reinforcement Learning with Mixture of Orthogonal Experts",
+ICLR 2024. In state s and context c
+
+    H(s) = [h_1(s), ..., h_K(s)]      K expert networks
+    U(s) = Gram-Schmidt of H(s)       orthonormal, so no two experts say the same
+    v    = activation(sum_k w_ck u_k(s))
+    f    = head of v                  logits or mean, and for the critic the value
+
+with task weights w_c. Actor and critic have experts, task weights and head each of their own.
+
+What differs from the paper: experts are dense networks; vectors of task weights are interpolated
+between contexts (`table.py`) and begin as hat functions of the axis.
+
+Notation (shapes): N contexts, K experts, n units of a representation.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mbtl.training.jax import networks
+from mbtl.training.jax.environments import Environment
+from mbtl.training.jax.multitask.table import initial_table, rows_at
+from mbtl.training.jax.networks import Network
+from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
+
+_TINY = 1e-12  # under the root of a squared length: the gradient of a zero vector is finite
+
+
+class Mixture(NamedTuple):
+    """A network of experts; the place is the last number of an observation.
+
+    Attributes:
+        experts: layers (K, n_in, n_out) and (K, n_out), an activation between them.
+        task_weights: (N, K).
+        head: (n, n_outputs) and (n_outputs,).
+    """
+
+    experts: Network
+    task_weights: jax.Array
+    head: tuple[jax.Array, jax.Array]
+
+    def __call__(self, observations: jax.Array, activation: Activation) -> jax.Array:
+        """(..., o + 1) -> (..., n_outputs)."""
+        bend = networks.bend_of(activation)
+        seen, place = observations[..., :-1], observations[..., -1]
+        weights = rows_at(self.task_weights, place)
+        # an expert at a time: one batched product over all of them is slower on a CPU
+        each = [
+            networks.apply(jax.tree.map(lambda x, k=k: x[k], self.experts), seen, activation)
+            for k in range(weights.shape[-1])
+        ]
+        basis = orthonormal(each)
+        v = bend(sum(weights[..., k, None] * u for k, u in enumerate(basis)))
+        weight, bias = self.head
+        return v @ weight + bias
+
+
+class MOOREWeights(NamedTuple):
+    """Everything that is learned.
+
+    Attributes:
+        actor: observation with place -> logits, or the mean of a Gaussian.
+        critic: observation with place -> value.
+        log_std: (d,) of the Gaussian, as in `networks.Weights`; the same in all contexts.
+    """
+
+    actor: Mixture
+    critic: Mixture
+    log_std: jax.Array
+
+
+def orthonormal(vectors: Sequence[jax.Array]) -> list[jax.Array]:
+    """Gram-Schmidt: K orthonormal vectors (..., n) that span what the first 1, 2, ..., K do.
+
+    A sum over the last axis is written as a product with ones, which a CPU does many times faster.
+    """
+    ones = jnp.ones((vectors[0].shape[-1], 1))
+    basis: list[jax.Array] = []
+    for vector in vectors:
+        rest = vector
+        for unit in basis:
+            rest = rest - ((rest * unit) @ ones) * unit
+        basis.append(rest * jax.lax.rsqrt((rest * rest) @ ones + _TINY))
+    return basis
+
+
+def init_weights(
+    env: Environment, recipe: MultiTaskRecipe, seed: int, n_contexts: int, n_inputs: int
+) -> MOOREWeights:
+    """Orthogonal layers, gains as in `networks.init_weights`; hats as task weights.
+
+    Returns:
+        Numpy arrays in float32.
+    """
+    rng = np.random.default_rng(seed)
+    hidden = recipe.ppo.hidden
+
+    def mixture(n_outputs: int, gain: float) -> Mixture:
+        widths = [n_inputs, *hidden]
+        experts: Any = tuple(
+            (
+                np.stack(
+                    [
+                        networks.orthogonal(rng, n_in, n_out, math.sqrt(2.0))
+                        for _ in range(recipe.n_parts)
+                    ]
+                ),
+                np.zeros((recipe.n_parts, n_out), dtype=np.float32),
+            )
+            for n_in, n_out in itertools.pairwise(widths)
+        )
+        head: Any = (
+            networks.orthogonal(rng, hidden[-1], n_outputs, gain),
+            np.zeros(n_outputs, dtype=np.float32),
+        )
+        table: Any = initial_table(n_contexts, recipe.n_parts)
+        return Mixture(experts, table, head)
+
+    plain = networks.init_weights(seed, 1, env.action, (), recipe.ppo.log_std)
+    return MOOREWeights(
+        mixture(networks.n_outputs(env.action), 0.01), mixture(1, 1.0), plain.log_std
+    )

@@ -1,0 +1,117 @@
+"""PaCo: a network per context, composed of a few shared parameter sets.
+
+Sun, Zhang, Xu, Tomizuka: "PaCo: Parameter-Compositional Multi-Task Reinforcement Learning",
+NeurIPS 2022. All parameters of the network of context c are
+
+    theta_c = sum_k w_ck Phi_k        K parameter sets Phi, one compositional vector w_c per context
+
+for actor and critic alike, which share w. Every context's loss moves Phi, and w_c is moved by the
+loss of its own context alone.
+
+What differs from the paper: it learns by PPO, not SAC; vectors are interpolated between contexts
+(`table.py`) and begin as hat functions of the axis. Its masking of tasks whose loss explodes, and
+the reset of their vectors, are for SAC's unbounded losses (beyond 3000); with PPO's clipped
+objective and clipped gradients no context's loss does, so there is nothing to mask.
+
+Notation (shapes): N contexts, K parameter sets, o numbers of an observation that the network sees.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mbtl.training.jax import networks
+from mbtl.training.jax.environments import Environment
+from mbtl.training.jax.multitask.table import initial_table, rows_at
+from mbtl.training.jax.networks import Network, Weights
+from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
+
+
+class Composed(NamedTuple):
+    """A network whose parameters depend on the place, the last number of an observation.
+
+    Attributes:
+        sets: layers (K, n_in, n_out) and (K, n_out).
+        vectors: (N, K) compositional vectors.
+    """
+
+    sets: Network
+    vectors: jax.Array
+
+    def __call__(self, observations: jax.Array, activation: Activation) -> jax.Array:
+        """(..., o + 1) -> (..., n_outputs)."""
+        mixture = rows_at(self.vectors, observations[..., -1])
+        bend = networks.bend_of(activation)
+        x = observations[..., :-1]
+        for weight, bias in self.sets[:-1]:
+            x = bend(_composed_layer(mixture, x, weight, bias))
+        return _composed_layer(mixture, x, *self.sets[-1])
+
+
+class PaCoWeights(NamedTuple):
+    """Everything that is learned; `actor` and `critic` are networks as elsewhere.
+
+    Attributes:
+        actor_sets: parameter sets of the actor.
+        critic_sets: parameter sets of the critic.
+        log_std: (d,) of the Gaussian, as in `networks.Weights`; the same in all contexts.
+        vectors: (N, K) compositional vectors, of both.
+    """
+
+    actor_sets: Network
+    critic_sets: Network
+    log_std: jax.Array
+    vectors: jax.Array
+
+    @property
+    def actor(self) -> Composed:
+        """Observation with place -> logits, or the mean of a Gaussian."""
+        return Composed(self.actor_sets, self.vectors)
+
+    @property
+    def critic(self) -> Composed:
+        """Observation with place -> value."""
+        return Composed(self.critic_sets, self.vectors)
+
+
+def init_weights(
+    env: Environment, recipe: MultiTaskRecipe, seed: int, n_contexts: int, n_inputs: int
+) -> PaCoWeights:
+    """K independent networks as `networks.init_weights` makes them, and hats as vectors.
+
+    Returns:
+        Numpy arrays in float32.
+    """
+    ppo, n_sets = recipe.ppo, recipe.n_parts
+    seeds = np.random.SeedSequence(seed).generate_state(n_sets)
+    each = [
+        networks.init_weights(int(s), n_inputs, env.action, ppo.hidden, ppo.log_std) for s in seeds
+    ]
+    sets: Any = jax.tree.map(lambda *leaves: np.stack(leaves), *each)
+    vectors: Any = initial_table(n_contexts, n_sets)
+    return PaCoWeights(sets.actor, sets.critic, each[0].log_std, vectors)
+
+
+def compose(weights: PaCoWeights, places: jax.Array) -> Weights:
+    """Ordinary networks at `places` (C,), leading axis; they see observations without place."""
+    mixture = rows_at(weights.vectors, places)
+
+    def mix(part: jax.Array) -> jax.Array:
+        return jnp.tensordot(mixture, part, axes=1)
+
+    log_std = jnp.broadcast_to(weights.log_std, (len(mixture), *weights.log_std.shape))
+    actor, critic = (jax.tree.map(mix, x) for x in (weights.actor_sets, weights.critic_sets))
+    return Weights(actor, critic, log_std)
+
+
+def _composed_layer(
+    mixture: jax.Array, x: jax.Array, weight: jax.Array, bias: jax.Array
+) -> jax.Array:
+    """Sum_k w_k (x W_k + b_k) as one matrix product: (w outer x) times the W_k on one another."""
+    outer = mixture[..., :, None] * x[..., None, :]
+    flat = outer.reshape(*x.shape[:-1], -1)
+    return flat @ weight.reshape(-1, weight.shape[-1]) + mixture @ bias

@@ -1,0 +1,193 @@
+"""A multi-task baseline from start to end in a folder: interrupted at any time, it goes on there.
+
+The folder holds what it belongs to (`settings.json`), per seed the latest training
+(`seed0.npz`, saved now and then), and per seed and checkpoint the returns of its evaluation
+(`seed0-best.npz`). Each file appears whole or not at all.
+
+Notation (shapes): S seeds, N contexts.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.arrays import Array
+from mbtl.errors import InvalidInput
+from mbtl.files import claim_folder, whole_file
+from mbtl.seeds import episode_seed, evaluation_seed, training_seed
+from mbtl.training.jax.environments import Environment, Tree
+from mbtl.training.jax.evaluation import episode_noise
+from mbtl.training.jax.loop import Block, Training, from_arrays, to_arrays
+from mbtl.training.jax.multitask.training import (
+    CHECKPOINT_EPISODES,
+    evaluate_multitask,
+    start_multitask,
+    train_multitask,
+)
+from mbtl.training.jax.recipes import MultiTaskRecipe
+
+CHECKPOINTS = ("best", "final")
+
+_TRIAL = 0  # of the seed tree: seed s is the root of a study, as in a transfer matrix
+_SAVE_SECONDS = 30.0
+
+OnProgress = Callable[[int, int, int, float], None]
+"""Called with (seed, steps done, steps planned, mean return over all contexts)."""
+
+
+@dataclass(frozen=True, eq=False)
+class MultiTaskRun:
+    """What `run_multitask` found.
+
+    Attributes:
+        returns: per checkpoint, (S, N) mean raw return over episodes.
+        std: per checkpoint, (S, N) standard deviation over episodes.
+        provenance: one JSON-able record per seed: what decides the numbers, and how long it took.
+    """
+
+    returns: Mapping[str, Array]
+    std: Mapping[str, Array]
+    provenance: tuple[Mapping[str, Any], ...]
+
+
+def run_multitask(
+    env: Environment,
+    recipe: MultiTaskRecipe,
+    params: Tree,
+    seeds: Sequence[int],
+    timesteps: int,
+    folder: str | Path,
+    *,
+    episodes: int = 100,
+    on_progress: OnProgress | None = None,
+) -> MultiTaskRun:
+    """Train one policy per seed on all contexts and evaluate it on each.
+
+    Evaluations play the episodes of the transfer matrix of the same seed, so that baselines and
+    portfolios are compared on common random numbers.
+
+    Args:
+        env: the dynamics.
+        recipe: hyper-parameters.
+        params: N contexts, leading axis.
+        seeds: roots of the seed tree; the training is that of the source after the last.
+        timesteps: environment steps per policy, over all contexts together.
+        folder: where it grows; made when missing. Nothing in it is removed.
+        episodes: per context.
+        on_progress: told after each block of a training.
+
+    Raises:
+        InvalidInput: the folder holds something else, or a number is below 1.
+        StorageError: the place cannot be written.
+        TrainingFailed: weights are no longer finite.
+    """
+    if not seeds or episodes < 1:
+        raise InvalidInput(
+            f"a run needs at least one seed and episode, got {len(seeds)} and {episodes}"
+        )
+    place = Path(folder)
+    settings = {
+        "environment": repr(env),
+        "recipe": recipe.record,
+        "contexts": _digest(params),
+        "timesteps": timesteps,
+        "episodes": episodes,
+        "checkpoint_episodes": CHECKPOINT_EPISODES,
+    }
+    claim_folder(place, settings, "a multi-task run")
+    rows: dict[str, list[tuple[Array, Array]]] = {name: [] for name in CHECKPOINTS}
+    records = []
+    for seed in seeds:
+        training, seconds = _trained(env, recipe, params, seed, timesteps, place, on_progress)
+        noise = episode_noise(
+            env, [episode_seed(evaluation_seed(seed, _TRIAL), e) for e in range(episodes)]
+        )
+        for name, weights in (("best", training.best), ("final", training.state.weights)):
+            file = place / f"seed{seed}-{name}.npz"
+            if not file.exists():
+                found = evaluate_multitask(env, recipe, weights, params, noise)[0]
+                _save(file, {"returns": found.mean(axis=1), "std": found.std(axis=1)})
+            row = _load(file)
+            rows[name].append((row["returns"], row["std"]))
+        records.append(
+            {
+                **settings,
+                "trainer": "mbtl-jax-multitask",
+                "seed": seed,
+                "training_seed": _seed_of(params, seed),
+                "steps": int(training.updates) * recipe.steps_per_update,
+                "checkpoint_return": float(training.best_return[0]),
+                "train_seconds": round(seconds, 1),
+            }
+        )
+    return MultiTaskRun(
+        {name: np.stack([mean for mean, _ in rows[name]]) for name in CHECKPOINTS},
+        {name: np.stack([std for _, std in rows[name]]) for name in CHECKPOINTS},
+        tuple(records),
+    )
+
+
+def _trained(
+    env: Environment,
+    recipe: MultiTaskRecipe,
+    params: Tree,
+    seed: int,
+    timesteps: int,
+    folder: Path,
+    on_progress: OnProgress | None,
+) -> tuple[Training, float]:
+    """The training of one seed, from where it was, and the seconds it took altogether."""
+    file, seeds = folder / f"seed{seed}.npz", [_seed_of(params, seed)]
+    halfway, before = None, 0.0
+    if file.exists():
+        arrays = _load(file)
+        before = float(arrays["seconds"])
+        halfway = from_arrays(start_multitask(env, recipe, seeds, params), arrays)
+    begin = saved_at = time.monotonic()
+
+    def save(training: Training) -> None:
+        nonlocal saved_at
+        saved_at = time.monotonic()
+        _save(file, {**to_arrays(training), "seconds": np.array(before + saved_at - begin)})
+
+    def on_block(block: Block) -> None:
+        if on_progress is not None:
+            on_progress(seed, block.steps, block.total, float(block.training.latest_return[0]))
+        if block.steps == block.total or time.monotonic() - saved_at > _SAVE_SECONDS:
+            save(block.training)
+
+    training = train_multitask(
+        env, recipe, seeds, params, timesteps, on_block=on_block, resume=halfway
+    )
+    return training, float(_load(file)["seconds"])
+
+
+def _seed_of(params: Tree, root: int) -> int:
+    """Sources are 0..N-1, so this is none of theirs."""
+    return training_seed(root, _TRIAL, len(params.visible))
+
+
+def _digest(params: Tree) -> str:
+    """Tells other contexts, or other features shown, apart."""
+    parts = [np.ascontiguousarray(x, dtype=np.float64) for x in jax.tree.leaves(params)]
+    text = b"".join(str(x.shape).encode() + x.tobytes() for x in parts)
+    return hashlib.sha256(text).hexdigest()[:16]
+
+
+def _save(path: Path, arrays: Mapping[str, Any]) -> None:
+    with whole_file(path) as file:
+        np.savez(file, **arrays)
+
+
+def _load(path: Path) -> dict[str, NDArray[Any]]:
+    with np.load(path, allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}

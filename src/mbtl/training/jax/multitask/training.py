@@ -1,0 +1,126 @@
+"""Training and evaluating multi-task policies with the loop and the evaluation of all others.
+
+Notation (shapes): S policies (seeds), N contexts, E episodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbtl.arrays import Array
+from mbtl.errors import InvalidInput
+from mbtl.training.jax import loop
+from mbtl.training.jax.environments import Environment, Tree
+from mbtl.training.jax.evaluation import evaluate
+from mbtl.training.jax.loop import Block, Training
+from mbtl.training.jax.multitask.table import with_place
+from mbtl.training.jax.recipes import MultiTaskRecipe
+
+CHECKPOINT_EPISODES = 2
+"""Per context; over a hundred contexts that is twenty times what a single-task policy plays."""
+
+
+def start_multitask(
+    env: Environment, recipe: MultiTaskRecipe, seeds: Sequence[int], params: Tree
+) -> Training:
+    """Trainings before their first update, e.g. as the template of `from_arrays`."""
+    return loop.start(env, recipe, seeds, _copies(recipe, params, len(seeds)))
+
+
+def train_multitask(
+    env: Environment,
+    recipe: MultiTaskRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    timesteps: int,
+    *,
+    on_block: Callable[[Block], None] | None = None,
+    checkpoint_every: int | None = None,
+    checkpoint_episodes: int = CHECKPOINT_EPISODES,
+    resume: Training | None = None,
+) -> Training:
+    """Train S policies, each on all contexts.
+
+    The best checkpoint has the largest mean return over all contexts; returns of a `Training` are
+    such means.
+
+    Args:
+        env: the dynamics.
+        recipe: hyper-parameters.
+        seeds: S training seeds of 32 bits.
+        params: N contexts, leading axis.
+        timesteps: environment steps per policy over all contexts, rounded up to whole updates.
+        on_block: called after each block.
+        checkpoint_every: environment steps between two evaluations; None for 2 % of `timesteps`.
+        checkpoint_episodes: deterministic episodes of an evaluation per context, each from another
+            state; the same at every evaluation.
+        resume: what an interrupted call had reached (given again with the same arguments).
+
+    Raises:
+        InvalidInput: there are no seeds or contexts, or a number is below 1.
+        TrainingFailed: weights are no longer finite.
+    """
+    return loop.train(
+        env,
+        recipe,
+        seeds,
+        _copies(recipe, params, len(seeds)),
+        timesteps,
+        on_block=on_block,
+        checkpoint_every=checkpoint_every,
+        checkpoint_episodes=checkpoint_episodes * len(params.visible),
+        resume=resume,
+    )
+
+
+def evaluate_multitask(
+    env: Environment,
+    recipe: MultiTaskRecipe,
+    weights: Any,
+    params: Tree,
+    noise: NDArray[np.float32],
+    *,
+    places: ArrayLike | None = None,
+    on_block: Callable[[int, int], None] | None = None,
+) -> Array:
+    """Undiscounted returns of deterministic episodes, (S, C, E).
+
+    Args:
+        env: the dynamics.
+        recipe: as trained.
+        weights: `training.best` or `training.state.weights`.
+        params: C contexts, leading axis.
+        noise: (E, n_noise), see `episode_noise`.
+        places: (C,) positions of the contexts on the axis in steps of the training's grid, e.g.
+            0.5 halfway between the first two; None where they are that grid.
+        on_block: called with (pairs of policy and context done, planned) now and then.
+
+    Raises:
+        InvalidInput: there are no policies, contexts or episodes.
+    """
+    contexts = _seen(recipe, params, places)
+    return evaluate(
+        env, weights.actor, contexts, noise, activation=recipe.activation, on_block=on_block
+    )
+
+
+def _seen(recipe: MultiTaskRecipe, params: Tree, places: ArrayLike | None = None) -> Tree:
+    """Contexts as the networks see them: those with a vector per context need their places."""
+    return with_place(params, places) if recipe.has_vectors else params
+
+
+def _copies(recipe: MultiTaskRecipe, params: Tree, n_seeds: int) -> Tree:
+    """(S, N, ...): all contexts for every policy."""
+    if len(params.visible) == 0 or n_seeds == 0:
+        raise InvalidInput(
+            "multi-task training needs at least one seed and context, "
+            f"got {n_seeds} and {len(params.visible)}"
+        )
+    return jax.tree.map(
+        lambda x: np.broadcast_to(x, (n_seeds, *np.shape(x))), _seen(recipe, params)
+    )
