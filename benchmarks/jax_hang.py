@@ -4,7 +4,7 @@
 
 jax 0.10's concurrency-optimised scheduler can wait for ever in programs of many small operations on
 few cores; `mbtl.training.jax` switches it off and asks for one thread. Here every run is a process
-of its own with `--threads` threads and a time limit; `--unsafe` leaves the scheduler on, as the peer.
+of its own with `--threads` threads and a time limit; `--unsafe` leaves the scheduler on: the peer.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ and gradients counted, nothing else), and the memory of a process.
 
 from __future__ import annotations
 
-import measure  # first: threads
+import measure  # noqa: F401  first: threads
 
 import argparse  # isort: skip
 import os
