@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple, cast
 
 import jax
@@ -91,7 +92,7 @@ def init_q_network(seed: int, widths: Sequence[int]) -> Weights:
         shapes = (n_in, n_out), (n_out,)
         return tuple(rng.uniform(-bound, bound, shape).astype(np.float32) for shape in shapes)
 
-    pairs = zip(widths[:-1], widths[1:], strict=True)
+    pairs = pairwise(widths)
     no_std = cast(jax.Array, np.zeros(0, dtype=np.float32))
     return Weights(tuple(layer(*pair) for pair in pairs), (), no_std)
 

@@ -1,0 +1,46 @@
+"""Commands on the jax engine, as small as they go: real training, real files."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+from mbtl.benchmark import load_matrix
+from mbtl.benchmark.multitask import load_multitask
+
+
+def test_a_multitask_baseline_becomes_a_file_beside_the_matrices(mbtl_command, tmp_path):
+    command = (
+        "matrix", "multitask", "cartpole-length", "--timesteps", 13_000, "--eval-episodes", 1,
+        "--seeds", 1,
+    )  # fmt: skip
+    code, out, err = mbtl_command(*command, "--json")
+    assert code == 0, err
+    (found,) = json.loads(out)["baselines"]
+    baseline = load_multitask("cartpole-length", folder="matrices/multitask")["ppo"]
+    assert baseline.returns.shape == (1, 100)
+    assert found["performance"] == pytest.approx(baseline.returns.mean() / 500)
+    record = baseline.provenance[0]
+    assert record["command"].endswith("--timesteps 13000 --seeds 1 --first-seed 0")
+    assert record["recipe"]["method"] == "ppo"
+    assert "there already" in mbtl_command(*command)[2]
+    assert mbtl_command("matrix", "multitask", "cartpole-length", "--factor", 0)[0] == 2
+
+
+def test_both_checkpoints_of_all_hundred_sources(mbtl_command):
+    """The smallest whole matrix of real training: 100 policies in four programs of 25."""
+    code, _, err = mbtl_command(
+        "matrix", "build", "pendulum-timestep", "--seeds", 1, "--timesteps", 6_000, "--recipe",
+        "fast", "--eval-episodes", 1, "--checkpoint", "both", "--lanes", 25, "--workers", 1,
+    )  # fmt: skip
+    assert code == 0, err
+    best = load_matrix("pendulum-timestep", folder="matrices")
+    final = load_matrix("pendulum-timestep", "final", folder="matrices")
+    assert best.returns.shape == final.returns.shape == (1, 100, 100)
+    assert not np.array_equal(best.returns, final.returns)
+    recipes = [m.provenance["seeds"][0]["recipe"]["checkpoint"] for m in (best, final)]
+    assert recipes == ["best", "final"]
+    assert best.bounds.low == -2200.0
