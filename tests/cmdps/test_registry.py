@@ -111,7 +111,9 @@ def test_presets_and_overrides_shape_the_trainer():
     paper = cmdp.trainer_for("paper")
     assert (paper.timesteps, paper.eval_episodes, paper.checkpoint) == (1_000_000, 100, "best")
     assert paper.hyperparameters == {}, "a recipe that names its algorithm starts afresh"
-    assert get_cmdp("cartpole-length", engine="gymnasium").trainer_for("paper").timesteps == 5_000_000
+    assert (
+        get_cmdp("cartpole-length", engine="gymnasium").trainer_for("paper").timesteps == 5_000_000
+    )
     assert cmdp.preset("paper").budget == 15
 
 

@@ -9,6 +9,6 @@ observation; `paco` composes a network per context (`paco.py`); `moore` mixes or
 representations per context (`moore.py`). All three learn by the same PPO from the same rollouts,
 in which contexts take turns (`round_robin.py`).
 
-This module is imported by the training loop, so it must not import it: functions that train are
-in `run.py` and, like everything public, in `mbtl.training.jax`.
+The training loop knows these as one more algorithm, so nothing that trains is imported here: it is
+in `training.py` and `run.py` and, like everything public, in `mbtl.training.jax`.
 """

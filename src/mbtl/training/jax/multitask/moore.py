@@ -10,8 +10,9 @@ ICLR 2024. In state s and context c
 
 with task weights w_c. Actor and critic have experts, task weights and head each of their own.
 
-What differs from the paper: experts are dense networks; vectors of task weights are interpolated
-between contexts (`table.py`) and begin as hat functions of the axis.
+What differs from the paper: experts are dense networks, and see the visible features, in place of
+a one-hot code of the task at the head; task weights are interpolated between contexts (`table.py`)
+and begin as hat functions of the axis.
 
 Notation (shapes): N contexts, K experts, n units of a representation.
 """

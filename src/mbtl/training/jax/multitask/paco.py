@@ -8,10 +8,11 @@ NeurIPS 2022. All parameters of the network of context c are
 for actor and critic alike, which share w. Every context's loss moves Phi, and w_c is moved by the
 loss of its own context alone.
 
-What differs from the paper: it learns by PPO, not SAC; vectors are interpolated between contexts
-(`table.py`) and begin as hat functions of the axis. Its masking of tasks whose loss explodes, and
-the reset of their vectors, are for SAC's unbounded losses (beyond 3000); with PPO's clipped
-objective and clipped gradients no context's loss does, so there is nothing to mask.
+What differs from the paper: it learns by PPO, not SAC; networks also see the visible features;
+vectors are interpolated between contexts (`table.py`) and begin as hat functions of the axis
+(from random vectors it learnt much less). Tasks whose loss explodes are not masked and their
+vectors not reset, as SAC needs it: PPO clips its objective and its gradients, and no training
+diverged.
 
 Notation (shapes): N contexts, K parameter sets, o numbers of an observation that the network sees.
 """
@@ -111,7 +112,8 @@ def compose(weights: PaCoWeights, places: jax.Array) -> Weights:
 def _composed_layer(
     mixture: jax.Array, x: jax.Array, weight: jax.Array, bias: jax.Array
 ) -> jax.Array:
-    """Sum_k w_k (x W_k + b_k) as one matrix product: (w outer x) times the W_k on one another."""
-    outer = mixture[..., :, None] * x[..., None, :]
-    flat = outer.reshape(*x.shape[:-1], -1)
-    return flat @ weight.reshape(-1, weight.shape[-1]) + mixture @ bias
+    """Sum_k w_k (x W_k + b_k), a set at a time: one product over all sets is slower on a CPU."""
+    out = mixture @ bias
+    for k in range(len(weight)):
+        out = out + mixture[..., k, None] * (x @ weight[k])
+    return out
