@@ -47,6 +47,23 @@ def test_values_of_a_known_matrix(folder):
     assert (row.n, row.n_seeds, row.published["greedy"].mean) == (N, 2, 0.9424)
 
 
+def test_a_baseline_that_saw_something_else_is_no_peer(tmp_path):
+    returns = np.full((1, N, N), 10.0)
+    for variant, shown in (("default", "multiplier"), ("hidden", "hidden")):
+        matrix = TransferMatrix.of(
+            returns, bounds=(0, 100), provenance={"switches": {"visibility": shown}}
+        )
+        save_shipped(matrix, tmp_path, "cartpole-length", variant)
+    record = {"switches": {"visibility": "multiplier"}}
+    save_multitask(
+        np.ones(N), np.ones(N), record, tmp_path / "multitask", "cartpole-length", "ppo", 0
+    )
+    for variant, expected in (("default", {"ppo"}), ("hidden", set())):
+        (row,) = reproduce(budget=2, variant=variant, folder=tmp_path)
+        assert set(row.multitask) == expected
+        assert ("multitask" in row.ours) == bool(expected)
+
+
 def test_only_cmdps_with_matrices_are_shown_and_others_refused(folder):
     assert [row.cmdp for row in reproduce(folder=folder, budget=2)] == ["cartpole-length"]
     with pytest.raises(UnknownName, match="pendulum-mass"):

@@ -18,7 +18,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.benchmark.compare import compare
 from mbtl.benchmark.matrix import TransferMatrix
-from mbtl.benchmark.multitask import load_multitask
+from mbtl.benchmark.multitask import MultiTask, load_multitask
 from mbtl.benchmark.oracle import reference
 from mbtl.benchmark.shipped import DEFAULT, load_matrix, matrix_id, shipped_matrices
 from mbtl.errors import unknown_name
@@ -135,6 +135,7 @@ def _reproduced(
     multitask = {
         name: matrix.bounds.normalise(found.returns) @ matrix.problem(1).weights
         for name, found in baselines.items()
+        if _same_problem(found, matrix)
     }
     curves = {
         name: np.stack([run.performance for run in compare([name], [matrix], budget, 1).results])
@@ -164,6 +165,13 @@ def _reproduced(
         tuple(k_star(curve, level) for curve in curves["mbtl"]),
         None if math.isnan(stars) else stars,
     )
+
+
+def _same_problem(baseline: MultiTask, matrix: TransferMatrix) -> bool:
+    """Whether both were trained with the same switches, e.g. the same visibility of the context."""
+    records = (baseline.provenance[0], matrix.provenance["seeds"][0])
+    one, other = (record.get("switches") for record in records)
+    return one is None or other is None or one == other
 
 
 def _value(seeds: Array) -> Value:
