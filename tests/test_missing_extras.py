@@ -24,7 +24,16 @@ def run_without(blocked, arguments, cwd):
 @pytest.mark.parametrize(
     ("blocked", "arguments", "install"),
     [
-        (["stable_baselines3", "sb3_contrib", "torch"], ["run", "cartpole-length"], "mbtl[train]"),
+        (
+            ["stable_baselines3", "sb3_contrib", "torch"],
+            ["matrix", "build", "cartpole-length", "--engine", "gymnasium", "--workers", "1"],
+            "mbtl[train]",
+        ),
+        (
+            ["jax"],
+            ["matrix", "build", "cartpole-length", "--engine", "jax", "--workers", "1"],
+            "mbtl[jax]",
+        ),
         (["gymnasium"], ["check", "cartpole-length"], "mbtl["),
     ],
 )

@@ -89,6 +89,9 @@ def _die(context, seed):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+# other tests may have started jax in this process, whose threads a fork does not survive; this
+# child dies before it could meet any
+@pytest.mark.filterwarnings("ignore:os.fork")
 def test_a_killed_worker_gives_its_picks_back(tmp_path):
     study = new(tmp_path / "study.db")
     pool = ProcessPoolExecutor(1, mp_context=get_context("fork"))

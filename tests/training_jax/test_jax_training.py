@@ -21,6 +21,7 @@ from mbtl.portfolio import MLPPolicy
 from mbtl.training.jax import loop, networks, ppo
 from mbtl.training.jax.environments import Box, Discrete
 from mbtl.training.jax.flags import set_flags
+from mbtl.training.jax.rollout import draw, play
 
 TINY = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32, n_epochs=2, learning_rate=1e-3)
 CARTPOLE = engine.CartPole()
@@ -148,7 +149,8 @@ def test_advantages_follow_their_definition(time_limit):
     params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), cartpole_params([0.05]))
     state = jax.tree.map(lambda x: x[0], ppo.init(env, recipe, [5], params))
     params = jax.tree.map(lambda x: x[0], params)
-    _, rollout = ppo.play(env, recipe, state, params)
+    _, noise = draw(env, state.key, (recipe.n_steps, recipe.n_envs))
+    _, rollout = play(env, recipe, state, params, noise)
     batch = ppo.learn_from(env, recipe, state.weights, rollout)
     value = np.asarray(networks.apply(state.weights.critic, rollout.obs))[..., 0]
     after = np.asarray(networks.apply(state.weights.critic, rollout.after))[..., 0]

@@ -240,7 +240,8 @@ def _load_training(template: Any, partial: Path | None) -> Any:
     if partial is None or not partial.is_file():
         return None
     try:
-        with np.load(partial, allow_pickle=False) as arrays:
+        # opened here: numpy leaves a file that is no archive open
+        with partial.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             return engine.from_arrays(template, arrays)
     except (MbtlError, ValueError, OSError, zipfile.BadZipFile):
         return None
