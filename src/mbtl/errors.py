@@ -46,6 +46,10 @@ class TrainingFailed(MbtlError):
     """A training or evaluation gave nothing that can be used."""
 
 
+class SimulationFailed(TrainingFailed):
+    """A simulator stopped, crashed, or reached a state that no episode can go on from."""
+
+
 class CheckFailed(MbtlError):
     """A CMDP breaks the contract that `mbtl check` tests."""
 

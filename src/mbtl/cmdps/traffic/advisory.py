@@ -1,0 +1,115 @@
+"""Advisory autonomy: what ring and ramp share (cmdp-spec, 7.1).
+
+An advised driver keeps each instruction for the *hold*, the context: 1 s to 40 s. All cars follow
+IDM with Gaussian acceleration noise. SUMO's own IDM has no noise, so we add it through the API:
+after each step every human car's speed is moved by N(0, 0.2 m/s^2) x 0.1 s, and SUMO plans the next
+step, with all its safety checks, from there. Against driving the cars with an IDM of our own this
+keeps SUMO's lane changes, junctions and safety, and costs two calls per car and step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from mbtl.cmdps.contextual import TimeLimit
+from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+
+STEP = 0.1
+"""Seconds of one simulation step."""
+
+WARM_UP, UNMEASURED, MEASURED = 1000, 2000, 2000
+"""Simulation steps: without control, with control, and with control and measured."""
+
+NOISE = 0.2
+"""Standard deviation of a human driver's acceleration [m/s^2], drawn every step."""
+
+LENGTH, MIN_GAP = 5.0, 2.0
+ROAD_LIMIT = 13.89
+
+Actions = Literal["acceleration", "speed"]
+Seen = Literal["fresh", "stale"]
+
+IDM = (
+    f'carFollowModel="IDM" accel="1" decel="1.5" minGap="{MIN_GAP:g}" tau="1" delta="4" '
+    f'length="{LENGTH:g}" speedFactor="normc(1,0.1,0.2,2)" maxSpeed="30"'
+)
+"""Attributes of every car; the speed factor is SUMO's usual spread of the desired speed."""
+
+OPTIONS = ["--max-depart-delay", "0.5", "--collision.action", "remove"]
+
+
+def hold_steps(hold: float) -> int:
+    """Simulation steps of one decision.
+
+    Raises:
+        ContextMismatch: the hold is no whole number of steps.
+    """
+    steps = round(hold / STEP)
+    if steps < 1 or not math.isclose(steps * STEP, hold, rel_tol=1e-6):
+        raise ContextMismatch(f"hold takes whole multiples of {STEP} s, got {hold!r}")
+    return steps
+
+
+def decisions(hold: float, horizon: int) -> int:
+    """Decisions of one episode: 400 at a hold of 1 s, 10 at 40 s, never more than `horizon`."""
+    return min(horizon, math.ceil((UNMEASURED + MEASURED) / hold_steps(hold)))
+
+
+def check_seen(seen: Seen) -> None:
+    """Refuse anything but "fresh" and "stale"."""
+    if seen not in ("fresh", "stale"):
+        raise unknown_name("observation", seen, ("fresh", "stale"))
+
+
+def level_of(action: Any, levels: int) -> int:
+    """A speed level as a number.
+
+    Raises:
+        InvalidInput: it is none of 0 .. levels - 1.
+    """
+    level = int(action)
+    if level != action or not 0 <= level < levels:
+        raise InvalidInput(f"speed levels are whole numbers from 0 to {levels - 1}, got {action!r}")
+    return level
+
+
+class Drivers:
+    """The noise of human drivers."""
+
+    def __init__(self, rng: np.random.Generator, noise: float = NOISE) -> None:
+        """No step has been made yet.
+
+        Args:
+            rng: where the noise comes from.
+            noise: standard deviation [m/s^2]; 0: stock IDM.
+        """
+        self._rng, self._scale = rng, noise * STEP
+
+    def step(self, api: Any, cars: Sequence[str], steady: Container[str]) -> list[float]:
+        """One simulation step's bookkeeping: read all speeds, then disturb those of humans.
+
+        Args:
+            api: the simulation, just stepped.
+            cars: ids of all cars on the road.
+            steady: cars without noise.
+
+        Returns:
+            (cars,) the speeds before the disturbance, which are those of this step.
+        """
+        read, write = api.vehicle.getSpeed, api.vehicle.setPreviousSpeed
+        speeds = [read(car) for car in cars]
+        if self._scale > 0.0:
+            noise = self._rng.normal(0.0, self._scale, len(cars)).tolist()
+            for car, speed, change in zip(cars, speeds, noise, strict=True):
+                if car not in steady:
+                    write(car, max(0.0, speed + change))
+        return speeds
+
+
+def limits(out_of_time: bool, time_limit: TimeLimit) -> tuple[bool, bool]:
+    """(terminated, truncated) at the end of the measured part."""
+    return out_of_time and time_limit == "terminal", out_of_time and time_limit == "truncation"

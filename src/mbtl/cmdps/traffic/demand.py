@@ -1,0 +1,59 @@
+"""Cars of the traffic-signal family: when they come and where they go (cmdp-spec, 5).
+
+n departure times are Weibull(2) draws, stretched linearly so that the whole numbers around the
+second smallest and the largest become 0 and the end of the episode, and rounded to seconds.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbtl.arrays import Array
+
+STRAIGHT_SHARE = 0.75
+SHAPE = 2.0
+
+_CHECKS = "collision leaderGap followerGap junction stop arrivalSpeed speedLimit"
+"""All of SUMO's that apply but one: it would drop cars that enter a short road on a lane from which
+they cannot change, and the demand would depend on the length. Such cars brake for their turn."""
+
+APPROACHES = ("W", "N", "E", "S")
+"""In the order of the observation, and clockwise: the exit after next lies straight ahead."""
+
+
+def departures(rng: np.random.Generator, n: int, seconds: int) -> Array:
+    """(n,) sorted departure times, whole seconds in 0..seconds; n >= 2."""
+    draws = np.sort(rng.weibull(SHAPE, n))
+    low, high = np.floor(draws[1]), np.ceil(draws[-1])
+    stretched: Array = (draws - low) / (high - low) * seconds
+    return np.clip(np.rint(stretched), 0, seconds)
+
+
+def directions(rng: np.random.Generator, n: int) -> list[tuple[str, str]]:
+    """(approach, exit) of n cars: straight on, or left and right alike."""
+    straight = rng.random(n) < STRAIGHT_SHARE
+    entry = rng.integers(4, size=n)
+    turn = np.where(rng.integers(2, size=n) == 0, 1, 3)
+    leave = (entry + np.where(straight, 2, turn)) % 4
+    return [(APPROACHES[i], APPROACHES[j]) for i, j in zip(entry, leave, strict=True)]
+
+
+def routes(rng: np.random.Generator, n: int, seconds: int, speed_limit: float) -> str:
+    """XML of one episode's cars."""
+    ways = "".join(
+        f'<route id="{a}{b}" edges="{a}_in {b}_out"/>'
+        for a in APPROACHES
+        for b in APPROACHES
+        if a != b
+    )
+    times = departures(rng, n, seconds).tolist()
+    cars = "".join(
+        f'<vehicle id="{k}" type="car" route="{a}{b}" depart="{time:.0f}" departLane="random" '
+        f'departSpeed="{min(10.0, speed_limit):g}" insertionChecks="{_CHECKS}"/>'
+        for k, (time, (a, b)) in enumerate(zip(times, directions(rng, n), strict=True))
+    )
+    return (
+        '<routes><vType id="car" carFollowModel="Krauss" accel="1" decel="4.5" length="5" '
+        f'minGap="2.5" sigma="0.5" tau="1" maxSpeed="25" speedFactor="1"/>'
+        f"{ways}{cars}</routes>"
+    )

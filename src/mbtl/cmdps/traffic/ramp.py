@@ -1,0 +1,354 @@
+"""Highway ramp: every tenth car of the main road is advised, for the good of all (cmdp-spec, 7.3).
+
+A main road of 400 m and a ramp of 100 m share a merge section of 100 m with two lanes, which end
+as a zipper in an exit of 30 m. Decentralised: one agent per advised car on the road, one shared
+policy; a PettingZoo parallel environment whose agents come and go.
+
+    observation   distance to the zipper, speed; gap and speed of the leader; of the follower;
+                  distance to the zipper and speed of the first ramp car before it. Distances/500 m,
+                  speeds/30 m/s, clipped to 0..1 (absent: 1), mapped to -1..1; then the visible
+                  features
+    acceleration  -1..1: up to +1 and down to -1.5 m/s^2, at every simulation step of the hold
+    speed         level 0..9, target 30 level/9 m/s, no faster than the road allows
+    reward        mean over the hold's steps of (cars that left - 50 collided cars), same for all
+    score         mean speed of all cars over the measured part [m/s]: mean over steps of the mean
+                  over cars
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.spaces import Box, Discrete, Space
+from gymnasium.utils.seeding import np_random
+
+from mbtl.cmdps.contextual import (
+    Observation,
+    TimeLimit,
+    Visibility,
+    full_context,
+    visible_features,
+)
+from mbtl.cmdps.traffic import advisory
+from mbtl.cmdps.traffic.advisory import Actions, Drivers, Seen
+from mbtl.cmdps.traffic.environment import SEEDS
+from mbtl.cmdps.traffic.networks import network
+from mbtl.cmdps.traffic.simulation import Engine, Simulation
+from mbtl.contexts import Value
+from mbtl.errors import InvalidInput, missing_extra, unknown_name
+
+try:
+    from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
+except ModuleNotFoundError as error:
+    raise missing_extra("pettingzoo", "traffic") from error
+
+MAIN, MERGE, EXIT, RAMP = 400.0, 100.0, 30.0, 100.0
+MAIN_FLOW, RAMP_FLOW = 2000.0, 300.0
+"""Cars per hour, evenly spaced."""
+EVERY = 10
+LEVELS, TOP_SPEED = 10, 30.0
+SPEED_UP, SLOW_DOWN = 1.0, 1.5
+COLLISION = 50.0
+_REACH, _FASTEST = 500.0, 30.0
+_LONGEST = 40.0
+"""Seconds by which the longest hold can outlast the end of the measured part."""
+
+_AHEAD = {"main": MAIN + MERGE, "ramp": RAMP + MERGE, "merge": MERGE, "exit": 0.0}
+"""Distance from the start of each edge to the zipper [m]."""
+
+
+class Ramp(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped for our checker
+    """The ramp with either kind of advice; `RampAcc` and `RampVel` are the CMDPs' own.
+
+    Attributes:
+        agents: advised cars on the road, in the order in which they entered.
+        possible_agents: every car that will be advised in an episode.
+    """
+
+    FEATURES: ClassVar[Mapping[str, float]] = {"hold": 1.0}  # s
+    ACTIONS: ClassVar[Actions] = "acceleration"
+    metadata: ClassVar[dict[str, Any]] = {"name": "mbtl-ramp", "render_modes": []}
+
+    def __init__(
+        self,
+        context: Mapping[str, Value] | None = None,
+        *,
+        unit: Mapping[str, float] | None = None,
+        visibility: Visibility = "multiplier",
+        time_limit: TimeLimit = "truncation",
+        horizon: int = 400,
+        obs: Seen = "fresh",
+        noise: float = advisory.NOISE,
+        engine: Engine = "auto",
+        gui: bool = False,
+    ) -> None:
+        """Arguments as in `mbtl.cmdps.traffic.ring.Ring`."""
+        advisory.check_seen(obs)
+        if time_limit not in ("truncation", "terminal"):
+            raise unknown_name("time limit", time_limit, ("truncation", "terminal"))
+        if horizon < 1:
+            raise InvalidInput(f"horizon must be >= 1 step, got {horizon}")
+        self.features = full_context(self.FEATURES, context)
+        unit = {name: self.FEATURES[name] for name in context or {}} if unit is None else unit
+        self.visible = visible_features(self.features, unit, visibility)
+        self.hold = advisory.hold_steps(self.features["hold"])
+        self.horizon = horizon
+        self._time_limit, self._obs, self._noise = time_limit, obs, noise
+        low, high = [-1.0] * 8 + [0.0] * len(self.visible), [1.0] * 8 + [np.inf] * len(self.visible)
+        self._observation_space = Box(np.array(low, np.float32), np.array(high, np.float32))
+        self._action_space: Space[Any] = (
+            Box(-1.0, 1.0, (1,), np.float32) if self.ACTIONS == "acceleration" else Discrete(LEVELS)
+        )
+        self._routes, self.possible_agents = _demand()
+        self._advised = frozenset(self.possible_agents)
+        self.agents: list[str] = []
+        self.np_random = np_random()[0]
+        self.simulation = Simulation(
+            _ramp(),
+            step_length=advisory.STEP,
+            options=advisory.OPTIONS,
+            engine=engine,
+            gui=gui,
+        )
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """The same for every agent."""
+        return self._observation_space
+
+    def action_space(self, agent: str) -> Space[Any]:
+        """The same for every agent."""
+        return self._action_space
+
+    def close(self) -> None:
+        """End the simulation and remove its files."""
+        self.agents = []
+        self.simulation.close()
+
+    # ---- episodes ----------------------------------------------------------------------------
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        """Start with empty roads and let traffic build up for 100 s."""
+        if seed is not None:
+            self.np_random = np_random(seed)[0]
+        self.simulation.start(self._routes, int(self.np_random.integers(SEEDS)))
+        self._drivers = Drivers(self.np_random, self._noise)
+        self._steps, self._means, self._collided = -advisory.WARM_UP, 0.0, 0
+        self._seen: dict[str, Observation] = {}
+        self._left = advisory.decisions(self.features["hold"], self.horizon)
+        with self.simulation.guard() as api:
+            for _ in range(advisory.WARM_UP):
+                self._advance(api, {})
+            self._look(api)
+        return {car: self._seen[car] for car in self.agents}, {car: {} for car in self.agents}
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[
+        dict[str, Observation],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Follow one instruction per advised car for the hold.
+
+        An agent that leaves the road within the hold is terminated; one that enters drives by
+        itself until it is in `agents`. A car without an action drives by itself, so that `step({})`
+        is traffic without advice.
+
+        Raises:
+            InvalidInput: no episode is running, or an action is no speed level.
+            SimulationFailed: the simulator has stopped.
+        """
+        if not self.agents:
+            raise InvalidInput("step() needs a running episode, got none; call reset()")
+        acting = self.agents
+        with self.simulation.guard() as api:
+            reward = self._follow(api, actions)
+            self._left -= 1
+            while self._left > 0 and not self.agents:  # nobody to decide: traffic goes on
+                self._follow(api, {})
+                self._left -= 1
+        ended = self._left == 0
+        newcomers = [] if ended else [car for car in self.agents if car not in acting]
+        everyone = [*acting, *newcomers]
+        gone = {car: car not in self.agents for car in acting}
+        terminated, truncated = advisory.limits(ended, self._time_limit)
+        info: dict[str, Any] = {"score": self.score, "collided": self._collided} if ended else {}
+        if ended:
+            self.close()
+        return (
+            {car: self._seen[car] for car in everyone},
+            {car: reward if car in gone else 0.0 for car in everyone},
+            {car: terminated or gone.get(car, False) for car in everyone},
+            {car: truncated and not gone.get(car, False) for car in everyone},
+            dict.fromkeys(everyone, info),
+        )
+
+    @property
+    def score(self) -> float:
+        """Mean speed of all cars over the measured part so far [m/s]; 0 before it begins."""
+        measured = self._steps - advisory.UNMEASURED
+        return self._means / measured if measured > 0 else 0.0
+
+    # ---- inside ------------------------------------------------------------------------------
+
+    def _follow(self, api: Any, actions: Mapping[str, Any]) -> float:
+        """One hold; the mean reward of its steps."""
+        pedals: dict[str, float] = {}
+        set_speed = api.vehicle.setSpeed
+        for car in self.agents:
+            if car not in actions:
+                set_speed(car, -1.0)
+            elif self.ACTIONS == "speed":
+                level = advisory.level_of(actions[car], LEVELS)
+                set_speed(car, min(TOP_SPEED * level / (LEVELS - 1), advisory.ROAD_LIMIT))
+            else:
+                push = min(max(float(np.asarray(actions[car]).reshape(-1)[0]), -1.0), 1.0)
+                pedals[car] = push * (SPEED_UP if push > 0 else SLOW_DOWN)
+        total = 0.0
+        for k in range(self.hold):
+            total += self._advance(api, pedals)
+            if k == 0 and self._obs == "stale":
+                self._look(api)
+        stale = dict(self._seen)
+        self._look(api)
+        if self._obs == "stale":  # cars that came later have nothing older
+            self._seen.update(stale)
+        return total / self.hold
+
+    def _advance(self, api: Any, pedals: Mapping[str, float]) -> float:
+        """One simulation step; its reward."""
+        vehicle, simulation = api.vehicle, api.simulation
+        if pedals:
+            present = set(vehicle.getIDList())
+            for car, push in pedals.items():
+                if car in present:
+                    speed = vehicle.getSpeed(car)
+                    vehicle.setSpeed(car, max(0.0, speed + push * advisory.STEP))
+        api.simulationStep()
+        self._steps += 1
+        cars = vehicle.getIDList()
+        steady = self._advised if self._steps > 0 else ()
+        speeds = self._drivers.step(api, cars, steady)
+        if self._steps > advisory.UNMEASURED and speeds:
+            self._means += sum(speeds) / len(speeds)
+        collided: int = simulation.getCollidingVehiclesNumber()
+        self._collided += collided
+        return float(simulation.getArrivedNumber()) - COLLISION * collided
+
+    def _look(self, api: Any) -> None:
+        """Find the advised cars on the road and what each of them sees."""
+        vehicle = api.vehicle
+        cars = vehicle.getIDList()
+        ramp_cars = [_distance(vehicle, car) for car in cars if car.startswith("ramp")]
+        waiting = [(d, car) for d, car in zip(ramp_cars, _ramp_ids(cars), strict=True) if d > 0]
+        first = min(waiting, default=None)
+        merging = (_REACH, _FASTEST) if first is None else (first[0], vehicle.getSpeed(first[1]))
+        self.agents = sorted((c for c in cars if c in self._advised), key=self._order)
+        for car in self.agents:
+            raw = (
+                *(_distance(vehicle, car), vehicle.getSpeed(car)),
+                *_neighbour(vehicle, vehicle.getLeader(car, _REACH)),
+                *_neighbour(vehicle, vehicle.getFollower(car, _REACH)),
+                *merging,
+            )
+            share = np.array(raw) / np.array([_REACH, _FASTEST] * 4)
+            seen = 2.0 * np.clip(share, 0.0, 1.0) - 1.0
+            self._seen[car] = np.array([*seen, *self.visible], dtype=np.float32)
+
+    def _order(self, car: str) -> int:
+        return int(car.removeprefix("main"))
+
+
+class RampAcc(Ramp):
+    """`ramp-acc`: an acceleration is advised."""
+
+
+class RampVel(Ramp):
+    """`ramp-vel`: a speed is advised."""
+
+    ACTIONS: ClassVar[Actions] = "speed"
+
+
+def _ramp_ids(cars: Any) -> list[str]:
+    return [car for car in cars if car.startswith("ramp")]
+
+
+def _distance(vehicle: Any, car: str) -> float:
+    """From the front of a car to the zipper [m]; 0 behind it."""
+    start = _AHEAD.get(vehicle.getRoadID(car), 0.0)
+    ahead = start - float(vehicle.getLanePosition(car))
+    return max(0.0, ahead)
+
+
+def _neighbour(vehicle: Any, found: Any) -> tuple[float, float]:
+    """Gap and speed of a leader or follower; SUMO leaves the smallest gap out of what it gives."""
+    if not found or not found[0]:
+        return _REACH, _FASTEST
+    return max(0.0, found[1] + advisory.MIN_GAP), float(vehicle.getSpeed(found[0]))
+
+
+def _ramp() -> Path:
+    slant = RAMP / np.sqrt(2.0)
+    places = {
+        "start": (0.0, 0.0, "priority"),
+        "foot": (MAIN - slant, -slant, "priority"),
+        "join": (MAIN, 0.0, "priority"),
+        "zipper": (MAIN + MERGE, 0.0, "zipper"),
+        "end": (MAIN + MERGE + EXIT, 0.0, "priority"),
+    }
+    nodes = "".join(
+        f'<node id="{id}" x="{x:.3f}" y="{y:.3f}" type="{kind}"/>'
+        for id, (x, y, kind) in places.items()
+    )
+    edges = "".join(
+        f'<edge id="{id}" from="{a}" to="{b}" numLanes="{lanes}" length="{length:g}" '
+        f'speed="{advisory.ROAD_LIMIT}"/>'
+        for id, a, b, lanes, length in (
+            ("main", "start", "join", 1, MAIN),
+            ("ramp", "foot", "join", 1, RAMP),
+            ("merge", "join", "zipper", 2, MERGE),
+            ("exit", "zipper", "end", 1, EXIT),
+        )
+    )
+    links = "".join(
+        f'<connection from="{a}" to="{b}" fromLane="{i}" toLane="{j}"/>'
+        for a, b, i, j in (
+            ("main", "merge", 0, 1),
+            ("ramp", "merge", 0, 0),
+            ("merge", "exit", 0, 0),
+            ("merge", "exit", 1, 0),
+        )
+    )
+    return network(
+        {
+            "nodes": f"<nodes>{nodes}</nodes>",
+            "edges": f"<edges>{edges}</edges>",
+            "connections": f"<connections>{links}</connections>",
+        },
+        "--no-internal-links",
+    )
+
+
+def _demand() -> tuple[str, list[str]]:
+    """XML of all cars of an episode, and the ids of those that are advised."""
+    steps = advisory.WARM_UP + advisory.UNMEASURED + advisory.MEASURED
+    seconds = steps * advisory.STEP + _LONGEST
+    cars = []
+    for road, flow, speed in (("main", MAIN_FLOW, 10), ("ramp", RAMP_FLOW, 0)):
+        times = np.arange(1.0, seconds, 3600.0 / flow)
+        cars += [(time, road, k, speed) for k, time in enumerate(times.tolist())]
+    rows = "".join(
+        f'<vehicle id="{road}{k}" type="human" route="{road}" depart="{time:.2f}" '
+        f'departSpeed="{speed}"/>'
+        for time, road, k, speed in sorted(cars)
+    )
+    ways = "".join(f'<route id="{a}" edges="{a} merge exit"/>' for a in ("main", "ramp"))
+    advised = [f"main{k}" for _, road, k, _ in sorted(cars) if road == "main" and k % EVERY == 0]
+    return f'<routes><vType id="human" {advisory.IDM}/>{ways}{rows}</routes>', advised

@@ -1,0 +1,268 @@
+"""Traffic signal: choose the green phase of one four-way intersection (cmdp-spec, 5).
+
+Four approaches of four lanes: the innermost turns left, the outermost goes straight or right, the
+others straight. A green lasts 10 s, after 4 s of yellow if the phase changes.
+
+    observation   80 cells, 1 where a car is: 8 groups (W, N, E, S; each: other lanes, left lane)
+                  x 10 distances from the stop line; then the visible features
+    action        0 north-south, 1 north-south left, 2 east-west, 3 east-west left
+    reward        previous minus present total W of accumulated waiting time [s] over the cars on
+                  the approaches; cars that have left are dropped (the reference keeps some)
+    score         -(sum of W over all decisions) / 5400
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.spaces import Discrete
+from numpy.typing import NDArray
+
+from mbtl.arrays import Array
+from mbtl.cmdps.contextual import Observation, TimeLimit, Visibility
+from mbtl.cmdps.traffic import demand
+from mbtl.cmdps.traffic.demand import APPROACHES
+from mbtl.cmdps.traffic.environment import TrafficEnv
+from mbtl.cmdps.traffic.networks import network
+from mbtl.cmdps.traffic.simulation import Engine
+from mbtl.contexts import Value
+from mbtl.errors import ContextMismatch, InvalidInput
+
+SECONDS = 5400
+GREEN, YELLOW = 10, 4
+LANES = 4
+LEFT_LANE = LANES - 1
+CELLS = np.array([7.0, 14.0, 21.0, 28.0, 40.0, 60.0, 100.0, 160.0, 400.0, 750.0])
+"""Upper edges of the cells on the nominal approach [m]; they scale with its length."""
+BOX = 16.8
+"""Half width of the intersection [m]."""
+RIGHT_SPEED, LEFT_SPEED = 6.51, 11.36
+SHORTEST = 7.5
+"""A car and the gap before it [m]."""
+
+_PHASES = (("NS", False), ("NS", True), ("WE", False), ("WE", True))
+_PLACES = {"W": (-1, 0), "N": (0, 1), "E": (1, 0), "S": (0, -1)}
+_LANES = [(f"{a}_in_{lane}", 2 * k + (lane == LEFT_LANE)) for k, a in enumerate(APPROACHES)
+          for lane in range(LANES)]  # fmt: skip
+
+
+class Signal(TrafficEnv):
+    """One isolated intersection under a demand that rises and falls within 90 minutes."""
+
+    FEATURES: ClassVar[Mapping[str, float]] = {
+        "length": 750.0,  # m, of every approach
+        "inflow": 1000.0,  # cars per episode
+        "speed": 14.0,  # m/s, limit on the roads
+    }
+    STEP = 1.0
+
+    def __init__(
+        self,
+        context: Mapping[str, Value] | None = None,
+        *,
+        unit: Mapping[str, float] | None = None,
+        visibility: Visibility = "multiplier",
+        time_limit: TimeLimit = "truncation",
+        horizon: int = SECONDS // GREEN,
+        engine: Engine = "auto",
+        gui: bool = False,
+    ) -> None:
+        """Build the network of one context.
+
+        Args:
+            context: features that differ from the nominal ones.
+            unit: varied features and their value at multiplier 1.
+            visibility: what of the context the policy sees.
+            time_limit: whether the end of the 5400 s is reported as truncation or as a terminal
+                state.
+            horizon: most decisions of an episode; one that changes phases has fewer, down to 386.
+            engine: see `Simulation`.
+            gui: show it in sumo-gui.
+
+        Raises:
+            ContextMismatch: a road shorter than a car, or an inflow that is no number of cars.
+        """
+        super().__init__(
+            context,
+            unit=unit,
+            visibility=visibility,
+            time_limit=time_limit,
+            horizon=horizon,
+            engine=engine,
+            gui=gui,
+        )
+        self._edges = CELLS * (self.features["length"] / self.FEATURES["length"])
+        self.observation_space = self._space([0.0] * 80, [1.0] * 80)
+        self.action_space = Discrete(len(_PHASES))
+
+    # ---- episodes ----------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an empty intersection with the demand of a new draw."""
+        super().reset(seed=seed)
+        cars = int(self.features["inflow"])
+        speed = self.features["speed"]
+        trips = demand.routes(self.np_random, cars, SECONDS, speed)
+        self.simulation.start(trips, self._draw_seed())
+        self._phase: int | None = None
+        self._time, self._decisions = 0, 0
+        self._waiting, self._waiting_sum, self._queue_sum = 0.0, 0.0, 0.0
+        self._speed_sum, self._seen = 0.0, 0
+        with self.simulation.guard() as api:
+            self._states = _light_states(api.trafficlight.getControlledLinks("centre"))
+            observation = self._observe(api)
+        self._left = self.horizon
+        return observation, {}
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Give green to one phase for 10 s.
+
+        Raises:
+            InvalidInput: no episode is running, or there is no such phase.
+            SimulationFailed: the simulator has stopped.
+        """
+        if self._left <= 0:
+            raise self._no_episode()
+        phase = int(action)
+        if phase != action or not 0 <= phase < len(_PHASES):
+            raise InvalidInput(f"a phase is 0, 1, 2 or 3, got {action!r}")
+        info: dict[str, Any] = {}
+        with self.simulation.guard() as api:
+            if self._phase not in (None, phase):
+                self._show(api, self._states[self._phase].replace("G", "y"), YELLOW)
+            self._phase = phase
+            self._show(api, self._states[phase], GREEN)
+            observation = self._observe(api)
+            reward = self._account(api)
+            self._left -= 1
+            ended = self._time >= SECONDS or self._left == 0
+            if ended:
+                info = self._summary(api)
+        if ended:
+            self._finish()
+        return observation, reward, ended and self._terminal, ended and not self._terminal, info
+
+    # ---- inside ------------------------------------------------------------------------------
+
+    def _show(self, api: Any, state: str, seconds: int) -> None:
+        """Let the light show `state`, no longer than the episode lasts."""
+        if self._time >= SECONDS:
+            return
+        api.trafficlight.setRedYellowGreenState("centre", state)
+        self._time = min(self._time + seconds, SECONDS)
+        api.simulationStep(float(self._time))
+
+    def _observe(self, api: Any) -> Observation:
+        cells = np.zeros((8, len(CELLS)), dtype=np.float32)
+        ids, position = api.lane.getLastStepVehicleIDs, api.vehicle.getLanePosition
+        self._cars: list[str] = []
+        for lane, group in _LANES:
+            cars = ids(lane)
+            if cars:
+                ahead = self.features["length"] - np.array([position(car) for car in cars])
+                cells[group, cell_of(ahead, self._edges)] = 1.0
+                self._cars.extend(cars)
+        return np.array([*cells.reshape(-1), *self.visible], dtype=np.float32)
+
+    def _account(self, api: Any) -> float:
+        """Book the waiting at the end of a decision; returns the reward."""
+        vehicle = api.vehicle
+        total = float(sum(map(vehicle.getAccumulatedWaitingTime, self._cars)))
+        speeds = [vehicle.getSpeed(car) for car in self._cars]
+        reward, self._waiting = self._waiting - total, total
+        self._decisions += 1
+        self._waiting_sum += total
+        self._queue_sum += sum(speed < 0.1 for speed in speeds)
+        self._speed_sum += sum(speeds)
+        self._seen += len(speeds)
+        return reward
+
+    def _summary(self, api: Any) -> dict[str, Any]:
+        """Measures of the whole episode.
+
+        score: see the module; mean_queue: halted cars on the approaches at decisions;
+        mean_speed: of the cars there [m/s]; not_inserted: cars that still wait to enter, which no
+        other measure counts; collisions.
+        """
+        statistic = api.simulation.getParameter("", "stats.safety.collisions")
+        return {
+            "score": -self._waiting_sum / SECONDS,
+            "mean_queue": self._queue_sum / self._decisions,
+            "mean_speed": self._speed_sum / self._seen if self._seen else 0.0,
+            "not_inserted": len(api.simulation.getPendingVehicles()),
+            "collisions": int(statistic or 0),
+        }
+
+    def _options(self) -> list[str]:
+        return ["--waiting-time-memory", str(SECONDS), "--collision.action", "warn"]
+
+    def _network(self) -> Path:
+        length, inflow = self.features["length"], self.features["inflow"]
+        if length < SHORTEST:
+            raise ContextMismatch(
+                f"an approach must hold a car, {SHORTEST:g} m, got a length of {length:g} m"
+            )
+        if inflow < 2 or not inflow.is_integer():
+            raise ContextMismatch(f"inflow is a number of cars >= 2, got {inflow!r}")
+        return _crossing(length, self.features["speed"])
+
+
+def cell_of(distance: Array, edges: Array) -> NDArray[np.intp]:
+    """Index of the cell in which a car is; a car at an edge is in the farther one.
+
+    Args:
+        distance: (n,) of fronts from the stop line [m].
+        edges: (10,) upper edges of the cells [m].
+    """
+    return np.minimum(np.searchsorted(edges, distance, side="right"), len(edges) - 1)
+
+
+def _light_states(links: Any) -> list[str]:
+    """State of the light in each phase, one letter per link."""
+    lanes = [link[0][0] if link else "" for link in links]
+    return [
+        "".join(
+            "G" if lane[:1] in axis and (lane[-1:] == str(LEFT_LANE)) == left else "r"
+            for lane in lanes
+        )
+        for axis, left in _PHASES
+    ]
+
+
+def _crossing(length: float, speed: float) -> Path:
+    reach = length + BOX
+    nodes = '<node id="centre" x="0" y="0" type="traffic_light"/>' + "".join(
+        f'<node id="{a}" x="{x * reach:.3f}" y="{y * reach:.3f}" type="priority"/>'
+        for a, (x, y) in _PLACES.items()
+    )
+    road = f'numLanes="{LANES}" speed="{speed:g}" length="{length:g}"'
+    edges = "".join(
+        f'<edge id="{a}_in" from="{a}" to="centre" {road}/>'
+        f'<edge id="{a}_out" from="centre" to="{a}" {road}/>'
+        for a in APPROACHES
+    )
+    return network(
+        {
+            "nodes": f"<nodes>{nodes}</nodes>",
+            "edges": f"<edges>{edges}</edges>",
+            "connections": f"<connections>{''.join(map(_connections, range(4)))}</connections>",
+        }
+    )
+
+
+def _connections(k: int) -> str:
+    """Links of one approach; clockwise: the next approach lies to the left."""
+    here, left, ahead, right = (APPROACHES[(k + turn) % 4] for turn in range(4))
+
+    def link(to: str, lane: int, speed: str = "") -> str:
+        ends = f'from="{here}_in" to="{to}_out" fromLane="{lane}" toLane="{lane}"'
+        return f"<connection {ends} {speed}/>"
+
+    straight = "".join(link(ahead, lane) for lane in range(LEFT_LANE))
+    turns = link(right, 0, f'speed="{RIGHT_SPEED}"')
+    return straight + turns + link(left, LEFT_LANE, f'speed="{LEFT_SPEED}"')

@@ -1,0 +1,68 @@
+"""Which SUMO is installed, and where its programs are.
+
+The package eclipse-sumo is preferred; a SUMO that the machine has otherwise ($SUMO_HOME or the
+search path) serves where it is missing.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import shutil
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from mbtl.errors import MissingExtra, missing_extra
+
+OLDEST = (1, 20)
+"""Oldest SUMO whose interface we use."""
+
+
+def program(name: str) -> str:
+    """Path of one of SUMO's programs, e.g. "netconvert".
+
+    Raises:
+        MissingExtra: it is nowhere.
+    """
+    package = find_spec("sumo")
+    homes = list(package.submodule_search_locations or ()) if package else []
+    homes += [os.environ["SUMO_HOME"]] if os.environ.get("SUMO_HOME") else []
+    for home in homes:
+        found = shutil.which(name, path=str(Path(home) / "bin"))
+        if found:
+            return found
+    found = shutil.which(name)
+    if found is None:
+        raise missing_extra("eclipse-sumo", "traffic")
+    return found
+
+
+def library(name: str) -> Any:
+    """The module "libsumo" or "traci".
+
+    Raises:
+        MissingExtra: it is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise missing_extra(name, "traffic") from error
+
+
+def check_version(version: str) -> None:
+    """Refuse a SUMO that is too old.
+
+    Args:
+        version: as SUMO gives it, e.g. "SUMO 1.28.0".
+
+    Raises:
+        MissingExtra: it is older than `OLDEST`.
+    """
+    numbers = re.search(r"(\d+)[._](\d+)", version)
+    if numbers and (int(numbers[1]), int(numbers[2])) < OLDEST:
+        raise MissingExtra(
+            f"traffic needs SUMO {OLDEST[0]}.{OLDEST[1]} or newer, got {version!r}; run: "
+            "pip install --upgrade eclipse-sumo libsumo traci"
+        )

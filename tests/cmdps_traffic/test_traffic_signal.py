@@ -1,0 +1,205 @@
+import numpy as np
+import pytest
+
+pytest.importorskip("libsumo")
+
+from mbtl.cmdps import check_cmdp
+from mbtl.cmdps.engines import EnvFactory
+from mbtl.cmdps.traffic import demand
+from mbtl.cmdps.traffic.signal import CELLS, Signal, cell_of
+from mbtl.contexts import ContextSpace, Linear
+from mbtl.errors import ContextMismatch, InvalidInput
+
+FIXED_TIME = (0, 0, 0, 1, 2, 2, 2, 3)  # 30 s for the through traffic, 10 s for the left turns
+
+
+@pytest.fixture
+def make():
+    made = []
+
+    def make(context=None, **options):
+        made.append(Signal(context, **options))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+
+
+def episode(env, phases, seed=0):
+    """(decisions, return, info) of an episode that repeats `phases`."""
+    env.reset(seed=seed)
+    decisions, total = 0, 0.0
+    while True:
+        _, reward, terminated, truncated, info = env.step(phases[decisions % len(phases)])
+        decisions, total = decisions + 1, total + reward
+        if terminated or truncated:
+            return decisions, total, info
+
+
+# ---- closed form -------------------------------------------------------------------------------
+
+
+def test_cells_scale_with_the_length_of_the_road():
+    near_and_far = np.array([0.0, 6.9, 7.0, 399.0, 400.0, 750.0])
+    assert cell_of(near_and_far, CELLS).tolist() == [0, 0, 1, 8, 9, 9]
+    assert cell_of(near_and_far / 2, CELLS / 2).tolist() == [0, 0, 1, 8, 9, 9]
+
+
+@pytest.mark.parametrize("n", [2, 50, 1000])
+def test_departures_fill_the_episode_with_whole_seconds(n):
+    times = demand.departures(np.random.default_rng(0), n, 5400)
+    assert times.shape == (n,)
+    assert (np.diff(times) >= 0).all()
+    assert (times == np.rint(times)).all()
+    assert times[0] >= 0
+    assert times[-1] <= 5400
+
+
+def test_demand_rises_to_a_peak_before_the_middle_and_falls():
+    times = demand.departures(np.random.default_rng(0), 20_000, 5400)
+    counts, _ = np.histogram(times, bins=9, range=(0, 5400))
+    assert counts.argmax() in (1, 2, 3)
+    assert counts[-1] < 0.1 * counts.max()
+
+
+def test_three_quarters_go_straight_and_turns_go_both_ways():
+    ways = demand.directions(np.random.default_rng(0), 20_000)
+    turns = [(demand.APPROACHES.index(b) - demand.APPROACHES.index(a)) % 4 for a, b in ways]
+    shares = np.bincount(turns, minlength=4) / len(ways)
+    assert shares == pytest.approx([0.0, 0.125, 0.75, 0.125], abs=0.01)
+
+
+# ---- the intersection --------------------------------------------------------------------------
+
+
+def test_decisions_are_between_386_and_540(make):
+    env = make({"inflow": 50})
+    assert episode(env, (0,))[0] == 540  # the green never changes
+    assert episode(env, (0, 2))[0] == 386  # it always does
+
+
+def test_a_fixed_time_signal_serves_the_nominal_demand(make):
+    decisions, total, info = episode(make(), FIXED_TIME)
+    assert decisions == 451
+    assert total == 0.0  # rewards are differences: nobody waited before, nobody waits at the end
+    assert -13.5 < info["score"] < -5.7  # the range of the paper's raw waiting
+    assert info["not_inserted"] == info["collisions"] == 0
+
+
+@pytest.mark.parametrize(
+    "context", [{"length": 50}, {"inflow": 50}, {"inflow": 2500}, {"speed": 25}], ids=str
+)
+def test_corners_run_to_the_end_without_collisions(make, context):
+    _, _, info = episode(make(context), FIXED_TIME)
+    assert np.isfinite(info["score"])
+    assert info["score"] < 0
+    assert info["collisions"] == 0
+
+
+def test_more_cars_wait_longer(make):
+    scores = [episode(make({"inflow": n}), FIXED_TIME)[2]["score"] for n in (200, 1000, 2000)]
+    assert scores[0] > scores[1] > scores[2]
+
+
+def test_yellow_comes_before_another_green_only(make):
+    env = make()
+    env.reset(seed=0)
+    times = []
+    for phase in (0, 0, 1, 1, 3):
+        env.step(phase)
+        times.append(env.simulation.api.simulation.getTime())
+    assert times == [10, 20, 34, 44, 58]
+    state = env.simulation.api.trafficlight.getRedYellowGreenState("centre")
+    assert state.count("G") == 2  # one left turn from the west and one from the east
+    assert set(state) == {"G", "r"}
+
+
+def test_every_lane_has_its_turns(make):
+    env = make()
+    env.reset(seed=0)
+    links = env.simulation.api.trafficlight.getControlledLinks("centre")
+    turns = {(link[0][0], link[0][1][:1]) for link in links}
+    of_west = {pair for pair in turns if pair[0].startswith("W_in")}
+    assert of_west == {
+        *(("W_in_0", "E"), ("W_in_0", "S")),  # straight and right
+        *(("W_in_1", "E"), ("W_in_2", "E")),
+        ("W_in_3", "N"),  # left
+    }
+    assert len(turns) == 20
+
+
+def test_roads_have_the_length_and_limit_of_the_context(make):
+    env = make({"length": 150, "speed": 5.5})
+    env.reset(seed=0)
+    lane = env.simulation.api.lane
+    for name in ("W_in_0", "N_in_3", "S_out_1"):
+        assert lane.getLength(name) == pytest.approx(150.0)
+        assert lane.getMaxSpeed(name) == 5.5
+
+
+def test_the_observation_is_where_the_cars_are(make):
+    env = make({"length": 100}, visibility="multiplier", unit={"length": 500.0})
+    observation, _ = env.reset(seed=1)
+    assert observation.tolist() == pytest.approx([0.0] * 80 + [0.2])
+    for _ in range(40):
+        observation = env.step(0)[0]
+    api = env.simulation.api
+    expected = np.zeros((4, 2, 10))
+    for car in api.vehicle.getIDList():
+        lane = api.vehicle.getLaneID(car)
+        if "_in_" in lane:
+            ahead = 100.0 - api.vehicle.getLanePosition(car)
+            cell = int(cell_of(np.array([ahead]), CELLS * (100 / 750))[0])
+            expected["WNES".index(lane[0]), int(lane[-1] == "3"), cell] = 1.0
+    assert expected.any()
+    np.testing.assert_array_equal(observation[:80], expected.reshape(-1))
+
+
+def test_rewards_sum_to_minus_the_waiting_of_those_who_are_still_there(make):
+    env = make({"inflow": 500})
+    env.reset(seed=0)
+    total = sum(env.step(0)[1] for _ in range(60))
+    vehicle = env.simulation.api.vehicle
+    waiting = sum(
+        vehicle.getAccumulatedWaitingTime(car)
+        for car in vehicle.getIDList()
+        if "_in" in vehicle.getRoadID(car)
+    )
+    assert waiting > 0
+    assert total == pytest.approx(-waiting)
+
+
+# ---- bad input and the contract ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("context", "message"),
+    [({"length": 5}, "hold a car"), ({"inflow": 10.5}, "number of cars"), ({"speed": 0}, "> 0")],
+)
+def test_impossible_contexts_are_refused(context, message):
+    with pytest.raises(ContextMismatch, match=message):
+        Signal(context)
+
+
+@pytest.mark.parametrize("phase", [-1, 4, 0.5])
+def test_other_phases_are_refused(make, phase):
+    env = make()
+    env.reset(seed=0)
+    with pytest.raises(InvalidInput, match="0, 1, 2 or 3"):
+        env.step(phase)
+
+
+@pytest.mark.parametrize(("axis", "values"), [("length", [50, 750]), ("speed", [5, 25])])
+def test_the_contract(axis, values):
+    factory = EnvFactory("mbtl.cmdps.traffic.signal:Signal", {"unit": {axis: values[0]}})
+    space = ContextSpace.grid({Linear(axis, *values, "m"): values})
+    report = check_cmdp(factory, space, nominal={axis: values[-1]}, steps=30)
+    assert [c for c in report.checks if c.outcome == "failed"] == []
+
+
+def test_the_inflow_acts():
+    factory = EnvFactory("mbtl.cmdps.traffic.signal:Signal", {"unit": {"inflow": 500}})
+    space = ContextSpace.grid({Linear("inflow", 50, 2500, "cars"): [50, 2500]})
+    report = check_cmdp(factory, space, nominal={"inflow": 50}, steps=30)
+    assert [c for c in report.checks if c.outcome == "failed"] == []

@@ -1,0 +1,150 @@
+"""One simulation at a time in this process; everything else goes to a process of its own."""
+
+import os
+import signal
+
+import pytest
+
+pytest.importorskip("libsumo")
+pytest.importorskip("traci")
+
+from mbtl.cmdps.traffic import software
+from mbtl.cmdps.traffic.networks import network
+from mbtl.cmdps.traffic.simulation import Simulation
+from mbtl.errors import InvalidInput, MissingExtra, SimulationFailed, UnknownName
+
+ROAD = {
+    "nodes": '<nodes><node id="a" x="0" y="0"/><node id="b" x="500" y="0"/></nodes>',
+    "edges": '<edges><edge id="ab" from="a" to="b" numLanes="1" speed="14"/></edges>',
+}
+ROUTES = """<routes><vType id="car" sigma="0.5"/>
+  <vehicle id="one" type="car" depart="0"><route edges="ab"/></vehicle></routes>"""
+
+
+@pytest.fixture(scope="module")
+def road():
+    return network(ROAD)
+
+
+@pytest.fixture
+def make(road):
+    made = []
+
+    def make(**options):
+        made.append(Simulation(road, step_length=1.0, **options))
+        return made[-1]
+
+    yield make
+    for simulation in made:
+        simulation.close()
+
+
+def speeds(simulation, steps=10):
+    with simulation.guard() as api:
+        seen = []
+        for _ in range(steps):
+            api.simulationStep()
+            seen.append(api.vehicle.getSpeed("one"))
+    return seen
+
+
+def test_the_same_text_is_compiled_once(road):
+    assert network(dict(ROAD)) is road
+
+
+def test_both_engines_give_the_same_numbers_and_run_side_by_side(make):
+    first, second = make(), make()
+    first.start(ROUTES, seed=5)
+    second.start(ROUTES, seed=5)
+    assert (first.running, second.running) == ("libsumo", "traci")
+    assert speeds(first) == speeds(second)
+
+
+def test_the_seed_is_heard_and_repeats(make):
+    simulation, runs = make(), []
+    for seed in (1, 1, 2):
+        simulation.start(ROUTES, seed)
+        runs.append(speeds(simulation))
+    assert runs[0] == runs[1] != runs[2]
+
+
+def test_a_second_simulation_in_libsumo_is_refused_in_words(make):
+    make_busy, second = make(), make(engine="libsumo")
+    make_busy.start(ROUTES, seed=0)
+    with pytest.raises(SimulationFailed, match="one simulation per process"):
+        second.start(ROUTES, seed=0)
+    make_busy.close()
+    second.start(ROUTES, seed=0)
+    assert second.running == "libsumo"
+
+
+def test_a_forgotten_simulation_frees_libsumo(road, make):
+    Simulation(road, step_length=1.0).start(ROUTES, seed=0)
+    other = make()
+    other.start(ROUTES, seed=0)
+    assert other.running == "libsumo"
+
+
+def test_generated_files_go_with_the_simulation(make):
+    simulation = make()
+    simulation.start(ROUTES, seed=0)
+    folder = simulation._folder
+    assert folder.is_dir()
+    simulation.close()
+    assert not folder.exists()
+
+
+def test_bad_input_of_sumo_is_one_sentence_and_the_next_start_works(make):
+    simulation = make()
+    with pytest.raises(SimulationFailed, match="nowhere"):
+        simulation.start(ROUTES.replace('edges="ab"', 'edges="nowhere"'), seed=0)
+    assert simulation.running is None
+    simulation.start(ROUTES, seed=0)
+    with pytest.raises(SimulationFailed, match="two"), simulation.guard() as api:
+        api.vehicle.getSpeed("two")
+    simulation.start(ROUTES, seed=0)
+    assert speeds(simulation)
+
+
+def test_a_simulator_that_is_killed_is_an_error_and_can_be_started_again(make):
+    simulation = make(engine="traci")
+    simulation.start(ROUTES, seed=0)
+    os.kill(simulation.api._process.pid, signal.SIGKILL)
+    with pytest.raises(SimulationFailed, match="has stopped"):
+        speeds(simulation)
+    simulation.start(ROUTES, seed=0)
+    assert speeds(simulation)
+
+
+def test_mistakes_that_are_not_the_simulators_are_left_alone(make):
+    simulation = make()
+    simulation.start(ROUTES, seed=0)
+    with pytest.raises(ZeroDivisionError), simulation.guard():
+        1 / 0  # noqa: B018
+    assert simulation.running == "libsumo"
+
+
+def test_netconvert_says_what_is_wrong():
+    with pytest.raises(SimulationFailed, match="netconvert"):
+        network({**ROAD, "edges": '<edges><edge id="ab" from="a" to="z"/></edges>'})
+
+
+def test_a_missing_or_old_sumo_names_the_fix(monkeypatch):
+    with pytest.raises(MissingExtra, match=r"SUMO 1\.16\.0"):
+        software.check_version("SUMO 1.16.0")
+    software.check_version("SUMO 1.28.0")
+    with pytest.raises(MissingExtra, match=r"pip install 'mbtl\[traffic\]'"):
+        software.program("no-such-program-of-sumo")
+    with pytest.raises(MissingExtra, match="traffic"):
+        software.library("no_such_library_of_sumo")
+
+
+def test_settings_are_checked(road, monkeypatch):
+    with pytest.raises(UnknownName, match="libsumo"):
+        Simulation(road, step_length=1.0, engine="libsum")
+    with pytest.raises(InvalidInput, match="TraCI"):
+        Simulation(road, step_length=1.0, engine="libsumo", gui=True)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(InvalidInput, match="screen"):
+        Simulation(road, step_length=1.0, gui=True)
