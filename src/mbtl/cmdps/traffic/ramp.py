@@ -41,7 +41,7 @@ from mbtl.contexts import Value
 from mbtl.errors import InvalidInput, missing_extra, unknown_name
 
 try:
-    from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
+    from pettingzoo import ParallelEnv
 except ModuleNotFoundError as error:
     raise missing_extra("pettingzoo", "traffic") from error
 
