@@ -7,7 +7,7 @@ import shlex
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -20,8 +20,6 @@ from mbtl.cli.common import JsonFlag, console, print_json
 from mbtl.cmdps import CMDP, get_cmdp, resolve_cmdp
 from mbtl.errors import InvalidInput
 from mbtl.trainer import ManyTrainer, Trainer, recipe_of
-
-Checkpoint = Literal["best", "final", "both"]
 
 
 def build(
@@ -122,7 +120,7 @@ def _one(
     if isinstance(trainer, ManyTrainer):
         checkpoints = keep or (str(getattr(trainer, "checkpoint", "final")),)
         best_lanes = trainer.lanes
-    names = _names(variant, checkpoints, trainer)
+    names = _names(variant, checkpoints)
     files = {c: out / f"{matrix_id(cmdp.id, names[c])}-seed{seed}.npz" for c in checkpoints}
     if all(file.is_file() for file in files.values()):
         console.print(f"{', '.join(map(str, files.values()))}: there already", markup=False)
@@ -237,7 +235,7 @@ def _variant(cmdp: CMDP, given: Mapping[str, Any]) -> str:
     return "-".join(parts) or DEFAULT
 
 
-def _names(variant: str, checkpoints: tuple[str, ...], trainer: Trainer) -> dict[str, str]:
+def _names(variant: str, checkpoints: tuple[str, ...]) -> dict[str, str]:
     """Variant of each checkpoint: "final" is named where it stands beside, or instead of, best."""
     names = {}
     for checkpoint in checkpoints:

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from mbtl.benchmark.multitask import multitask_file, save_multitask
 from mbtl.benchmark.provenance import here
 from mbtl.cli.common import JsonFlag, console, print_json
-from mbtl.cmdps import get_cmdp
+from mbtl.cmdps import CMDP, get_cmdp
 from mbtl.errors import InvalidInput
 from mbtl.training import JaxTrainer
 
@@ -60,7 +60,7 @@ def multitask(
         command += f" --timesteps {timesteps}" if timesteps is not None else ""
         results.append(
             _one(
-                cmdp_id,
+                cmdp,
                 method,
                 name,
                 seed,
@@ -76,7 +76,7 @@ def multitask(
 
 
 def _one(
-    cmdp_id: str,
+    cmdp: CMDP,
     method: Method,
     name: str,
     seed: int,
@@ -89,7 +89,6 @@ def _one(
 ) -> dict[str, Any]:
     import mbtl.training.jax as engine
 
-    cmdp = get_cmdp(cmdp_id, engine="jax")
     assert isinstance(cmdp.trainer, JaxTrainer)
     env, params = cmdp.trainer.problem(cmdp.space.contexts)
     recipe = engine.multitask_recipe(method, type(env).__name__)
