@@ -33,24 +33,30 @@ class Preset:
     Attributes:
         budget: trainings K, 1..N.
         timesteps: environment steps of one training.
+        episodes: of one training, where the trainer counts those.
         eval_episodes: episodes per (source, target).
         algorithm: name of the RL algorithm.
         recipe_name: named hyper-parameters, where the trainer has names for them.
         hyperparameters: its keyword arguments.
         checkpoint: which policy a training returns, the last or the best of its own evaluations.
         checkpoint_episodes: episodes of each such evaluation.
+        acting: how a policy's actions are chosen in evaluations, "mean" or "sampled".
+        normalize_reward: rewards are brought to one scale in training.
         n_envs: environments stepped together in training.
         description: one line for people.
     """
 
     budget: int
     timesteps: int | None = None
+    episodes: int | None = None
     eval_episodes: int | None = None
     algorithm: str | None = None
     recipe_name: str | None = None
     hyperparameters: Mapping[str, Any] | None = None
     checkpoint: Literal["final", "best"] | None = None
     checkpoint_episodes: int | None = None
+    acting: Literal["mean", "sampled"] | None = None
+    normalize_reward: bool | None = None
     n_envs: int | None = None
     description: str = ""
 

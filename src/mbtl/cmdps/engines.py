@@ -1,6 +1,6 @@
-"""Where a CMDP is simulated: in Gymnasium step by step, or in jax for whole batches of contexts.
+"""Where a CMDP is simulated: step by step in Gymnasium or SUMO, or in jax for whole batches.
 
-Both take their physics from the same Gymnasium environment, so no constant is derived twice.
+Both take their physics from the same environment, so no constant is derived twice.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from typing import Any
 from mbtl.contexts import Context
 from mbtl.errors import missing_extra
 
-ENGINES = ("jax", "gymnasium")
+ENGINES = ("jax", "gymnasium", "sumo")
 
 
-def default_engine(*, has_jax_environment: bool) -> str:
-    """Jax where the CMDP has an environment in it and the extra is installed, else Gymnasium."""
-    installed = all(find_spec(name) is not None for name in ("jax", "optax"))
-    return "jax" if has_jax_environment and installed else "gymnasium"
+def jax_is_installed() -> bool:
+    """Whether the extra is there."""
+    return all(find_spec(name) is not None for name in ("jax", "optax"))
 
 
 @dataclass(frozen=True)
@@ -39,15 +38,17 @@ class EnvFactory:
         """A new environment.
 
         Raises:
-            MissingExtra: Gymnasium is not installed.
+            MissingExtra: Gymnasium, or what the simulator needs, is not installed.
         """
         module, _, name = self.entry_point.partition(":")
         try:
             kind = getattr(importlib.import_module(module), name)
         except ModuleNotFoundError as error:
-            if (error.name or "").partition(".")[0] != "gymnasium":
+            package = (error.name or "").partition(".")[0]
+            extra = {"gymnasium": "envs", "pettingzoo": "traffic"}.get(package)
+            if extra is None:
                 raise
-            raise missing_extra("gymnasium", "envs") from error
+            raise missing_extra(package, extra) from error
         return kind(context, **self.options)
 
 
@@ -79,3 +80,30 @@ class JaxProblem:
         return env, engine.stack_params(
             env, [twin.constants for twin in twins], [twin.visible for twin in twins]
         )
+
+
+@dataclass(frozen=True)
+class TwinProblem:
+    """contexts -> traffic twin and parameters (`mbtl.training.twin_trainer.Problem`).
+
+    Attributes:
+        problem: "module:Class" of the family's record.
+        make_env: the SUMO environment; the twin gets its switches.
+        options: of the record beside those.
+    """
+
+    problem: str
+    make_env: EnvFactory
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Sequence[Any]]:
+        """The twin, and the parameters of each context.
+
+        Raises:
+            MissingExtra: jax or Gymnasium is not installed.
+        """
+        module, _, name = self.problem.partition(":")
+        switches = {k: v for k, v in self.make_env.options.items() if k != "horizon"}
+        record = getattr(importlib.import_module(module), name)(**self.options, **switches)
+        twin, params = record(contexts)
+        return twin, params

@@ -7,7 +7,7 @@ Nothing here imports an environment.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import Any
 
@@ -28,6 +28,21 @@ class JaxFamily:
 
 
 @dataclass(frozen=True)
+class TwinFamily:
+    """A traffic family that has a twin in the jax engine.
+
+    Attributes:
+        problem: "module:Class" of a record that maps contexts to twin and parameters.
+        presets: recipes by name, the first is the default.
+        options: of the record.
+    """
+
+    problem: str
+    presets: Mapping[str, Preset]
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Family:
     """What the CMDPs of one simulator share.
 
@@ -39,6 +54,8 @@ class Family:
         presets: recipes of Stable-Baselines3 by name, the first is the default.
         jax: the same in the jax engine, if it is there.
         switches: options of the environment beside visibility and time limit.
+        simulator: the engine of `entry_point`, "gymnasium" or "sumo".
+        visibility: what of the context the policy sees unless told otherwise.
     """
 
     entry_point: str
@@ -46,8 +63,10 @@ class Family:
     bounds: tuple[float, float]
     theta: float
     presets: Mapping[str, Preset]
-    jax: JaxFamily | None = None
+    jax: JaxFamily | TwinFamily | None = None
     switches: tuple[str, ...] = ()
+    simulator: str = "gymnasium"
+    visibility: str = "multiplier"
 
 
 @dataclass(frozen=True)
@@ -184,6 +203,73 @@ _PENDULUM_JAX = {
 }
 """As good as SB3's default PPO after a million steps; one pass over shorter rollouts is not."""
 
+
+def _advisory(episodes: int, budget: int, eval_episodes: int, description: str) -> Preset:
+    return Preset(
+        budget=budget,
+        episodes=episodes,
+        eval_episodes=eval_episodes,
+        algorithm="TRPO",
+        checkpoint="best",
+        checkpoint_episodes=10,
+        description=description,
+    )
+
+
+def _sumo_trpo(episodes: int, budget: int, eval_episodes: int, description: str) -> Preset:
+    """As near to cmdp-spec, 7.4, as sb3-contrib's TRPO comes; an update is one episode long."""
+    return Preset(
+        budget=budget,
+        episodes=episodes,
+        eval_episodes=eval_episodes,
+        algorithm="TRPO",
+        hyperparameters={
+            "n_steps": "episode",
+            "batch_size": 400,
+            "gamma": 0.999,
+            "gae_lambda": 1.0,
+            "learning_rate": 1e-4,
+            "n_critic_updates": 1,
+            "cg_max_steps": 10,
+            "cg_damping": 0.1,
+            "line_search_shrinking_factor": 0.5,
+            "line_search_max_iter": 10,
+            "target_kl": 0.01,
+        },
+        acting="sampled",
+        normalize_reward=True,
+        checkpoint="best",
+        checkpoint_episodes=10,
+        description=description,
+    )
+
+
+_TWIN_PRESETS = {
+    "paper": _advisory(1000, 15, 50, "the paper's episodes, best-of-evaluations policy"),
+    "quick": _advisory(100, 10, 10, "a first look, best-of-evaluations policy"),
+}
+
+_SUMO_TRPO = {
+    "paper": _sumo_trpo(1000, 15, 50, "the paper's episodes in SUMO, hours per policy and core"),
+    "quick": _sumo_trpo(100, 10, 5, "a first look in SUMO"),
+}
+
+
+def _ring(actions: str) -> Family:
+    name = {"acceleration": "RingAcc", "speed": "RingVel"}[actions]
+    return Family(
+        entry_point=f"mbtl.cmdps.traffic.ring:{name}",
+        horizon=400,
+        bounds=(0.0, 4.5),
+        theta=0.005,
+        presets=_SUMO_TRPO,
+        jax=TwinFamily("mbtl.cmdps.traffic.twins:RingProblem", _TWIN_PRESETS, {"actions": actions}),
+        switches=("obs",),
+        simulator="sumo",
+        visibility="hidden",
+    )
+
+
 FAMILIES: Mapping[str, Family] = {
     "cartpole": Family(
         entry_point="mbtl.cmdps.cartpole:CartPole",
@@ -202,7 +288,14 @@ FAMILIES: Mapping[str, Family] = {
         presets=_PENDULUM,
         jax=_jax("Pendulum", 1_000_000, _PENDULUM_JAX),
     ),
+    "ring-acc": _ring("acceleration"),
+    "ring-vel": _ring("speed"),
 }
+
+
+def _hold(family: str, description: str) -> Variant:
+    return Variant(family, "hold", "s", "1", 1.0, n=40, unit_index=0, description=description)
+
 
 VARIANTS: Mapping[str, Variant] = {
     "cartpole-masscart": Variant(
@@ -233,4 +326,6 @@ VARIANTS: Mapping[str, Variant] = {
         0.05,
         description="Pendulum; the time between two actions varies",
     ),
+    "ring-acc": _hold("ring-acc", "Ring road, accelerations advised; the hold varies"),
+    "ring-vel": _hold("ring-vel", "Ring road, speeds advised; the hold varies"),
 }

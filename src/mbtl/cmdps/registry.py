@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from mbtl.cmdps.cmdp import CMDP, Preset
-from mbtl.cmdps.engines import ENGINES, EnvFactory, JaxProblem, default_engine
-from mbtl.cmdps.families import FAMILIES, VARIANTS, Family, Variant
+from mbtl.cmdps.engines import ENGINES, EnvFactory, JaxProblem, TwinProblem, jax_is_installed
+from mbtl.cmdps.families import FAMILIES, VARIANTS, Family, TwinFamily, Variant
 from mbtl.contexts import Context, ContextSpace, Linear
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.trainer import Trainer
@@ -16,6 +16,7 @@ _CHOICES: Mapping[str, tuple[str, ...]] = {
     "visibility": ("hidden", "multiplier", "raw"),
     "grid": ("code", "paper"),
     "time limit": ("truncation", "terminal"),
+    "obs": ("fresh", "stale"),
     "engine": ENGINES,
 }
 
@@ -37,24 +38,23 @@ def env_factory(
     physics: str = "intended",
     visibility: str | None = None,
     time_limit: str = "truncation",
+    obs: str = "fresh",
 ) -> EnvFactory:
     """The environment factory of a CMDP; arguments as in `get_cmdp`."""
     variant, family = _entry(id)
-    visibility = "multiplier" if visibility is None else visibility
-    for kind, name in (
-        ("physics", physics),
-        ("visibility", visibility),
-        ("time limit", time_limit),
-    ):
+    visibility = family.visibility if visibility is None else visibility
+    switches = {"physics": physics, "obs": obs}
+    for kind, name in {
+        "visibility": visibility, "time limit": time_limit, **switches
+    }.items():  # fmt: skip
         _check_choice(kind, name)
     options = {
         "unit": _unit(variant, "code"),
         "visibility": visibility,
         "time_limit": time_limit,
         "horizon": family.horizon,
+        **{name: switches[name] for name in family.switches},
     }
-    if "physics" in family.switches:
-        options["physics"] = physics
     return EnvFactory(family.entry_point, options)
 
 
@@ -65,6 +65,7 @@ def get_cmdp(
     visibility: str | None = None,
     grid: str = "code",
     time_limit: str = "truncation",
+    obs: str = "fresh",
     engine: str | None = None,
 ) -> CMDP:
     """One of our CMDPs.
@@ -74,23 +75,28 @@ def get_cmdp(
         physics: "intended": contexts act as the paper says. "reference": as in the released code,
             whose CartPole freezes derived masses (spec, section 1); Pendulum is the same in both.
         visibility: what of the context the policy sees: "hidden", "multiplier" or "raw"; None: the
-            family's default, "multiplier" (spec, section 3).
+            family's default: "multiplier", in ring, ramp and signal "hidden" (spec, 3 and 11).
         grid: "code": contexts of the released scripts. "paper": of the paper's text. The same for
             CartPole and Pendulum.
         time_limit: how the horizon is reported, "truncation" or "terminal" (the reference).
-        engine: "jax" (vectorised, needs the extra) or "gymnasium" (Stable-Baselines3); None: jax
-            where it is installed and this CMDP has it. The presets are those of the engine.
+        obs: what an advised driver sees (ring, ramp): "fresh", the state at the decision, or
+            "stale", that of one hold before, as in the reference.
+        engine: "jax" (vectorised, needs the extra), or Stable-Baselines3 in the simulator of the
+            family, "gymnasium" or "sumo"; None: jax where it is installed and this CMDP has it. The
+            presets are those of the engine.
 
     Raises:
         UnknownName: no CMDP has this id, or a switch has no such setting.
-        InvalidInput: this CMDP is not simulated in jax.
+        InvalidInput: this CMDP is not simulated in that engine.
     """
     variant, family = _entry(id)
     if engine is None:
-        engine = default_engine(has_jax_environment=family.jax is not None)
+        engine = "jax" if family.jax is not None and jax_is_installed() else family.simulator
     _check_choice("engine", engine)
     _check_choice("grid", grid)
-    make_env = env_factory(id, physics=physics, visibility=visibility, time_limit=time_limit)
+    make_env = env_factory(
+        id, physics=physics, visibility=visibility, time_limit=time_limit, obs=obs
+    )
     values = variant.values(grid)
     axis = Linear(variant.axis, values[0], values[-1], variant.axis_unit)
     presets, trainer = _training(id, family, engine, make_env)
@@ -113,6 +119,7 @@ def get_cmdp(
             "grid": grid,
             "time_limit": time_limit,
             "engine": engine,
+            **({"obs": obs} if "obs" in family.switches else {}),
         },
         description=variant.description,
     )
@@ -138,15 +145,19 @@ def _training(
     id: str, family: Family, engine: str, make_env: EnvFactory
 ) -> tuple[Mapping[str, Preset], Trainer]:
     """Recipes of the engine, and the trainer of the first of them."""
-    if engine == "gymnasium":
+    if engine == family.simulator:
         from mbtl.training import SB3Trainer
 
         default = next(iter(family.presets.values()))
         return family.presets, SB3Trainer(make_env, **default.options())
-    if family.jax is None:
-        raise InvalidInput(f"{id!r} is not simulated in jax; use engine='gymnasium'")
-    from mbtl.training import JaxTrainer
+    if family.jax is None or engine != "jax":
+        engines = [family.simulator, *(["jax"] if family.jax is not None else [])]
+        raise InvalidInput(f"{id!r} is simulated in {' and '.join(engines)}, got engine={engine!r}")
+    from mbtl.training import JaxTrainer, TwinTrainer
 
-    problem = JaxProblem(family.jax.environment, make_env)
     default = next(iter(family.jax.presets.values()))
+    if isinstance(family.jax, TwinFamily):
+        twins = TwinProblem(family.jax.problem, make_env, family.jax.options)
+        return family.jax.presets, TwinTrainer(twins, **default.options())
+    problem = JaxProblem(family.jax.environment, make_env)
     return family.jax.presets, JaxTrainer(problem, **default.options())

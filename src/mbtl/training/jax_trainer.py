@@ -21,7 +21,8 @@ from mbtl.errors import InvalidInput, MbtlError, unknown_name
 from mbtl.files import whole_file
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
-from mbtl.trainer import OnProgress, Progress, checked_returns
+from mbtl.trainer import OnProgress, Progress
+from mbtl.training.mlp_trainer import MLPTrainer
 
 ALGORITHMS = ("PPO", "A2C", "DQN")
 
@@ -33,7 +34,7 @@ Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
 
 
 @dataclass(frozen=True)
-class JaxTrainer:
+class JaxTrainer(MLPTrainer):
     """Trains policies with the jax engine (`mbtl.trainer.Trainer`), one or many at once.
 
         trainer = get_cmdp("cartpole-length", engine="jax").trainer_for("paper")
@@ -68,8 +69,6 @@ class JaxTrainer:
     checkpoint_every: int | None = None
     checkpoint_episodes: int = 10
 
-    policy_format = "mlp"
-
     def __post_init__(self) -> None:
         object.__setattr__(self, "hyperparameters", dict(self.hyperparameters or {}))
         if self.algorithm not in ALGORITHMS:
@@ -80,47 +79,6 @@ class JaxTrainer:
                 raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
         if self.checkpoint not in ("final", "best"):
             raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
-
-    # ---- one policy (what a study asks for) --------------------------------------------------
-
-    def train(
-        self, context: Context, seed: int, on_progress: OnProgress | None = None
-    ) -> MLPPolicy:
-        """Train on one context; the same seed gives the same policy.
-
-        Raises:
-            TrainingFailed: the weights became NaN.
-            InvalidInput: a hyper-parameter that the recipe does not have.
-            MissingExtra: jax is not installed.
-        """
-        policies = self.train_many([context], [seed], on_progress, keep=(self.checkpoint,))
-        return policies[self.checkpoint][0]
-
-    def evaluate(self, policy: MLPPolicy, contexts: Sequence[Context], seed: int) -> Array:
-        """Undiscounted returns of deterministic episodes, (n_targets, eval_episodes).
-
-        Episode e starts from the same random numbers for every policy and every target.
-
-        Args:
-            policy: what `train` or `load` gave.
-            contexts: the targets.
-            seed: what `mbtl.seeds.evaluation_seed` gave.
-
-        Raises:
-            TrainingFailed: a return is NaN or infinite.
-        """
-        return checked_returns(self.evaluate_many([policy], contexts, seed)[0], len(contexts))
-
-    def save(self, policy: MLPPolicy, folder: Path) -> bool:
-        """Write weights and manifest into the empty `folder`."""
-        policy.save(Path(folder))
-        return True
-
-    def load(self, folder: Path) -> MLPPolicy:
-        """Read what `save` wrote; nothing but numbers is loaded."""
-        return MLPPolicy.load(Path(folder))
-
-    # ---- many policies (what a transfer matrix asks for) -------------------------------------
 
     @property
     def lanes(self) -> int:

@@ -28,14 +28,18 @@ NOISE = 0.2
 """Standard deviation of a human driver's acceleration [m/s^2], drawn every step."""
 
 LENGTH, MIN_GAP = 5.0, 2.0
-ROAD_LIMIT = 13.89
+ACCEL, DECEL, TAU = 1.0, 1.5, 1.0
+MAX_SPEED, ROAD_LIMIT = 30.0, 13.89
+SPEED_SPREAD = 0.1
+"""Standard deviation of the desired speed around the limit, a share."""
 
 Actions = Literal["acceleration", "speed"]
 Seen = Literal["fresh", "stale"]
 
 IDM = (
-    f'carFollowModel="IDM" accel="1" decel="1.5" minGap="{MIN_GAP:g}" tau="1" delta="4" '
-    f'length="{LENGTH:g}" speedFactor="normc(1,0.1,0.2,2)" maxSpeed="30"'
+    f'carFollowModel="IDM" accel="{ACCEL:g}" decel="{DECEL:g}" minGap="{MIN_GAP:g}" '
+    f'tau="{TAU:g}" delta="4" length="{LENGTH:g}" maxSpeed="{MAX_SPEED:g}" '
+    f'speedFactor="normc(1,{SPEED_SPREAD:g},0.2,2)"'
 )
 """Attributes of every car; the speed factor is SUMO's usual spread of the desired speed."""
 

@@ -43,7 +43,8 @@ creeps forward by a centimetre a step until it touches its leader; 0.1 costs 0.0
 _HALF = CIRCUMFERENCE / 2.0
 _IDS = [f"car{i}" for i in range(CARS)]
 _ADVISED, _LEADER = _IDS[0], _IDS[1]
-_SCALE = np.array([10.0, 10.0, 300.0])
+SCALE = (10.0, 10.0, 300.0)
+"""Of speed, leader's speed and distance in an observation."""
 
 Start = Literal["free", "uniform"]
 
@@ -209,7 +210,7 @@ class Ring(TrafficEnv):
         vehicle = api.vehicle
         distance = (_position(vehicle, _LEADER) - _position(vehicle, _ADVISED)) % CIRCUMFERENCE
         raw = np.array([vehicle.getSpeed(_ADVISED), vehicle.getSpeed(_LEADER), distance])
-        seen = 2.0 * np.clip(raw / _SCALE, 0.0, 1.0) - 1.0
+        seen = 2.0 * np.clip(raw / np.array(SCALE), 0.0, 1.0) - 1.0
         self._last = np.array([*seen, *self.visible], dtype=np.float32)
         return self._last
 

@@ -29,8 +29,10 @@ from mbtl.training.jax.recipes import (
     MultiTaskRecipe,
     PPORecipe,
     Recipe,
+    TRPORecipe,
     multitask_recipe,
     recipe_named,
+    twin_recipe_named,
 )
 
 __all__ = [
@@ -45,6 +47,7 @@ __all__ = [
     "PPORecipe",
     "Pendulum",
     "Recipe",
+    "TRPORecipe",
     "Training",
     "episode_noise",
     "evaluate",
@@ -62,4 +65,5 @@ __all__ = [
     "to_arrays",
     "train",
     "train_multitask",
+    "twin_recipe_named",
 ]

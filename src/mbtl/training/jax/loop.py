@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed
 from mbtl.seeds import Purpose, derive_seed
@@ -137,7 +137,7 @@ def train(
         count = min(block, total - done)
         training, finite = _run_block(env, recipe, training, params, noise, count, total)
         done += count
-        _check_finite(np.asarray(finite), done * per_update)
+        check_finite(finite, done * per_update)
         if on_block is not None:
             on_block(Block(done * per_update, total * per_update, training))
     return training
@@ -162,25 +162,29 @@ def _run_block(
 
     state = jax.lax.fori_loop(0, count, one, training.state)
     latest = own_returns(env, recipe.activation, state.weights.actor, params, noise).mean(axis=1)
+    training = training._replace(state=state, updates=training.updates + count)
+    return keep_better(training, latest), finite_policies(state.weights)
+
+
+@partial(jax.jit)
+def keep_better(training: Training, latest: jax.Array) -> Training:
+    """After an evaluation with mean returns `latest`, (P,): weights better than the best so far."""
     better = latest > training.best_return
 
     def keep(new: jax.Array, old: jax.Array) -> jax.Array:
         return jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
-    best = jax.tree.map(keep, state.weights, training.best)
-    finite = [
-        jnp.isfinite(x.reshape(len(x), -1)).all(axis=1) for x in jax.tree.leaves(state.weights)
-    ]
-    return (
-        Training(
-            state,
-            best,
-            jnp.where(better, latest, training.best_return),
-            latest,
-            training.updates + count,
-        ),
-        jnp.stack(finite).all(axis=0),
+    return training._replace(
+        best=jax.tree.map(keep, training.state.weights, training.best),
+        best_return=jnp.where(better, latest, training.best_return),
+        latest_return=latest,
     )
+
+
+def finite_policies(weights: Tree) -> jax.Array:
+    """(P,) whether all weights of a policy are finite."""
+    each = [jnp.isfinite(x.reshape(len(x), -1)).all(axis=1) for x in jax.tree.leaves(weights)]
+    return jnp.stack(each).all(axis=0)
 
 
 def to_arrays(training: Training) -> dict[str, NDArray[Any]]:
@@ -229,7 +233,13 @@ def _float32(params: Tree) -> Tree:
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params)
 
 
-def _check_finite(finite: NDArray[np.bool_], step: int) -> None:
+def check_finite(finite: ArrayLike, step: int) -> None:
+    """Refuse to go on with weights that are lost.
+
+    Raises:
+        TrainingFailed: one of the (P,) policies has weights that are not finite.
+    """
+    finite = np.asarray(finite)
     if not finite.all():
         bad = np.flatnonzero(~finite)
         raise TrainingFailed(

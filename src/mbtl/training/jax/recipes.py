@@ -5,23 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Literal, get_args
+from typing import Literal, TypeVar, get_args
 
 from mbtl.errors import InvalidInput, unknown_name
 
 Activation = Literal["tanh", "relu"]
+AnyRecipe = TypeVar("AnyRecipe")
 
 _STEPS_PER_CALL = 256
 """A2C and DQN learn every few steps: as many of those as give this many steps are one update."""
 
 
-def _check_counts(recipe: Recipe, *names: str) -> None:
+def _check_counts(recipe: Recipe | TRPORecipe, *names: str) -> None:
     for name in names:
         if getattr(recipe, name) < 1:
             raise InvalidInput(f"{name} must be >= 1, got {getattr(recipe, name)}")
 
 
-def _record(recipe: PPORecipe | A2CRecipe | DQNRecipe) -> dict[str, object]:
+def _record(recipe: PPORecipe | A2CRecipe | DQNRecipe | TRPORecipe) -> dict[str, object]:
     values = {one.name: getattr(recipe, one.name) for one in fields(recipe)}
     return values | {"hidden": list(recipe.hidden)}
 
@@ -234,6 +235,56 @@ class DQNRecipe:
         return _record(self)
 
 
+@dataclass(frozen=True)
+class TRPORecipe:
+    """Hyper-parameters of TRPO on whole episodes; the defaults are those of cmdp-spec, 7.4.
+
+    Attributes:
+        n_episodes: episodes of one policy between two updates.
+        gamma: discount per decision.
+        gae_lambda: decay of generalised advantage estimation; 1 gives whole returns.
+        max_kl: delta, largest mean KL(old, new) of an update.
+        cg_steps: iterations of conjugate gradients.
+        damping: added to the diagonal of the Fisher matrix.
+        backtracks: most steps of the line search.
+        backtrack: factor between them.
+        accept: least ratio of the real to the expected improvement.
+        critic_learning_rate: Adam's.
+        critic_passes: its steps per update, each on all rows.
+        normalize_reward: centre rewards and divide them by the deviation of discounted returns.
+        hidden: widths of the hidden layers of actor and critic.
+        log_std: initial log standard deviation of a Gaussian policy.
+        activation: between the layers.
+
+    Raises:
+        InvalidInput: a count is below 1.
+    """
+
+    n_episodes: int = 1
+    gamma: float = 0.999
+    gae_lambda: float = 1.0
+    max_kl: float = 0.01
+    cg_steps: int = 10
+    damping: float = 0.1
+    backtracks: int = 10
+    backtrack: float = 0.5
+    accept: float = 0.1
+    critic_learning_rate: float = 1e-4
+    critic_passes: int = 1
+    normalize_reward: bool = True
+    hidden: tuple[int, ...] = (64, 64)
+    log_std: float = 0.0
+    activation: Activation = "tanh"
+
+    def __post_init__(self) -> None:
+        _check_counts(self, "n_episodes", "cg_steps", "backtracks", "critic_passes")
+
+    @property
+    def record(self) -> dict[str, object]:
+        """JSON-able: what decides the policy."""
+        return _record(self)
+
+
 MultiTaskMethod = Literal["ppo", "paco", "moore"]
 
 
@@ -304,6 +355,9 @@ RECIPES: Mapping[str, Mapping[str, Recipe]] = {
 }
 """Recipes by algorithm and name: `sb3` has Stable-Baselines3's defaults, `fast` ends sooner."""
 
+TWIN_RECIPES: Mapping[str, Mapping[str, TRPORecipe]] = {"TRPO": {"paper": TRPORecipe()}}
+"""The same for algorithms that learn from whole episodes of a traffic twin."""
+
 
 _SHARED = PPORecipe(
     n_envs=100, n_steps=128, batch_size=512, n_epochs=1, learning_rate=2e-3, anneal=True
@@ -339,8 +393,17 @@ def recipe_named(algorithm: str, name: str) -> Recipe:
     Raises:
         UnknownName: there is none.
     """
-    if algorithm not in RECIPES:
-        raise unknown_name("algorithm with recipes", algorithm, RECIPES)
-    if name not in RECIPES[algorithm]:
-        raise unknown_name(f"{algorithm} recipe", name, RECIPES[algorithm])
-    return RECIPES[algorithm][name]
+    return _named(RECIPES, algorithm, name)
+
+
+def twin_recipe_named(algorithm: str, name: str) -> TRPORecipe:
+    """The recipe called `name` of `TWIN_RECIPES`; errors as in `recipe_named`."""
+    return _named(TWIN_RECIPES, algorithm, name)
+
+
+def _named(recipes: Mapping[str, Mapping[str, AnyRecipe]], algorithm: str, name: str) -> AnyRecipe:
+    if algorithm not in recipes:
+        raise unknown_name("algorithm with recipes", algorithm, recipes)
+    if name not in recipes[algorithm]:
+        raise unknown_name(f"{algorithm} recipe", name, recipes[algorithm])
+    return recipes[algorithm][name]

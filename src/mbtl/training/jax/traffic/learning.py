@@ -1,0 +1,143 @@
+"""Many trainings in one context of a twin, in blocks of updates with an evaluation after each.
+
+As in `mbtl.training.jax.loop`, all that decides the future is in a `Training`, so a run that is
+stopped after a block goes on from it with the same result. A return here is a score.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mbtl.errors import InvalidInput
+from mbtl.seeds import Purpose, derive_seed
+from mbtl.training.jax import networks
+from mbtl.training.jax.environments import Tree
+from mbtl.training.jax.loop import Block, Training, check_finite, finite_policies, keep_better
+from mbtl.training.jax.networks import Weights
+from mbtl.training.jax.recipes import TRPORecipe
+from mbtl.training.jax.traffic import random, trpo
+from mbtl.training.jax.traffic.episodes import Actor, record, scores
+from mbtl.training.jax.traffic.twin import Twin
+
+BLOCKS = 50
+"""Evaluations per training unless told otherwise: one every 2 % of the episodes."""
+
+_EPISODE = 1 << 21  # stream of random numbers: seeds of training episodes
+
+
+class State(NamedTuple):
+    """P policies between two updates.
+
+    Attributes:
+        weights: leading axis P.
+        memory: the algorithm's, leading axis P.
+        seed: (P,) uint32.
+    """
+
+    weights: Weights
+    memory: Tree
+    seed: jax.Array
+
+
+def start(twin: Twin, recipe: TRPORecipe, seeds: Sequence[int], params: Tree) -> Training:
+    """Trainings before their first update; one context, P seeds."""
+    n_inputs = twin.n_features + params.visible.shape[-1]
+    each = [
+        networks.init_weights(seed, n_inputs, twin.action, recipe.hidden, recipe.log_std)
+        for seed in seeds
+    ]
+    weights = networks.stack(each)
+    memory = jax.vmap(partial(trpo.start, recipe))(weights)
+    state = State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))
+    nothing = jnp.full(len(seeds), -jnp.inf, dtype=jnp.float32)
+    best = jax.tree.map(jnp.copy, weights)
+    return Training(state, best, nothing, jnp.copy(nothing), jnp.int32(0))
+
+
+def train(
+    twin: Twin,
+    recipe: TRPORecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    episodes: int,
+    *,
+    on_block: Callable[[Block], None] | None = None,
+    checkpoint_every: int | None = None,
+    checkpoint_episodes: int = 10,
+    resume: Training | None = None,
+) -> Training:
+    """Train P policies in one context.
+
+    Args:
+        twin: the dynamics.
+        recipe: hyper-parameters.
+        seeds: P training seeds of 32 bits.
+        params: of the context.
+        episodes: per policy, rounded up to whole updates.
+        on_block: called after each block, with episodes as steps.
+        checkpoint_every: episodes between two evaluations, rounded up; None for 2 % of `episodes`.
+        checkpoint_episodes: of an evaluation, with sampled actions, the same at every one.
+        resume: what an interrupted call had reached (given again with the same arguments).
+
+    Returns:
+        Final and best weights.
+
+    Raises:
+        InvalidInput: there are no seeds, or a number is below 1.
+        TrainingFailed: weights are no longer finite.
+    """
+    for name, value in (("episodes", episodes), ("checkpoint_episodes", checkpoint_episodes)):
+        if value < 1:
+            raise InvalidInput(f"{name} must be >= 1, got {value}")
+    if not seeds:
+        raise InvalidInput("training takes at least one seed, got none")
+    every = checkpoint_every or math.ceil(episodes / BLOCKS)
+    total, block = (math.ceil(count / recipe.n_episodes) for count in (episodes, every))
+    decisions = twin.decisions(params)
+    numbers = range(checkpoint_episodes)
+    tests = np.array(
+        [[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers] for seed in seeds], np.uint32
+    )
+    training = start(twin, recipe, seeds, params) if resume is None else resume
+    done = int(training.updates)
+    while done < total:
+        count = min(block, total - done)
+        training = _updates(twin, recipe, decisions, training, params, count)
+        weights = training.state.weights
+        actor = Actor(weights.actor, weights.log_std)
+        latest = scores(twin, recipe.activation, "sampled", actor, tests, params, decisions)
+        training = keep_better(training, latest.mean(axis=1))
+        done += count
+        check_finite(finite_policies(weights), done * recipe.n_episodes)
+        if on_block is not None:
+            on_block(Block(done * recipe.n_episodes, total * recipe.n_episodes, training))
+    return training
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)
+def _updates(
+    twin: Twin,
+    recipe: TRPORecipe,
+    decisions: int,
+    training: Training,
+    params: Tree,
+    count: jax.Array,
+) -> Training:
+    learn = jax.vmap(partial(trpo.learn, twin.action, recipe))
+
+    def one(i: jax.Array, state: State) -> State:
+        seeds = random.bits(state.seed, _EPISODE, training.updates + i, recipe.n_episodes).T
+        actor = Actor(state.weights.actor, state.weights.log_std)
+        lived = record(twin, recipe.activation, decisions, actor, seeds, params)
+        weights, memory = learn(state.weights, state.memory, lived)
+        return State(weights, memory, state.seed)
+
+    state: Any = jax.lax.fori_loop(0, count, one, training.state)
+    return training._replace(state=state, updates=training.updates + count)

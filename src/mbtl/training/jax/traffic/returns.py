@@ -1,0 +1,114 @@
+"""Advantages of agents that come and go, and rewards brought to one scale."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+
+from mbtl.training.jax import networks
+from mbtl.training.jax.networks import Network
+from mbtl.training.jax.recipes import Activation
+from mbtl.training.jax.traffic.episodes import Episodes
+
+
+class Discounting(Protocol):
+    """The part of a recipe that says what a return is."""
+
+    @property
+    def gamma(self) -> float: ...  # noqa: D102
+    @property
+    def gae_lambda(self) -> float: ...  # noqa: D102
+    @property
+    def normalize_reward(self) -> bool: ...  # noqa: D102
+    @property
+    def activation(self) -> Activation: ...  # noqa: D102
+
+
+class Returns(NamedTuple):
+    """Running statistics over all decisions so far.
+
+    Attributes:
+        count: decisions seen.
+        reward_mean: of the raw rewards.
+        mean: of the discounted sum of past rewards, as Stable-Baselines3's `VecNormalize` keeps it.
+        variance: of the same.
+    """
+
+    count: jax.Array
+    reward_mean: jax.Array
+    mean: jax.Array
+    variance: jax.Array
+
+    @classmethod
+    def empty(cls) -> Returns:
+        """Nothing seen."""
+        zero = jnp.float32(0.0)
+        return cls(zero, zero, zero, zero)
+
+    def updated(self, gamma: float, lived: Episodes) -> Returns:
+        """With more episodes of one policy."""
+
+        def forward(past: jax.Array, now: tuple[jax.Array, jax.Array]) -> Any:
+            total = gamma * past + now[0]
+            return jnp.where(now[1], 0.0, total), total
+
+        _, discounted = jax.lax.scan(
+            forward, jnp.zeros_like(lived.reward[0]), (lived.reward, lived.done)
+        )
+        weight = lived.acting.astype(jnp.float32)
+        n = weight.sum()
+        safe = jnp.maximum(n, 1.0)
+        mean = (discounted * weight).sum() / safe
+        variance = (jnp.square(discounted - mean) * weight).sum() / safe
+        both = jnp.maximum(self.count + n, 1.0)
+        share = n / both
+        apart = mean - self.mean
+        reward = (lived.reward * weight).sum() / safe
+        return Returns(
+            self.count + n,
+            self.reward_mean + share * (reward - self.reward_mean),
+            self.mean + share * apart,
+            (1.0 - share) * self.variance
+            + share * variance
+            + share * (1.0 - share) * jnp.square(apart),
+        )
+
+
+def advantages(
+    recipe: Discounting, critic: Network, returns: Returns, lived: Episodes
+) -> tuple[jax.Array, jax.Array, Returns]:
+    """Generalised advantage estimates along each agent's life.
+
+    delta = r + gamma V(next) - V(obs). A life that has ended is worth nothing more; one that the
+    end of the episode cut off is worth V of what its agent saw last.
+
+    Args:
+        recipe: what a return is; with `normalize_reward`, rewards are centred and divided by the
+            running deviation of discounted returns.
+        critic: obs -> value.
+        returns: running statistics before these episodes.
+        lived: of one policy, axes (D, E, A).
+
+    Returns:
+        (D, E, A) advantages, (D, E, A) targets of the critic, and the statistics after.
+    """
+    returns = returns.updated(recipe.gamma, lived)
+    reward = lived.reward
+    if recipe.normalize_reward:
+        reward = (reward - returns.reward_mean) * jax.lax.rsqrt(returns.variance + 1e-8)
+    reward = jnp.where(lived.acting, reward, 0.0)
+    value = networks.apply(critic, lived.obs, recipe.activation)[..., 0]
+    last = networks.apply(critic, lived.last_obs, recipe.activation)[..., 0]
+    last = jnp.where(lived.last_acting, last, 0.0)
+    following = jnp.concatenate([value[1:], last[None]])
+    alive = ~lived.done
+    delta = reward + recipe.gamma * jnp.where(alive, following, 0.0) - value
+
+    def back(later: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        advantage = now[0] + recipe.gamma * recipe.gae_lambda * jnp.where(now[1], later, 0.0)
+        return advantage, advantage
+
+    _, advantage = jax.lax.scan(back, jnp.zeros_like(delta[0]), (delta, alive), reverse=True)
+    return advantage, advantage + value, returns

@@ -1,0 +1,88 @@
+"""What a learner asks of a twin: many simulations at once, each with agents that come and go.
+
+Notation (shapes): n simulations, A agents of each at most, f numbers of an observation.
+
+An episode is a fixed number of decisions. Between two of them a twin may simulate many steps. The
+score of an episode, not the sum of its rewards, is the entry of a transfer matrix.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import jax
+
+from mbtl.training.jax.environments import Box, Discrete, TimeLimit, Tree
+
+
+class Seen(NamedTuple):
+    """What the agents know when they decide.
+
+    Attributes:
+        obs: (n, A, f) float32.
+        acting: (n, A) there is an agent, and it decides.
+    """
+
+    obs: jax.Array
+    acting: jax.Array
+
+
+class Moved(NamedTuple):
+    """What happens until the next decision.
+
+    Attributes:
+        state: the next state.
+        reward: (n, A), 0 where nobody acts.
+        done: (n, A) the life of the agent has ended; the place may go to another one.
+    """
+
+    state: Tree
+    reward: jax.Array
+    done: jax.Array
+
+
+class Twin(Protocol):
+    """Dynamics of one context in n simulations; hashable, as it is a compile-time constant.
+
+    Attributes:
+        time_limit: whether learning sees an episode's end as truncation or as a terminal state.
+        action: the action space of an agent.
+        agents: A.
+        n_features: length of an observation without visible context features.
+        params: class of the parameters; its last field is `visible`, (v,).
+    """
+
+    @property
+    def time_limit(self) -> TimeLimit: ...  # noqa: D102
+    @property
+    def action(self) -> Discrete | Box: ...  # noqa: D102
+    @property
+    def agents(self) -> int: ...  # noqa: D102
+    @property
+    def n_features(self) -> int: ...  # noqa: D102
+    @property
+    def params(self) -> type[Any]: ...  # noqa: D102
+
+    def decisions(self, params: Tree) -> int:
+        """Decisions of one episode in this context; not traced."""
+        ...
+
+    def start(self, seeds: jax.Array, params: Tree) -> Tree:
+        """States at the first decision, after the warm-up, from (n,) uint32 seeds."""
+        ...
+
+    def observe(self, state: Tree, params: Tree) -> Seen:
+        """What the agents know."""
+        ...
+
+    def step(self, state: Tree, action: jax.Array, params: Tree) -> Moved:
+        """One decision; `action` is (n, A) integers, or (n, A, d) within the box."""
+        ...
+
+    def drive(self, state: Tree, params: Tree) -> Moved:
+        """The same time without any advice."""
+        ...
+
+    def score(self, state: Tree) -> jax.Array:
+        """(n,) matrix entry of episodes that have ended; larger is better."""
+        ...

@@ -1,0 +1,76 @@
+"""What trainers of many policies at once share: one policy is many of one."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+
+from mbtl.arrays import Array
+from mbtl.contexts import Context
+from mbtl.portfolio import MLPPolicy
+from mbtl.trainer import OnProgress, checked_returns
+
+
+class MLPTrainer:
+    """`mbtl.trainer.Trainer` in terms of `mbtl.trainer.ManyTrainer`; policies are plain arrays."""
+
+    policy_format = "mlp"
+
+    checkpoint: str
+    """The policy that `train` returns, "best" or "final"."""
+
+    @abstractmethod
+    def train_many(
+        self,
+        contexts: Sequence[Context],
+        seeds: Sequence[int],
+        on_progress: OnProgress | None = None,
+        *,
+        keep: Sequence[str] = ("best", "final"),
+        partial: Path | None = None,
+    ) -> dict[str, list[MLPPolicy]]:
+        """P policies for each name of `keep`; see `mbtl.trainer.ManyTrainer`."""
+
+    @abstractmethod
+    def evaluate_many(
+        self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seed: int
+    ) -> Array:
+        """(P, n_targets, n_episodes) returns."""
+
+    def train(
+        self, context: Context, seed: int, on_progress: OnProgress | None = None
+    ) -> MLPPolicy:
+        """Train on one context; the same seed gives the same policy.
+
+        Raises:
+            TrainingFailed: the weights became NaN.
+            InvalidInput: a hyper-parameter that the recipe does not have.
+            MissingExtra: jax is not installed.
+        """
+        policies = self.train_many([context], [seed], on_progress, keep=(self.checkpoint,))
+        return policies[self.checkpoint][0]
+
+    def evaluate(self, policy: MLPPolicy, contexts: Sequence[Context], seed: int) -> Array:
+        """Returns without adaptation, (n_targets, eval_episodes).
+
+        Episode e starts from the same random numbers for every policy and every target.
+
+        Args:
+            policy: what `train` or `load` gave.
+            contexts: the targets.
+            seed: what `mbtl.seeds.evaluation_seed` gave.
+
+        Raises:
+            TrainingFailed: a return is NaN or infinite.
+        """
+        return checked_returns(self.evaluate_many([policy], contexts, seed)[0], len(contexts))
+
+    def save(self, policy: MLPPolicy, folder: Path) -> bool:
+        """Write weights and manifest into the empty `folder`."""
+        policy.save(Path(folder))
+        return True
+
+    def load(self, folder: Path) -> MLPPolicy:
+        """Read what `save` wrote; nothing but numbers is loaded."""
+        return MLPPolicy.load(Path(folder))

@@ -1,0 +1,175 @@
+"""The traffic twins as a trainer of a study, and of whole transfer matrices.
+
+Nothing of jax is imported before a training or evaluation, as in `mbtl.training.jax_trainer`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.contexts import Context
+from mbtl.errors import InvalidInput, unknown_name
+from mbtl.portfolio import MLPPolicy
+from mbtl.seeds import episode_seed
+from mbtl.trainer import OnProgress, Progress
+from mbtl.training.mlp_trainer import MLPTrainer
+
+ALGORITHMS = ("TRPO",)
+Acting = Literal["sampled", "mean"]
+
+Problem = Callable[[Sequence[Context]], tuple[Any, Sequence[Any]]]
+"""contexts -> (`mbtl.training.jax.traffic.twin.Twin`, the parameters of each)."""
+
+
+@dataclass(frozen=True)
+class TwinTrainer(MLPTrainer):
+    """Trains policies in a traffic twin (`mbtl.trainer.Trainer`); returns are scores.
+
+        trainer = get_cmdp("ring-acc", engine="jax").trainer_for("paper")
+        policy = trainer.train({"hold": 5.0}, seed=0)
+        scores = trainer.evaluate(policy, space.contexts, seed=1)      # (n_targets, 50), m/s
+
+    Attributes:
+        problem: contexts -> twin and parameters; a function of a module, or a record.
+        episodes: of one training, rounded up to whole updates.
+        algorithm: "TRPO".
+        recipe_name: named hyper-parameters of the algorithm.
+        hyperparameters: fields of the recipe that differ from the named one.
+        eval_episodes: episodes per target in `evaluate`.
+        acting: "sampled" actions (as the paper evaluates), or the "mean" ones.
+        checkpoint: "final" weights, or the "best" of periodic evaluations on the own context.
+        checkpoint_every: episodes between those evaluations; default 2 % of `episodes`.
+        checkpoint_episodes: episodes of each, with sampled actions.
+
+    Raises:
+        InvalidInput: a number is not positive, or `checkpoint` is neither "final" nor "best".
+        UnknownName: no such algorithm, or way to act.
+    """
+
+    problem: Problem
+    _: KW_ONLY
+    episodes: int
+    algorithm: str = "TRPO"
+    recipe_name: str = "paper"
+    hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+    eval_episodes: int = 50
+    acting: Acting = "sampled"
+    checkpoint: Literal["final", "best"] = "best"
+    checkpoint_every: int | None = None
+    checkpoint_episodes: int = 10
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hyperparameters", dict(self.hyperparameters or {}))
+        if self.algorithm not in ALGORITHMS:
+            raise unknown_name("algorithm of the traffic twins", self.algorithm, ALGORITHMS)
+        if self.acting not in get_args(Acting):
+            raise unknown_name("way to act", self.acting, get_args(Acting))
+        counts = ("episodes", "eval_episodes", "checkpoint_episodes")
+        for name in (*counts, *(["checkpoint_every"] if self.checkpoint_every else [])):
+            number = getattr(self, name)
+            if not (isinstance(number, int) and number >= 1):
+                raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
+        if self.checkpoint not in ("final", "best"):
+            raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
+
+    @property
+    def lanes(self) -> int:
+        """One: each context is a program of its own, as contexts differ in their decisions."""
+        return 1
+
+    def train_many(
+        self,
+        contexts: Sequence[Context],
+        seeds: Sequence[int],
+        on_progress: OnProgress | None = None,
+        *,
+        keep: Sequence[str] = ("best", "final"),
+        partial: Path | None = None,
+    ) -> dict[str, list[MLPPolicy]]:
+        """Train one policy per (context, seed).
+
+        Args:
+            contexts: P sources; repeat one to train it with several seeds.
+            seeds: P training seeds.
+            on_progress: told episodes of one policy, and the mean score of the latest evaluations.
+            keep: "best" weights, "final" weights, or both.
+            partial: unused: a training takes seconds, it is not worth saving within.
+
+        Returns:
+            P policies under each name of `keep`.
+        """
+        import mbtl.training.jax as engine
+        from mbtl.training.jax.traffic.learning import train
+
+        def on_block(block: engine.Block) -> None:
+            if on_progress is not None:
+                latest = float(np.mean(block.training.latest_return))
+                on_progress(Progress(block.steps, block.total, {"score": latest}))
+
+        recipe = self._recipe()
+        twin, params = self.problem(contexts)
+        policies: dict[str, list[MLPPolicy]] = {name: [] for name in keep}
+        for seed, one in zip(seeds, params, strict=True):
+            training = train(
+                twin,
+                recipe,
+                [seed],
+                one,
+                self.episodes,
+                on_block=on_block,
+                checkpoint_every=self.checkpoint_every,
+                checkpoint_episodes=self.checkpoint_episodes,
+            )
+            weights = {"best": training.best, "final": training.state.weights}
+            for name in keep:
+                policies[name] += engine.export_policies(twin, weights[name], recipe.activation)
+        return policies
+
+    def evaluate_many(
+        self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seed: int
+    ) -> Array:
+        """(P, n_targets, eval_episodes) scores of policies of one shape."""
+        from mbtl.training.jax.traffic.episodes import import_actor, scores
+
+        twin, params = self.problem(contexts)
+        actor = import_actor(list(policies))
+        seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
+        same = np.tile(np.array(seeds, dtype=np.uint32), (len(policies), 1))
+        activation = policies[0].activation
+        rows = [
+            np.asarray(scores(twin, activation, self.acting, actor, same, one, twin.decisions(one)))
+            for one in params
+        ]
+        return np.stack(rows, axis=1).astype(np.float64)
+
+    @property
+    def recipe(self) -> dict[str, Any]:
+        """What decides the policies and their scores, JSON-able; not the place or speed."""
+        return {
+            "trainer": "mbtl-twin",
+            "algorithm": self.algorithm,
+            "recipe": self.recipe_name,
+            "hyperparameters": dict(sorted(self.hyperparameters.items())),
+            "episodes": self.episodes,
+            "acting": self.acting,
+            "checkpoint": self.checkpoint,
+            "checkpoint_every": self.checkpoint_every,
+            "checkpoint_episodes": self.checkpoint_episodes,
+            "eval_episodes": self.eval_episodes,
+        }
+
+    def _recipe(self) -> Any:
+        import mbtl.training.jax as engine
+
+        named = engine.twin_recipe_named(self.algorithm, self.recipe_name)
+        known = named.record
+        for name in self.hyperparameters:
+            if name not in known:
+                raise unknown_name(f"hyperparameter of {self.algorithm}", name, known)
+        return replace(named, **self.hyperparameters)
