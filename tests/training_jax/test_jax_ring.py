@@ -1,0 +1,166 @@
+"""The ring's twin: closed forms, and that nothing depends on the company."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+import mbtl.training.jax as engine  # noqa: F401  isort: skip  # before jax: it sets jax's flags
+import jax
+import jax.numpy as jnp
+
+from mbtl.cmdps.traffic.twins import RingProblem
+from mbtl.training.jax.traffic import random
+from mbtl.training.jax.traffic.episodes import Actor, scores
+from mbtl.training.jax.traffic.idm import IDM, follow, obey
+
+HUMAN = IDM(accel=1.0, decel=1.5, tau=1.0)
+NOBODY = Actor((), jnp.zeros((1, 1)))
+
+
+def ring(hold=2.0, **options):
+    twin, (params,) = RingProblem("acceleration", **options)([{"hold": hold}])
+    return twin, params
+
+
+def unguided(twin, params, seeds):
+    seeds = np.array([seeds], np.uint32)
+    return np.asarray(scores(twin, "tanh", "none", NOBODY, seeds, params, twin.decisions(params)))[
+        0
+    ]
+
+
+# ---- car-following -------------------------------------------------------------------------------
+
+
+def test_a_free_car_accelerates_as_the_model_says():
+    speed = follow(HUMAN, jnp.array(10.0), jnp.array(10.0), jnp.array(1e9), 2.0, 20.0, 0.1)
+    assert float(speed) == pytest.approx(10.0 + 0.1 * (1.0 - 0.5**4), rel=1e-6)
+
+
+def test_at_the_equilibrium_gap_a_car_keeps_its_speed():
+    v, v0 = 4.0, 13.89
+    gap = (2.0 + v * 1.0) / np.sqrt(1.0 - (v / v0) ** 4)
+    speed = follow(HUMAN, jnp.array(v), jnp.array(v), jnp.array(gap), 2.0, v0, 0.1)
+    assert float(speed) == pytest.approx(v, rel=1e-6)
+
+
+def test_no_car_brakes_harder_than_in_an_emergency_or_drives_backwards():
+    hit = follow(HUMAN, jnp.array([10.0, 0.5]), jnp.zeros(2), jnp.full(2, 0.01), 2.0, 13.89, 0.1)
+    np.testing.assert_allclose(hit, [10.0 - 0.9, 0.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("target", "safe", "told"),
+    [
+        (9.0, 5.1, 5.1),  # never above what is safe
+        (5.05, 5.1, 5.05),
+        (0.0, 5.1, 4.85),  # braking is comfortable ...
+        (0.0, 4.2, 4.2),  # ... unless safety needs more
+    ],
+)
+def test_a_told_speed_is_obeyed_within_limits(target, safe, told):
+    speed = obey(HUMAN, jnp.array(target), jnp.array(5.0), jnp.array(safe), 0.1)
+    assert float(speed) == pytest.approx(told, rel=1e-6)
+
+
+# ---- the ring ------------------------------------------------------------------------------------
+
+
+def test_uniform_flow_without_noise_keeps_the_equilibrium_through_the_warm_up():
+    twin, params = ring(noise=0.0, start="uniform")
+    twin = replace(twin, speed_factor=0.0)  # all drivers want the same
+    state = twin.start(jnp.zeros(1, jnp.uint32), params)
+    v, gap = 4.3334, 250.0 / 22 - 5.0  # spec, 12.1
+    assert gap == pytest.approx((2.0 + v) / np.sqrt(1.0 - (v / 13.89) ** 4), rel=1e-4)
+    np.testing.assert_allclose(state.speed, v, atol=1e-3)
+
+
+def test_noise_makes_traffic_stop_and_go():
+    found = unguided(*ring(), range(100))
+    assert 3.0 < found.mean() < 3.3
+    assert found.std() > 0.02
+
+
+def test_the_ring_keeps_its_length():
+    twin, params = ring()
+    state = twin.start(jnp.arange(5, dtype=jnp.uint32), params)
+    for action in (1.0, -1.0, 1.0):
+        state = twin.step(state, jnp.full((5, 1), action), params).state
+    total = state.gap.sum(axis=0) + twin.cars * twin.car_length
+    np.testing.assert_allclose(total, twin.circumference, rtol=1e-5)
+
+
+def test_an_episode_does_not_depend_on_its_company():
+    alone, together = unguided(*ring(), [7]), unguided(*ring(), [3, 7, 9])
+    assert alone[0] == pytest.approx(together[1], abs=1e-3)  # another batch rounds differently
+    assert abs(together[1] - together[0]) > 0.01
+
+
+def test_every_hold_is_another_task():
+    rewards = []
+    for hold in (1.0, 4.0):
+        twin, params = ring(hold)
+        state = twin.start(jnp.arange(3, dtype=jnp.uint32), params)
+        rewards.append(np.asarray(twin.step(state, jnp.full((3, 1), -1.0), params).reward))
+    assert (rewards[0] > rewards[1]).all()  # braking for longer is slower
+
+
+@pytest.mark.parametrize(("hold", "decisions"), [(1.0, 400), (3.0, 134), (40.0, 10)])
+def test_decisions_fill_the_controlled_time(hold, decisions):
+    twin, params = ring(hold)
+    assert twin.decisions(params) == decisions
+
+
+def test_a_stale_observation_is_that_of_the_first_step():
+    seen = {}
+    for obs in ("fresh", "stale"):
+        twin, params = ring(hold=2.0, obs=obs)
+        state = twin.start(jnp.zeros(1, jnp.uint32), params)
+        first = twin.observe(state, params).obs
+        state = twin.step(state, jnp.full((1, 1), -1.0), params).state
+        seen[obs] = np.asarray(twin.observe(state, params).obs)[0, 0]
+    short, params = ring(hold=0.1)
+    after_one = short.step(
+        short.start(jnp.zeros(1, jnp.uint32), params), jnp.full((1, 1), -1.0), params
+    )
+    np.testing.assert_array_equal(
+        seen["stale"], np.asarray(short.observe(after_one.state, params).obs)[0, 0]
+    )
+    assert seen["fresh"][0] < seen["stale"][0] < first[0, 0, 0]
+
+
+def test_a_collision_ends_the_ring_and_is_charged():
+    twin, params = ring()
+    state = twin.start(jnp.zeros(2, jnp.uint32), params)
+    near = state.gap.at[1, 0].set(0.2).at[2, 0].add(state.gap[1, 0] - 0.2)
+    moved = twin.step(state._replace(gap=near), jnp.zeros((2, 1)), params)
+    assert moved.done[:, 0].tolist() == [True, False]
+    assert float(moved.reward[0, 0]) == pytest.approx(-100.0, abs=1.0)
+    again = twin.step(moved.state, jnp.zeros((2, 1)), params)
+    assert float(again.reward[0, 0]) == 0.0
+    assert not bool(again.done[0, 0])
+    np.testing.assert_array_equal(again.state.gap[:, 0], moved.state.gap[:, 0])
+
+
+# ---- random numbers ------------------------------------------------------------------------------
+
+
+def test_noise_is_standard_normal_and_uncorrelated():
+    draw = jax.vmap(lambda t: random.normal(jnp.arange(200, dtype=jnp.uint32), 2, t, 22))
+    z = np.asarray(draw(jnp.arange(250)))  # (moments, cars, seeds): 1.1 million
+    n = z.size
+    assert abs(z.mean()) < 4 / np.sqrt(n)
+    assert abs(z.var() - 1.0) < 4 * np.sqrt(2 / n)
+    assert abs((z**4).mean() - 3.0) < 4 * np.sqrt(96 / n)
+    for axis in range(3):  # between neighbours in time, cars and seeds
+        a, b = np.take(z, range(z.shape[axis] - 1), axis), np.take(z, range(1, z.shape[axis]), axis)
+        assert abs((a * b).mean()) < 4 / np.sqrt(n)
+
+
+def test_streams_differ():
+    seeds, now = jnp.arange(3, dtype=jnp.uint32), jnp.uint32(0)
+    assert not np.array_equal(random.bits(seeds, 0, now, 4), random.bits(seeds, 1, now, 4))

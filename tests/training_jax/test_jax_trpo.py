@@ -1,0 +1,195 @@
+"""TRPO on whole episodes: each part has a closed form, and the whole learns to calm the ring."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+import mbtl.training.jax as engine  # isort: skip  # before jax: it sets jax's flags
+import jax
+import jax.numpy as jnp
+
+from mbtl.cmdps import get_cmdp
+from mbtl.errors import InvalidInput, UnknownName
+from mbtl.training.jax import networks
+from mbtl.training.jax.environments import Box, Discrete
+from mbtl.training.jax.traffic import learning, trpo
+from mbtl.training.jax.traffic.episodes import Actor, Episodes, record
+from mbtl.training.jax.traffic.returns import Returns, advantages
+
+BOX = Box((-1.0,), (1.0,))
+
+
+def lived(rewards, acting=None, done=None, last_acting=False):
+    """Episodes of one agent, (D, 1, 1), with zeros to observe."""
+    d = len(rewards)
+
+    def column(x, dtype):
+        return jnp.asarray(np.reshape(x, (d, 1, 1)), dtype)
+
+    return Episodes(
+        obs=jnp.zeros((d, 1, 1, 2)),
+        outputs=jnp.zeros((d, 1, 1, 1)),
+        action=jnp.zeros((d, 1, 1, 1)),
+        acting=column([True] * d if acting is None else acting, bool),
+        reward=column(rewards, jnp.float32),
+        done=column([False] * d if done is None else done, bool),
+        last_obs=jnp.zeros((1, 1, 2)),
+        last_acting=jnp.full((1, 1), last_acting),
+        score=jnp.zeros(1),
+    )
+
+
+def critic(value):
+    return ((jnp.zeros((2, 1)), jnp.full(1, value)),)
+
+
+# ---- parts ---------------------------------------------------------------------------------------
+
+
+def test_conjugate_gradients_solve_a_small_system_exactly():
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((4, 4))
+    matrix = jnp.asarray(root @ root.T + np.eye(4), jnp.float32)
+    b = jnp.asarray(rng.standard_normal(4), jnp.float32)
+    found = trpo.conjugate_gradients(lambda x: matrix @ x, b, 4)
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, b), rtol=1e-3)
+    assert np.isfinite(trpo.conjugate_gradients(lambda x: matrix @ x, b, 50)).all()
+
+
+def test_kl_of_gaussians_and_of_choices():
+    old, new = jnp.array([[0.5]]), jnp.array([[1.5]])
+    got = trpo.kl(old, jnp.log(jnp.array([2.0])), new, jnp.log(jnp.array([1.0])), BOX)
+    assert float(got[0]) == pytest.approx(-np.log(2.0) + (4.0 + 1.0) / 2.0 - 0.5, rel=1e-6)
+    p, q = np.array([0.2, 0.8]), np.array([0.5, 0.5])
+    none = jnp.zeros(0)
+    got = trpo.kl(jnp.log(p)[None], none, jnp.log(q)[None], none, Discrete(2))
+    assert float(got[0]) == pytest.approx(float((p * np.log(p / q)).sum()), rel=1e-5)
+
+
+def test_advantages_are_discounted_sums_less_the_value():
+    recipe = engine.TRPORecipe(gamma=0.5, normalize_reward=False)
+    advantage, target, _ = advantages(
+        recipe, critic(1.0), Returns.empty(), lived([1.0, 2.0, 4.0], last_acting=True)
+    )
+    # the end of time is worth V = 1: 4 + .5, 2 + .5 (4.5), 1 + .5 (4.25)
+    np.testing.assert_allclose(target[:, 0, 0], [3.125, 4.25, 4.5])
+    np.testing.assert_allclose(advantage, target - 1.0)
+
+
+def test_an_ended_life_is_worth_nothing_more_and_the_next_one_starts_afresh():
+    recipe = engine.TRPORecipe(gamma=0.5, normalize_reward=False)
+    _, target, _ = advantages(
+        recipe,
+        critic(1.0),
+        Returns.empty(),
+        lived([1.0, 2.0, 9.0, 4.0], acting=[1, 1, 0, 1], done=[0, 1, 0, 0]),
+    )
+    np.testing.assert_allclose(target[:2, 0, 0], [2.0, 2.0])
+    assert float(target[3, 0, 0]) == 4.0  # nobody is there at the end
+
+
+def test_running_statistics_are_those_of_all_decisions_together():
+    rng = np.random.default_rng(1)
+    parts = [rng.standard_normal(5), rng.standard_normal(9)]
+    returns, sums = Returns.empty(), []
+    for rewards in parts:
+        returns = returns.updated(0.9, lived(rewards))
+        total = 0.0
+        for reward in rewards:
+            total = 0.9 * total + reward
+            sums.append(total)
+    assert float(returns.count) == 14
+    assert float(returns.mean) == pytest.approx(np.mean(sums), rel=1e-4)
+    assert float(returns.variance) == pytest.approx(np.var(sums), rel=1e-4)
+    assert float(returns.reward_mean) == pytest.approx(np.mean(np.concatenate(parts)), rel=1e-4)
+
+
+# ---- one update ----------------------------------------------------------------------------------
+
+
+def one_update(**changes):
+    recipe = engine.TRPORecipe(**changes)
+    weights = networks.init_weights(0, 2, BOX, (8,))
+    weights = jax.tree.map(jnp.asarray, weights)
+    rng = np.random.default_rng(2)
+    obs = jnp.asarray(rng.standard_normal((50, 1, 1, 2)), jnp.float32)
+    outputs = networks.apply(weights.actor, obs)
+    action = outputs + jnp.asarray(rng.standard_normal((50, 1, 1, 1)), jnp.float32)
+    data = lived(np.zeros(50))._replace(obs=obs, outputs=outputs, action=action)
+    data = data._replace(reward=action[..., 0])  # larger actions pay
+    new, _ = trpo.learn(BOX, recipe, weights, trpo.start(recipe, weights), data)
+    after = networks.apply(new.actor, obs)
+    moved = trpo.kl(outputs, weights.log_std, after, new.log_std, BOX).mean()
+    return float(moved), float((after - outputs).mean())
+
+
+@pytest.mark.parametrize("max_kl", [0.001, 0.01, 0.05])
+def test_a_step_uses_the_trust_region_and_stays_in_it(max_kl):
+    moved, shift = one_update(max_kl=max_kl, gae_lambda=0.0, normalize_reward=False)
+    assert 0.2 * max_kl < moved <= max_kl
+    assert shift > 0.0  # towards what paid
+
+
+def test_a_step_that_would_not_pay_is_not_made():
+    moved, shift = one_update(accept=1e6)
+    assert moved == shift == 0.0
+
+
+# ---- whole trainings -----------------------------------------------------------------------------
+
+
+def test_training_is_reproducible_and_goes_on_where_it_was():
+    trainer = get_cmdp("ring-acc", engine="jax").trainer_for("quick")
+    twin, (params,) = trainer.problem([{"hold": 20.0}])
+    recipe = engine.TRPORecipe(n_episodes=2, hidden=(8,))
+    saved = []
+
+    def keep(block):
+        saved.append(engine.to_arrays(block.training))
+
+    options = {"checkpoint_every": 4, "checkpoint_episodes": 2}
+    whole = learning.train(twin, recipe, [1, 2], params, 8, on_block=keep, **options)
+    template = learning.start(twin, recipe, [1, 2], params)
+    rest = learning.train(
+        twin, recipe, [1, 2], params, 8, resume=engine.from_arrays(template, saved[0]), **options
+    )
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(rest), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_episodes_record_what_was_done():
+    trainer = get_cmdp("ring-vel", engine="jax").trainer_for("quick")
+    twin, (params,) = trainer.problem([{"hold": 40.0}])
+    recipe = engine.TRPORecipe()
+    weights = learning.start(twin, recipe, [5], params).state.weights
+    seeds = np.arange(3, dtype=np.uint32)[None]
+    got = record(twin, "tanh", 10, Actor(weights.actor, weights.log_std), seeds, params)
+    assert got.obs.shape == (1, 10, 3, 1, 3)
+    assert set(np.unique(got.action)) <= set(range(10))
+    assert got.acting.all()
+    np.testing.assert_allclose(
+        got.outputs, jax.vmap(networks.apply)(weights.actor, got.obs), atol=1e-6
+    )
+
+
+@pytest.mark.slow
+def test_it_learns_to_calm_the_ring():
+    trainer = get_cmdp("ring-acc", engine="jax").trainer_for(
+        "quick", episodes=60, hyperparameters={"n_episodes": 4}
+    )
+    policy = trainer.train({"hold": 1.0}, seed=1)
+    (guided,) = trainer.evaluate(policy, [{"hold": 1.0}], seed=2)
+    assert guided.mean() > 3.6  # unguided: 3.15
+
+
+def test_unknown_names_and_numbers_are_refused():
+    cmdp = get_cmdp("ring-acc", engine="jax")
+    with pytest.raises(UnknownName, match="TRPO"):
+        cmdp.trainer_for("quick", algorithm="PPO")
+    with pytest.raises(InvalidInput, match="episodes"):
+        cmdp.trainer_for("quick", episodes=0)
+    trainer = cmdp.trainer_for("quick", hyperparameters={"gama": 0.9})
+    with pytest.raises(UnknownName, match="gamma"):
+        trainer.train({"hold": 5.0}, seed=0)
