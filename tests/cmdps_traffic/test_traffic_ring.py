@@ -1,4 +1,6 @@
 import math
+import os
+import signal
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from mbtl.cmdps.engines import EnvFactory
 from mbtl.cmdps.traffic import advisory
 from mbtl.cmdps.traffic.ring import CARS, Ring, RingAcc, RingVel
 from mbtl.contexts import ContextSpace, Linear
-from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
+from mbtl.errors import ContextMismatch, InvalidInput, SimulationFailed, UnknownName
 
 
 @pytest.fixture
@@ -133,6 +135,21 @@ def test_accelerating_into_the_leader_ends_with_a_penalty(make):
     assert info["collided"]
     assert reward < -5.0
     assert info["score"] == 0.0  # the measured part had not begun
+
+
+@pytest.mark.slow
+def test_a_simulator_that_is_killed_ends_the_episode_and_the_next_one_works(make):
+    env = make(engine="traci", horizon=2)
+    env.reset(seed=0)
+    env.step(5)
+    os.kill(env.simulation.api._process.pid, signal.SIGKILL)
+    with pytest.raises(SimulationFailed, match="has stopped"):
+        env.step(5)
+    with pytest.raises(InvalidInput, match="reset"):  # not a second failure
+        env.step(5)
+    env.reset(seed=0)
+    assert not any(env.step(5)[2:4])
+    assert env.step(5)[3]
 
 
 def test_settings_are_checked():

@@ -170,6 +170,74 @@ def test_rewards_sum_to_minus_the_waiting_of_those_who_are_still_there(make):
     assert total == pytest.approx(-waiting)
 
 
+# ---- jams --------------------------------------------------------------------------------------
+
+
+def test_cars_that_block_each_other_at_the_stop_line_do_not_stop_the_traffic_for_good(make):
+    # without the rule, -3,907 with 599 cars outside, and the queue never moves again
+    _, _, info = episode(make({"length": 30}), FIXED_TIME)
+    assert info["missed_turns"] > 0
+    assert info["not_inserted"] == 0
+    assert info["score"] > -50.0
+
+
+def test_a_car_without_its_turn_leaves_by_its_lane_after_its_patience_only(make):
+    env = make()
+    env.reset(seed=0)
+    routes = {"a": ["W_in", "S_out"], "b": ["W_in", "E_out"], "c": ["W_in", "E_out"]}
+
+    class Vehicle:
+        def getWaitingTime(self, car):
+            return {"a": 120.0, "b": 119.0, "c": 500.0}[car]
+
+        def getRoute(self, car):
+            return routes[car]
+
+        def setRoute(self, car, route):
+            routes[car] = route
+
+    class Api:
+        vehicle = Vehicle()
+
+    # a: right turn from a lane that goes straight; b: straight on from the left lane, not yet
+    # long enough; c: has its lane and waits for green
+    env._first = {"W_in_1": "a", "W_in_3": "b", "W_in_0": "c"}
+    env._release(Api())
+    assert routes == {
+        "a": ["W_in", "E_out"],
+        "b": ["W_in", "E_out"],
+        "c": ["W_in", "E_out"],
+    }
+    assert env._missed_turns == 1
+    env._first = {"E_in_3": "c"}
+    env._release(Api())
+    assert routes["c"] == ["W_in", "S_out"]  # left of east, clockwise: south
+
+
+def test_a_signal_that_never_changes_is_counted_to_the_end(make):
+    decisions, _, info = episode(make({"inflow": 200}), (0,))
+    assert decisions == 540
+    # those of the other axis wait from their arrival on: far below the paper's bound, -100
+    assert info["score"] < -1000.0
+    assert info["mean_queue"] > 40.0
+
+
+@pytest.mark.parametrize("speed", [14.0, 5.0])
+def test_every_car_enters_the_shortest_road_that_is_allowed(make, speed, capfd):
+    stop = demand.stopping_distance(demand.entry_speed(speed))
+    with pytest.raises(ContextMismatch, match=f"{stop:g} m"):
+        Signal({"length": stop, "speed": speed})
+    _, _, info = episode(make({"length": stop + 0.1, "speed": speed, "inflow": 300}), FIXED_TIME)
+    assert info["not_inserted"] == 0
+    assert capfd.readouterr().err == ""  # SUMO writes there about every car that it drops
+
+
+def test_braking_takes_whole_seconds():
+    # one second at 10 m/s, then 5.5 and 1, behind a car of 5 m that stands 0.1 m into the road
+    assert demand.stopping_distance(10.0) == pytest.approx(5.1 + 10.0 + 5.5 + 1.0)
+    assert demand.stopping_distance(4.0) == pytest.approx(5.1 + 4.0)
+
+
 # ---- bad input and the contract ----------------------------------------------------------------
 
 

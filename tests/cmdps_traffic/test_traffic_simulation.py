@@ -139,6 +139,15 @@ def test_a_missing_or_old_sumo_names_the_fix(monkeypatch):
         software.library("no_such_library_of_sumo")
 
 
+def test_a_library_that_cannot_be_loaded_says_why(monkeypatch):
+    def fail(name):
+        raise ImportError("libGL.so.1: cannot open shared object file", name="libsumo")
+
+    monkeypatch.setattr(software.importlib, "import_module", fail)
+    with pytest.raises(MissingExtra, match=r"libsumo .* libGL\.so\.1"):
+        software.library("libsumo")
+
+
 def test_settings_are_checked(road, monkeypatch):
     with pytest.raises(UnknownName, match="libsumo"):
         Simulation(road, step_length=1.0, engine="libsum")

@@ -16,6 +16,7 @@ from mbtl.training.jax import networks
 from mbtl.training.jax.environments import Box, Discrete
 from mbtl.training.jax.traffic import learning, trpo
 from mbtl.training.jax.traffic.episodes import Actor, Episodes, record
+from mbtl.training.jax.traffic.recipes import TRPORecipe
 from mbtl.training.jax.traffic.returns import Returns, advantages
 
 BOX = Box((-1.0,), (1.0,))
@@ -69,7 +70,7 @@ def test_kl_of_gaussians_and_of_choices():
 
 
 def test_advantages_are_discounted_sums_less_the_value():
-    recipe = engine.TRPORecipe(gamma=0.5, normalize_reward=False)
+    recipe = TRPORecipe(gamma=0.5, normalize_reward=False)
     advantage, target, _ = advantages(
         recipe, critic(1.0), Returns.empty(), lived([1.0, 2.0, 4.0], last_acting=True)
     )
@@ -79,7 +80,7 @@ def test_advantages_are_discounted_sums_less_the_value():
 
 
 def test_an_ended_life_is_worth_nothing_more_and_the_next_one_starts_afresh():
-    recipe = engine.TRPORecipe(gamma=0.5, normalize_reward=False)
+    recipe = TRPORecipe(gamma=0.5, normalize_reward=False)
     _, target, _ = advantages(
         recipe,
         critic(1.0),
@@ -110,7 +111,7 @@ def test_running_statistics_are_those_of_all_decisions_together():
 
 
 def one_update(**changes):
-    recipe = engine.TRPORecipe(**changes)
+    recipe = TRPORecipe(**changes)
     weights = networks.init_weights(0, 2, BOX, (8,))
     weights = jax.tree.map(jnp.asarray, weights)
     rng = np.random.default_rng(2)
@@ -143,7 +144,7 @@ def test_a_step_that_would_not_pay_is_not_made():
 def test_training_is_reproducible_and_goes_on_where_it_was():
     trainer = get_cmdp("ring-acc", engine="jax").trainer_for("quick")
     twin, (params,) = trainer.problem([{"hold": 20.0}])
-    recipe = engine.TRPORecipe(n_episodes=2, hidden=(8,))
+    recipe = TRPORecipe(n_episodes=2, hidden=(8,))
     saved = []
 
     def keep(block):
@@ -162,7 +163,7 @@ def test_training_is_reproducible_and_goes_on_where_it_was():
 def test_episodes_record_what_was_done():
     trainer = get_cmdp("ring-vel", engine="jax").trainer_for("quick")
     twin, (params,) = trainer.problem([{"hold": 40.0}])
-    recipe = engine.TRPORecipe()
+    recipe = TRPORecipe()
     weights = learning.start(twin, recipe, [5], params).state.weights
     seeds = np.arange(3, dtype=np.uint32)[None]
     got = record(twin, "tanh", 10, Actor(weights.actor, weights.log_std), seeds, params)

@@ -30,11 +30,8 @@ VISIBILITIES: tuple[Visibility, ...] = ("hidden", "multiplier", "raw")
 TIME_LIMITS: tuple[TimeLimit, ...] = ("truncation", "terminal")
 
 
-class ContextualEnv(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untyped for our checker
-    """A Gymnasium environment whose physics is derived from a context, once, at construction.
-
-    A subclass names its features, builds `observation_space` with `_space`, and writes `reset` and
-    `step` in full: they run hundreds of millions of times, so there are no layers between.
+class Contextual:
+    """What every environment, of whichever interface, does with its context: once, at construction.
 
     Attributes:
         features: every feature with the value it has here.
@@ -43,9 +40,6 @@ class ContextualEnv(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untype
 
     FEATURES: ClassVar[Mapping[str, float]]
     """Nominal value of each feature, in the order in which `raw` shows them; all positive."""
-
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
-    render_mode = None
 
     def __init__(
         self,
@@ -83,6 +77,17 @@ class ContextualEnv(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untype
         return InvalidInput(
             "step() needs a running episode, got none or one that has ended; call reset()"
         )
+
+
+class ContextualEnv(Contextual, gymnasium.Env):  # type: ignore[misc]  # gymnasium is untyped for our checker
+    """A Gymnasium environment whose physics is derived from a context.
+
+    A subclass names its features, builds `observation_space` with `_space`, and writes `reset` and
+    `step` in full: they run hundreds of millions of times, so there are no layers between.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    render_mode: str | None = None
 
 
 def full_context(

@@ -3,20 +3,24 @@
 One environment per target plays its episodes back to back; when it has finished them, its place
 goes to the next target. The policy always sees `ROWS` observations at a time (padded when fewer are
 left), so its arithmetic, and with it every return, does not depend on the other targets.
+
+An environment is a Gymnasium one, or a PettingZoo parallel one whose agents share the policy. What
+an episode is worth is the sum of its rewards, or `info["score"]` of its last step where that is
+given: in traffic, say, the score is a mean speed and the rewards only teach.
 """
 
 from __future__ import annotations
 
 import inspect
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.errors import TrainingFailed
+from mbtl.errors import InvalidInput, TrainingFailed
 
 ROWS = 32
 """Observations per forward pass. Measured on 64-64 networks: 32 rows cost about twice one row."""
@@ -59,65 +63,102 @@ class _Place:
     """One environment at play."""
 
     job: int
-    env: Env
+    env: Any
     seeds: Iterator[int]
     returns: list[float]
-    observation: Any = None
+    observations: list[Any] = field(default_factory=list)  # one per decision maker
     total: float = 0.0
     steps: int = 0
     memory: tuple[Any, ...] | None = None  # state of a recurrent policy, None at an episode's start
+    rng: np.random.Generator | None = None  # of sampled actions
+
+    @property
+    def is_team(self) -> bool:
+        """PettingZoo's parallel interface."""
+        return hasattr(self.env, "possible_agents")
 
     def start_episode(self) -> bool:
         """Reset for the next episode; False when all were played."""
-        seed = next(self.seeds, None)
-        if seed is None:
-            return False
-        self.observation, _ = self.env.reset(seed=seed)
-        self.total, self.steps, self.memory = 0.0, 0, None
-        return True
+        while (seed := next(self.seeds, None)) is not None:
+            first, _ = self.env.reset(seed=seed)
+            self.observations = [first[a] for a in self.env.agents] if self.is_team else [first]
+            self.total, self.steps, self.memory = 0.0, 0, None
+            self.rng = np.random.default_rng(seed)
+            if self.observations:
+                return True
+            self.returns.append(float(self.env.summary["score"]))  # nobody ever had to decide
+        return False
 
-    def step(self, action: Any) -> bool:
-        """Take one step; True when the episode is over."""
-        self.observation, reward, terminated, truncated, _ = self.env.step(action)
-        self.total += float(reward)
+    def step(self, actions: Sequence[Any]) -> bool:
+        """Take one step with one action per decision maker; True when the episode is over."""
+        ended, info = self._team_step(actions) if self.is_team else self._step(actions[0])
         self.steps += 1
         if self.steps > LONGEST_EPISODE:
             raise TrainingFailed(
                 f"an episode must end, got more than {LONGEST_EPISODE} steps; wrap the environment "
                 "in gymnasium.wrappers.TimeLimit"
             )
-        if terminated or truncated:
-            self.returns.append(self.total)
-        return terminated or truncated
+        if ended:
+            self.returns.append(float(info.get("score", self.total)))
+        return ended
+
+    def _step(self, action: Any) -> tuple[bool, Mapping[str, Any]]:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self.observations = [observation]
+        self.total += float(reward)
+        return terminated or truncated, info
+
+    def _team_step(self, actions: Sequence[Any]) -> tuple[bool, Mapping[str, Any]]:
+        agents = list(self.env.agents)
+        seen, rewards, _, _, infos = self.env.step(dict(zip(agents, actions, strict=True)))
+        self.observations = [seen[agent] for agent in self.env.agents]
+        self.total += float(sum(rewards.values()))
+        return not self.env.agents, next(iter(infos.values()), {})
 
 
 @dataclass(frozen=True)
 class Actor:
-    """Asks a policy for deterministic actions in batches of `ROWS`.
+    """Asks a policy for actions in batches of `ROWS`.
 
     Attributes:
         policy: anything with Stable-Baselines3's `predict`; recurrent and masked policies are
             recognised by its parameters `state` and `action_masks`.
+        sampled: draw the actions, from the seed of the episode alone; needs an `MLPPolicy`.
+
+    Raises:
+        InvalidInput: sampled actions of a policy that takes no generator.
     """
 
     policy: Any
+    sampled: bool = False
     _wants: frozenset[str] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         names = inspect.signature(self.policy.predict).parameters
         object.__setattr__(self, "_wants", frozenset(names))
+        if self.sampled and "rng" not in names:
+            raise InvalidInput(
+                "sampled actions need a policy whose predict takes a generator `rng`, as dense "
+                f"ones do, got {type(self.policy).__name__}; use acting='mean'"
+            )
 
-    def actions(self, places: Sequence[_Place]) -> list[Any]:
-        """One action per place."""
-        actions: list[Any] = []
-        for start in range(0, len(places), ROWS):
-            batch = places[start : start + ROWS]
+    def actions(self, places: Sequence[_Place]) -> list[list[Any]]:
+        """Per place one action for each of its decision makers."""
+        if self.sampled:
+            return [
+                list(self.policy.predict(_stacked(p.observations), False, p.rng)[0]) for p in places
+            ]
+        makers = [(place, seen) for place in places for seen in place.observations]
+        chosen: list[Any] = []
+        for start in range(0, len(makers), ROWS):
+            batch = makers[start : start + ROWS]
             padded = [*batch, *[batch[-1]] * (ROWS - len(batch))]
-            actions.extend(self._predict(padded)[: len(batch)])
-        return actions
+            chosen.extend(self._predict(*zip(*padded, strict=True))[: len(batch)])
+        shares = iter(chosen)
+        return [[next(shares) for _ in place.observations] for place in places]
 
-    def _predict(self, places: Sequence[_Place]) -> Any:
-        observations = _stacked([place.observation for place in places])
+    def _predict(self, places: Sequence[_Place], seen: Sequence[Any]) -> Any:
+        observations = _stacked(seen)
         extra: dict[str, Any] = {}
         if "action_masks" in self._wants:
             extra["action_masks"] = np.stack([_action_mask(place.env) for place in places])
@@ -142,7 +183,7 @@ def play(
         keep_open: leave the environments open: their owner closes them.
 
     Returns:
-        Per job the undiscounted return of each episode, in the order of its seeds.
+        Per job what each episode is worth, in the order of its seeds.
     """
     waiting = deque(enumerate(jobs))
     returns: list[list[float]] = [[] for _ in jobs]
@@ -151,11 +192,15 @@ def play(
         while waiting or places:
             while waiting and len(places) < max_envs:
                 number, job = waiting.popleft()
-                places.append(_Place(number, job.open_env(), iter(job.seeds), returns[number]))
-                places[-1].start_episode()
+                place = _Place(number, job.open_env(), iter(job.seeds), returns[number])
+                places.append(place)
+                if not place.start_episode():
+                    places.remove(place)
+                    if not keep_open:
+                        place.env.close()
             finished = []
-            for place, action in zip(places, actor.actions(places), strict=True):
-                if place.step(action) and not place.start_episode():
+            for place, actions in zip(places, actor.actions(places), strict=True):
+                if place.step(actions) and not place.start_episode():
                     finished.append(place)
             for place in finished:
                 places.remove(place)

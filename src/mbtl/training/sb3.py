@@ -17,7 +17,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput, TrainingFailed, missing_extra
+from mbtl.errors import InvalidInput, TrainingFailed, missing_extra, unknown_name
 from mbtl.seeds import Purpose, derive_seed, episode_seed
 from mbtl.trainer import OnProgress, checked_returns
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
@@ -26,8 +26,13 @@ from mbtl.training.rollout import Job, play
 from mbtl.training.sb3_files import load_sb3, save_sb3
 from mbtl.training.watch import BestCheckpoint, Watch, actor_for
 
-_COUNTS = ("timesteps", "eval_episodes", "checkpoint_episodes", "n_envs", "threads")
-_OPTIONAL_COUNTS = ("checkpoint_every", "n_eval_envs")
+_COUNTS = ("eval_episodes", "checkpoint_episodes", "n_envs", "threads")
+_OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every", "n_eval_envs")
+
+EPISODE = "episode"
+"""Value of a hyperparameter: the steps of one episode, which the environment must tell."""
+
+_FOREVER = 1 << 62
 
 EVALUATION_ENVS = 128
 """Environments alive at once in an evaluation, when `n_eval_envs` does not say otherwise."""
@@ -46,16 +51,21 @@ class SB3Trainer:
 
     Attributes:
         make_env: context -> `gymnasium.Env`, new on every call, with a time limit.
-        timesteps: environment steps of one training.
+        timesteps: environment steps of one training; or else
+        episodes: its episodes.
         algorithm: name (PPO, DQN, SAC, ..., TRPO, RecurrentPPO, ...) or class.
         policy: the library's policy name ("MlpPolicy", "CnnPolicy", "MultiInputPolicy") or class.
-        hyperparameters: keyword arguments of the algorithm.
+        hyperparameters: keyword arguments of the algorithm. The value "episode" stands for the
+            steps of one episode in the context, the environment's attribute `episode_steps`.
+        normalize_reward: divide rewards by the deviation of discounted returns (`VecNormalize`).
         eval_episodes: episodes per target in `evaluate`.
+        acting: "mean": deterministic actions. "sampled": as in training, drawn from the seed of the
+            episode; for dense policies.
         checkpoint: "final" weights, or the "best" of periodic evaluations on the own context
-            (`checkpoint_episodes` deterministic episodes, always the same, on their own
-            environments). The best of noisy means is an optimistic choice; `evaluate` uses other
-            episodes.
-        checkpoint_every: environment steps between those evaluations; default 2 % of `timesteps`.
+            (`checkpoint_episodes` episodes, always the same, on their own environments). The best
+            of noisy means is an optimistic choice; `evaluate` uses other episodes.
+        checkpoint_every: steps (or episodes, where those are counted) between those evaluations;
+            default 2 % of the training.
         checkpoint_episodes: episodes per checkpoint.
         n_eval_envs: environments alive at once while evaluating; fewer for heavy simulators. The
             returns do not depend on it.
@@ -65,17 +75,21 @@ class SB3Trainer:
         threads: torch threads while training and evaluating.
 
     Raises:
-        InvalidInput: a number is not positive, or `checkpoint` is neither "final" nor "best".
-        UnknownName: no such algorithm.
+        InvalidInput: a number is not positive, `checkpoint` is neither "final" nor "best", or not
+            exactly one of `timesteps` and `episodes` is given.
+        UnknownName: no such algorithm, or way to act.
     """
 
     make_env: Callable[[Context], Any]
     _: KW_ONLY
-    timesteps: int
+    timesteps: int | None = None
+    episodes: int | None = None
     algorithm: str | type = "PPO"
     policy: str | type = "MlpPolicy"
     hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+    normalize_reward: bool = False
     eval_episodes: int = 10
+    acting: Literal["mean", "sampled"] = "mean"
     checkpoint: Literal["final", "best"] = "final"
     checkpoint_every: int | None = None
     checkpoint_episodes: int = 5
@@ -99,6 +113,13 @@ class SB3Trainer:
                 raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
         if self.checkpoint not in ("final", "best"):
             raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
+        if self.acting not in ("mean", "sampled"):
+            raise unknown_name("way to act", self.acting, ("mean", "sampled"))
+        if (self.timesteps is None) == (self.episodes is None):
+            raise InvalidInput(
+                "a training lasts a number of timesteps or of episodes, got "
+                f"timesteps={self.timesteps} and episodes={self.episodes}; give one of them"
+            )
         check_name(self.algorithm)
 
     def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
@@ -116,27 +137,30 @@ class SB3Trainer:
         with ExitStack() as stack:
             stack.enter_context(isolated(self.threads))
             best = self._best_checkpoint(context, seed, stack)
+            envs = self._training_envs(context, stack)
             model = algorithm(
                 self.policy,
-                self._training_envs(context, stack),
+                envs,
                 seed=seed,
                 device=self.device,
                 verbose=0,
                 tensorboard_log=self._log_folder(),
-                **settings,
+                **{name: _steps(value, envs, name) for name, value in settings.items()},
             )
             if self.tensorboard is None:
                 _log_nowhere(model)
-            watch = Watch(model, self.timesteps, on_progress, best)
-            _learn(model, self.timesteps, watch, _run_name(context, seed))
+            counted = self.episodes is not None
+            watch = Watch(model, self._length, on_progress, best, in_episodes=counted)
+            steps = _FOREVER if self.timesteps is None else self.timesteps
+            _learn(model, steps, watch, _run_name(context, seed))
             if best is not None:
-                best.visit(model, last=True)
+                best.visit(model, watch.done, last=True)
                 best.restore(model)
-            watch.report(self.timesteps)
+            watch.report(self._length)
             return _lightened(model)
 
     def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
-        """Undiscounted returns of deterministic episodes, (n_targets, eval_episodes).
+        """What episodes are worth (see `mbtl.training.rollout`), (n_targets, eval_episodes).
 
         Episode e has the same seed for every policy and every target, and a return does not depend
         on the other targets of the call.
@@ -152,7 +176,8 @@ class SB3Trainer:
         seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
         jobs = [Job(partial(self.make_env, context), seeds) for context in contexts]
         with isolated(self.threads):
-            rows = play(jobs, actor_for(policy), max_envs=self.n_eval_envs or EVALUATION_ENVS)
+            actor = actor_for(policy, sampled=self.acting == "sampled")
+            rows = play(jobs, actor, max_envs=self.n_eval_envs or EVALUATION_ENVS)
         returns = np.reshape(rows, (len(jobs), self.eval_episodes))
         return checked_returns(returns, len(jobs))
 
@@ -174,7 +199,7 @@ class SB3Trainer:
             "trainer": "stable-baselines3",
             "algorithm": algorithm,
             "policy": policy,
-            "timesteps": self.timesteps,
+            **self._length_record,
             "hyperparameters": {k: _plain(v) for k, v in sorted(self.hyperparameters.items())},
             "n_envs": self.n_envs,
             "checkpoint": self.checkpoint,
@@ -185,11 +210,33 @@ class SB3Trainer:
 
     # ---- inside ------------------------------------------------------------------------------
 
+    @property
+    def _length(self) -> int:
+        """Of a training, in steps or episodes."""
+        length = self.timesteps if self.episodes is None else self.episodes
+        assert length is not None
+        return length
+
+    @property
+    def _length_record(self) -> dict[str, Any]:
+        """Settings that came later are named where they are used: old records stay as they were."""
+        record: dict[str, Any] = {"timesteps": self.timesteps}
+        if self.episodes is not None:
+            record = {"episodes": self.episodes}
+        if self.normalize_reward:
+            record["normalize_reward"] = True
+        return record if self.acting == "mean" else {**record, "acting": self.acting}
+
     def _training_envs(self, context: Context, stack: ExitStack) -> Any:
         from stable_baselines3.common.vec_env import DummyVecEnv
 
-        envs = DummyVecEnv([partial(_monitored, self.make_env, context)] * self.n_envs)
+        envs: Any = DummyVecEnv([partial(_monitored, self.make_env, context)] * self.n_envs)
         stack.callback(envs.close)
+        if self.normalize_reward:
+            from stable_baselines3.common.vec_env import VecNormalize
+
+            gamma = self.hyperparameters.get("gamma", 0.99)
+            envs = VecNormalize(envs, norm_obs=False, norm_reward=True, gamma=gamma)
         return envs
 
     def _best_checkpoint(
@@ -204,8 +251,8 @@ class SB3Trainer:
             stack.callback(envs[-1].close)
         episodes = range(self.checkpoint_episodes)
         seeds = [derive_seed(seed, Purpose.CHECKPOINT, episode) for episode in episodes]
-        every = self.checkpoint_every or max(1, math.ceil(0.02 * self.timesteps))
-        return BestCheckpoint(envs, seeds, every)
+        every = self.checkpoint_every or max(1, math.ceil(0.02 * self._length))
+        return BestCheckpoint(envs, seeds, every, sampled=self.acting == "sampled")
 
     def _log_folder(self) -> str | None:
         if self.tensorboard is None:
@@ -215,6 +262,19 @@ class SB3Trainer:
         if find_spec("tensorboard") is None:
             raise missing_extra("tensorboard", "train")
         return str(self.tensorboard)
+
+
+def _steps(value: Any, envs: Any, name: str) -> Any:
+    """A hyperparameter, with `EPISODE` replaced by the steps of one."""
+    if not (isinstance(value, str) and value == EPISODE):
+        return value
+    steps = envs.get_attr("episode_steps")[0] if envs.has_attr("episode_steps") else None
+    if steps is None:
+        raise InvalidInput(
+            f"{name}='{EPISODE}' needs an environment with an attribute episode_steps, got one "
+            "without; give a number"
+        )
+    return steps
 
 
 def _plain(value: Any) -> Any:

@@ -165,9 +165,10 @@ class TwinTrainer(MLPTrainer):
         }
 
     def _recipe(self) -> Any:
-        import mbtl.training.jax as engine
+        import mbtl.training.jax  # noqa: F401  first: flags of jax
+        from mbtl.training.jax.traffic.recipes import twin_recipe_named
 
-        named = engine.twin_recipe_named(self.algorithm, self.recipe_name)
+        named = twin_recipe_named(self.algorithm, self.recipe_name)
         known = named.record
         for name in self.hyperparameters:
             if name not in known:

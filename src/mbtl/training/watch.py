@@ -16,10 +16,10 @@ REPORTS = 100
 """Progress reports per training."""
 
 
-def actor_for(policy: Any) -> Actor:
+def actor_for(policy: Any, *, sampled: bool = False) -> Actor:
     """Actor of a policy, on its numpy copy when there is one (about ten times as fast as torch)."""
     exported = export_mlp(policy) if hasattr(policy, "policy") else None
-    return Actor(policy if exported is None else exported)
+    return Actor(policy if exported is None else exported, sampled)
 
 
 class BestCheckpoint:
@@ -30,8 +30,11 @@ class BestCheckpoint:
     (cmdp-spec, section 3). Unchanged weights are not evaluated again.
     """
 
-    def __init__(self, envs: Sequence[Env], seeds: Sequence[int], every: int) -> None:
-        """`seeds`, one per episode, are dealt out over `envs`; `every` is in environment steps."""
+    def __init__(
+        self, envs: Sequence[Env], seeds: Sequence[int], every: int, *, sampled: bool = False
+    ) -> None:
+        """`seeds`, one per episode, are dealt out over `envs`; `every` is in units of training."""
+        self._sampled = sampled
         self._jobs = [Job(partial(_same, e), seeds[i :: len(envs)]) for i, e in enumerate(envs)]
         self._every, self._due = every, every
         self._updates: int | None = None
@@ -39,15 +42,16 @@ class BestCheckpoint:
         self.latest: float | None = None
         self.best: float | None = None
 
-    def visit(self, model: Any, *, last: bool = False) -> None:
+    def visit(self, model: Any, done: int, *, last: bool = False) -> None:
         """Evaluate if a checkpoint is due (or this is the last) and the weights have changed."""
-        if not last and model.num_timesteps < self._due:
+        if not last and done < self._due:
             return
-        self._due = model.num_timesteps + self._every
+        self._due = done + self._every
         if model._n_updates == self._updates:
             return
         self._updates = model._n_updates
-        returns = play(self._jobs, actor_for(model), max_envs=len(self._jobs), keep_open=True)
+        actor = actor_for(model, sampled=self._sampled)
+        returns = play(self._jobs, actor, max_envs=len(self._jobs), keep_open=True)
         self.latest = float(np.concatenate(returns).mean())
         if self.best is None or self.latest > self.best:
             self.best = self.latest
@@ -61,24 +65,42 @@ class BestCheckpoint:
 
 
 class Watch:
-    """Callback of one training, called after every environment step."""
+    """Callback of one training, called after every environment step.
+
+    The unit of training is the environment step, or the episode where `in_episodes`.
+    """
 
     def __init__(
-        self, model: Any, total: int, on_progress: OnProgress | None, best: BestCheckpoint | None
+        self,
+        model: Any,
+        total: int,
+        on_progress: OnProgress | None,
+        best: BestCheckpoint | None,
+        *,
+        in_episodes: bool = False,
     ) -> None:
-        self._model, self._total = model, total
+        self._model, self._total, self._in_episodes = model, total, in_episodes
         self._on_progress, self._best = on_progress, best
         self._interval = max(1, total // REPORTS)
-        self._due = self._interval
+        self._due, self._episodes = self._interval, 0
 
-    def __call__(self, _locals: dict[str, Any], _globals: dict[str, Any]) -> bool:
-        """Form of a Stable-Baselines3 function callback; True: go on."""
+    @property
+    def done(self) -> int:
+        """Units so far."""
+        return self._episodes if self._in_episodes else int(self._model.num_timesteps)
+
+    def __call__(self, given: dict[str, Any], _globals: dict[str, Any]) -> bool:
+        """Form of a Stable-Baselines3 function callback; False: enough."""
+        # one step into the next episode: what ends on the last step has been learnt from by then
+        enough = self._in_episodes and self._episodes >= self._total
+        if self._in_episodes:
+            self._episodes += sum("episode" in info for info in given.get("infos", ()))
         if self._best is not None:
-            self._best.visit(self._model)
-        if self._model.num_timesteps >= self._due:
-            self._due = self._model.num_timesteps + self._interval
-            self.report(min(self._model.num_timesteps, self._total))
-        return True
+            self._best.visit(self._model, self.done)
+        if self.done >= self._due:
+            self._due = self.done + self._interval
+            self.report(min(self.done, self._total))
+        return not enough
 
     def report(self, step: int) -> None:
         """Tell the caller where the training stands."""

@@ -7,6 +7,8 @@ differs from them:
   in `info["score"]` of the step that ends an episode, larger being better.
 - An episode is a simulation of its own: `reset` starts it, the last step or `close` ends it. Only
   one simulation per process is fast, see `simulation`.
+- Where many cars decide, the environment is PettingZoo's (`team`); `slots` and `shared` let
+  Stable-Baselines3 train one policy for all of them.
 
 Nothing here is imported by the rest of `mbtl.cmdps` before an environment is made.
 """

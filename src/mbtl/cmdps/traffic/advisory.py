@@ -14,6 +14,7 @@ from collections.abc import Container, Sequence
 from typing import Any, Literal
 
 import numpy as np
+from gymnasium.spaces import Box, Discrete, Space
 
 from mbtl.cmdps.contextual import TimeLimit
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
@@ -23,6 +24,9 @@ STEP = 0.1
 
 WARM_UP, UNMEASURED, MEASURED = 1000, 2000, 2000
 """Simulation steps: without control, with control, and with control and measured."""
+
+HORIZON = 400
+"""Decisions of an episode at a hold of 1 s."""
 
 NOISE = 0.2
 """Standard deviation of a human driver's acceleration [m/s^2], drawn every step."""
@@ -79,6 +83,11 @@ def level_of(action: Any, levels: int) -> int:
     if level != action or not 0 <= level < levels:
         raise InvalidInput(f"speed levels are whole numbers from 0 to {levels - 1}, got {action!r}")
     return level
+
+
+def action_space(actions: Actions, levels: int) -> Space[Any]:
+    """-1..1 of the strongest acceleration, or one of `levels` speeds."""
+    return Box(-1.0, 1.0, (1,), np.float32) if actions == "acceleration" else Discrete(levels)
 
 
 class Drivers:

@@ -12,6 +12,10 @@ from mbtl.arrays import Array
 
 STRAIGHT_SHARE = 0.75
 SHAPE = 2.0
+LENGTH, DECELERATION = 5.0, 4.5
+
+_CLEARANCE = 0.1
+"""From the start of the road to a car that enters [m]."""
 
 _CHECKS = "collision leaderGap followerGap junction stop arrivalSpeed speedLimit"
 """All of SUMO's that apply but one: it would drop cars that enter a short road on a lane from which
@@ -38,6 +42,21 @@ def directions(rng: np.random.Generator, n: int) -> list[tuple[str, str]]:
     return [(APPROACHES[i], APPROACHES[j]) for i, j in zip(entry, leave, strict=True)]
 
 
+def entry_speed(speed_limit: float) -> float:
+    """Speed with which cars enter [m/s]."""
+    return min(10.0, speed_limit)
+
+
+def stopping_distance(speed: float) -> float:
+    """Road [m] that a car entering at `speed` fills: itself, a step of reaction, steps of braking.
+
+    SUMO drops cars that enter a road which is not longer.
+    """
+    steps = int(speed / DECELERATION)
+    braking = steps * speed - DECELERATION * steps * (steps + 1) / 2.0
+    return LENGTH + _CLEARANCE + speed + braking
+
+
 def routes(rng: np.random.Generator, n: int, seconds: int, speed_limit: float) -> str:
     """XML of one episode's cars."""
     ways = "".join(
@@ -49,11 +68,11 @@ def routes(rng: np.random.Generator, n: int, seconds: int, speed_limit: float) -
     times = departures(rng, n, seconds).tolist()
     cars = "".join(
         f'<vehicle id="{k}" type="car" route="{a}{b}" depart="{time:.0f}" departLane="random" '
-        f'departSpeed="{min(10.0, speed_limit):g}" insertionChecks="{_CHECKS}"/>'
+        f'departSpeed="{entry_speed(speed_limit):g}" insertionChecks="{_CHECKS}"/>'
         for k, (time, (a, b)) in enumerate(zip(times, directions(rng, n), strict=True))
     )
-    return (
-        '<routes><vType id="car" carFollowModel="Krauss" accel="1" decel="4.5" length="5" '
-        f'minGap="2.5" sigma="0.5" tau="1" maxSpeed="25" speedFactor="1"/>'
-        f"{ways}{cars}</routes>"
+    kind = (
+        f'<vType id="car" carFollowModel="Krauss" accel="1" decel="{DECELERATION:g}" '
+        f'length="{LENGTH:g}" minGap="2.5" sigma="0.5" tau="1" maxSpeed="25" speedFactor="1"/>'
     )
+    return f"<routes>{kind}{ways}{cars}</routes>"

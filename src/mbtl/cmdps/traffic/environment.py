@@ -2,24 +2,45 @@
 
 The return is the sum of the rewards that a policy is trained on. The score is the matrix entry
 (cmdp-spec, 5-7), `info["score"]` of an episode's last step; larger is better.
+
+`Traffic` knows no interface: `TrafficEnv` here makes it a Gymnasium environment, `TrafficTeam` in
+`team` a PettingZoo one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, Literal, TypedDict
 
-from mbtl.cmdps.contextual import ContextualEnv, TimeLimit, Visibility
+import numpy as np
+
+from mbtl.cmdps.contextual import Contextual, ContextualEnv, TimeLimit, Visibility
+from mbtl.cmdps.traffic.drawing import Image, Window, draw
 from mbtl.cmdps.traffic.simulation import Engine, Simulation
 from mbtl.contexts import Value
+from mbtl.errors import InvalidInput, unknown_name
 
 SEEDS = 2**31 - 1
 """SUMO takes seeds of 31 bits."""
 
+RenderMode = Literal["rgb_array"]
 
-class TrafficEnv(ContextualEnv):
-    """A contextual environment that runs in SUMO.
+
+class Settings(TypedDict, total=False):
+    """Arguments that every traffic environment takes beside its context; see `Traffic`."""
+
+    unit: Mapping[str, float] | None
+    visibility: Visibility
+    time_limit: TimeLimit
+    horizon: int | None
+    engine: Engine
+    gui: bool
+    render_mode: RenderMode | None
+
+
+class Traffic(Contextual):
+    """A scenario in SUMO, built from a context.
 
     A subclass gives the network and SUMO's options and starts `self.simulation` in `reset`.
 
@@ -29,30 +50,57 @@ class TrafficEnv(ContextualEnv):
 
     STEP: ClassVar[float]
     """Seconds of one simulation step."""
+    HORIZON: ClassVar[int]
+    """Most decisions of an episode, unless another horizon is given."""
+    WINDOW: ClassVar[Window | None] = None
+    """What `render` shows of the network; None: all of it."""
+
+    np_random: np.random.Generator
+    render_mode: str | None
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
     def __init__(
         self,
-        context: Mapping[str, Value] | None,
+        context: Mapping[str, Value] | None = None,
         *,
-        unit: Mapping[str, float] | None,
-        visibility: Visibility,
-        time_limit: TimeLimit,
-        horizon: int,
-        engine: Engine,
-        gui: bool,
+        unit: Mapping[str, float] | None = None,
+        visibility: Visibility = "multiplier",
+        time_limit: TimeLimit = "truncation",
+        horizon: int | None = None,
+        engine: Engine = "auto",
+        gui: bool = False,
+        render_mode: RenderMode | None = None,
     ) -> None:
-        """See the subclasses for the meaning of the arguments."""
+        """Nothing is simulated before `reset`.
+
+        Args:
+            context: features that differ from the nominal ones.
+            unit: varied features and their value at multiplier 1; missing: those of `context`, at
+                their nominal value.
+            visibility: what of the context the policy sees.
+            time_limit: whether the end of time is reported as truncation or as a terminal state.
+            horizon: most decisions of an episode; missing: `HORIZON`.
+            engine: see `Simulation`.
+            gui: show it in sumo-gui.
+            render_mode: "rgb_array": `render` gives images.
+
+        Raises:
+            UnknownName: a feature, or one of the settings, is not known.
+            ContextMismatch: no such traffic can be built.
+            MissingExtra: SUMO is not installed.
+        """
+        if render_mode not in (None, "rgb_array"):
+            raise unknown_name("render mode", render_mode, ["rgb_array"])
         super().__init__(
-            context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
+            context,
+            unit=unit,
+            visibility=visibility,
+            time_limit=time_limit,
+            horizon=self.HORIZON if horizon is None else horizon,
         )
-        self.simulation = self._simulation(engine, gui)
-
-    def _network(self) -> Path:
-        """The compiled network of this context."""
-        raise NotImplementedError
-
-    def _simulation(self, engine: Engine, gui: bool) -> Simulation:
-        return Simulation(
+        self.render_mode = render_mode
+        self._picture: Image | None = None
+        self.simulation = Simulation(
             self._network(),
             step_length=self.STEP,
             options=self._options(),
@@ -60,18 +108,56 @@ class TrafficEnv(ContextualEnv):
             gui=gui,
         )
 
+    def _network(self) -> Path:
+        """The compiled network of this context."""
+        raise NotImplementedError
+
     def _options(self) -> list[str]:
+        """Further arguments of sumo."""
         return []
 
     def _draw_seed(self) -> int:
         """Seed of one simulation, from the environment's own generator."""
         return int(self.np_random.integers(SEEDS))
 
+    def _check_running(self) -> None:
+        """Refuse a step before `reset`, after the last step, and after the simulator has failed."""
+        if self._left <= 0 or self.simulation.running is None:
+            raise self._no_episode()
+
+    def _ends(self, out_of_time: bool) -> tuple[bool, bool]:
+        """(terminated, truncated) as far as time decides."""
+        return out_of_time and self._terminal, out_of_time and not self._terminal
+
+    def render(self) -> Image:
+        """The traffic as it is now; after the last step, as it was then.
+
+        Returns:
+            (height, width, 3) uint8.
+
+        Raises:
+            InvalidInput: made without `render_mode`, or nothing has been simulated.
+        """
+        if self.render_mode is None:
+            raise InvalidInput("render() needs render_mode='rgb_array', got None; make another")
+        if self.simulation.running is not None:
+            with self.simulation.guard() as api:
+                self._picture = draw(api, self.WINDOW)
+        if self._picture is None:
+            raise InvalidInput("render() shows a simulation, got none so far; call reset()")
+        return self._picture
+
     def _finish(self) -> None:
         """End the episode; another simulation of this process may have libsumo."""
-        self._left = 0
-        self.simulation.close()
+        if self.render_mode is not None:
+            self.render()  # the last picture: nothing is left to draw it from later
+        self.close()
 
     def close(self) -> None:
         """End the simulation and remove its files."""
-        self._finish()
+        self._left = 0
+        self.simulation.close()
+
+
+class TrafficEnv(Traffic, ContextualEnv):
+    """Traffic with one decision maker: a Gymnasium environment."""

@@ -17,38 +17,26 @@ policy; a PettingZoo parallel environment whose agents come and go.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
-from gymnasium.spaces import Box, Discrete, Space
-from gymnasium.utils.seeding import np_random
 
-from mbtl.cmdps.contextual import (
-    Observation,
-    TimeLimit,
-    Visibility,
-    full_context,
-    visible_features,
-)
+from mbtl.cmdps.contextual import Observation
 from mbtl.cmdps.traffic import advisory
 from mbtl.cmdps.traffic.advisory import Actions, Drivers, Seen
-from mbtl.cmdps.traffic.environment import SEEDS
+from mbtl.cmdps.traffic.environment import Settings
 from mbtl.cmdps.traffic.networks import network
-from mbtl.cmdps.traffic.simulation import Engine, Simulation
+from mbtl.cmdps.traffic.team import TrafficTeam
 from mbtl.contexts import Value
-from mbtl.errors import InvalidInput, missing_extra, unknown_name
-
-try:
-    from pettingzoo import ParallelEnv
-except ModuleNotFoundError as error:
-    raise missing_extra("pettingzoo", "traffic") from error
 
 MAIN, MERGE, EXIT, RAMP = 400.0, 100.0, 30.0, 100.0
 MAIN_FLOW, RAMP_FLOW = 2000.0, 300.0
 """Cars per hour, evenly spaced."""
 EVERY = 10
+CAR = advisory.LENGTH + advisory.MIN_GAP
 LEVELS, TOP_SPEED = 10, 30.0
 SPEED_UP, SLOW_DOWN = 1.0, 1.5
 COLLISION = 50.0
@@ -60,7 +48,7 @@ _AHEAD = {"main": MAIN + MERGE, "ramp": RAMP + MERGE, "merge": MERGE, "exit": 0.
 """Distance from the start of each edge to the zipper [m]."""
 
 
-class Ramp(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped for our checker
+class Ramp(TrafficTeam):
     """The ramp with either kind of advice; `RampAcc` and `RampVel` are the CMDPs' own.
 
     Attributes:
@@ -69,63 +57,29 @@ class Ramp(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped for our 
     """
 
     FEATURES: ClassVar[Mapping[str, float]] = {"hold": 1.0}  # s
+    STEP = advisory.STEP
+    HORIZON = advisory.HORIZON
     ACTIONS: ClassVar[Actions] = "acceleration"
-    metadata: ClassVar[dict[str, Any]] = {"name": "mbtl-ramp", "render_modes": []}
+    metadata: ClassVar[dict[str, Any]] = {**TrafficTeam.metadata, "name": "mbtl-ramp"}
+    most_agents = math.ceil((MAIN + 2 * MERGE + EXIT) / CAR / EVERY)
 
     def __init__(
         self,
         context: Mapping[str, Value] | None = None,
         *,
-        unit: Mapping[str, float] | None = None,
-        visibility: Visibility = "multiplier",
-        time_limit: TimeLimit = "truncation",
-        horizon: int = 400,
         obs: Seen = "fresh",
         noise: float = advisory.NOISE,
-        engine: Engine = "auto",
-        gui: bool = False,
+        **settings: Unpack[Settings],
     ) -> None:
         """Arguments as in `mbtl.cmdps.traffic.ring.Ring`."""
         advisory.check_seen(obs)
-        if time_limit not in ("truncation", "terminal"):
-            raise unknown_name("time limit", time_limit, ("truncation", "terminal"))
-        if horizon < 1:
-            raise InvalidInput(f"horizon must be >= 1 step, got {horizon}")
-        self.features = full_context(self.FEATURES, context)
-        unit = {name: self.FEATURES[name] for name in context or {}} if unit is None else unit
-        self.visible = visible_features(self.features, unit, visibility)
+        super().__init__(context, **settings)
         self.hold = advisory.hold_steps(self.features["hold"])
-        self.horizon = horizon
-        self._time_limit, self._obs, self._noise = time_limit, obs, noise
-        low, high = [-1.0] * 8 + [0.0] * len(self.visible), [1.0] * 8 + [np.inf] * len(self.visible)
-        self._observation_space = Box(np.array(low, np.float32), np.array(high, np.float32))
-        self._action_space: Space[Any] = (
-            Box(-1.0, 1.0, (1,), np.float32) if self.ACTIONS == "acceleration" else Discrete(LEVELS)
-        )
+        self._obs, self._noise = obs, noise
+        self._observation_space = self._space([-1.0] * 8, [1.0] * 8)
+        self._action_space = advisory.action_space(self.ACTIONS, LEVELS)
         self._routes, self.possible_agents = _demand()
         self._advised = frozenset(self.possible_agents)
-        self.agents: list[str] = []
-        self.np_random = np_random()[0]
-        self.simulation = Simulation(
-            _ramp(),
-            step_length=advisory.STEP,
-            options=advisory.OPTIONS,
-            engine=engine,
-            gui=gui,
-        )
-
-    def observation_space(self, agent: str) -> Space[Any]:
-        """The same for every agent."""
-        return self._observation_space
-
-    def action_space(self, agent: str) -> Space[Any]:
-        """The same for every agent."""
-        return self._action_space
-
-    def close(self) -> None:
-        """End the simulation and remove its files."""
-        self.agents = []
-        self.simulation.close()
 
     # ---- episodes ----------------------------------------------------------------------------
 
@@ -134,8 +88,8 @@ class Ramp(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped for our 
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
         """Start with empty roads and let traffic build up for 100 s."""
         if seed is not None:
-            self.np_random = np_random(seed)[0]
-        self.simulation.start(self._routes, int(self.np_random.integers(SEEDS)))
+            self._seed(seed)
+        self.simulation.start(self._routes, self._draw_seed())
         self._drivers = Drivers(self.np_random, self._noise)
         self._steps, self._means, self._collided = -advisory.WARM_UP, 0.0, 0
         self._seen: dict[str, Observation] = {}
@@ -165,8 +119,7 @@ class Ramp(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped for our 
             InvalidInput: no episode is running, or an action is no speed level.
             SimulationFailed: the simulator has stopped.
         """
-        if not self.agents:
-            raise InvalidInput("step() needs a running episode, got none; call reset()")
+        self._check_running()
         acting = self.agents
         with self.simulation.guard() as api:
             reward = self._follow(api, actions)
@@ -178,10 +131,10 @@ class Ramp(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped for our 
         newcomers = [] if ended else [car for car in self.agents if car not in acting]
         everyone = [*acting, *newcomers]
         gone = {car: car not in self.agents for car in acting}
-        terminated, truncated = advisory.limits(ended, self._time_limit)
+        terminated, truncated = self._ends(ended)
         info: dict[str, Any] = {"score": self.score, "collided": self._collided} if ended else {}
         if ended:
-            self.close()
+            self._finish()
         return (
             {car: self._seen[car] for car in everyone},
             {car: reward if car in gone else 0.0 for car in everyone},
@@ -197,6 +150,12 @@ class Ramp(ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped for our 
         return self._means / measured if measured > 0 else 0.0
 
     # ---- inside ------------------------------------------------------------------------------
+
+    def _options(self) -> list[str]:
+        return advisory.OPTIONS
+
+    def _network(self) -> Path:
+        return _ramp()
 
     def _follow(self, api: Any, actions: Mapping[str, Any]) -> float:
         """One hold; the mean reward of its steps."""

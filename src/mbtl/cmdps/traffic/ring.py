@@ -15,17 +15,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Unpack
 
 import numpy as np
-from gymnasium.spaces import Box, Discrete
 
-from mbtl.cmdps.contextual import Observation, TimeLimit, Visibility
+from mbtl.cmdps.contextual import Observation
 from mbtl.cmdps.traffic import advisory
 from mbtl.cmdps.traffic.advisory import Actions, Drivers, Seen
-from mbtl.cmdps.traffic.environment import TrafficEnv
+from mbtl.cmdps.traffic.environment import Settings, TrafficEnv
 from mbtl.cmdps.traffic.networks import network
-from mbtl.cmdps.traffic.simulation import Engine
 from mbtl.contexts import Value
 from mbtl.errors import SimulationFailed, unknown_name
 
@@ -57,56 +55,37 @@ class Ring(TrafficEnv):
 
     FEATURES: ClassVar[Mapping[str, float]] = {"hold": 1.0}  # s
     STEP = advisory.STEP
+    HORIZON = advisory.HORIZON
     ACTIONS: ClassVar[Actions] = "acceleration"
 
     def __init__(
         self,
         context: Mapping[str, Value] | None = None,
         *,
-        unit: Mapping[str, float] | None = None,
-        visibility: Visibility = "multiplier",
-        time_limit: TimeLimit = "truncation",
-        horizon: int = 400,
         obs: Seen = "fresh",
         start: Start = "free",
         noise: float = advisory.NOISE,
-        engine: Engine = "auto",
-        gui: bool = False,
+        **settings: Unpack[Settings],
     ) -> None:
         """Nothing is simulated before `reset`.
 
         Args:
             context: the hold [s], a multiple of 0.1 s.
-            unit: the hold at multiplier 1.
-            visibility: what of the context the policy sees.
-            time_limit: whether the horizon is reported as truncation or as a terminal state.
-            horizon: most decisions of an episode; 400 s of control are fewer at longer holds.
             obs: "fresh": the state at the decision. "stale": after the first simulation step of the
                 hold before, as in the reference.
             start: cars at rest with random gaps, or with equal ones.
             noise: of the drivers [m/s^2].
-            engine: see `Simulation`.
-            gui: show it in sumo-gui.
+            **settings: see `Traffic`. 400 s of control are fewer decisions than `horizon` at holds
+                above 1 s.
         """
         advisory.check_seen(obs)
         if start not in ("free", "uniform"):
             raise unknown_name("start", start, ("free", "uniform"))
-        super().__init__(
-            context,
-            unit=unit,
-            visibility=visibility,
-            time_limit=time_limit,
-            horizon=horizon,
-            engine=engine,
-            gui=gui,
-        )
+        super().__init__(context, **settings)
         self.hold = advisory.hold_steps(self.features["hold"])
         self._obs, self._start, self._noise = obs, start, noise
         self.observation_space = self._space([-1.0] * 3, [1.0] * 3)
-        if self.ACTIONS == "acceleration":
-            self.action_space = Box(-1.0, 1.0, (1,), np.float32)
-        else:
-            self.action_space = Discrete(LEVELS)
+        self.action_space = advisory.action_space(self.ACTIONS, LEVELS)
 
     # ---- episodes ----------------------------------------------------------------------------
 
@@ -156,8 +135,7 @@ class Ring(TrafficEnv):
     def _decide(
         self, instruction: tuple[float, float]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        if self._left <= 0:
-            raise self._no_episode()
+        self._check_running()
         target, acceleration = instruction
         accelerates = math.isnan(target)
         total, collided, first, steps = 0.0, False, None, 0
@@ -192,8 +170,8 @@ class Ring(TrafficEnv):
         if self._left == 0 or collided:
             info = {"score": self.score, "collided": collided}
             self._finish()
-        terminated = collided or (out_of_time and self._terminal)
-        return observation, total / steps, terminated, out_of_time and not self._terminal, info
+        terminated, truncated = self._ends(out_of_time)
+        return observation, total / steps, collided or terminated, truncated, info
 
     @property
     def score(self) -> float:

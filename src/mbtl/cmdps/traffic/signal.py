@@ -15,19 +15,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
-from mbtl.cmdps.contextual import Observation, TimeLimit, Visibility
+from mbtl.cmdps.contextual import Observation
 from mbtl.cmdps.traffic import demand
 from mbtl.cmdps.traffic.demand import APPROACHES
-from mbtl.cmdps.traffic.environment import TrafficEnv
+from mbtl.cmdps.traffic.drawing import Window
+from mbtl.cmdps.traffic.environment import Settings, TrafficEnv
 from mbtl.cmdps.traffic.networks import network
-from mbtl.cmdps.traffic.simulation import Engine
 from mbtl.contexts import Value
 from mbtl.errors import ContextMismatch, InvalidInput
 
@@ -42,6 +42,10 @@ BOX = 16.8
 RIGHT_SPEED, LEFT_SPEED = 6.51, 11.36
 SHORTEST = 7.5
 """A car and the gap before it [m]."""
+PATIENCE = 120
+"""Seconds for which a car stands at the stop line of a lane without its turn; then it goes where
+the lane leads. On short roads cars that each want the other's lane would else stand there for ever,
+and nobody behind them could move: there is no teleport. Nothing leaves the demand."""
 
 _PHASES = (("NS", False), ("NS", True), ("WE", False), ("WE", True))
 _PLACES = {"W": (-1, 0), "N": (0, 1), "E": (1, 0), "S": (0, -1)}
@@ -58,42 +62,20 @@ class Signal(TrafficEnv):
         "speed": 14.0,  # m/s, limit on the roads
     }
     STEP = 1.0
+    HORIZON = SECONDS // GREEN
+    WINDOW = Window(-110.0, -110.0, 110.0, 110.0)
 
     def __init__(
-        self,
-        context: Mapping[str, Value] | None = None,
-        *,
-        unit: Mapping[str, float] | None = None,
-        visibility: Visibility = "multiplier",
-        time_limit: TimeLimit = "truncation",
-        horizon: int = SECONDS // GREEN,
-        engine: Engine = "auto",
-        gui: bool = False,
+        self, context: Mapping[str, Value] | None = None, **settings: Unpack[Settings]
     ) -> None:
-        """Build the network of one context.
+        """Arguments as in `Traffic`.
 
-        Args:
-            context: features that differ from the nominal ones.
-            unit: varied features and their value at multiplier 1.
-            visibility: what of the context the policy sees.
-            time_limit: whether the end of the 5400 s is reported as truncation or as a terminal
-                state.
-            horizon: most decisions of an episode; one that changes phases has fewer, down to 386.
-            engine: see `Simulation`.
-            gui: show it in sumo-gui.
+        An episode that changes phases has fewer decisions than `horizon`, down to 386.
 
         Raises:
-            ContextMismatch: a road shorter than a car, or an inflow that is no number of cars.
+            ContextMismatch: a road too short to stop on, or an inflow that is no number of cars.
         """
-        super().__init__(
-            context,
-            unit=unit,
-            visibility=visibility,
-            time_limit=time_limit,
-            horizon=horizon,
-            engine=engine,
-            gui=gui,
-        )
+        super().__init__(context, **settings)
         self._edges = CELLS * (self.features["length"] / self.FEATURES["length"])
         self.observation_space = self._space([0.0] * 80, [1.0] * 80)
         self.action_space = Discrete(len(_PHASES))
@@ -112,7 +94,7 @@ class Signal(TrafficEnv):
         self._phase: int | None = None
         self._time, self._decisions = 0, 0
         self._waiting, self._waiting_sum, self._queue_sum = 0.0, 0.0, 0.0
-        self._speed_sum, self._seen = 0.0, 0
+        self._speed_sum, self._seen, self._missed_turns = 0.0, 0, 0
         with self.simulation.guard() as api:
             self._states = _light_states(api.trafficlight.getControlledLinks("centre"))
             observation = self._observe(api)
@@ -126,13 +108,13 @@ class Signal(TrafficEnv):
             InvalidInput: no episode is running, or there is no such phase.
             SimulationFailed: the simulator has stopped.
         """
-        if self._left <= 0:
-            raise self._no_episode()
+        self._check_running()
         phase = int(action)
         if phase != action or not 0 <= phase < len(_PHASES):
             raise InvalidInput(f"a phase is 0, 1, 2 or 3, got {action!r}")
         info: dict[str, Any] = {}
         with self.simulation.guard() as api:
+            self._release(api)
             if self._phase not in (None, phase):
                 self._show(api, self._states[self._phase].replace("G", "y"), YELLOW)
             self._phase = phase
@@ -145,7 +127,7 @@ class Signal(TrafficEnv):
                 info = self._summary(api)
         if ended:
             self._finish()
-        return observation, reward, ended and self._terminal, ended and not self._terminal, info
+        return observation, reward, *self._ends(ended), info
 
     # ---- inside ------------------------------------------------------------------------------
 
@@ -161,13 +143,27 @@ class Signal(TrafficEnv):
         cells = np.zeros((8, len(CELLS)), dtype=np.float32)
         ids, position = api.lane.getLastStepVehicleIDs, api.vehicle.getLanePosition
         self._cars: list[str] = []
+        self._first: dict[str, str] = {}
         for lane, group in _LANES:
             cars = ids(lane)
             if cars:
                 ahead = self.features["length"] - np.array([position(car) for car in cars])
                 cells[group, cell_of(ahead, self._edges)] = 1.0
                 self._cars.extend(cars)
+                self._first[lane] = cars[int(ahead.argmin())]
         return np.array([*cells.reshape(-1), *self.visible], dtype=np.float32)
+
+    def _release(self, api: Any) -> None:
+        """End a jam: see `PATIENCE`."""
+        vehicle = api.vehicle
+        for lane, car in self._first.items():
+            if vehicle.getWaitingTime(car) < PATIENCE:
+                continue
+            approach, target = vehicle.getRoute(car)
+            exits = _exits(lane)
+            if target not in exits:
+                vehicle.setRoute(car, [approach, exits[0]])
+                self._missed_turns += 1
 
     def _account(self, api: Any) -> float:
         """Book the waiting at the end of a decision; returns the reward."""
@@ -187,7 +183,7 @@ class Signal(TrafficEnv):
 
         score: see the module; mean_queue: halted cars on the approaches at decisions;
         mean_speed: of the cars there [m/s]; not_inserted: cars that still wait to enter, which no
-        other measure counts; collisions.
+        other measure counts; missed_turns: see `PATIENCE`; collisions.
         """
         statistic = api.simulation.getParameter("", "stats.safety.collisions")
         return {
@@ -195,6 +191,7 @@ class Signal(TrafficEnv):
             "mean_queue": self._queue_sum / self._decisions,
             "mean_speed": self._speed_sum / self._seen if self._seen else 0.0,
             "not_inserted": len(api.simulation.getPendingVehicles()),
+            "missed_turns": self._missed_turns,
             "collisions": int(statistic or 0),
         }
 
@@ -203,9 +200,12 @@ class Signal(TrafficEnv):
 
     def _network(self) -> Path:
         length, inflow = self.features["length"], self.features["inflow"]
-        if length < SHORTEST:
+        entry = demand.entry_speed(self.features["speed"])
+        stop = demand.stopping_distance(entry)
+        if length < SHORTEST or length <= stop:
             raise ContextMismatch(
-                f"an approach must hold a car, {SHORTEST:g} m, got a length of {length:g} m"
+                f"an approach must hold a car that enters at {entry:g} m/s and stops at the light, "
+                f"more than {max(SHORTEST, stop):g} m, got a length of {length:g} m"
             )
         if inflow < 2 or not inflow.is_integer():
             raise ContextMismatch(f"inflow is a number of cars >= 2, got {inflow!r}")
@@ -220,6 +220,13 @@ def cell_of(distance: Array, edges: Array) -> NDArray[np.intp]:
         edges: (10,) upper edges of the cells [m].
     """
     return np.minimum(np.searchsorted(edges, distance, side="right"), len(edges) - 1)
+
+
+def _exits(lane: str) -> list[str]:
+    """Edges to which a lane leads, straight ahead first."""
+    k, number = APPROACHES.index(lane[0]), int(lane[-1])
+    turns = {LEFT_LANE: (1,), 0: (2, 3)}.get(number, (2,))  # clockwise, see `_connections`
+    return [f"{APPROACHES[(k + turn) % 4]}_out" for turn in turns]
 
 
 def _light_states(links: Any) -> list[str]:

@@ -43,12 +43,17 @@ def library(name: str) -> Any:
     """The module "libsumo" or "traci".
 
     Raises:
-        MissingExtra: it is not installed.
+        MissingExtra: it is not installed, or the machine lacks a library that it needs.
     """
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         raise missing_extra(name, "traffic") from error
+    except ImportError as error:
+        raise MissingExtra(
+            f"{name} is installed but must be loadable, got: {error}; install what it names, or "
+            "use engine='traci'"
+        ) from error
 
 
 def check_version(version: str) -> None:

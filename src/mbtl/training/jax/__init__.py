@@ -29,10 +29,8 @@ from mbtl.training.jax.recipes import (
     MultiTaskRecipe,
     PPORecipe,
     Recipe,
-    TRPORecipe,
     multitask_recipe,
     recipe_named,
-    twin_recipe_named,
 )
 
 __all__ = [
@@ -47,7 +45,6 @@ __all__ = [
     "PPORecipe",
     "Pendulum",
     "Recipe",
-    "TRPORecipe",
     "Training",
     "episode_noise",
     "evaluate",
@@ -65,5 +62,4 @@ __all__ = [
     "to_arrays",
     "train",
     "train_multitask",
-    "twin_recipe_named",
 ]

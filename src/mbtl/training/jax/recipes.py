@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Literal, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 from mbtl.errors import InvalidInput, unknown_name
 
@@ -16,13 +16,15 @@ _STEPS_PER_CALL = 256
 """A2C and DQN learn every few steps: as many of those as give this many steps are one update."""
 
 
-def _check_counts(recipe: Recipe | TRPORecipe, *names: str) -> None:
+def check_counts(recipe: object, *names: str) -> None:
+    """Refuse fields that are below 1."""
     for name in names:
         if getattr(recipe, name) < 1:
             raise InvalidInput(f"{name} must be >= 1, got {getattr(recipe, name)}")
 
 
-def _record(recipe: PPORecipe | A2CRecipe | DQNRecipe | TRPORecipe) -> dict[str, object]:
+def record_of(recipe: Any) -> dict[str, object]:
+    """JSON-able fields of a recipe with hidden layers."""
     values = {one.name: getattr(recipe, one.name) for one in fields(recipe)}
     return values | {"hidden": list(recipe.hidden)}
 
@@ -73,7 +75,7 @@ class PPORecipe:
     activation: Activation = "tanh"
 
     def __post_init__(self) -> None:
-        _check_counts(self, "n_envs", "n_steps", "batch_size", "n_epochs")
+        check_counts(self, "n_envs", "n_steps", "batch_size", "n_epochs")
         if self.steps_per_update % self.batch_size:
             raise InvalidInput(
                 f"batch_size must divide n_envs x n_steps = {self.steps_per_update}, "
@@ -88,7 +90,7 @@ class PPORecipe:
     @property
     def record(self) -> dict[str, object]:
         """JSON-able: what decides the policy."""
-        return _record(self)
+        return record_of(self)
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,7 @@ class A2CRecipe:
     activation: Activation = "tanh"
 
     def __post_init__(self) -> None:
-        _check_counts(self, "n_envs", "n_steps")
+        check_counts(self, "n_envs", "n_steps")
 
     @property
     def rollouts_per_update(self) -> int:
@@ -150,7 +152,7 @@ class A2CRecipe:
     @property
     def record(self) -> dict[str, object]:
         """JSON-able: what decides the policy."""
-        return _record(self)
+        return record_of(self)
 
 
 @dataclass(frozen=True)
@@ -207,7 +209,7 @@ class DQNRecipe:
             "buffer_size",
             "target_every",
         )
-        _check_counts(self, *counts)
+        check_counts(self, *counts)
         if self.buffer_size % self.steps_per_round:
             raise InvalidInput(
                 f"buffer_size must be a multiple of n_envs x train_freq = {self.steps_per_round}, "
@@ -232,57 +234,7 @@ class DQNRecipe:
     @property
     def record(self) -> dict[str, object]:
         """JSON-able: what decides the policy."""
-        return _record(self)
-
-
-@dataclass(frozen=True)
-class TRPORecipe:
-    """Hyper-parameters of TRPO on whole episodes; the defaults are those of cmdp-spec, 7.4.
-
-    Attributes:
-        n_episodes: episodes of one policy between two updates.
-        gamma: discount per decision.
-        gae_lambda: decay of generalised advantage estimation; 1 gives whole returns.
-        max_kl: delta, largest mean KL(old, new) of an update.
-        cg_steps: iterations of conjugate gradients.
-        damping: added to the diagonal of the Fisher matrix.
-        backtracks: most steps of the line search.
-        backtrack: factor between them.
-        accept: least ratio of the real to the expected improvement.
-        critic_learning_rate: Adam's.
-        critic_passes: its steps per update, each on all rows.
-        normalize_reward: centre rewards and divide them by the deviation of discounted returns.
-        hidden: widths of the hidden layers of actor and critic.
-        log_std: initial log standard deviation of a Gaussian policy.
-        activation: between the layers.
-
-    Raises:
-        InvalidInput: a count is below 1.
-    """
-
-    n_episodes: int = 1
-    gamma: float = 0.999
-    gae_lambda: float = 1.0
-    max_kl: float = 0.01
-    cg_steps: int = 10
-    damping: float = 0.1
-    backtracks: int = 10
-    backtrack: float = 0.5
-    accept: float = 0.1
-    critic_learning_rate: float = 1e-4
-    critic_passes: int = 1
-    normalize_reward: bool = True
-    hidden: tuple[int, ...] = (64, 64)
-    log_std: float = 0.0
-    activation: Activation = "tanh"
-
-    def __post_init__(self) -> None:
-        _check_counts(self, "n_episodes", "cg_steps", "backtracks", "critic_passes")
-
-    @property
-    def record(self) -> dict[str, object]:
-        """JSON-able: what decides the policy."""
-        return _record(self)
+        return record_of(self)
 
 
 MultiTaskMethod = Literal["ppo", "paco", "moore"]
@@ -309,7 +261,7 @@ class MultiTaskRecipe:
     def __post_init__(self) -> None:
         if self.method not in get_args(MultiTaskMethod):
             raise unknown_name("multi-task method", self.method, get_args(MultiTaskMethod))
-        _check_counts(self, "n_parts")
+        check_counts(self, "n_parts")
 
     @property
     def steps_per_update(self) -> int:
@@ -355,9 +307,6 @@ RECIPES: Mapping[str, Mapping[str, Recipe]] = {
 }
 """Recipes by algorithm and name: `sb3` has Stable-Baselines3's defaults, `fast` ends sooner."""
 
-TWIN_RECIPES: Mapping[str, Mapping[str, TRPORecipe]] = {"TRPO": {"paper": TRPORecipe()}}
-"""The same for algorithms that learn from whole episodes of a traffic twin."""
-
 
 _SHARED = PPORecipe(
     n_envs=100, n_steps=128, batch_size=512, n_epochs=1, learning_rate=2e-3, anneal=True
@@ -393,15 +342,11 @@ def recipe_named(algorithm: str, name: str) -> Recipe:
     Raises:
         UnknownName: there is none.
     """
-    return _named(RECIPES, algorithm, name)
+    return named(RECIPES, algorithm, name)
 
 
-def twin_recipe_named(algorithm: str, name: str) -> TRPORecipe:
-    """The recipe called `name` of `TWIN_RECIPES`; errors as in `recipe_named`."""
-    return _named(TWIN_RECIPES, algorithm, name)
-
-
-def _named(recipes: Mapping[str, Mapping[str, AnyRecipe]], algorithm: str, name: str) -> AnyRecipe:
+def named(recipes: Mapping[str, Mapping[str, AnyRecipe]], algorithm: str, name: str) -> AnyRecipe:
+    """One entry of a table by algorithm and name; errors as in `recipe_named`."""
     if algorithm not in recipes:
         raise unknown_name("algorithm with recipes", algorithm, recipes)
     if name not in recipes[algorithm]:

@@ -21,9 +21,9 @@ from mbtl.training.jax import networks
 from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.loop import Block, Training, check_finite, finite_policies, keep_better
 from mbtl.training.jax.networks import Weights
-from mbtl.training.jax.recipes import TRPORecipe
 from mbtl.training.jax.traffic import random, trpo
 from mbtl.training.jax.traffic.episodes import Actor, record, scores
+from mbtl.training.jax.traffic.recipes import TRPORecipe
 from mbtl.training.jax.traffic.twin import Twin
 
 BLOCKS = 50

@@ -22,8 +22,8 @@ from jax.flatten_util import ravel_pytree
 from mbtl.training.jax import networks
 from mbtl.training.jax.environments import Box, Discrete, Tree
 from mbtl.training.jax.networks import Network, Weights
-from mbtl.training.jax.recipes import TRPORecipe
 from mbtl.training.jax.traffic.episodes import Episodes
+from mbtl.training.jax.traffic.recipes import TRPORecipe
 from mbtl.training.jax.traffic.returns import Returns, advantages
 
 Search = tuple[jax.Array, jax.Array, jax.Array]

@@ -1,0 +1,126 @@
+"""One policy for all controlled cars, trained by Stable-Baselines3.
+
+Stable-Baselines3 steps a fixed number of environments; each of ours is a slot (see `slots`), so an
+agent's life is an episode and every algorithm runs unchanged:
+
+    env = SharedVecEnv([partial(RampAcc, {"hold": 10.0})] * 2, processes=True)
+    model = PPO("MlpPolicy", env, rollout_buffer_class=SharedRolloutBuffer)
+
+On-policy algorithms keep the transitions of free slots out of learning with `SharedRolloutBuffer`:
+not in the loss, the advantages' normalisation, the entropy or the minibatches. Without it, and in
+replay buffers, a free slot is a one-step episode with reward 0, whose observation no agent has.
+
+Steps that Stable-Baselines3 counts are those of slots, taken or free. Observations must not be
+normalised by its wrapper, which would count free slots and hide them; rewards neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from mbtl.cmdps.traffic.slots import Slots, is_blank
+from mbtl.errors import InvalidInput, missing_extra
+
+try:
+    from stable_baselines3.common.buffers import RolloutBuffer
+    from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnvWrapper
+except ModuleNotFoundError as error:
+    raise missing_extra("stable-baselines3", "train") from error
+
+
+class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is untyped for our checker
+    """The slots of one or several simulations as one vectorised environment.
+
+    Row `i * slots + k` is slot k of simulation i. `infos` of the agent's last step have "episode",
+    its return and length; one info has "score" when a simulation has ended.
+
+    Attributes:
+        slots: per simulation.
+    """
+
+    def __init__(
+        self,
+        make_teams: Sequence[Callable[[], Any]],
+        *,
+        slots: int | None = None,
+        processes: bool = False,
+    ) -> None:
+        """Make the simulations; none runs before `reset`.
+
+        Args:
+            make_teams: each makes one PettingZoo parallel environment.
+            slots: agents per simulation at once; missing: the environments' `most_agents`.
+            processes: one process per simulation. libsumo is then used in all of them; in one
+                process only the first simulation has it.
+
+        Raises:
+            InvalidInput: no simulation, or no number of slots.
+        """
+        if not make_teams:
+            raise InvalidInput("a shared policy needs at least one simulation, got none")
+        makers = [partial(Slots, make, slots) for make in make_teams]
+        venv = SubprocVecEnv(makers) if processes else DummyVecEnv(makers)
+        single = [
+            venv.get_attr(f"single_{kind}_space", [0])[0] for kind in ("observation", "action")
+        ]
+        super().__init__(venv, *single)
+        self.slots = int(venv.observation_space.shape[0])
+        self.num_envs = venv.num_envs * self.slots
+        self.reset_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+
+    def reset(self) -> Any:
+        """(n, d) observations of all slots."""
+        return self._flat(self.venv.reset())
+
+    def step_async(self, actions: Any) -> None:
+        """(n, ...) actions; those of free slots are ignored."""
+        actions = np.asarray(actions)
+        self.venv.step_async(actions.reshape(-1, self.slots, *actions.shape[1:]))
+
+    def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
+        """(observations, rewards, dones, infos) of all slots."""
+        seen, _, _, infos = self.venv.step_wait()
+        steps = [info["slots"] for info in infos]
+        return (
+            self._flat(seen),
+            np.concatenate([step.rewards for step in steps]),
+            np.concatenate([step.dones for step in steps]),
+            [info for step in steps for info in step.infos],
+        )
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
+        """Lives of agents are reported as a monitor does, but none is wrapped."""
+        return [False] * len(list(self._get_indices(indices)))
+
+    def _flat(self, seen: Any) -> Any:
+        return seen.reshape(self.num_envs, *seen.shape[2:])
+
+
+class SharedRolloutBuffer(RolloutBuffer):  # type: ignore[misc]  # as above
+    """A rollout buffer that gives agents' transitions only; free slots are dropped.
+
+    Advantages are computed before, slot by slot: lives are contiguous and end with `done`, so they
+    are those of an agent that is alone.
+    """
+
+    _full_size: tuple[int, int]
+
+    def reset(self) -> None:
+        """Empty it, at its full size again."""
+        if hasattr(self, "_full_size"):
+            self.buffer_size, self.n_envs = self._full_size
+        self._full_size = self.buffer_size, self.n_envs
+        super().reset()
+
+    def compute_returns_and_advantage(self, last_values: Any, dones: Any) -> None:
+        """As the base class does; then keep the rows in which an agent acted."""
+        super().compute_returns_and_advantage(last_values, dones)
+        taken = ~is_blank(self.swap_and_flatten(self.observations))
+        for name in ("observations", "actions", "values", "log_probs", "advantages", "returns"):
+            setattr(self, name, self.swap_and_flatten(getattr(self, name))[taken])
+        self.buffer_size, self.n_envs = int(taken.sum()), 1
+        self.generator_ready = True  # the rows are flat already

@@ -1,0 +1,260 @@
+"""A scripted team says what must arrive; then Stable-Baselines3 learns on it and on the ramp."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+pytest.importorskip("gymnasium")
+pytest.importorskip("stable_baselines3")
+
+from gymnasium.spaces import Box, Discrete
+from stable_baselines3 import A2C, PPO
+from stable_baselines3.common.callbacks import BaseCallback
+
+from mbtl.cmdps.traffic.shared import SharedRolloutBuffer, SharedVecEnv
+from mbtl.cmdps.traffic.slots import Slots, is_blank
+from mbtl.errors import InvalidInput, SimulationFailed
+
+LIVES = {"a": (0, 2), "b": (0, 5), "c": (2, 3), "d": (3, 6)}
+"""Decisions in which an agent acts, from and until; an episode has 6."""
+
+
+def reward_of(car, t):
+    return float(ord(car) - ord("a") + 1) * 10.0 ** -(t + 1)
+
+
+class Script:
+    """Agents come and go by `LIVES`; agent and time make up observations and rewards."""
+
+    def __init__(self, lives=LIVES):
+        self.lives, self.agents, self.episodes, self.taken = lives, [], 0, []
+
+    def observation_space(self, agent):
+        return Box(-1.0, 9.0, (2,), np.float32)
+
+    def action_space(self, agent):
+        return Discrete(7)
+
+    def _seen(self, car):
+        return np.array([ord(car) - ord("a"), self.time], dtype=np.float32)  # (0, 0) at first
+
+    def _find(self):
+        self.agents = [car for car, (first, end) in self.lives.items() if first <= self.time < end]
+
+    def reset(self, seed=None):
+        self.time, self.episodes = 0, self.episodes + 1
+        self._find()
+        return {car: self._seen(car) for car in self.agents}, {car: {} for car in self.agents}
+
+    def step(self, actions):
+        assert set(actions) == set(self.agents)
+        self.taken.append(dict(actions))
+        acting, rewards = self.agents, {car: reward_of(car, self.time) for car in self.agents}
+        self.time += 1
+        self._find()
+        over = self.time == 6
+        everyone = [*acting, *(car for car in self.agents if car not in acting)]
+        gone = {car: car in acting and car not in self.agents for car in everyone}
+        return (
+            {car: self._seen(car) for car in everyone},
+            {car: rewards.get(car, 0.0) for car in everyone},
+            {car: gone[car] and not over for car in everyone},
+            dict.fromkeys(everyone, over),
+            dict.fromkeys(everyone, {"score": float(self.episodes)} if over else {}),
+        )
+
+    def close(self):
+        self.agents = []
+
+
+def run(env, steps, action=3):
+    """(rewards by slot and step, all infos)."""
+    env.reset()
+    results = [env.step(np.full(env.num_envs, action)) for _ in range(steps)]
+    return results
+
+
+def test_an_agent_keeps_its_slot_until_it_leaves_and_the_slot_goes_to_the_next():
+    slots = Slots(Script, 3)
+    slots.reset()
+    seats = [list(slots.present)]
+    for _ in range(6):
+        slots.step(np.zeros(3, dtype=int))
+        seats.append(list(slots.present))
+    assert seats == [
+        ["a", "b", None],
+        ["a", "b", None],
+        ["c", "b", None],
+        ["d", "b", None],
+        ["d", "b", None],
+        ["d", None, None],
+        ["a", "b", None],  # the next simulation
+    ]
+
+
+def test_every_reward_of_every_agent_arrives_once():
+    env = SharedVecEnv([Script], slots=3)
+    results = run(env, 12)
+    delivered = sum(rewards.sum() for _, rewards, _, _ in results)
+    due = sum(reward_of(car, t) for car, (first, end) in LIVES.items() for t in range(first, end))
+    assert delivered == pytest.approx(2 * due)
+    returns = sorted(
+        info["episode"]["r"] for *_, infos in results for info in infos if "episode" in info
+    )
+    lives = [sum(reward_of(car, t) for t in range(*life)) for car, life in LIVES.items()]
+    assert returns == pytest.approx(sorted(2 * lives))
+
+
+def test_the_score_arrives_once_per_simulation():
+    env = SharedVecEnv([Script, Script], slots=2)
+    scores = [info["score"] for *_, infos in run(env, 12) for info in infos if "score" in info]
+    assert scores == [1.0, 1.0, 2.0, 2.0]
+
+
+def test_a_life_ends_with_what_the_agent_saw_and_why():
+    env = SharedVecEnv([Script], slots=2)
+    results = run(env, 6)
+    _, _, dones, infos = results[1]  # a leaves, c takes its slot
+    assert dones.tolist() == [True, False]
+    assert infos[0]["terminal_observation"].tolist() == [0.0, 2.0]
+    assert not infos[0]["TimeLimit.truncated"]
+    assert results[1][0][0].tolist() == [2.0, 2.0]
+    _, _, dones, infos = results[5]  # the end of time
+    assert infos[0]["TimeLimit.truncated"]
+    assert dones.all()
+
+
+def test_a_free_slot_is_blank_and_done_and_earns_nothing():
+    env = SharedVecEnv([Script], slots=3)
+    first = env.reset()
+    assert is_blank(first).tolist() == [False, False, True]  # though agent a sees (0, 0)
+    assert first == pytest.approx(np.array([[0, 0], [1, 0], [0, 0]]), abs=1e-30)
+    seen, rewards, dones, infos = env.step(np.zeros(3, dtype=int))
+    assert is_blank(seen[2])
+    assert (rewards[2], dones[2], infos[2]) == (0.0, True, {})
+
+
+def test_each_agent_gets_the_action_of_its_slot():
+    slots = Slots(Script, 2)
+    slots.reset()
+    for _ in range(3):
+        slots.step(np.array([4, 5]))
+    assert slots.team.taken == [{"a": 4, "b": 5}, {"a": 4, "b": 5}, {"c": 4, "b": 5}]
+
+
+def test_advantages_are_those_of_lone_agents_and_free_slots_are_not_learnt_from():
+    class Look(BaseCallback):
+        def _on_step(self):
+            return True
+
+        def _on_rollout_end(self):
+            self.buffer = self.model.rollout_buffer
+            self.taken = len(self.buffer.observations)
+
+    env, look = SharedVecEnv([Script], slots=3), Look()
+    model = PPO(
+        "MlpPolicy",
+        env,
+        n_steps=6,
+        batch_size=9,
+        n_epochs=1,
+        gamma=0.5,
+        gae_lambda=1.0,
+        device="cpu",
+        seed=0,
+        rollout_buffer_class=SharedRolloutBuffer,
+    )
+    model.learn(6, callback=look)
+    assert look.taken == sum(end - first for first, end in LIVES.values())
+    assert not is_blank(look.buffer.observations).any()
+    returns = {
+        (int(car), int(t)): float(r)
+        for (car, t), r in zip(look.buffer.observations, look.buffer.returns.ravel(), strict=True)
+    }
+    assert returns[0, 0] == pytest.approx(reward_of("a", 0) + 0.5 * reward_of("a", 1), abs=1e-6)
+    assert returns[2, 2] == pytest.approx(reward_of("c", 2), abs=1e-6)
+    model.learn(6, callback=look, reset_num_timesteps=False)  # the buffer is whole again
+    assert look.taken == 11
+
+
+def test_more_agents_than_slots_and_teams_without_agents_are_errors():
+    with pytest.raises(InvalidInput, match="2 agents and 1 slots"):
+        SharedVecEnv([Script], slots=1).reset()
+    with pytest.raises(InvalidInput, match="give slots"):
+        SharedVecEnv([Script])
+    with pytest.raises(InvalidInput, match="at least one"):
+        SharedVecEnv([])
+    with pytest.raises(SimulationFailed, match="without any"):
+        Slots(partial(Script, {}), 1).reset()
+
+
+# ---- the ramp ----------------------------------------------------------------------------------
+
+
+class Book(BaseCallback):
+    """Every reward, life and score that the algorithm is given."""
+
+    def _on_training_start(self):
+        self.rewards, self.returns, self.lengths, self.scores, self.taken = 0.0, [], [], [], 0
+
+    def _on_step(self):
+        self.rewards += float(self.locals["rewards"].sum())
+        for info in self.locals["infos"]:
+            if "episode" in info:
+                self.returns.append(info["episode"]["r"])
+                self.lengths.append(info["episode"]["l"])
+            if "score" in info:
+                self.scores.append(info["score"])
+        return True
+
+    def _on_rollout_end(self):
+        self.taken += len(self.model.rollout_buffer.observations)
+
+
+@pytest.mark.parametrize("algorithm", [PPO, A2C])
+def test_a_shared_policy_learns_on_the_ramp(algorithm):
+    pytest.importorskip("libsumo")
+    from mbtl.cmdps.traffic.ramp import RampAcc
+
+    env = SharedVecEnv([partial(RampAcc, {"hold": 40.0})])
+    assert env.num_envs == 9  # one car in ten of 630 m
+    options = {"batch_size": 18} if algorithm is PPO else {}
+    book = Book()
+    model = algorithm(
+        "MlpPolicy",
+        env,
+        n_steps=20,  # two simulations: at most 10 decisions each
+        device="cpu",
+        seed=0,
+        rollout_buffer_class=SharedRolloutBuffer,
+        **options,
+    )
+    before = [p.detach().clone() for p in model.policy.parameters()]
+    model.learn(2 * 20 * env.num_envs, callback=book)
+    slots = env.venv.envs[0]
+    running = [k for k, car in enumerate(slots.present) if car is not None]
+    book.returns += slots._returns[running].tolist()
+    book.lengths += slots._lengths[running].tolist()
+    env.close()
+    assert len(book.scores) >= 4
+    assert all(0.0 < score < 13.89 for score in book.scores)
+    assert book.rewards == pytest.approx(sum(book.returns), rel=1e-5)
+    assert book.taken == sum(book.lengths)
+    assert any((p != q).any() for p, q in zip(before, model.policy.parameters(), strict=True))
+
+
+@pytest.mark.slow
+def test_simulations_in_processes_give_the_same_as_in_one():
+    pytest.importorskip("libsumo")
+    from mbtl.cmdps.traffic.ramp import RampVel
+
+    results = []
+    for processes in (False, True):
+        env = SharedVecEnv([partial(RampVel, {"hold": 40.0})], processes=processes)
+        env.seed(5)
+        first = env.reset()
+        results.append([first, *env.step(np.full(env.num_envs, 4))[:3]])
+        env.close()
+    for here, there in zip(*results, strict=True):
+        np.testing.assert_array_equal(here, there)
