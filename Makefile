@@ -47,9 +47,9 @@ clean:
 # torch alone first: asked for together with others, pip may prefer another build of it
 .venv/dev.stamp: .venv/run.stamp
 	$(PIP) torch
-	$(PIP) --editable '.[jax,plots,train,dev]'
+	$(PIP) --editable '.[jax,plots,train,traffic,dev]'
 	touch $@
 
 .venv/rivals.stamp: .venv/dev.stamp
-	$(PIP) --editable '.[jax,plots,train,dev,rivals]'
+	$(PIP) --editable '.[jax,plots,train,traffic,dev,rivals]'
 	touch $@

@@ -32,7 +32,7 @@ OUTSIDE = {
     "benchmark": set(),
     "cmdps": {"training"},
     "report": {"benchmark"},
-    "testing": {"cmdps"},
+    "testing": {"cmdps", "training"},
     "cli": {"training", "benchmark", "cmdps", "report"},
 }
 LAZY = {("portfolio", "training")}  # a saved Stable-Baselines3 policy is read by its adapter

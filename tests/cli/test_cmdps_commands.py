@@ -59,7 +59,7 @@ def test_the_list_fits_80_columns(run):
 
 def test_json_is_one_document(run):
     records = json.loads(run("cmdps", "--json").stdout)
-    assert len(records) == 6
+    assert len(records) == 16
     one = json.loads(run("cmdps", "cartpole-length", "--json").stdout)
     assert one == records[1]
     assert one["presets"]["paper"]["trainer"]["timesteps"] == 5_000_000

@@ -12,9 +12,9 @@ from gymnasium.spaces import Box, Discrete
 from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
-from mbtl.cmdps.traffic.shared import SharedRolloutBuffer, SharedVecEnv
-from mbtl.cmdps.traffic.slots import Slots, is_blank
 from mbtl.errors import InvalidInput, SimulationFailed
+from mbtl.training.shared import SharedRolloutBuffer, SharedVecEnv
+from mbtl.training.slots import Slots, is_blank
 
 LIVES = {"a": (0, 2), "b": (0, 5), "c": (2, 3), "d": (3, 6)}
 """Decisions in which an agent acts, from and until; an episode has 6."""

@@ -28,7 +28,9 @@ def check(
         list[str] | None,
         typer.Option(help=f"An axis for make_env: {_FORM}; repeat for more.", show_default=False),
     ] = None,
-    steps: Annotated[int, typer.Option(help="Environment steps per rollout.")] = 200,
+    steps: Annotated[
+        int | None, typer.Option(help="Environment steps per rollout; default: the CMDP's, or 200.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of resets and actions.")] = 0,
     physics: Annotated[
         str, typer.Option(help="Physics of our CMDPs: intended or reference.")
@@ -56,7 +58,8 @@ def check(
         if axis:
             raise InvalidInput(f"{target!r} has its axes already; --axis goes with module:make_env")
         problem = get_cmdp(target, physics=physics, visibility=visibility)
-    console.print(Text(f"checking {target}, {steps} steps per rollout", "dim"))
+    length = "" if steps is None else f", {steps} steps per rollout"
+    console.print(Text(f"checking {target}{length}", "dim"))
     report = check_cmdp(problem, space, steps=steps, seed=seed)
     if json:
         print_json({"target": target, **report.to_json()})

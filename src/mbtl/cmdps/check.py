@@ -27,7 +27,7 @@ def check_cmdp(
     space: ContextSpace | None = None,
     *,
     nominal: Mapping[str, Value] | None = None,
-    steps: int = STEPS,
+    steps: int | None = None,
     seed: int = 0,
 ) -> CheckReport:
     """Check a CMDP, or an environment factory with its contexts.
@@ -40,7 +40,7 @@ def check_cmdp(
         space: the contexts; needed with a function.
         nominal: context around which one axis is varied at a time; default: the CMDP's, else the
             middle of the space.
-        steps: environment steps per rollout.
+        steps: environment steps per rollout; None: the problem's own number, else `STEPS`.
         seed: of the resets and actions.
 
     Returns:
@@ -50,6 +50,8 @@ def check_cmdp(
         InvalidInput: a function without a space, or `steps` < 1.
         ContextMismatch: `nominal` is no context of these axes.
     """
+    if steps is None:
+        steps = getattr(problem, "check_steps", None) or STEPS
     if steps < 1:
         raise InvalidInput(f"a check needs steps >= 1, got {steps}")
     if isinstance(problem, CMDP):

@@ -83,6 +83,7 @@ class CMDP:
         nominal: the context that a user without our help would train on.
         unit: the context at multiplier 1, divisor of the visible multiplier. Not the nominal one.
         horizon: longest episode in environment steps.
+        check_steps: environment steps of a rollout of `check_cmdp`; None: its default.
         family: name of the simulator family.
         presets: recipes by name, the first is the default.
         settings: switches this problem was made with, e.g. {"visibility": "hidden"}. With `id` and
@@ -106,6 +107,7 @@ class CMDP:
     nominal: Context | None = None
     unit: Context | None = None
     horizon: int | None = None
+    check_steps: int | None = None
     family: str = ""
     presets: Mapping[str, Preset] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -287,7 +289,7 @@ class CMDP:
             Bounds(*self.bounds, self.direction)
         if self.theta is not None and not (math.isfinite(self.theta) and self.theta >= 0):
             raise InvalidInput(f"theta must be finite and >= 0, got {self.theta!r}")
-        for name, least in (("version", 0), ("horizon", 1)):
+        for name, least in (("version", 0), ("horizon", 1), ("check_steps", 1)):
             number = getattr(self, name)
             if number is not None and not (isinstance(number, int) and number >= least):
                 raise InvalidInput(f"{name} must be a whole number >= {least}, got {number!r}")

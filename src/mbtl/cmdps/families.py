@@ -1,106 +1,17 @@
 """The table of our CMDPs: simulator families and what varies in each (cmdp-spec, sections 2 and 4).
 
 A new CMDP is one `Variant`; a new simulator is one `Family` and a module with its environment.
-Nothing here imports an environment.
+Traffic is in `traffic_families`. Nothing here imports an environment.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from decimal import Decimal
 from typing import Any
 
 from mbtl.cmdps.cmdp import Preset
-
-
-@dataclass(frozen=True)
-class JaxFamily:
-    """A family in the jax engine.
-
-    Attributes:
-        environment: name of the class in `mbtl.training.jax`.
-        presets: recipes by name, the first is the default.
-    """
-
-    environment: str
-    presets: Mapping[str, Preset]
-
-
-@dataclass(frozen=True)
-class TwinFamily:
-    """A traffic family that has a twin in the jax engine.
-
-    Attributes:
-        problem: "module:Class" of a record that maps contexts to twin and parameters.
-        presets: recipes by name, the first is the default.
-        options: of the record.
-    """
-
-    problem: str
-    presets: Mapping[str, Preset]
-    options: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Family:
-    """What the CMDPs of one simulator share.
-
-    Attributes:
-        entry_point: "module:Class" of the environment.
-        horizon: longest episode, environment steps.
-        bounds: returns at which performance is 0 and 1 (spec, 2.2).
-        theta: slope of the linear gap, performance per grid step (spec, 2.2).
-        presets: recipes of Stable-Baselines3 by name, the first is the default.
-        jax: the same in the jax engine, if it is there.
-        switches: options of the environment beside visibility and time limit.
-        simulator: the engine of `entry_point`, "gymnasium" or "sumo".
-        visibility: what of the context the policy sees unless told otherwise.
-    """
-
-    entry_point: str
-    horizon: int
-    bounds: tuple[float, float]
-    theta: float
-    presets: Mapping[str, Preset]
-    jax: JaxFamily | TwinFamily | None = None
-    switches: tuple[str, ...] = ()
-    simulator: str = "gymnasium"
-    visibility: str = "multiplier"
-
-
-@dataclass(frozen=True)
-class Variant:
-    """One CMDP: the axis that varies.
-
-    Attributes:
-        family: name of the family.
-        axis: feature of the environment that varies.
-        axis_unit: its physical unit.
-        step: grid step, a decimal; the grid is step, 2 step, ..., N step.
-        nominal: value of the axis while another one varies.
-        n: number of contexts N.
-        unit_index: grid index of multiplier 1, not the middle.
-        paper_step: grid step by the paper's text where it differs from the released scripts.
-        version: raised when results could change.
-        description: one line for people.
-    """
-
-    family: str
-    axis: str
-    axis_unit: str
-    step: str
-    nominal: float
-    n: int = 100
-    unit_index: int = 9
-    paper_step: str | None = None
-    version: int = 0
-    description: str = ""
-
-    def values(self, grid: str) -> list[float]:
-        """(N,) grid values; exact decimals, so that contexts print as they are meant."""
-        step = Decimal(self.paper_step or self.step) if grid == "paper" else Decimal(self.step)
-        return [float(step * k) for k in range(1, self.n + 1)]
+from mbtl.cmdps.family import Family, JaxFamily, Variant
+from mbtl.cmdps.traffic_families import TRAFFIC_FAMILIES, TRAFFIC_VARIANTS
 
 
 def _paper(timesteps: int) -> Preset:
@@ -204,72 +115,6 @@ _PENDULUM_JAX = {
 """As good as SB3's default PPO after a million steps; one pass over shorter rollouts is not."""
 
 
-def _advisory(episodes: int, budget: int, eval_episodes: int, description: str) -> Preset:
-    return Preset(
-        budget=budget,
-        episodes=episodes,
-        eval_episodes=eval_episodes,
-        algorithm="TRPO",
-        checkpoint="best",
-        checkpoint_episodes=10,
-        description=description,
-    )
-
-
-def _sumo_trpo(episodes: int, budget: int, eval_episodes: int, description: str) -> Preset:
-    """As near to cmdp-spec, 7.4, as sb3-contrib's TRPO comes; an update is one episode long."""
-    return Preset(
-        budget=budget,
-        episodes=episodes,
-        eval_episodes=eval_episodes,
-        algorithm="TRPO",
-        hyperparameters={
-            "n_steps": "episode",
-            "batch_size": 400,
-            "gamma": 0.999,
-            "gae_lambda": 1.0,
-            "learning_rate": 1e-4,
-            "n_critic_updates": 1,
-            "cg_max_steps": 10,
-            "cg_damping": 0.1,
-            "line_search_shrinking_factor": 0.5,
-            "line_search_max_iter": 10,
-            "target_kl": 0.01,
-        },
-        acting="sampled",
-        normalize_reward=True,
-        checkpoint="best",
-        checkpoint_episodes=10,
-        description=description,
-    )
-
-
-_TWIN_PRESETS = {
-    "paper": _advisory(1000, 15, 50, "the paper's episodes, best-of-evaluations policy"),
-    "quick": _advisory(100, 10, 10, "a first look, best-of-evaluations policy"),
-}
-
-_SUMO_TRPO = {
-    "paper": _sumo_trpo(1000, 15, 50, "the paper's episodes in SUMO, hours per policy and core"),
-    "quick": _sumo_trpo(100, 10, 5, "a first look in SUMO"),
-}
-
-
-def _ring(actions: str) -> Family:
-    name = {"acceleration": "RingAcc", "speed": "RingVel"}[actions]
-    return Family(
-        entry_point=f"mbtl.cmdps.traffic.ring:{name}",
-        horizon=400,
-        bounds=(0.0, 4.5),
-        theta=0.005,
-        presets=_SUMO_TRPO,
-        jax=TwinFamily("mbtl.cmdps.traffic.twins:RingProblem", _TWIN_PRESETS, {"actions": actions}),
-        switches=("obs",),
-        simulator="sumo",
-        visibility="hidden",
-    )
-
-
 FAMILIES: Mapping[str, Family] = {
     "cartpole": Family(
         entry_point="mbtl.cmdps.cartpole:CartPole",
@@ -288,13 +133,8 @@ FAMILIES: Mapping[str, Family] = {
         presets=_PENDULUM,
         jax=_jax("Pendulum", 1_000_000, _PENDULUM_JAX),
     ),
-    "ring-acc": _ring("acceleration"),
-    "ring-vel": _ring("speed"),
+    **TRAFFIC_FAMILIES,
 }
-
-
-def _hold(family: str, description: str) -> Variant:
-    return Variant(family, "hold", "s", "1", 1.0, n=40, unit_index=0, description=description)
 
 
 VARIANTS: Mapping[str, Variant] = {
@@ -326,6 +166,5 @@ VARIANTS: Mapping[str, Variant] = {
         0.05,
         description="Pendulum; the time between two actions varies",
     ),
-    "ring-acc": _hold("ring-acc", "Ring road, accelerations advised; the hold varies"),
-    "ring-vel": _hold("ring-vel", "Ring road, speeds advised; the hold varies"),
+    **TRAFFIC_VARIANTS,
 }

@@ -64,7 +64,10 @@ class Probe:
             return roll(env, self._actions, self.seed)
 
     def _make(self, context: Context) -> Any:
-        return self._make_env(dict(context))  # a copy: an environment may change its argument
+        env = self._make_env(dict(context))  # a copy: an environment may change its argument
+        from mbtl.training.slots import as_one  # needs Gymnasium, which is there by now
+
+        return as_one(env)
 
     # Each check returns its outcome and what was seen.
 

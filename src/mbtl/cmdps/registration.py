@@ -7,6 +7,7 @@ has been imported: `gymnasium.make("mbtl.cmdps:mbtl/cartpole-length-v0")` does b
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -23,14 +24,30 @@ def register_envs() -> None:
             gymnasium.register(gym_id(id), f"{__name__}:make", kwargs={"cmdp": id})
 
 
-def make(cmdp: str, context: Mapping[str, Any] | None = None, **switches: str) -> Any:
+def make(
+    cmdp: str,
+    context: Mapping[str, Any] | None = None,
+    *,
+    render_mode: str | None = None,
+    gui: bool = False,
+    **switches: str,
+) -> Any:
     """One environment of a CMDP, for `gymnasium.make`.
 
     Args:
         cmdp: id of the CMDP.
         context: value of the varied feature; missing: the nominal one.
-        **switches: `physics`, `visibility`, `time_limit` as in `mbtl.cmdps.get_cmdp`.
+        render_mode: "rgb_array" in traffic: `render` gives images.
+        gui: in traffic, show it in sumo-gui.
+        **switches: `physics`, `visibility`, `time_limit`, `obs` as in `mbtl.cmdps.get_cmdp`.
+
+    Many decision makers are one environment with a row for each, `mbtl.training.slots.Together`.
     """
     variant = VARIANTS[cmdp]
     nominal = {variant.axis: variant.nominal}
-    return env_factory(cmdp, **switches)(nominal if context is None else context)
+    from mbtl.training.slots import as_one
+
+    factory = env_factory(cmdp, **switches)
+    shown = {"render_mode": render_mode, "gui": gui} if render_mode is not None or gui else {}
+    factory = replace(factory, options={**factory.options, **shown})
+    return as_one(factory(nominal if context is None else context))

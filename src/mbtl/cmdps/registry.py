@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from mbtl.cmdps.cmdp import CMDP, Preset
 from mbtl.cmdps.engines import ENGINES, EnvFactory, JaxProblem, TwinProblem, jax_is_installed
-from mbtl.cmdps.families import FAMILIES, VARIANTS, Family, TwinFamily, Variant
+from mbtl.cmdps.families import FAMILIES, VARIANTS
+from mbtl.cmdps.family import Family, TwinFamily, Variant
 from mbtl.contexts import Context, ContextSpace, Linear
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.trainer import Trainer
@@ -111,6 +113,7 @@ def get_cmdp(
         nominal={variant.axis: variant.nominal},
         unit=_unit(variant, grid),
         horizon=family.horizon,
+        check_steps=family.check_steps,
         family=variant.family,
         presets=presets,
         settings={
@@ -149,7 +152,9 @@ def _training(
         from mbtl.training import SB3Trainer
 
         default = next(iter(family.presets.values()))
-        return family.presets, SB3Trainer(make_env, **default.options())
+        # a process has room for one simulation in libsumo: evaluate one at a time, train elsewhere
+        alone: dict[str, Any] = {"n_eval_envs": 1, "processes": True} if engine == "sumo" else {}
+        return family.presets, SB3Trainer(make_env, **alone, **default.options())
     if family.jax is None or engine != "jax":
         engines = [family.simulator, *(["jax"] if family.jax is not None else [])]
         raise InvalidInput(f"{id!r} is simulated in {' and '.join(engines)}, got engine={engine!r}")

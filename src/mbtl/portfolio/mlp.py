@@ -30,11 +30,12 @@ FORMAT = 1
 WEIGHTS_FILE = "weights.npz"
 RECORD_FILE = "policy.json"
 
-Activation = Literal["tanh", "relu"]
+Activation = Literal["tanh", "relu", "mish"]
 
 _ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": np.tanh,
     "relu": lambda x: np.maximum(x, 0.0),
+    "mish": lambda x: x * np.tanh(np.logaddexp(0.0, x)),  # x tanh(softplus(x)), Misra 2019
 }
 
 
@@ -45,7 +46,7 @@ class MLPPolicy:
     Attributes:
         weights: per layer (n_out, n_in) float32.
         biases: per layer (n_out,) float32.
-        activation: "tanh" or "relu", after every layer but the last.
+        activation: "tanh", "relu" or "mish", after every layer but the last.
         observation_shape: shape of one observation.
         head: what the outputs mean.
 
@@ -61,7 +62,8 @@ class MLPPolicy:
 
     def __post_init__(self) -> None:
         if self.activation not in _ACTIVATIONS:
-            raise InvalidInput(f"activation must be 'tanh' or 'relu', got {self.activation!r}")
+            known = ", ".join(_ACTIVATIONS)
+            raise InvalidInput(f"activation must be one of {known}, got {self.activation!r}")
         widths = [int(np.prod(self.observation_shape))] + [len(b) for b in self.biases]
         expected = [(n_out, n_in) for n_in, n_out in itertools.pairwise(widths)]
         shapes = [w.shape for w in self.weights]

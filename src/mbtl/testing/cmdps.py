@@ -17,6 +17,7 @@ class CMDPContract:
 
     Attributes:
         smoke: options that make a training as short as it can be.
+        steps: random actions of a look at observations.
 
     Example:
         >>> class TestMine(CMDPContract):
@@ -26,6 +27,7 @@ class CMDPContract:
     """
 
     smoke: ClassVar[Mapping[str, Any]] = {"timesteps": 64, "eval_episodes": 2}
+    steps: ClassVar[int] = 300
 
     def test_passes_the_check(self, cmdp: CMDP) -> None:
         """Axes act, contexts do not leak, resets are deterministic, numbers are finite."""
@@ -39,7 +41,7 @@ class CMDPContract:
         """At the first, a middle and the last context, with the dtype that the space declares."""
         for context in _some(cmdp):
             env = _make(cmdp, context)
-            for observation in _observations(env, 300):
+            for observation in _observations(env, self.steps):
                 assert env.observation_space.contains(observation), (context, observation)
             env.close()
 
@@ -83,7 +85,9 @@ def _some(cmdp: CMDP) -> list[Context]:
 
 def _make(cmdp: CMDP, context: Context) -> Any:
     assert cmdp.make_env is not None, "this contract is for CMDPs with an environment"
-    return cmdp.make_env(context)
+    from mbtl.training.slots import as_one  # needs Gymnasium, as the environment does
+
+    return as_one(cmdp.make_env(context))
 
 
 def _observations(env: Any, steps: int) -> list[Any]:

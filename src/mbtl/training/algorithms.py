@@ -65,6 +65,8 @@ def algorithm_class(algorithm: str | type) -> Any:
 def checked_hyperparameters(algorithm: Any, given: Mapping[str, Any] | None) -> dict[str, Any]:
     """A deep copy of the keyword arguments (the library changes `policy_kwargs` in place).
 
+    `policy_kwargs["activation_fn"]` may be the name of a class of `torch.nn`.
+
     Raises:
         UnknownName: the algorithm has no such argument.
         InvalidInput: an argument that the trainer sets itself.
@@ -80,7 +82,15 @@ def checked_hyperparameters(algorithm: Any, given: Mapping[str, Any] | None) -> 
         if name not in known and not open_ended:
             names = [n for n in known if n != "self" and n not in _RESERVED]
             raise unknown_name(f"hyperparameter of {algorithm.__name__}", name, names)
-    return copy.deepcopy(dict(given or {}))
+    settings = copy.deepcopy(dict(given or {}))
+    activation = settings.get("policy_kwargs", {}).get("activation_fn")
+    if isinstance(activation, str):
+        from torch import nn
+
+        if not hasattr(nn, activation):
+            raise unknown_name("activation of torch.nn", activation, dir(nn))
+        settings["policy_kwargs"]["activation_fn"] = getattr(nn, activation)
+    return settings
 
 
 def _package(name: str) -> Any:

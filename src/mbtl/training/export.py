@@ -1,6 +1,6 @@
 """Export: the acting part of a Stable-Baselines3 policy as a plain numpy `MLPPolicy`.
 
-What can be exported: flat `Box` observations, dense layers with tanh or relu, and one of
+What can be exported: flat `Box` observations, dense layers with tanh, relu or mish, and one of
 
     actor-critic policies (PPO, A2C, TRPO, ...)   action or logits: policy_net, action_net
     DQN                                           values: q_net
@@ -114,7 +114,7 @@ def _dense(modules: Sequence[Any]) -> tuple[tuple[Any, ...], tuple[Any, ...], st
     """Weights, biases and the one activation of linear layers with that activation between them."""
     from torch import nn
 
-    activations: dict[Any, str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
+    activations: dict[Any, str] = {nn.Tanh: "tanh", nn.ReLU: "relu", nn.Mish: "mish"}
     linear, between = modules[::2], modules[1::2]
     kinds = {type(module) for module in between} or {nn.Tanh}
     if len(modules) % 2 == 0 or not all(

@@ -5,7 +5,9 @@ Nothing of the library is imported before a training, evaluation or load.
 
 from __future__ import annotations
 
+import inspect
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import KW_ONLY, dataclass, field
@@ -50,7 +52,8 @@ class SB3Trainer:
     processes; the same seed gives the same weights there.
 
     Attributes:
-        make_env: context -> `gymnasium.Env`, new on every call, with a time limit.
+        make_env: context -> `gymnasium.Env`, new on every call, with a time limit; or a PettingZoo
+            parallel environment, whose agents then share the policy (`mbtl.training.shared`).
         timesteps: environment steps of one training; or else
         episodes: its episodes.
         algorithm: name (PPO, DQN, SAC, ..., TRPO, RecurrentPPO, ...) or class.
@@ -69,7 +72,8 @@ class SB3Trainer:
         checkpoint_episodes: episodes per checkpoint.
         n_eval_envs: environments alive at once while evaluating; fewer for heavy simulators. The
             returns do not depend on it.
-        n_envs: training environments, stepped in turn in this process.
+        n_envs: training environments; for teams, simulations.
+        processes: one process for each of them, instead of stepping them in turn in this one.
         tensorboard: folder for the library's TensorBoard scalars, one run per training.
         device: torch device.
         threads: torch threads while training and evaluating.
@@ -95,6 +99,7 @@ class SB3Trainer:
     checkpoint_episodes: int = 5
     n_eval_envs: int | None = None
     n_envs: int = 1
+    processes: bool = False
     tensorboard: Path | str | None = None
     device: str = "cpu"
     threads: int = 1
@@ -138,19 +143,28 @@ class SB3Trainer:
             stack.enter_context(isolated(self.threads))
             best = self._best_checkpoint(context, seed, stack)
             envs = self._training_envs(context, stack)
-            model = algorithm(
-                self.policy,
-                envs,
-                seed=seed,
-                device=self.device,
-                verbose=0,
-                tensorboard_log=self._log_folder(),
-                **{name: _steps(value, envs, name) for name, value in settings.items()},
-            )
+            team = _is_team(envs)
+            if team and _on_policy(algorithm):
+                from mbtl.training.shared import SharedRolloutBuffer
+
+                settings.setdefault("rollout_buffer_class", SharedRolloutBuffer)
+            lengths = {name: _steps(value, envs, name) for name, value in settings.items()}
+            with warnings.catch_warnings():
+                if team or lengths != settings:  # minibatches of episodes are as they come
+                    warnings.filterwarnings("ignore", "You have specified a mini-batch size")
+                model = algorithm(
+                    self.policy,
+                    envs,
+                    seed=seed,
+                    device=self.device,
+                    verbose=0,
+                    tensorboard_log=self._log_folder(),
+                    **lengths,
+                )
             if self.tensorboard is None:
                 _log_nowhere(model)
-            counted = self.episodes is not None
-            watch = Watch(model, self._length, on_progress, best, in_episodes=counted)
+            ends = None if self.episodes is None else "score" if team else "episode"
+            watch = Watch(model, self._length, on_progress, best, ends=ends)
             steps = _FOREVER if self.timesteps is None else self.timesteps
             _learn(model, steps, watch, _run_name(context, seed))
             if best is not None:
@@ -228,13 +242,25 @@ class SB3Trainer:
         return record if self.acting == "mean" else {**record, "acting": self.acting}
 
     def _training_envs(self, context: Context, stack: ExitStack) -> Any:
-        from stable_baselines3.common.vec_env import DummyVecEnv
+        from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
 
-        envs: Any = DummyVecEnv([partial(_monitored, self.make_env, context)] * self.n_envs)
+        one = self.make_env(context)
+        one.close()
+        if hasattr(one, "possible_agents"):
+            from mbtl.training.shared import SharedVecEnv
+
+            if self.normalize_reward:
+                raise InvalidInput(
+                    "rewards of agents that come and go cannot be normalised, got "
+                    "normalize_reward=True; scale them in the environment"
+                )
+            teams = [partial(self.make_env, context)] * self.n_envs
+            envs: Any = SharedVecEnv(teams, processes=self.processes)
+        else:
+            makers = [partial(_monitored, self.make_env, context)] * self.n_envs
+            envs = SubprocVecEnv(makers) if self.processes else DummyVecEnv(makers)
         stack.callback(envs.close)
         if self.normalize_reward:
-            from stable_baselines3.common.vec_env import VecNormalize
-
             gamma = self.hyperparameters.get("gamma", 0.99)
             envs = VecNormalize(envs, norm_obs=False, norm_reward=True, gamma=gamma)
         return envs
@@ -268,7 +294,7 @@ def _steps(value: Any, envs: Any, name: str) -> Any:
     """A hyperparameter, with `EPISODE` replaced by the steps of one."""
     if not (isinstance(value, str) and value == EPISODE):
         return value
-    steps = envs.get_attr("episode_steps")[0] if envs.has_attr("episode_steps") else None
+    steps = envs.get_attr("episode_steps", [0])[0] if envs.has_attr("episode_steps") else None
     if steps is None:
         raise InvalidInput(
             f"{name}='{EPISODE}' needs an environment with an attribute episode_steps, got one "
@@ -292,6 +318,14 @@ def _monitored(make_env: Callable[[Context], Any], context: Context) -> Any:
     from stable_baselines3.common.monitor import Monitor
 
     return Monitor(make_env(context))
+
+
+def _is_team(envs: Any) -> bool:
+    return hasattr(envs, "slots")
+
+
+def _on_policy(algorithm: Any) -> bool:
+    return "rollout_buffer_class" in inspect.signature(algorithm.__init__).parameters
 
 
 def _log_nowhere(model: Any) -> None:

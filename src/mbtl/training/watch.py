@@ -67,7 +67,8 @@ class BestCheckpoint:
 class Watch:
     """Callback of one training, called after every environment step.
 
-    The unit of training is the environment step, or the episode where `in_episodes`.
+    The unit of training is the environment step, or the episode where `ends` says which key of an
+    info comes once per episode: "episode", or "score" where many agents share one.
     """
 
     def __init__(
@@ -77,9 +78,9 @@ class Watch:
         on_progress: OnProgress | None,
         best: BestCheckpoint | None,
         *,
-        in_episodes: bool = False,
+        ends: str | None = None,
     ) -> None:
-        self._model, self._total, self._in_episodes = model, total, in_episodes
+        self._model, self._total, self._ends = model, total, ends
         self._on_progress, self._best = on_progress, best
         self._interval = max(1, total // REPORTS)
         self._due, self._episodes = self._interval, 0
@@ -87,20 +88,28 @@ class Watch:
     @property
     def done(self) -> int:
         """Units so far."""
-        return self._episodes if self._in_episodes else int(self._model.num_timesteps)
+        return self._episodes if self._ends else int(self._model.num_timesteps)
 
     def __call__(self, given: dict[str, Any], _globals: dict[str, Any]) -> bool:
         """Form of a Stable-Baselines3 function callback; False: enough."""
         # one step into the next episode: what ends on the last step has been learnt from by then
-        enough = self._in_episodes and self._episodes >= self._total
-        if self._in_episodes:
-            self._episodes += sum("episode" in info for info in given.get("infos", ()))
+        enough = self._ends is not None and self._episodes >= self._total
+        if self._ends is not None:
+            ended = sum(self._ends in info for info in given.get("infos", ()))
+            if ended:
+                self._episodes += ended
+                self._foresee()
         if self._best is not None:
             self._best.visit(self._model, self.done)
         if self.done >= self._due:
             self._due = self.done + self._interval
             self.report(min(self.done, self._total))
         return not enough
+
+    def _foresee(self) -> None:
+        """Schedules of the library run over steps: as many as the episodes so far make likely."""
+        steps = self._model.num_timesteps * self._total / self._episodes
+        self._model._total_timesteps = max(int(steps), self._model.num_timesteps)
 
     def report(self, step: int) -> None:
         """Tell the caller where the training stands."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import struct
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -66,7 +67,10 @@ def draw(api: Any, window: Window | None = None) -> Image:
         window = Window(*(points.min(axis=0) - MARGIN), *(points.max(axis=0) + MARGIN))
     canvas = _Canvas(window)
     for id in api.junction.getIDList():
-        shape = api.junction.getShape(id)
+        try:
+            shape = api.junction.getShape(id)
+        except struct.error:  # TraCI cannot read the empty shape of a dead end
+            continue
         if len(shape) > 2:
             canvas.area(_flat(shape), _ROAD)
     for id, shape in lanes.items():

@@ -40,8 +40,9 @@ What SUMO (1.28) does here, for a twin of the lane; a test holds SUMO to it:
   drives on. The lines are at the ends of the feeders and at 235.6 m.
 - A car enters its feeder 0.1 m + its length from the start, at 5 m/s, in the first step that begins
   at its departure or later, in order, and only if the net gap to the last car is at least minGap +
-  max(0, 5 tau + 5 (5 - v_leader)/(2 sqrt(accel decel))). It is gone once its front passes 485.6 m.
-- Known exception: in a jam across the ghost, a car of AA overlooks one of AB whose tail is in AB.
+  max(0, 5 tau + 5 (5 - v_leader)/(2 sqrt(accel decel))). It is gone once its front passes 485.5 m.
+- A car that the ghost signal does not stop brakes for the main signal from the feeder already.
+- A tail that still overhangs the other feeder makes a car stop 0.1 m before the ghost.
 """
 
 from __future__ import annotations
@@ -131,7 +132,7 @@ class Eco(TrafficTeam):
         Raises:
             ContextMismatch: a penetration outside (0, 1], or a green that no signal can show.
         """
-        _check(context or {})
+        check_context(context or {})
         super().__init__(context, **settings)
         self._light = light(self.features["green"])
         if settings.get("visibility") == "raw":
@@ -290,7 +291,7 @@ def reward(trip: Trip) -> float:
     return (trip.speed - CRAWL_COST * crawling - CO2_COST * trip.co2) / REWARD_SCALE
 
 
-def _check(context: Mapping[str, Value]) -> None:
+def check_context(context: Mapping[str, Value]) -> None:
     """Refuse what `full_context` could only call not positive."""
     share, green = context.get("penetration", 1.0), context.get("green", 1.0)
     if isinstance(share, (int, float)) and not 0.0 < share <= 1.0:

@@ -108,6 +108,11 @@ class Traffic(Contextual):
             gui=gui,
         )
 
+    @property
+    def episode_steps(self) -> int:
+        """Most decisions of an episode in this context."""
+        return self.horizon
+
     def _network(self) -> Path:
         """The compiled network of this context."""
         raise NotImplementedError

@@ -81,6 +81,11 @@ class Ramp(TrafficTeam):
         self._routes, self.possible_agents = _demand()
         self._advised = frozenset(self.possible_agents)
 
+    @property
+    def episode_steps(self) -> int:
+        """Holds that fill the controlled time."""
+        return advisory.decisions(self.features["hold"], self.horizon)
+
     # ---- episodes ----------------------------------------------------------------------------
 
     def reset(
@@ -93,7 +98,7 @@ class Ramp(TrafficTeam):
         self._drivers = Drivers(self.np_random, self._noise)
         self._steps, self._means, self._collided = -advisory.WARM_UP, 0.0, 0
         self._seen: dict[str, Observation] = {}
-        self._left = advisory.decisions(self.features["hold"], self.horizon)
+        self._left = self.episode_steps
         with self.simulation.guard() as api:
             for _ in range(advisory.WARM_UP):
                 self._advance(api, {})

@@ -87,6 +87,11 @@ class Ring(TrafficEnv):
         self.observation_space = self._space([-1.0] * 3, [1.0] * 3)
         self.action_space = advisory.action_space(self.ACTIONS, LEVELS)
 
+    @property
+    def episode_steps(self) -> int:
+        """Holds that fill the controlled time."""
+        return advisory.decisions(self.features["hold"], self.horizon)
+
     # ---- episodes ----------------------------------------------------------------------------
 
     def reset(
@@ -108,7 +113,7 @@ class Ring(TrafficEnv):
             api.vehicle.setMinGap(_ADVISED, CLOSEST)
             self._steady.add(_ADVISED)
             observation = self._observe(api)
-        self._left = advisory.decisions(self.features["hold"], self.horizon)
+        self._left = self.episode_steps
         return observation, {}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

@@ -5,6 +5,7 @@ No constant is written twice: the twins take theirs from the environments. SUMO 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -82,4 +83,91 @@ class RingProblem:
             visible = visible_features(features, self.unit, self.visibility)
             hold = advisory.hold_steps(features["hold"])
             params.append(RingParams(jnp.int32(hold), jnp.asarray(visible, jnp.float32)))
+        return twin, params
+
+
+@dataclass(frozen=True)
+class EcoProblem:
+    """contexts -> twin of the eco-driving road and its parameters (`twin_trainer.Problem`).
+
+    Attributes:
+        unit: varied features and their value at multiplier 1.
+        visibility: what of the context the policy sees.
+        time_limit: how the end of an episode is reported.
+        agents: most controlled cars that are agents at once; any beyond drive by themselves.
+    """
+
+    unit: Mapping[str, float] = field(default_factory=dict)
+    visibility: Visibility = "hidden"
+    time_limit: TimeLimit = "truncation"
+    agents: int = 40
+
+    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, list[Any]]:
+        """The twin, and the parameters of each context.
+
+        Raises:
+            ContextMismatch: a penetration outside (0, 1], or a green that no signal can show.
+        """
+        import jax.numpy as jnp
+
+        import mbtl.training.jax  # noqa: F401  first: flags of jax
+        from mbtl.cmdps.traffic import corridor, eco, emissions, population, trips
+        from mbtl.training.jax.environments import Box
+        from mbtl.training.jax.traffic.arrivals import Demand, Kind
+        from mbtl.training.jax.traffic.eco import EcoTwin
+        from mbtl.training.jax.traffic.eco_state import Costs, EcoParams, Look, Road, Stops
+        from mbtl.training.jax.traffic.signal import Light
+
+        west, south = corridor.FEEDERS["AB"], corridor.FEEDERS["AA"]
+        shortest = population.CONTROLLED_LENGTH + population.CONTROLLED.min_gap
+        twin = EcoTwin(
+            action=Box((eco.HARDEST,), (eco.STRONGEST,)),
+            road=Road(
+                feeders=(west, south),
+                line=corridor.STARTS[1],
+                box=corridor.STARTS[2],
+                end=corridor.LENGTH,
+                limit=corridor.LIMIT,
+                entry_speed=population.DEPART_SPEED,
+            ),
+            light=Light(corridor.YELLOW, corridor.RED),
+            demand=Demand(
+                kinds=tuple(
+                    Kind(kind.share, kind.length, tuple(kind.mean), tuple(kind.std))
+                    for kind in population.FLEET.values()
+                ),
+                cut=population.CUT,
+                controlled=tuple(population.CONTROLLED),
+                controlled_length=population.CONTROLLED_LENGTH,
+                shares=(corridor.SHARES["AB"], corridor.SHARES["AA"]),
+            ),
+            co2_rate=emissions.co2_rate,
+            costs=Costs(eco.CRAWL, eco.CRAWL_COST, eco.CO2_COST, eco.REWARD_SCALE),
+            stop=Stops(trips.HALTED, trips.MOVING),
+            look=Look(eco.SPEED_SCALE, eco.LENGTH_SCALE, eco.TIME_SCALE, eco.ABSENT),
+            dt=corridor.STEP,
+            warm_up=eco.WARM_UP,
+            horizon=eco.Eco.HORIZON,
+            rows=math.ceil((west + corridor.LENGTH) / shortest),
+            side_rows=math.ceil(south / shortest),
+            agents=self.agents,
+            n_features=eco.SIZE,
+            time_limit=self.time_limit,
+        )
+        params = []
+        for context in contexts:
+            eco.check_context(context)
+            features = full_context(eco.Eco.FEATURES, context)
+            visible = visible_features(features, self.unit, self.visibility)
+            if self.visibility == "raw":
+                share, green = features["penetration"], features["green"]
+                visible = (share, 1.0, corridor.LIMIT / eco.SPEED_SCALE, green, corridor.RED)
+            params.append(
+                EcoParams(
+                    jnp.float32(features["penetration"]),
+                    jnp.float32(features["inflow"]),
+                    jnp.float32(features["green"]),
+                    jnp.asarray(visible, jnp.float32),
+                )
+            )
         return twin, params

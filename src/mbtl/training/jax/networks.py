@@ -137,7 +137,9 @@ def apply(
 
 def bend_of(activation: Activation) -> Callable[[jax.Array], jax.Array]:
     """The function between the layers."""
-    return jnp.tanh if activation == "tanh" else jax.nn.relu
+    bends = {"tanh": jnp.tanh, "relu": jax.nn.relu, "mish": jax.nn.mish}
+    bend: Callable[[jax.Array], jax.Array] = bends[activation]
+    return bend
 
 
 def action_noise(key: jax.Array, shape: tuple[int, ...], action: Discrete | Box) -> jax.Array:

@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeVar, get_args
 
 from mbtl.errors import InvalidInput, unknown_name
 
-Activation = Literal["tanh", "relu"]
+Activation = Literal["tanh", "relu", "mish"]
 AnyRecipe = TypeVar("AnyRecipe")
 
 _STEPS_PER_CALL = 256

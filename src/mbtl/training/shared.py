@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.cmdps.traffic.slots import Slots, is_blank
 from mbtl.errors import InvalidInput, missing_extra
+from mbtl.training.slots import Slots, is_blank
 
 try:
     from stable_baselines3.common.buffers import RolloutBuffer

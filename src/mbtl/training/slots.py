@@ -24,8 +24,9 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 from numpy.typing import NDArray
 
-from mbtl.cmdps.contextual import Observation
 from mbtl.errors import InvalidInput, SimulationFailed
+
+Observation = NDArray[np.float32]
 
 BLANK = 0.0
 """Every number of a free slot's observation."""
@@ -88,6 +89,12 @@ class Slots(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untyped for ou
         self.render_mode = getattr(self.team, "render_mode", None)
         self.present: list[str | None] = [None] * n
         self._returns, self._lengths = np.zeros(n), np.zeros(n, dtype=int)
+
+    @property
+    def episode_steps(self) -> int | None:
+        """Most decisions of a simulation, where the environment tells."""
+        steps: int | None = getattr(self.team, "episode_steps", None)
+        return steps
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -169,6 +176,26 @@ class Slots(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untyped for ou
             if car is not None:
                 shown[k] = _shown(seen[car])
         return shown
+
+
+class Together(Slots):
+    """`Slots` with an end: an episode is one simulation, truncated when that has ended.
+
+    One environment for tools that know Gymnasium only, such as `check_cmdp` and `gymnasium.make`.
+    """
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """As in `Slots`; the info of an episode's last step has its "score"."""
+        seen, reward, _, _, info = super().step(action)
+        last = [one for one in info["slots"].infos if "score" in one]
+        if not last:
+            return seen, reward, False, False, info
+        return seen, reward, False, True, {**info, "score": last[0]["score"]}
+
+
+def as_one(env: Any) -> Any:
+    """`env` itself, or a PettingZoo parallel environment as one Gymnasium environment."""
+    return Together(lambda: env) if hasattr(env, "possible_agents") else env
 
 
 def is_blank(observations: NDArray[Any]) -> NDArray[np.bool_]:

@@ -1,0 +1,252 @@
+"""The traffic part of the table of our CMDPs (cmdp-spec, sections 2, 5, 6 and 7).
+
+SUMO is the simulator of all ten; families that have a twin are simulated there by default. Nothing
+here imports an environment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from mbtl.cmdps.cmdp import Preset
+from mbtl.cmdps.family import Family, TwinFamily, Variant
+
+# ---- advisory autonomy: ring and ramp --------------------------------------------------------
+
+_TRPO: Mapping[str, Any] = {
+    "n_steps": "episode",
+    "gamma": 0.999,
+    "gae_lambda": 1.0,
+    "n_critic_updates": 1,
+    "cg_max_steps": 10,
+    "cg_damping": 0.1,
+    "line_search_shrinking_factor": 0.5,
+    "line_search_max_iter": 10,
+    "target_kl": 0.01,
+}
+"""As near to cmdp-spec, 7.4, as sb3-contrib's TRPO comes: an update is one episode long, and the
+deviation of the Gaussian does not depend on the state. Its rewards are scaled but not centred."""
+
+_RING_TRPO = {**_TRPO, "learning_rate": 1e-4, "batch_size": 400}
+_RAMP_TRPO = {**_TRPO, "learning_rate": 1e-3}
+
+_IN_TWIN = Preset(
+    budget=15,
+    episodes=1000,
+    eval_episodes=50,
+    algorithm="TRPO",
+    checkpoint="best",
+    checkpoint_episodes=10,
+    description="the paper's episodes, best-of-evaluations policy",
+)
+_TWIN_PRESETS = {
+    "paper": _IN_TWIN,
+    "quick": replace(
+        _IN_TWIN,
+        budget=10,
+        episodes=100,
+        eval_episodes=10,
+        description="a first look, best-of-evaluations policy",
+    ),
+}
+
+
+def _in_sumo(hyperparameters: Mapping[str, Any], **changes: Any) -> Mapping[str, Preset]:
+    """Advisory autonomy by Stable-Baselines3; an episode of 500 s takes up to a second."""
+    paper = Preset(
+        budget=15,
+        episodes=1000,
+        eval_episodes=50,
+        algorithm="TRPO",
+        hyperparameters=hyperparameters,
+        acting="sampled",
+        checkpoint="best",
+        checkpoint_episodes=10,
+        description="the paper's episodes in SUMO: a quarter of an hour per policy",
+    )
+    paper = replace(paper, **changes)
+    standard = replace(
+        paper, episodes=200, eval_episodes=5, description="a fifth of the paper's episodes in SUMO"
+    )
+    quick = replace(
+        paper, budget=10, episodes=40, eval_episodes=2, checkpoint_episodes=3,
+        description="a first look in SUMO",
+    )  # fmt: skip
+    return {"standard": standard, "quick": quick, "paper": paper}
+
+
+def _ring(name: str, actions: str) -> Family:
+    return Family(
+        entry_point=f"mbtl.cmdps.traffic.ring:{name}",
+        horizon=400,
+        bounds=(0.0, 4.5),
+        theta=0.005,
+        presets=_in_sumo(_RING_TRPO, normalize_reward=True),
+        jax=TwinFamily("mbtl.cmdps.traffic.twins:RingProblem", _TWIN_PRESETS, {"actions": actions}),
+        switches=("obs",),
+        simulator="sumo",
+        visibility="hidden",
+        check_steps=6,
+    )
+
+
+def _ramp(name: str, checkpoint: str) -> Family:
+    return Family(
+        entry_point=f"mbtl.cmdps.traffic.ramp:{name}",
+        horizon=400,
+        bounds=(0.0, 8.78),
+        theta=0.005,
+        presets=_in_sumo(_RAMP_TRPO, checkpoint=checkpoint),
+        switches=("obs",),
+        simulator="sumo",
+        visibility="hidden",
+        check_steps=6,
+    )
+
+
+# ---- traffic signal --------------------------------------------------------------------------
+
+_DQN: Mapping[str, Any] = {
+    "learning_rate": 1e-3,
+    "gamma": 0.75,
+    "buffer_size": 50_000,
+    "batch_size": 100,
+    "learning_starts": 100,
+    "train_freq": (1, "episode"),
+    "gradient_steps": 800,
+    "target_update_interval": 1,
+    "exploration_fraction": 1.0,
+    "exploration_initial_eps": 1.0,
+    "exploration_final_eps": 0.0,
+    "policy_kwargs": {"net_arch": [400] * 4, "activation_fn": "Mish"},
+}
+"""cmdp-spec, 5, in Stable-Baselines3's DQN. It has a target network, refreshed after each episode,
+and a Huber loss; epsilon falls with every step, not with every episode."""
+
+
+def _signal(gradient_steps: int, **changes: Any) -> Preset:
+    preset = Preset(
+        budget=15,
+        episodes=100,
+        eval_episodes=50,
+        algorithm="DQN",
+        hyperparameters={**_DQN, "gradient_steps": gradient_steps},
+        checkpoint="final",
+    )
+    return replace(preset, **changes)
+
+
+_SIGNAL = {
+    "standard": _signal(
+        100, eval_episodes=3, description="an eighth of the paper's gradient steps, final policy"
+    ),
+    "quick": _signal(
+        50, budget=8, episodes=20, eval_episodes=1, description="a first look, final policy"
+    ),
+    "paper": _signal(800, description="the paper's budget, final policy"),
+}
+
+# ---- eco-driving -----------------------------------------------------------------------------
+
+_PPO: Mapping[str, Any] = {
+    "n_steps": "episode",
+    "learning_rate": 1e-4,
+    "gamma": 0.99,
+    "gae_lambda": 0.97,
+    "clip_range": 0.03,
+    "clip_range_vf": 3.0,
+    "vf_coef": 1.0,
+    "ent_coef": 0.005,
+    "target_kl": 0.02,
+    "n_epochs": 10,
+    "batch_size": 256,
+    "normalize_advantage": False,
+    "policy_kwargs": {"net_arch": [256] * 4, "activation_fn": "Tanh"},
+}
+"""cmdp-spec, 6.3, in Stable-Baselines3's PPO, which has no adaptive KL penalty, and a deviation
+that does not depend on the state."""
+
+
+def _eco_in_sumo(episodes: int, **changes: Any) -> Preset:
+    preset = Preset(
+        budget=15,
+        episodes=episodes,
+        eval_episodes=100,
+        algorithm="PPO",
+        hyperparameters=_PPO,
+        checkpoint="final",
+    )
+    return replace(preset, **changes)
+
+
+_ECO = {
+    "standard": _eco_in_sumo(
+        200, eval_episodes=5, description="a twenty-fifth of the paper's episodes, final policy"
+    ),
+    "quick": _eco_in_sumo(30, budget=10, eval_episodes=2, description="a first look, final policy"),
+    "paper": _eco_in_sumo(5000, description="the paper's episodes, final policy"),
+}
+
+TRAFFIC_FAMILIES: Mapping[str, Family] = {
+    "signal": Family(
+        entry_point="mbtl.cmdps.traffic.signal:Signal",
+        horizon=540,
+        bounds=(-100.0, 0.0),
+        theta=0.001,
+        presets=_SIGNAL,
+        simulator="sumo",
+        visibility="hidden",
+        check_steps=40,
+    ),
+    "eco": Family(
+        entry_point="mbtl.cmdps.traffic.eco:Eco",
+        horizon=1500,
+        bounds=(0.0, 15.0),
+        theta=0.005,
+        presets=_ECO,
+        simulator="sumo",
+        check_steps=60,
+    ),
+    "ring-acc": _ring("RingAcc", "acceleration"),
+    "ring-vel": _ring("RingVel", "speed"),
+    "ramp-acc": _ramp("RampAcc", "final"),
+    "ramp-vel": _ramp("RampVel", "best"),
+}
+
+
+def _hold(family: str, description: str) -> Variant:
+    return Variant(family, "hold", "s", "1", 1.0, n=40, unit_index=0, description=description)
+
+
+TRAFFIC_VARIANTS: Mapping[str, Variant] = {
+    "signal-length": Variant(
+        "signal", "length", "m", "50", 750.0, n=50, paper_step="75",
+        description="Traffic signal; the length of the approaches varies",
+    ),
+    "signal-inflow": Variant(
+        "signal", "inflow", "cars", "50", 1000.0, n=50,
+        description="Traffic signal; the demand varies",
+    ),
+    "signal-speed": Variant(
+        "signal", "speed", "m/s", "0.5", 14.0, n=50, paper_step="1.389",
+        description="Traffic signal; the speed limit varies",
+    ),
+    "eco-penetration": Variant(
+        "eco", "penetration", "share", "0.02", 0.2, n=50,
+        description="Eco-driving; the share of controlled cars varies",
+    ),
+    "eco-inflow": Variant(
+        "eco", "inflow", "veh/h", "40", 400.0, n=50,
+        description="Eco-driving; the demand varies",
+    ),
+    "eco-green": Variant(
+        "eco", "green", "s", "1", 35.0, n=50, paper_step="3.5",
+        description="Eco-driving; the green time varies",
+    ),
+    "ring-acc": _hold("ring-acc", "Ring road, accelerations advised; the hold varies"),
+    "ring-vel": _hold("ring-vel", "Ring road, speeds advised; the hold varies"),
+    "ramp-acc": _hold("ramp-acc", "Highway ramp, accelerations advised; the hold varies"),
+    "ramp-vel": _hold("ramp-vel", "Highway ramp, speeds advised; the hold varies"),
+}  # fmt: skip

@@ -1,0 +1,168 @@
+"""The eco-driving twin is SUMO step for step with the same cars, in distribution with its own."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+pytest.importorskip("libsumo", reason="the traffic extra is not installed")
+pytest.importorskip("jax", reason="the jax extra is not installed")
+
+import mbtl.training.jax as engine  # noqa: F401  isort: skip  # before jax: it sets jax's flags
+import jax
+import jax.numpy as jnp
+
+from mbtl.cmdps.traffic import eco
+from mbtl.cmdps.traffic.corridor import FEEDERS, STARTS
+from mbtl.cmdps.traffic.population import Car
+from mbtl.cmdps.traffic.twins import EcoProblem
+from mbtl.training.jax.traffic.arrivals import Car as Waiting
+
+ATOL = 2e-3  # m, m/s, and what follows from them
+
+
+@partial(jax.jit, static_argnums=0)
+def start(twin, params):
+    return replace(twin, warm_up=0).start(jnp.zeros(1, jnp.uint32), params)
+
+
+@partial(jax.jit, static_argnums=0)
+def step(twin, state, actions, params):
+    return twin.step(state, actions, params)
+
+
+@partial(jax.jit, static_argnums=0)
+def observe(twin, state, params):
+    return twin.observe(state, params)
+
+
+class Script:
+    """The cars of an episode in SUMO, given to the twin one after another."""
+
+    def __init__(self, cars):
+        nobody = Car("", "", 1e9, False, 5.0, cars[0].driver)
+        self.queues = [[*(c for c in cars if c.feeder == f), nobody] for f in FEEDERS]
+        self.given = np.array([-1, -1])
+
+    def give(self, state):
+        entered = np.asarray(state.entered)[:, 0]
+        if (entered == self.given).all():
+            return state
+        self.given = entered
+        cars = [queue[k] for queue, k in zip(self.queues, entered, strict=True)]
+        rows = zip(*[(c.length, *c.driver, c.controlled) for c in cars], strict=True)
+        waiting = [
+            np.array(values, old.dtype)[:, None]
+            for values, old in zip(rows, state.waiting, strict=True)
+        ]
+        due = np.array([[round(c.depart, 3)] for c in cars], np.float32)  # SUMO counts in ms
+        return state._replace(due=due, waiting=Waiting(*waiting))
+
+
+def in_sumo(api):
+    """Fronts and speeds of the cars of `main` and `side`, the foremost first."""
+    starts = dict(zip(("approach", "box", "exit"), STARTS, strict=True), AB=-FEEDERS["AB"])
+    x, v = api.vehicle.getLanePosition, api.vehicle.getSpeed
+
+    def rows(roads):
+        cars = [
+            (begin + x(id), v(id))
+            for road, begin in roads.items()
+            for id in api.lane.getLastStepVehicleIDs(f"{road}_0")
+        ]
+        return np.array(sorted(cars, reverse=True)).reshape(-1, 2)
+
+    return rows(starts), rows({"AA": -FEEDERS["AA"]})
+
+
+def in_twin(cars):
+    there = np.asarray(cars.x)[:, 0] > -1e3
+    return np.stack([cars.x, cars.speed])[:, there, 0].T
+
+
+def injected(cars, rows):
+    """The same cars where SUMO has them, so that errors do not add up."""
+    x, speed = np.array(cars.x), np.array(cars.speed)
+    x[: len(rows), 0], speed[: len(rows), 0] = rows.T
+    return cars._replace(x=x, speed=speed)
+
+
+@pytest.mark.parametrize(
+    "context",
+    [{}, {"penetration": 1.0}, {"inflow": 1200.0, "green": 20.0}, {"green": 3.0}],
+    ids=str,
+)
+def test_with_the_same_cars_every_step_is_as_in_sumo(context, monkeypatch):
+    drawn = []
+    original = eco.population
+    monkeypatch.setattr(eco, "population", lambda *args: drawn.append(original(*args)) or drawn[-1])
+    monkeypatch.setattr(eco.Eco, "_wait", lambda *_: None)  # compare without agents too
+    env = eco.Eco(context, visibility="hidden", horizon=600)
+    twin, (params,) = EcoProblem()([context])
+    actions = np.zeros((1, twin.agents, 1), np.float32)
+    rng = np.random.default_rng(0)
+    moves = wrong = 0
+    try:
+        seen, _ = env.reset(seed=1)
+        script = Script(drawn[-1])
+        state = script.give(start(twin, params))
+        for _ in range(eco.WARM_UP):
+            state = script.give(step(twin, state, actions, params).state)
+        while env._left > 0:
+            main, side = in_sumo(env.simulation.api)
+            for cars, sumo in ((state.main, main), (state.side, side)):
+                error = np.abs(in_twin(cars) - sumo).max(axis=1, initial=0.0)
+                moves += len(sumo)
+                wrong += int((error > ATOL).sum())
+            state = state._replace(main=injected(state.main, main), side=injected(state.side, side))
+            now = observe(twin, state, params)
+            places = (int(state.first[0]) + np.arange(len(env.agents))) % twin.agents
+            acting = np.zeros(twin.agents, bool)
+            acting[places] = True
+            np.testing.assert_array_equal(now.acting[0], acting)
+            for place, car in zip(places, env.agents, strict=True):
+                np.testing.assert_allclose(now.obs[0, place], seen[car], atol=ATOL, err_msg=car)
+            told = {car: np.float32([rng.normal(0.0, 3.0)]) for car in env.agents}
+            actions = np.zeros_like(actions)
+            actions[0, places] = np.reshape(list(told.values()), (-1, 1))
+            seen, rewards, ended, *_ = env.step(told)
+            moved = step(twin, state, actions, params)
+            state = script.give(moved.state)
+            for place, car in zip(places, told, strict=True):
+                assert float(moved.reward[0, place]) == pytest.approx(rewards[car], abs=0.01)
+                assert bool(moved.done[0, place]) == ended[car] or env._left == 0
+        assert wrong <= moves // 10_000, (wrong, moves)
+        assert moves > 4000
+        measures = {name: float(value[0]) for name, value in twin.measures(state).items()}
+        assert measures["completed"] > 0
+        assert measures == pytest.approx({name: env.summary[name] for name in measures}, rel=1e-3)
+    finally:
+        env.close()
+
+
+@partial(jax.jit, static_argnums=0)
+def unguided(twin, seeds, params):
+    state = twin.start(seeds, params)
+    state = jax.lax.fori_loop(
+        0, twin.horizon, lambda _, state: twin.drive(state, params).state, state
+    )
+    return twin.measures(state)
+
+
+@pytest.mark.parametrize("context", [{}, {"inflow": 1600.0}, {"green": 5.0}], ids=str)
+def test_unguided_traffic_is_distributed_as_in_sumo(context):
+    env = eco.Eco(context)
+    measures = []
+    for seed in range(8):
+        env.reset(seed=seed)
+        while env.agents:
+            env.step({})
+        measures.append(env.summary)
+    env.close()
+    twin, (params,) = EcoProblem()([context])
+    found = unguided(twin, jnp.arange(64, dtype=jnp.uint32), params)
+    for name in ("score", "co2", "stops", "throughput"):
+        sumo, ours = np.array([m[name] for m in measures]), np.asarray(found[name])
+        error = np.hypot(sumo.std(ddof=1) / np.sqrt(len(sumo)), ours.std() / np.sqrt(len(ours)))
+        assert abs(sumo.mean() - ours.mean()) < 4 * error, name
