@@ -15,6 +15,7 @@ from mbtl.errors import InvalidInput, UnknownName
 from mbtl.training.jax import networks
 from mbtl.training.jax.environments import Box, Discrete
 from mbtl.training.jax.traffic import learning, trpo
+from mbtl.training.jax.traffic.distributions import kl
 from mbtl.training.jax.traffic.episodes import Actor, Episodes, record
 from mbtl.training.jax.traffic.recipes import TRPORecipe
 from mbtl.training.jax.traffic.returns import Returns, advantages
@@ -61,11 +62,11 @@ def test_conjugate_gradients_solve_a_small_system_exactly():
 
 def test_kl_of_gaussians_and_of_choices():
     old, new = jnp.array([[0.5]]), jnp.array([[1.5]])
-    got = trpo.kl(old, jnp.log(jnp.array([2.0])), new, jnp.log(jnp.array([1.0])), BOX)
+    got = kl(old, jnp.log(jnp.array([2.0])), new, jnp.log(jnp.array([1.0])), BOX)
     assert float(got[0]) == pytest.approx(-np.log(2.0) + (4.0 + 1.0) / 2.0 - 0.5, rel=1e-6)
     p, q = np.array([0.2, 0.8]), np.array([0.5, 0.5])
     none = jnp.zeros(0)
-    got = trpo.kl(jnp.log(p)[None], none, jnp.log(q)[None], none, Discrete(2))
+    got = kl(jnp.log(p)[None], none, jnp.log(q)[None], none, Discrete(2))
     assert float(got[0]) == pytest.approx(float((p * np.log(p / q)).sum()), rel=1e-5)
 
 
@@ -120,9 +121,10 @@ def one_update(**changes):
     action = outputs + jnp.asarray(rng.standard_normal((50, 1, 1, 1)), jnp.float32)
     data = lived(np.zeros(50))._replace(obs=obs, outputs=outputs, action=action)
     data = data._replace(reward=action[..., 0])  # larger actions pay
-    new, _ = trpo.learn(BOX, recipe, weights, trpo.start(recipe, weights), data)
+    memory = trpo.start(recipe, weights)
+    new, _ = trpo.learn(BOX, recipe, weights, memory, data, jnp.int32(0))
     after = networks.apply(new.actor, obs)
-    moved = trpo.kl(outputs, weights.log_std, after, new.log_std, BOX).mean()
+    moved = kl(outputs, weights.log_std, after, new.log_std, BOX).mean()
     return float(moved), float((after - outputs).mean())
 
 
@@ -188,7 +190,7 @@ def test_it_learns_to_calm_the_ring():
 def test_unknown_names_and_numbers_are_refused():
     cmdp = get_cmdp("ring-acc", engine="jax")
     with pytest.raises(UnknownName, match="TRPO"):
-        cmdp.trainer_for("quick", algorithm="PPO")
+        cmdp.trainer_for("quick", algorithm="DQN")
     with pytest.raises(InvalidInput, match="episodes"):
         cmdp.trainer_for("quick", episodes=0)
     trainer = cmdp.trainer_for("quick", hyperparameters={"gama": 0.9})

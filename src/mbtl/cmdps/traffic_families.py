@@ -189,6 +189,41 @@ _ECO = {
     "paper": _eco_in_sumo(5000, description="the paper's episodes, final policy"),
 }
 
+_ECO_TWIN = {
+    "standard": Preset(
+        budget=15,
+        episodes=300,
+        eval_episodes=20,
+        algorithm="PPO",
+        recipe_name="fast",
+        acting="mean",
+        checkpoint="best",
+        checkpoint_episodes=4,
+        description="a sixteenth of the paper's episodes and a small network, in the twin",
+    ),
+    "quick": Preset(
+        budget=8,
+        episodes=60,
+        eval_episodes=5,
+        algorithm="PPO",
+        recipe_name="fast",
+        acting="mean",
+        checkpoint="best",
+        checkpoint_episodes=2,
+        description="a first look, in the twin",
+    ),
+    "paper": Preset(
+        budget=15,
+        episodes=5000,
+        eval_episodes=100,
+        algorithm="PPO",
+        recipe_name="paper",
+        acting="mean",
+        checkpoint="final",
+        description="the paper's budget in the twin: hours per policy without a GPU",
+    ),
+}
+
 TRAFFIC_FAMILIES: Mapping[str, Family] = {
     "signal": Family(
         entry_point="mbtl.cmdps.traffic.signal:Signal",
@@ -206,6 +241,7 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
         bounds=(0.0, 15.0),
         theta=0.005,
         presets=_ECO,
+        jax=TwinFamily("mbtl.cmdps.traffic.twins:EcoProblem", _ECO_TWIN),
         simulator="sumo",
         check_steps=60,
     ),

@@ -5,7 +5,7 @@ Nothing of jax is imported before a training or evaluation, as in `mbtl.training
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -20,7 +20,10 @@ from mbtl.seeds import episode_seed
 from mbtl.trainer import OnProgress, Progress
 from mbtl.training.mlp_trainer import MLPTrainer
 
-ALGORITHMS = ("TRPO",)
+ALGORITHMS = ("TRPO", "PPO")
+
+_CPU_LANES = 25
+"""Sources trained together on a CPU where contexts can be mixed: enough to fill its vectors."""
 Acting = Literal["sampled", "mean"]
 
 Problem = Callable[[Sequence[Context]], tuple[Any, Sequence[Any]]]
@@ -38,7 +41,7 @@ class TwinTrainer(MLPTrainer):
     Attributes:
         problem: contexts -> twin and parameters; a function of a module, or a record.
         episodes: of one training, rounded up to whole updates.
-        algorithm: "TRPO".
+        algorithm: "TRPO" or "PPO".
         recipe_name: named hyper-parameters of the algorithm.
         hyperparameters: fields of the recipe that differ from the named one.
         eval_episodes: episodes per target in `evaluate`.
@@ -80,8 +83,16 @@ class TwinTrainer(MLPTrainer):
 
     @property
     def lanes(self) -> int:
-        """One: each context is a program of its own, as contexts differ in their decisions."""
-        return 1
+        """Policies that are best trained together here.
+
+        One where contexts differ in their decisions, as each is a program of its own then.
+        """
+        from mbtl.training.jax import on_cpu
+
+        twin, _ = self.problem([])
+        if not twin.mixes:
+            return 1
+        return _CPU_LANES if on_cpu() else 1 << 20
 
     def train_many(
         self,
@@ -115,12 +126,12 @@ class TwinTrainer(MLPTrainer):
         recipe = self._recipe()
         twin, params = self.problem(contexts)
         policies: dict[str, list[MLPPolicy]] = {name: [] for name in keep}
-        for seed, one in zip(seeds, params, strict=True):
+        for some, each in _groups(twin, seeds, params):
             training = train(
                 twin,
                 recipe,
-                [seed],
-                one,
+                some,
+                each,
                 self.episodes,
                 on_block=on_block,
                 checkpoint_every=self.checkpoint_every,
@@ -174,3 +185,14 @@ class TwinTrainer(MLPTrainer):
             if name not in known:
                 raise unknown_name(f"hyperparameter of {self.algorithm}", name, known)
         return replace(named, **self.hyperparameters)
+
+
+def _groups(twin: Any, seeds: Sequence[int], params: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+    """(seeds, parameters) of the trainings that go together."""
+    if not twin.mixes:
+        yield from (([seed], one) for seed, one in zip(seeds, params, strict=True))
+        return
+    import jax
+    import jax.numpy as jnp
+
+    yield list(seeds), jax.tree.map(lambda *x: jnp.stack(x), *params)

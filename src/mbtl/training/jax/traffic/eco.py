@@ -80,6 +80,7 @@ class EcoTwin:
     few: tuple[int, int] = (40, 10)
     time_limit: TimeLimit = "truncation"
     n_features: int = 39
+    mixes: bool = True
     params: type[EcoParams] = EcoParams
 
     def decisions(self, params: EcoParams) -> int:

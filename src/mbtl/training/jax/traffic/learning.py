@@ -1,4 +1,4 @@
-"""Many trainings in one context of a twin, in blocks of updates with an evaluation after each.
+"""Many trainings in a twin, in blocks of updates with an evaluation after each.
 
 As in `mbtl.training.jax.loop`, all that decides the future is in a `Training`, so a run that is
 stopped after a block goes on from it with the same result. A return here is a score.
@@ -7,7 +7,7 @@ stopped after a block goes on from it with the same result. A return here is a s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,13 +21,16 @@ from mbtl.training.jax import networks
 from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.loop import Block, Training, check_finite, finite_policies, keep_better
 from mbtl.training.jax.networks import Weights
-from mbtl.training.jax.traffic import random, trpo
+from mbtl.training.jax.traffic import ppo, random, trpo
 from mbtl.training.jax.traffic.episodes import Actor, record, scores
-from mbtl.training.jax.traffic.recipes import TRPORecipe
+from mbtl.training.jax.traffic.recipes import EpisodicPPORecipe, TRPORecipe, TwinRecipe
 from mbtl.training.jax.traffic.twin import Twin
 
 BLOCKS = 50
 """Evaluations per training unless told otherwise: one every 2 % of the episodes."""
+
+_ALGORITHMS: Mapping[type, Any] = {TRPORecipe: trpo, EpisodicPPORecipe: ppo}
+"""Modules with `start(recipe, weights)` and `learn(...)`, of one policy."""
 
 _EPISODE = 1 << 21  # stream of random numbers: seeds of training episodes
 
@@ -46,15 +49,15 @@ class State(NamedTuple):
     seed: jax.Array
 
 
-def start(twin: Twin, recipe: TRPORecipe, seeds: Sequence[int], params: Tree) -> Training:
-    """Trainings before their first update; one context, P seeds."""
+def start(twin: Twin, recipe: TwinRecipe, seeds: Sequence[int], params: Tree) -> Training:
+    """Trainings before their first update; see `train`."""
     n_inputs = twin.n_features + params.visible.shape[-1]
     each = [
         networks.init_weights(seed, n_inputs, twin.action, recipe.hidden, recipe.log_std)
         for seed in seeds
     ]
     weights = networks.stack(each)
-    memory = jax.vmap(partial(trpo.start, recipe))(weights)
+    memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))(weights)
     state = State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))
     nothing = jnp.full(len(seeds), -jnp.inf, dtype=jnp.float32)
     best = jax.tree.map(jnp.copy, weights)
@@ -63,7 +66,7 @@ def start(twin: Twin, recipe: TRPORecipe, seeds: Sequence[int], params: Tree) ->
 
 def train(
     twin: Twin,
-    recipe: TRPORecipe,
+    recipe: TwinRecipe,
     seeds: Sequence[int],
     params: Tree,
     episodes: int,
@@ -73,13 +76,13 @@ def train(
     checkpoint_episodes: int = 10,
     resume: Training | None = None,
 ) -> Training:
-    """Train P policies in one context.
+    """Train P policies, in one context or, where the twin can mix them, each in its own.
 
     Args:
         twin: the dynamics.
         recipe: hyper-parameters.
         seeds: P training seeds of 32 bits.
-        params: of the context.
+        params: of the context; or of P contexts, leading axis, of the same number of decisions.
         episodes: per policy, rounded up to whole updates.
         on_block: called after each block, with episodes as steps.
         checkpoint_every: episodes between two evaluations, rounded up; None for 2 % of `episodes`.
@@ -101,6 +104,8 @@ def train(
     every = checkpoint_every or math.ceil(episodes / BLOCKS)
     total, block = (math.ceil(count / recipe.n_episodes) for count in (episodes, every))
     decisions = twin.decisions(params)
+    test_params = _per_episode(twin, params, checkpoint_episodes)
+    params = _per_episode(twin, params, recipe.n_episodes)
     numbers = range(checkpoint_episodes)
     tests = np.array(
         [[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers] for seed in seeds], np.uint32
@@ -112,7 +117,7 @@ def train(
         training = _updates(twin, recipe, decisions, training, params, count)
         weights = training.state.weights
         actor = Actor(weights.actor, weights.log_std)
-        latest = scores(twin, recipe.activation, "sampled", actor, tests, params, decisions)
+        latest = scores(twin, recipe.activation, "sampled", actor, tests, test_params, decisions)
         training = keep_better(training, latest.mean(axis=1))
         done += count
         check_finite(finite_policies(weights), done * recipe.n_episodes)
@@ -121,22 +126,30 @@ def train(
     return training
 
 
+def _per_episode(twin: Twin, params: Tree, episodes: int) -> Tree:
+    """Parameters of every simulation, policy by policy; those of one context serve all."""
+    if params.visible.ndim == 1:
+        return params
+    return jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x), episodes, axis=0), params)
+
+
 @partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)
 def _updates(
     twin: Twin,
-    recipe: TRPORecipe,
+    recipe: TwinRecipe,
     decisions: int,
     training: Training,
     params: Tree,
     count: jax.Array,
 ) -> Training:
-    learn = jax.vmap(partial(trpo.learn, twin.action, recipe))
+    update = partial(_ALGORITHMS[type(recipe)].learn, twin.action, recipe)
+    learn = jax.vmap(update, in_axes=(0, 0, 0, None))
 
     def one(i: jax.Array, state: State) -> State:
         seeds = random.bits(state.seed, _EPISODE, training.updates + i, recipe.n_episodes).T
         actor = Actor(state.weights.actor, state.weights.log_std)
         lived = record(twin, recipe.activation, decisions, actor, seeds, params)
-        weights, memory = learn(state.weights, state.memory, lived)
+        weights, memory = learn(state.weights, state.memory, lived, training.updates + i)
         return State(weights, memory, state.seed)
 
     state: Any = jax.lax.fori_loop(0, count, one, training.state)

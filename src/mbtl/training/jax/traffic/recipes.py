@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from mbtl.errors import InvalidInput
 from mbtl.training.jax.recipes import Activation, check_counts, named, record_of
 
 
@@ -58,11 +59,97 @@ class TRPORecipe:
         return record_of(self)
 
 
-TWIN_RECIPES: Mapping[str, Mapping[str, TRPORecipe]] = {"TRPO": {"paper": TRPORecipe()}}
-"""Recipes by algorithm and name."""
+@dataclass(frozen=True)
+class EpisodicPPORecipe:
+    """Hyper-parameters of PPO on whole episodes; the defaults are those of cmdp-spec, 6.3.
+
+    Attributes:
+        n_episodes: episodes of one policy between two updates.
+        rows: decisions to learn from per update, drawn at random where there are more.
+        minibatches: per pass; divides `rows`.
+        n_epochs: passes per update.
+        learning_rate: Adam's.
+        gamma: discount per decision.
+        gae_lambda: decay of generalised advantage estimation.
+        clip_range: trust region of the probability ratio.
+        value_clip: largest move of a value per update.
+        value_coef: weight of the value loss.
+        entropy_coef: weight of the entropy bonus.
+        kl_coef: first weight of the KL penalty; raised and lowered by the KL of the last update.
+        target_kl: the update ends when a minibatch is farther than this.
+        max_grad_norm: the gradient is scaled down to this norm.
+        normalize_advantage: to mean 0 and standard deviation 1 per update.
+        normalize_reward: centre rewards and divide them by the deviation of discounted returns.
+        hidden: widths of the hidden layers of actor and critic.
+        log_std: initial log standard deviation of a Gaussian policy.
+        activation: between the layers.
+
+    Raises:
+        InvalidInput: a count is below 1, or the minibatches do not fill the rows.
+    """
+
+    n_episodes: int = 1
+    rows: int = 8000
+    minibatches: int = 40
+    n_epochs: int = 10
+    learning_rate: float = 1e-4
+    gamma: float = 0.99
+    gae_lambda: float = 0.97
+    clip_range: float = 0.03
+    value_clip: float = 3.0
+    value_coef: float = 1.0
+    entropy_coef: float = 0.005
+    kl_coef: float = 0.1
+    target_kl: float = 0.02
+    max_grad_norm: float = 1e9
+    normalize_advantage: bool = False
+    normalize_reward: bool = False
+    hidden: tuple[int, ...] = (256, 256, 256, 256)
+    log_std: float = 0.0
+    activation: Activation = "tanh"
+
+    def __post_init__(self) -> None:
+        check_counts(self, "n_episodes", "rows", "minibatches", "n_epochs")
+        if self.rows % self.minibatches:
+            raise InvalidInput(
+                f"minibatches must divide rows = {self.rows}, got {self.minibatches}"
+            )
+
+    @property
+    def record(self) -> dict[str, object]:
+        """JSON-able: what decides the policy."""
+        return record_of(self)
 
 
-def twin_recipe_named(algorithm: str, name: str) -> TRPORecipe:
+TwinRecipe = TRPORecipe | EpisodicPPORecipe
+
+TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
+    "TRPO": {"paper": TRPORecipe()},
+    "PPO": {
+        "paper": EpisodicPPORecipe(),
+        "fast": EpisodicPPORecipe(
+            rows=2048,
+            minibatches=8,
+            n_epochs=4,
+            learning_rate=1e-3,
+            clip_range=0.2,
+            value_clip=1e9,
+            value_coef=0.5,
+            entropy_coef=0.0,
+            kl_coef=0.0,
+            target_kl=0.05,
+            max_grad_norm=0.5,
+            normalize_advantage=True,
+            normalize_reward=True,
+            hidden=(64, 64),
+            log_std=-1.0,
+        ),
+    },
+}
+"""Recipes by algorithm and name; `paper` is the spec's, `fast` ends sooner on a CPU."""
+
+
+def twin_recipe_named(algorithm: str, name: str) -> TwinRecipe:
     """The recipe called `name` of `TWIN_RECIPES`.
 
     Raises:

@@ -120,6 +120,7 @@ class RingTwin:
     uniform: bool = False
     agents: int = 1
     n_features: int = 3
+    mixes: bool = False
     params: type[RingParams] = RingParams
 
     def decisions(self, params: RingParams) -> int:

@@ -11,7 +11,6 @@ Notation (shapes of one policy): D decisions, E episodes, A agents, f features.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -22,6 +21,7 @@ from jax.flatten_util import ravel_pytree
 from mbtl.training.jax import networks
 from mbtl.training.jax.environments import Box, Discrete, Tree
 from mbtl.training.jax.networks import Network, Weights
+from mbtl.training.jax.traffic.distributions import kl, mean_of, standard
 from mbtl.training.jax.traffic.episodes import Episodes
 from mbtl.training.jax.traffic.recipes import TRPORecipe
 from mbtl.training.jax.traffic.returns import Returns, advantages
@@ -62,7 +62,12 @@ def start(recipe: TRPORecipe, weights: Weights) -> Memory:
 
 
 def learn(
-    action: Discrete | Box, recipe: TRPORecipe, weights: Weights, memory: Memory, lived: Episodes
+    action: Discrete | Box,
+    recipe: TRPORecipe,
+    weights: Weights,
+    memory: Memory,
+    lived: Episodes,
+    number: jax.Array,
 ) -> tuple[Weights, Memory]:
     """One update of the actor and `critic_passes` steps of the critic.
 
@@ -72,12 +77,13 @@ def learn(
         weights: of one policy.
         memory: what `start` or the last update gave.
         lived: its episodes, without the axis of policies.
+        number: of the update; unused, as nothing is drawn.
     """
     advantage, target, returns = advantages(recipe, weights.critic, memory.returns, lived)
     rows = (lived.obs, lived.outputs, lived.action, advantage, target, lived.acting)
     batch = Batch(*(x.reshape(-1, *x.shape[3:]) for x in rows))
     batch = batch._replace(
-        weight=batch.weight.astype(jnp.float32), advantage=_standard(batch.advantage, batch.weight)
+        weight=batch.weight.astype(jnp.float32), advantage=standard(batch.advantage, batch.weight)
     )
     actor, log_std = _natural_step(action, recipe, weights, batch)
     critic, moments = _fit_critic(recipe, weights.critic, memory.critic, batch)
@@ -100,11 +106,11 @@ def _natural_step(
     def surrogate(theta: jax.Array) -> jax.Array:
         outputs, log_std = outputs_of(theta)
         ratio = jnp.exp(networks.log_prob(outputs, log_std, batch.action, action) - old_log_prob)
-        return _mean(ratio * batch.advantage, batch.weight)
+        return mean_of(ratio * batch.advantage, batch.weight)
 
     def divergence(theta: jax.Array) -> jax.Array:
         outputs, log_std = outputs_of(theta)
-        return _mean(kl(batch.outputs, weights.log_std, outputs, log_std, action), batch.weight)
+        return mean_of(kl(batch.outputs, weights.log_std, outputs, log_std, action), batch.weight)
 
     before, gradient = jax.value_and_grad(surrogate)(flat)
 
@@ -157,22 +163,6 @@ def conjugate_gradients(
     return solution
 
 
-def kl(
-    old: jax.Array,
-    old_log_std: jax.Array,
-    new: jax.Array,
-    new_log_std: jax.Array,
-    action: Discrete | Box,
-) -> jax.Array:
-    """(...) KL(old, new) of action distributions, from outputs (..., m) and log deviations (d,)."""
-    if isinstance(action, Discrete):
-        logs = jax.nn.log_softmax(old)
-        return (jnp.exp(logs) * (logs - jax.nn.log_softmax(new))).sum(axis=-1)
-    ratio = jnp.exp(2.0 * (old_log_std - new_log_std))
-    apart = jnp.square((old - new) * jnp.exp(-new_log_std))
-    return (new_log_std - old_log_std + 0.5 * (ratio + apart - 1.0)).sum(axis=-1)
-
-
 # ---- critic ----------------------------------------------------------------------------------
 
 
@@ -181,7 +171,7 @@ def _fit_critic(
 ) -> tuple[Network, Tree]:
     def loss(critic: Network) -> jax.Array:
         value = networks.apply(critic, batch.obs, recipe.activation)[..., 0]
-        return _mean(jnp.square(batch.target - value), batch.weight)
+        return mean_of(jnp.square(batch.target - value), batch.weight)
 
     def one(_: int, carry: tuple[Network, Tree]) -> tuple[Network, Tree]:
         critic, moments = carry
@@ -196,14 +186,3 @@ def _fit_critic(
 
 def _adam(recipe: TRPORecipe) -> optax.GradientTransformation:
     return optax.adam(recipe.critic_learning_rate)
-
-
-def _mean(x: jax.Array, weight: jax.Array) -> jax.Array:
-    return (x * weight).sum() / jnp.maximum(weight.sum(), 1.0)
-
-
-def _standard(x: jax.Array, weight: jax.Array) -> jax.Array:
-    """Mean 0 and standard deviation 1 over the rows that count."""
-    mean = partial(_mean, weight=weight)
-    centred = x - mean(x)
-    return centred / (jnp.sqrt(mean(jnp.square(centred))) + 1e-8)

@@ -49,6 +49,7 @@ class Twin(Protocol):
         action: the action space of an agent.
         agents: A.
         n_features: length of an observation without visible context features.
+        mixes: whether simulations of one batch may have contexts of their own, parameters (n, ...).
         params: class of the parameters; its last field is `visible`, (v,).
     """
 
@@ -60,6 +61,8 @@ class Twin(Protocol):
     def agents(self) -> int: ...  # noqa: D102
     @property
     def n_features(self) -> int: ...  # noqa: D102
+    @property
+    def mixes(self) -> bool: ...  # noqa: D102
     @property
     def params(self) -> type[Any]: ...  # noqa: D102
 

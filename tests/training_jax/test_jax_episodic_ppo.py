@@ -1,0 +1,120 @@
+"""PPO on whole episodes: the rows it learns from, its limits, and its place in the loop."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+import mbtl.training.jax as engine  # noqa: F401  isort: skip  # before jax: it sets jax's flags
+import jax
+import jax.numpy as jnp
+
+from mbtl.errors import InvalidInput
+from mbtl.training.jax import networks
+from mbtl.training.jax.environments import Box
+from mbtl.training.jax.traffic import ppo
+from mbtl.training.jax.traffic.distributions import kl
+from mbtl.training.jax.traffic.episodes import Episodes
+from mbtl.training.jax.traffic.recipes import EpisodicPPORecipe
+from mbtl.training.jax.traffic.returns import Returns
+
+BOX = Box((-1.0,), (1.0,))
+D, A = 60, 3
+
+
+def setting(acting, **changes):
+    """Recipe, weights, and episodes in which larger actions pay; a life ends with its last row."""
+    settings = {"rows": 64, "minibatches": 4, "hidden": (8,), "learning_rate": 1e-2, **changes}
+    recipe = EpisodicPPORecipe(**settings)
+    weights = jax.tree.map(jnp.asarray, networks.init_weights(0, 2, BOX, (8,)))
+    rng = np.random.default_rng(1)
+    obs = jnp.asarray(rng.standard_normal((D, 1, A, 2)), jnp.float32)
+    outputs = networks.apply(weights.actor, obs)
+    action = outputs + jnp.asarray(rng.standard_normal((D, 1, A, 1)), jnp.float32)
+    reward = jnp.where(acting, action[..., 0], 0.0)
+    lived = Episodes(
+        obs, outputs, action, acting, reward, acting & ~jnp.roll(acting, -1, axis=0),
+        obs[0], jnp.zeros((1, A), bool), jnp.zeros(1),
+    )  # fmt: skip
+    return recipe, weights, lived
+
+
+def updated(recipe, weights, lived, number=0):
+    return ppo.learn(BOX, recipe, weights, ppo.start(recipe, weights), lived, jnp.int32(number))
+
+
+EVERYBODY = jnp.ones((D, 1, A), bool)
+FEW = EVERYBODY.at[:, :, 1:].set(False).at[20:].set(False)  # 20 decisions
+
+
+@pytest.mark.parametrize(("acting", "count"), [(EVERYBODY, 64), (FEW, 20)])
+def test_rows_are_decisions_of_agents_and_nothing_else(acting, count):
+    recipe, weights, lived = setting(acting)
+    marked = lived._replace(obs=jnp.where(acting[..., None], lived.obs, 77.0))
+    batch, _ = ppo._rows(recipe, weights, Returns.empty(), marked, jax.random.PRNGKey(0))
+    assert int(batch.weight.sum()) == count
+    used = np.asarray(batch.obs)[np.asarray(batch.weight) == 1.0]
+    assert (used != 77.0).all()
+    assert len(np.unique(used[:, 0])) == count  # without repetition
+
+
+def test_a_place_without_an_agent_changes_nothing():
+    results = []
+    for filler in (0.0, 5.0):
+        recipe, weights, lived = setting(FEW)
+        other = jnp.where(FEW[..., None], lived.obs, filler)
+        results.append(updated(recipe, weights, lived._replace(obs=other))[0])
+    for a, b in zip(*map(jax.tree.leaves, results), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+
+
+def moved(recipe, weights, lived):
+    new, memory = updated(recipe, weights, lived)
+    after = networks.apply(new.actor, lived.obs)
+    apart = kl(lived.outputs, weights.log_std, after, new.log_std, BOX).mean()
+    return float(apart), float((after - lived.outputs).mean()), memory
+
+
+def test_it_moves_towards_what_paid_and_stops_when_far():
+    options = {"gae_lambda": 0.0, "normalize_advantage": True, "n_epochs": 30, "clip_range": 0.2}
+    near, shift, _ = moved(*setting(EVERYBODY, target_kl=0.02, **options))
+    far, larger, _ = moved(*setting(EVERYBODY, target_kl=10.0, **options))
+    assert 0.0 < near < 0.06 < far
+    assert 0.0 < shift < larger
+
+
+@pytest.mark.parametrize(("target_kl", "factor"), [(1e-9, 1.5), (10.0, 0.5)])
+def test_the_penalty_follows_the_kl(target_kl, factor):
+    recipe, weights, lived = setting(EVERYBODY, target_kl=target_kl, kl_coef=0.1)
+    _, memory = updated(recipe, weights, lived)
+    assert float(memory.kl_coef) == pytest.approx(0.1 * factor)
+
+
+def test_updates_draw_other_rows():
+    recipe, weights, lived = setting(EVERYBODY)
+    one, two = (updated(recipe, weights, lived, number)[0] for number in (0, 1))
+    assert any(
+        not np.array_equal(a, b)
+        for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True)
+    )
+
+
+def test_minibatches_must_fill_the_rows():
+    with pytest.raises(InvalidInput, match="rows = 100"):
+        EpisodicPPORecipe(rows=100, minibatches=40)
+
+
+@pytest.mark.slow
+def test_contexts_of_eco_driving_are_trained_together():
+    from mbtl.cmdps import get_cmdp
+
+    trainer = get_cmdp("eco-green", engine="jax").trainer_for(
+        "quick", episodes=2, eval_episodes=2, checkpoint_episodes=1
+    )
+    contexts = [{"green": 10.0}, {"green": 45.0}]
+    assert trainer.lanes > 1
+    policies = trainer.train_many(contexts, [1, 2], keep=("final",))["final"]
+    scores = trainer.evaluate_many(policies, contexts, seed=3)
+    assert scores.shape == (2, 2, 2)
+    assert (scores[:, 1] > scores[:, 0]).all()  # longer green lights are faster whoever drives
