@@ -119,6 +119,7 @@ def test_a_study_is_shown_and_exported(mbtl_command, own, tmp_path):
         (["run", "OWN", "--budget", "16"], "budget must be from 1"),
         (["run", "OWN", "--preset", "quikc"], "preset"),
         (["run", "OWN", "--timesteps", "10"], "timesteps"),
+        (["run", "signal-inflow", "--timesteps", "10"], "use --episodes"),
         (["run", "OWN", "--parallel", "0"], "parallel must be >= 1"),
         (["run", "nowhere:problem"], "no module is called 'nowhere'"),
         (["run", "own.py:problm"], "Did you mean 'problem'"),

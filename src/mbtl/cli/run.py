@@ -52,6 +52,9 @@ def run(
         ),
     ] = 1,
     timesteps: Annotated[int | None, typer.Option(help="Environment steps per training.")] = None,
+    episodes: Annotated[
+        int | None, typer.Option(help="Episodes per training, where those are counted.")
+    ] = None,
     eval_episodes: Annotated[
         int | None, typer.Option(help="Episodes per context and policy.")
     ] = None,
@@ -77,7 +80,17 @@ def run(
     """
     cmdp = resolve_cmdp(problem)
     get_selector(selector)  # a mistyped name must not set a study aside
-    overrides = {"timesteps": timesteps, "eval_episodes": eval_episodes, "tensorboard": tensorboard}
+    if timesteps is not None and cmdp.preset(preset).episodes is not None:
+        raise InvalidInput(
+            f"trainings of {cmdp.id!r} last a number of episodes, got --timesteps {timesteps}; use "
+            "--episodes"
+        )
+    overrides = {
+        "timesteps": timesteps,
+        "episodes": episodes,
+        "eval_episodes": eval_episodes,
+        "tensorboard": tensorboard,
+    }
     trainer = cmdp.trainer_for(preset, **{k: v for k, v in overrides.items() if v is not None})
     folder = study or Path("runs") / f"{cmdp.id}-{preset or cmdp.default_preset}-seed{seed}"
     if new:

@@ -65,14 +65,15 @@ def follow(
 
 
 def obey(driver: IDM, target: jax.Array, speed: jax.Array, safe: jax.Array, dt: float) -> jax.Array:
-    """Speed of a car that is told one: within its own acceleration, braking and safe speed.
+    """Speed of a car that is told one: SUMO bounds it by what is safe, then by its braking.
+
+    The second bound wins, so a car that was told to drive too fast for too long hits its leader.
 
     Args:
         driver: the type.
         target: the speed it is told [m/s].
         speed: its speed now.
-        safe: what `follow` gives; less than comfortable braking allows is obeyed.
+        safe: what `follow` gives.
         dt: length of the step [s].
     """
-    slowest = jnp.minimum(safe, jnp.maximum(0.0, speed - driver.decel * dt))
-    return jnp.maximum(jnp.minimum(target, safe), slowest)
+    return jnp.maximum(jnp.minimum(target, safe), jnp.maximum(0.0, speed - driver.decel * dt))
