@@ -40,9 +40,7 @@ def main() -> None:
     there = [twin.space.contexts[i] for i in targets]
     trainer = twin.trainer_for("quick", episodes=args.train, eval_episodes=10 * args.episodes)
     begin = time.process_time()
-    policies = [
-        trainer.train(twin.space.contexts[i], training_seed(0, 0, int(i))) for i in sources
-    ]
+    policies = [trainer.train(twin.space.contexts[i], training_seed(0, 0, int(i))) for i in sources]
     print(f"{len(policies)} trainings: {time.process_time() - begin:.0f} s of processor time")
     judge = sumo.trainer_for("quick", eval_episodes=args.episodes, acting=trainer.acting)
     seeds = evaluation_seed(0, 0), evaluation_seed(0, 0, Purpose.REPORT)
