@@ -357,3 +357,12 @@ def test_policies_without_save_functions_are_said_to_end(mbtl_command, tmp_path)
     code, out, _ = mbtl_command("run", "kept.py:problem")
     assert code == 0
     assert "no save and load functions" in " ".join(out.split())
+
+
+@pytest.mark.parametrize(
+    ("problem", "words"), [("cartpole-length", "gymnasium and jax"), ("own.py:problem", "engine")]
+)
+def test_an_engine_is_a_switch_of_our_own_cmdps(mbtl_command, own, problem, words):
+    code, _, err = mbtl_command("run", problem, "--engine", "sumo")
+    assert code in (1, 2)
+    assert words in " ".join(err.split())

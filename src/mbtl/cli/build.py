@@ -17,7 +17,7 @@ from mbtl.benchmark.build import ONLY, Build
 from mbtl.benchmark.provenance import here
 from mbtl.benchmark.shipped import DEFAULT, matrix_id
 from mbtl.cli.common import JsonFlag, console, print_json
-from mbtl.cmdps import CMDP, get_cmdp, resolve_cmdp
+from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp, resolve_cmdp
 from mbtl.errors import InvalidInput
 from mbtl.trainer import ManyTrainer, Trainer, recipe_of
 
@@ -44,12 +44,15 @@ def build(
         str | None, typer.Option(help="What of the context the policy sees.")
     ] = None,
     physics: Annotated[str, typer.Option(help="How contexts act on CartPole.")] = "intended",
-    engine: Annotated[str | None, typer.Option(help="jax or gymnasium.")] = None,
+    engine: Annotated[str | None, typer.Option(help="jax, gymnasium or sumo.")] = None,
     algorithm: Annotated[str | None, typer.Option(help="Default: the preset's.")] = None,
     recipe: Annotated[
         str | None, typer.Option(help="Named hyper-parameters of the jax engine.")
     ] = None,
     timesteps: Annotated[int | None, typer.Option(help="Environment steps per training.")] = None,
+    episodes: Annotated[
+        int | None, typer.Option(help="Episodes per training, where those are counted.")
+    ] = None,
     eval_episodes: Annotated[
         int | None, typer.Option(help="Episodes per policy and context.")
     ] = None,
@@ -82,6 +85,7 @@ def build(
     keep = _checkpoints(checkpoint)
     overrides = {
         "timesteps": timesteps,
+        "episodes": episodes,
         "eval_episodes": eval_episodes,
         "algorithm": algorithm,
         "recipe_name": recipe,
@@ -226,13 +230,25 @@ def _checkpoints(checkpoint: str | None) -> tuple[str, ...]:
 def _variant(cmdp: CMDP, given: Mapping[str, Any]) -> str:
     """Name of the set: what differs from the CMDP as it is by default."""
     parts = []
-    if cmdp.settings.get("visibility", "multiplier") != "multiplier":
-        parts.append(str(cmdp.settings["visibility"]))
+    usual = _usual(cmdp)
+    for switch in ("visibility", "engine"):
+        if switch in usual and cmdp.settings[switch] != usual[switch]:
+            parts.append(str(cmdp.settings[switch]))
     if cmdp.settings.get("physics", "intended") != "intended":
         parts.append(str(cmdp.settings["physics"]))
     if "algorithm" in given:
         parts.append(str(given["algorithm"]).lower())
     return "-".join(parts) or DEFAULT
+
+
+def _usual(cmdp: CMDP) -> Mapping[str, Any]:
+    """Switches of one of our CMDPs unless told otherwise; a user's own has none."""
+    if cmdp.id not in cmdp_ids() or not cmdp.settings:
+        return {}
+    usual = dict(get_cmdp(cmdp.id).settings)
+    if cmdp.family in ("cartpole", "pendulum"):
+        del usual["engine"]  # both engines have the same physics
+    return usual
 
 
 def _names(variant: str, checkpoints: tuple[str, ...]) -> dict[str, str]:

@@ -51,6 +51,9 @@ def run(
             help="Trainings at a time; picked together, so each without the others' rows."
         ),
     ] = 1,
+    engine: Annotated[
+        str | None, typer.Option(help="jax, gymnasium or sumo; default: the fastest there is.")
+    ] = None,
     timesteps: Annotated[int | None, typer.Option(help="Environment steps per training.")] = None,
     episodes: Annotated[
         int | None, typer.Option(help="Episodes per training, where those are counted.")
@@ -78,7 +81,7 @@ def run(
     The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million
     steps each, 100 episodes per context).
     """
-    cmdp = resolve_cmdp(problem)
+    cmdp = resolve_cmdp(problem, engine=engine)
     get_selector(selector)  # a mistyped name must not set a study aside
     if timesteps is not None and cmdp.preset(preset).episodes is not None:
         raise InvalidInput(

@@ -38,19 +38,28 @@ def load_object(reference: str) -> Any:
     return found
 
 
-def resolve_cmdp(name: str) -> CMDP:
+def resolve_cmdp(name: str, *, engine: str | None = None) -> CMDP:
     """A CMDP by id, or a user's own by `module:attribute`.
+
+    Args:
+        name: id, or "module:attribute".
+        engine: where one of ours is simulated; see `get_cmdp`.
 
     Raises:
         UnknownName: no CMDP has this id.
-        InvalidInput: the attribute is not a CMDP, or cannot be imported.
+        InvalidInput: no CMDP is there, it cannot be imported, or an engine for a user's own.
     """
     if ":" not in name:
         if name.endswith(".py"):
             raise InvalidInput(
                 f"a file needs the name of the CMDP inside it, got {name!r}; write {name}:<name>"
             )
-        return get_cmdp(name)
+        return get_cmdp(name, engine=engine)
+    if engine is not None:
+        raise InvalidInput(
+            f"an engine is a switch of our CMDPs, got {engine!r} with {name!r}; set it in your "
+            "problem"
+        )
     found = load_object(name)
     if not isinstance(found, CMDP):
         raise InvalidInput(
