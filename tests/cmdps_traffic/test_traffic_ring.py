@@ -124,16 +124,21 @@ def test_a_stale_observation_is_that_of_the_first_simulation_step(make):
     np.testing.assert_array_equal(seen[:3], fine.step(2)[0][:3])
 
 
-def test_accelerating_into_the_leader_ends_with_a_penalty(make):
+def test_hurrying_is_safe_and_a_collision_would_end_the_episode(make):
     env = make(RingAcc, hold=1.0)
     env.reset(seed=0)
+    vehicle = env.simulation.api.vehicle
+    for _ in range(60):
+        assert not env.step([1.0])[2]
+    vehicle.setSpeedMode("car0", 0)  # without any check of SUMO's
+    vehicle.setMinGap("car0", 2.0)
     for _ in range(60):
         _, reward, terminated, _, info = env.step([1.0])
         if terminated:
             break
     assert terminated
     assert info["collided"]
-    assert reward < -5.0
+    assert reward < 0.0
     assert info["score"] == 0.0  # the measured part had not begun
 
 

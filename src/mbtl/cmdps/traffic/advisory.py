@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
@@ -46,6 +46,11 @@ IDM = (
     f'speedFactor="normc(1,{SPEED_SPREAD:g},0.2,2)"'
 )
 """Attributes of every car; the speed factor is SUMO's usual spread of the desired speed."""
+
+SPEED_MODE = 0b11011
+"""How SUMO treats the advised speed: all of its checks but that of comfortable braking, which would
+overrule the one of the safe speed: a car told to hurry would then run into its leader. `Advice`
+brakes comfortably itself, and SUMO harder where safety needs it."""
 
 OPTIONS = ["--max-depart-delay", "0.5", "--collision.action", "remove"]
 
@@ -83,6 +88,23 @@ def level_of(action: Any, levels: int) -> int:
     if level != action or not 0 <= level < levels:
         raise InvalidInput(f"speed levels are whole numbers from 0 to {levels - 1}, got {action!r}")
     return level
+
+
+class Advice(NamedTuple):
+    """One instruction; exactly one of the two acts.
+
+    Attributes:
+        target: speed to reach and keep [m/s]; None: accelerate.
+        acceleration: [m/s^2].
+    """
+
+    target: float | None = None
+    acceleration: float = 0.0
+
+    def speed(self, now: float) -> float:
+        """The speed of the next simulation step, given the present one [m/s]."""
+        wish = now + self.acceleration * STEP if self.target is None else self.target
+        return max(0.0, wish, now - DECEL * STEP)
 
 
 def action_space(actions: Actions, levels: int) -> Space[Any]:

@@ -26,7 +26,7 @@ import numpy as np
 
 from mbtl.cmdps.contextual import Observation
 from mbtl.cmdps.traffic import advisory
-from mbtl.cmdps.traffic.advisory import Actions, Drivers, Seen
+from mbtl.cmdps.traffic.advisory import Actions, Advice, Drivers, Seen
 from mbtl.cmdps.traffic.environment import Settings
 from mbtl.cmdps.traffic.networks import network
 from mbtl.cmdps.traffic.team import TrafficTeam
@@ -98,6 +98,7 @@ class Ramp(TrafficTeam):
         self._drivers = Drivers(self.np_random, self._noise)
         self._steps, self._means, self._collided = -advisory.WARM_UP, 0.0, 0
         self._seen: dict[str, Observation] = {}
+        self._steered: set[str] = set()
         self._left = self.episode_steps
         with self.simulation.guard() as api:
             for _ in range(advisory.WARM_UP):
@@ -164,20 +165,16 @@ class Ramp(TrafficTeam):
 
     def _follow(self, api: Any, actions: Mapping[str, Any]) -> float:
         """One hold; the mean reward of its steps."""
-        pedals: dict[str, float] = {}
-        set_speed = api.vehicle.setSpeed
+        advice = {car: self._advice(actions[car]) for car in self.agents if car in actions}
         for car in self.agents:
-            if car not in actions:
-                set_speed(car, -1.0)
-            elif self.ACTIONS == "speed":
-                level = advisory.level_of(actions[car], LEVELS)
-                set_speed(car, min(TOP_SPEED * level / (LEVELS - 1), advisory.ROAD_LIMIT))
-            else:
-                push = min(max(float(np.asarray(actions[car]).reshape(-1)[0]), -1.0), 1.0)
-                pedals[car] = push * (SPEED_UP if push > 0 else SLOW_DOWN)
+            if car not in advice:
+                api.vehicle.setSpeed(car, -1.0)
+            elif car not in self._steered:
+                self._steered.add(car)
+                api.vehicle.setSpeedMode(car, advisory.SPEED_MODE)
         total = 0.0
         for k in range(self.hold):
-            total += self._advance(api, pedals)
+            total += self._advance(api, advice)
             if k == 0 and self._obs == "stale":
                 self._look(api)
         stale = dict(self._seen)
@@ -186,15 +183,21 @@ class Ramp(TrafficTeam):
             self._seen.update(stale)
         return total / self.hold
 
-    def _advance(self, api: Any, pedals: Mapping[str, float]) -> float:
+    def _advice(self, action: Any) -> Advice:
+        if self.ACTIONS == "speed":
+            target = TOP_SPEED * advisory.level_of(action, LEVELS) / (LEVELS - 1)
+            return Advice(min(target, advisory.ROAD_LIMIT))
+        push = min(max(float(np.asarray(action).reshape(-1)[0]), -1.0), 1.0)
+        return Advice(acceleration=push * (SPEED_UP if push > 0 else SLOW_DOWN))
+
+    def _advance(self, api: Any, advice: Mapping[str, Advice]) -> float:
         """One simulation step; its reward."""
         vehicle, simulation = api.vehicle, api.simulation
-        if pedals:
+        if advice:
             present = set(vehicle.getIDList())
-            for car, push in pedals.items():
+            for car, told in advice.items():
                 if car in present:
-                    speed = vehicle.getSpeed(car)
-                    vehicle.setSpeed(car, max(0.0, speed + push * advisory.STEP))
+                    vehicle.setSpeed(car, told.speed(vehicle.getSpeed(car)))
         api.simulationStep()
         self._steps += 1
         cars = vehicle.getIDList()

@@ -21,7 +21,7 @@ import numpy as np
 
 from mbtl.cmdps.contextual import Observation
 from mbtl.cmdps.traffic import advisory
-from mbtl.cmdps.traffic.advisory import Actions, Drivers, Seen
+from mbtl.cmdps.traffic.advisory import Actions, Advice, Drivers, Seen
 from mbtl.cmdps.traffic.environment import Settings, TrafficEnv
 from mbtl.cmdps.traffic.networks import network
 from mbtl.contexts import Value
@@ -111,6 +111,7 @@ class Ring(TrafficEnv):
             if api.vehicle.getIDCount() != CARS:
                 raise SimulationFailed("cars of the ring collided before any was advised")
             api.vehicle.setMinGap(_ADVISED, CLOSEST)
+            api.vehicle.setSpeedMode(_ADVISED, advisory.SPEED_MODE)
             self._steady.add(_ADVISED)
             observation = self._observe(api)
         self._left = self.episode_steps
@@ -123,36 +124,30 @@ class Ring(TrafficEnv):
             InvalidInput: no episode is running, or the action is no speed level.
             SimulationFailed: the simulator has stopped.
         """
-        return self._decide(self._instruction(action))
+        return self._decide(self._advice(action))
 
     def drive(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One hold without advice: the unguided baseline."""
-        return self._decide((-1.0, 0.0))
+        return self._decide(None)
 
     # ---- inside ------------------------------------------------------------------------------
 
-    def _instruction(self, action: Any) -> tuple[float, float]:
-        """(target speed or -1, acceleration); exactly one of them acts."""
+    def _advice(self, action: Any) -> Advice:
         if self.ACTIONS == "speed":
-            return TOP_SPEED * advisory.level_of(action, LEVELS) / (LEVELS - 1), 0.0
-        return math.nan, REACH * min(max(float(np.asarray(action).reshape(-1)[0]), -1.0), 1.0)
+            return Advice(TOP_SPEED * advisory.level_of(action, LEVELS) / (LEVELS - 1))
+        push = min(max(float(np.asarray(action).reshape(-1)[0]), -1.0), 1.0)
+        return Advice(acceleration=REACH * push)
 
     def _decide(
-        self, instruction: tuple[float, float]
+        self, advice: Advice | None
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         self._check_running()
-        target, acceleration = instruction
-        accelerates = math.isnan(target)
         total, collided, first, steps = 0.0, False, None, 0
         with self.simulation.guard() as api:
             set_speed = api.vehicle.setSpeed
-            if accelerates:
-                speed = api.vehicle.getSpeed(_ADVISED)
-            else:
-                set_speed(_ADVISED, target)
+            speed = api.vehicle.getSpeed(_ADVISED)
             for _ in range(self.hold):
-                if accelerates:
-                    set_speed(_ADVISED, max(0.0, speed + acceleration * self.STEP))
+                set_speed(_ADVISED, -1.0 if advice is None else advice.speed(speed))
                 api.simulationStep()
                 steps += 1
                 if api.simulation.getCollidingVehiclesNumber():

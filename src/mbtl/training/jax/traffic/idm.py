@@ -65,9 +65,7 @@ def follow(
 
 
 def obey(driver: IDM, target: jax.Array, speed: jax.Array, safe: jax.Array, dt: float) -> jax.Array:
-    """Speed of a car that is told one: SUMO bounds it by what is safe, then by its braking.
-
-    The second bound wins, so a car that was told to drive too fast for too long hits its leader.
+    """Speed of a car that is told one: it brakes comfortably, or as hard as safety needs.
 
     Args:
         driver: the type.
@@ -76,4 +74,5 @@ def obey(driver: IDM, target: jax.Array, speed: jax.Array, safe: jax.Array, dt: 
         safe: what `follow` gives.
         dt: length of the step [s].
     """
-    return jnp.maximum(jnp.minimum(target, safe), jnp.maximum(0.0, speed - driver.decel * dt))
+    slowest = jnp.minimum(safe, jnp.maximum(0.0, speed - driver.decel * dt))
+    return jnp.maximum(jnp.minimum(target, safe), slowest)
