@@ -244,9 +244,14 @@ class SB3Trainer:
     def _training_envs(self, context: Context, stack: ExitStack) -> Any:
         from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
 
-        one = self.make_env(context)
-        one.close()
-        if hasattr(one, "possible_agents"):
+        make = partial(self.make_env, context)
+        first = make()  # tells what it is; used where it is, as it cannot be sent to a process
+        makers: list[Any] = [make] * self.n_envs
+        if self.processes:
+            first.close()
+        else:
+            makers[0] = partial(_same, first)
+        if hasattr(first, "possible_agents"):
             from mbtl.training.shared import SharedVecEnv
 
             if self.normalize_reward:
@@ -254,11 +259,10 @@ class SB3Trainer:
                     "rewards of agents that come and go cannot be normalised, got "
                     "normalize_reward=True; scale them in the environment"
                 )
-            teams = [partial(self.make_env, context)] * self.n_envs
-            envs: Any = SharedVecEnv(teams, processes=self.processes)
+            envs: Any = SharedVecEnv(makers, processes=self.processes)
         else:
-            makers = [partial(_monitored, self.make_env, context)] * self.n_envs
-            envs = SubprocVecEnv(makers) if self.processes else DummyVecEnv(makers)
+            monitored = [partial(_monitored, one) for one in makers]
+            envs = SubprocVecEnv(monitored) if self.processes else DummyVecEnv(monitored)
         stack.callback(envs.close)
         if self.normalize_reward:
             gamma = self.hyperparameters.get("gamma", 0.99)
@@ -314,10 +318,14 @@ def _plain(value: Any) -> Any:
     return getattr(value, "__qualname__", repr(type(value)))
 
 
-def _monitored(make_env: Callable[[Context], Any], context: Context) -> Any:
+def _monitored(make: Callable[[], Any]) -> Any:
     from stable_baselines3.common.monitor import Monitor
 
-    return Monitor(make_env(context))
+    return Monitor(make())
+
+
+def _same(env: Any) -> Any:
+    return env
 
 
 def _is_team(envs: Any) -> bool:
