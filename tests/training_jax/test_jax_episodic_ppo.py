@@ -52,7 +52,7 @@ FEW = EVERYBODY.at[:, :, 1:].set(False).at[20:].set(False)  # 20 decisions
 def test_rows_are_decisions_of_agents_and_nothing_else(acting, count):
     recipe, weights, lived = setting(acting)
     marked = lived._replace(obs=jnp.where(acting[..., None], lived.obs, 77.0))
-    batch, _ = ppo._rows(recipe, weights, Returns.empty(), marked, jax.random.PRNGKey(0))
+    batch, _ = ppo._rows(BOX, recipe, weights, Returns.empty(), marked, jax.random.PRNGKey(0))
     assert int(batch.weight.sum()) == count
     used = np.asarray(batch.obs)[np.asarray(batch.weight) == 1.0]
     assert (used != 77.0).all()

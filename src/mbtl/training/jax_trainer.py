@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput, MbtlError, unknown_name
+from mbtl.errors import MbtlError
 from mbtl.files import whole_file
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
@@ -71,14 +71,7 @@ class JaxTrainer(MLPTrainer):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hyperparameters", dict(self.hyperparameters or {}))
-        if self.algorithm not in ALGORITHMS:
-            raise unknown_name("algorithm of the jax engine", self.algorithm, ALGORITHMS)
-        for name in (*_COUNTS, *(["checkpoint_every"] if self.checkpoint_every else [])):
-            number = getattr(self, name)
-            if not (isinstance(number, int) and number >= 1):
-                raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
-        if self.checkpoint not in ("final", "best"):
-            raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
+        self._check("jax engine", ALGORITHMS, _COUNTS)
 
     @property
     def lanes(self) -> int:
@@ -183,12 +176,7 @@ class JaxTrainer(MLPTrainer):
     def _recipe(self) -> Any:
         import mbtl.training.jax as engine
 
-        named = engine.recipe_named(self.algorithm, self.recipe_name)
-        known = named.record
-        for name in self.hyperparameters:
-            if name not in known:
-                raise unknown_name(f"hyperparameter of {self.algorithm}", name, known)
-        return replace(named, **self.hyperparameters)
+        return self._changed(engine.recipe_named(self.algorithm, self.recipe_name))
 
 
 def _load_training(template: Any, partial: Path | None) -> Any:

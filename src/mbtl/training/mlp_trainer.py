@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
+from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.trainer import OnProgress, checked_returns
 
@@ -17,8 +20,12 @@ class MLPTrainer:
 
     policy_format = "mlp"
 
+    algorithm: str
+    hyperparameters: Mapping[str, Any]
+    """Fields of the recipe that differ from the named one."""
     checkpoint: str
     """The policy that `train` returns, "best" or "final"."""
+    checkpoint_every: int | None
 
     @abstractmethod
     def train_many(
@@ -74,3 +81,22 @@ class MLPTrainer:
     def load(self, folder: Path) -> MLPPolicy:
         """Read what `save` wrote; nothing but numbers is loaded."""
         return MLPPolicy.load(Path(folder))
+
+    def _check(self, place: str, algorithms: Sequence[str], counts: Sequence[str]) -> None:
+        """What every such trainer asks of its options; `counts` are fields that are >= 1."""
+        if self.algorithm not in algorithms:
+            raise unknown_name(f"algorithm of the {place}", self.algorithm, algorithms)
+        for name in (*counts, *(["checkpoint_every"] if self.checkpoint_every else [])):
+            number = getattr(self, name)
+            if not (isinstance(number, int) and number >= 1):
+                raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
+        if self.checkpoint not in ("final", "best"):
+            raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
+
+    def _changed(self, named: Any) -> Any:
+        """A named recipe with this trainer's `hyperparameters`."""
+        known = named.record
+        for name in self.hyperparameters:
+            if name not in known:
+                raise unknown_name(f"hyperparameter of {self.algorithm}", name, known)
+        return replace(named, **self.hyperparameters)

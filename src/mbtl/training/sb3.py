@@ -250,7 +250,7 @@ class SB3Trainer:
         if self.processes:
             first.close()
         else:
-            makers[0] = partial(_same, first)
+            makers[0] = lambda: first
         if hasattr(first, "possible_agents"):
             from mbtl.training.shared import SharedVecEnv
 
@@ -322,10 +322,6 @@ def _monitored(make: Callable[[], Any]) -> Any:
     from stable_baselines3.common.monitor import Monitor
 
     return Monitor(make())
-
-
-def _same(env: Any) -> Any:
-    return env
 
 
 def _is_team(envs: Any) -> bool:

@@ -6,7 +6,7 @@ Nothing of jax is imported before a training or evaluation, as in `mbtl.training
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
 from mbtl.trainer import OnProgress, Progress
@@ -69,17 +69,11 @@ class TwinTrainer(MLPTrainer):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hyperparameters", dict(self.hyperparameters or {}))
-        if self.algorithm not in ALGORITHMS:
-            raise unknown_name("algorithm of the traffic twins", self.algorithm, ALGORITHMS)
+        self._check(
+            "traffic twins", ALGORITHMS, ("episodes", "eval_episodes", "checkpoint_episodes")
+        )
         if self.acting not in get_args(Acting):
             raise unknown_name("way to act", self.acting, get_args(Acting))
-        counts = ("episodes", "eval_episodes", "checkpoint_episodes")
-        for name in (*counts, *(["checkpoint_every"] if self.checkpoint_every else [])):
-            number = getattr(self, name)
-            if not (isinstance(number, int) and number >= 1):
-                raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
-        if self.checkpoint not in ("final", "best"):
-            raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
 
     @property
     def lanes(self) -> int:
@@ -179,12 +173,7 @@ class TwinTrainer(MLPTrainer):
         import mbtl.training.jax  # noqa: F401  first: flags of jax
         from mbtl.training.jax.traffic.recipes import twin_recipe_named
 
-        named = twin_recipe_named(self.algorithm, self.recipe_name)
-        known = named.record
-        for name in self.hyperparameters:
-            if name not in known:
-                raise unknown_name(f"hyperparameter of {self.algorithm}", name, known)
-        return replace(named, **self.hyperparameters)
+        return self._changed(twin_recipe_named(self.algorithm, self.recipe_name))
 
 
 def _groups(twin: Any, seeds: Sequence[int], params: Sequence[Any]) -> Iterator[tuple[Any, Any]]:

@@ -16,7 +16,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 
-from mbtl.cmdps.contextual import TimeLimit
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
 
 STEP = 0.1
@@ -143,8 +142,3 @@ class Drivers:
                 if car not in steady:
                     write(car, max(0.0, speed + change))
         return speeds
-
-
-def limits(out_of_time: bool, time_limit: TimeLimit) -> tuple[bool, bool]:
-    """(terminated, truncated) at the end of the measured part."""
-    return out_of_time and time_limit == "terminal", out_of_time and time_limit == "truncation"

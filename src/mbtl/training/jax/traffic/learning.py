@@ -104,8 +104,8 @@ def train(
     every = checkpoint_every or math.ceil(episodes / BLOCKS)
     total, block = (math.ceil(count / recipe.n_episodes) for count in (episodes, every))
     decisions = twin.decisions(params)
-    test_params = _per_episode(twin, params, checkpoint_episodes)
-    params = _per_episode(twin, params, recipe.n_episodes)
+    test_params = _per_episode(params, checkpoint_episodes)
+    params = _per_episode(params, recipe.n_episodes)
     numbers = range(checkpoint_episodes)
     tests = np.array(
         [[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers] for seed in seeds], np.uint32
@@ -126,7 +126,7 @@ def train(
     return training
 
 
-def _per_episode(twin: Twin, params: Tree, episodes: int) -> Tree:
+def _per_episode(params: Tree, episodes: int) -> Tree:
     """Parameters of every simulation, policy by policy; those of one context serve all."""
     if params.visible.ndim == 1:
         return params

@@ -40,6 +40,7 @@ class Batch(NamedTuple):
     obs: jax.Array
     outputs: jax.Array
     action: jax.Array
+    log_prob: jax.Array
     advantage: jax.Array
     target: jax.Array
     value: jax.Array
@@ -76,7 +77,7 @@ def learn(
 ) -> tuple[Weights, Memory]:
     """The gradient steps of one update; arguments as in `trpo.learn`."""
     key = clock_at(number, number + 1).key
-    batch, returns = _rows(recipe, weights, memory.returns, lived, key)
+    batch, returns = _rows(action, recipe, weights, memory.returns, lived, key)
     flat, unravel = ravel_pytree(weights)
     old_log_std = weights.log_std
 
@@ -84,9 +85,8 @@ def learn(
         new = unravel(flat)
         outputs = networks.apply(new.actor, part.obs, recipe.activation)
         apart = mean_of(kl(part.outputs, old_log_std, outputs, new.log_std, action), part.weight)
-        before = networks.log_prob(part.outputs, old_log_std, part.action, action)
         after = networks.log_prob(outputs, new.log_std, part.action, action)
-        ratio = jnp.exp(after - before)
+        ratio = jnp.exp(after - part.log_prob)
         near = jnp.clip(ratio, 1.0 - recipe.clip_range, 1.0 + recipe.clip_range)
         gain = jnp.minimum(ratio * part.advantage, near * part.advantage)
         value = networks.apply(new.critic, part.obs, recipe.activation)[..., 0]
@@ -125,6 +125,7 @@ def learn(
 
 
 def _rows(
+    space: Discrete | Box,
     recipe: EpisodicPPORecipe,
     weights: Weights,
     returns: Returns,
@@ -141,7 +142,8 @@ def _rows(
     if recipe.normalize_advantage:
         advantage = standard(advantage, weight)
     value = networks.apply(weights.critic, obs, recipe.activation)[..., 0]
-    return Batch(obs, outputs, action, advantage, target, value, weight), returns
+    log_prob = networks.log_prob(outputs, weights.log_std, action, space)
+    return Batch(obs, outputs, action, log_prob, advantage, target, value, weight), returns
 
 
 def _optimizer(recipe: EpisodicPPORecipe) -> optax.GradientTransformation:

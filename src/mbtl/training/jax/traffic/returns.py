@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from mbtl.training.jax import networks
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
+from mbtl.training.jax.traffic.distributions import mean_of
 from mbtl.training.jax.traffic.episodes import Episodes
 
 
@@ -59,13 +60,12 @@ class Returns(NamedTuple):
         )
         weight = lived.acting.astype(jnp.float32)
         n = weight.sum()
-        safe = jnp.maximum(n, 1.0)
-        mean = (discounted * weight).sum() / safe
-        variance = (jnp.square(discounted - mean) * weight).sum() / safe
+        mean = mean_of(discounted, weight)
+        variance = mean_of(jnp.square(discounted - mean), weight)
         both = jnp.maximum(self.count + n, 1.0)
         share = n / both
         apart = mean - self.mean
-        reward = (lived.reward * weight).sum() / safe
+        reward = mean_of(lived.reward, weight)
         return Returns(
             self.count + n,
             self.reward_mean + share * (reward - self.reward_mean),
