@@ -13,7 +13,7 @@ run: .venv/run.stamp
 	$(BIN)/mbtl run $(PROBLEM)
 
 test: .venv/dev.stamp
-	$(BIN)/python -m pytest $(TESTS)
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --durations 25 $(TESTS)
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check src tests benchmarks examples
