@@ -3,34 +3,52 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from mbtl.arrays import Array
 from mbtl.benchmark.multitask import multitask_file, save_multitask
 from mbtl.benchmark.provenance import here
 from mbtl.cli.common import JsonFlag, console, print_json
 from mbtl.cmdps import CMDP, get_cmdp
-from mbtl.errors import InvalidInput
-from mbtl.training import JaxTrainer
+from mbtl.errors import InvalidInput, unknown_name
+from mbtl.seeds import evaluation_seed, training_seed
+from mbtl.trainer import Progress as Training
+from mbtl.training import JaxTrainer, SB3Trainer, export_mlp
 
 Method = Literal["ppo", "paco", "moore"]
 
+_TRIAL = 0  # of the seed tree: seed s is the root of a study, as in a transfer matrix
+
 
 def multitask(
-    cmdp_id: Annotated[str, typer.Argument(metavar="CMDP", help="Id of a CMDP simulated in jax.")],
-    method: Annotated[Method, typer.Option(help="ppo is context-conditioned PPO.")] = "ppo",
+    cmdp_id: Annotated[str, typer.Argument(metavar="CMDP", help="Id of one of our CMDPs.")],
+    method: Annotated[
+        str | None,
+        typer.Option(
+            help="ppo (context-conditioned), paco or moore; in traffic, and by default, the "
+            "algorithm of the CMDP."
+        ),
+    ] = None,
     factor: Annotated[
-        int, typer.Option(help="Environment steps, as a multiple of one source's.")
+        int, typer.Option(help="Length of the training, as a multiple of one source's.")
     ] = 1,
     seeds: Annotated[int, typer.Option(help="Number of policies, one per seed.")] = 3,
     first_seed: Annotated[int, typer.Option(help="Seed of the first.")] = 0,
     timesteps: Annotated[
         int | None, typer.Option(help="Environment steps of one source; default: the paper's.")
     ] = None,
-    eval_episodes: Annotated[int, typer.Option(help="Episodes per context.")] = 100,
+    episodes: Annotated[
+        int | None, typer.Option(help="Episodes of one source, where those are counted.")
+    ] = None,
+    eval_episodes: Annotated[
+        int | None, typer.Option(help="Episodes per context; default: the preset's.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the finished files.")] = Path(
         "matrices/multitask"
     ),
@@ -46,52 +64,136 @@ def multitask(
     for name, number in (("seeds", seeds), ("factor", factor)):
         if number < 1:
             raise InvalidInput(f"--{name} must be >= 1, got {number}")
-    cmdp = get_cmdp(cmdp_id, engine="jax")
-    steps = (cmdp.preset("paper").timesteps or 0) if timesteps is None else timesteps
-    name = method if factor == 1 else f"{method}-x{factor}"
+    job = _job(cmdp_id, method, factor, timesteps, episodes, eval_episodes, work)
+    given = {"method": method, "factor": factor if factor > 1 else None, "timesteps": timesteps,
+             "episodes": episodes, "eval-episodes": eval_episodes}  # fmt: skip
+    words = [f"--{name} {value}" for name, value in given.items() if value is not None]
     results = []
     for seed in range(first_seed, first_seed + seeds):
-        file = multitask_file(out, cmdp.id, name, seed)
+        file = multitask_file(out, job.cmdp.id, job.name, seed)
         if file.is_file():
             console.print(f"{file}: there already", markup=False)
             continue
-        command = f"mbtl matrix multitask {cmdp.id} --method {method}"
-        command += f" --factor {factor}" if factor > 1 else ""
-        command += f" --timesteps {timesteps}" if timesteps is not None else ""
-        results.append(
-            _one(
-                cmdp,
-                method,
-                name,
-                seed,
-                steps * factor,
-                f"{command} --seeds 1 --first-seed {seed}",
-                episodes=eval_episodes,
-                out=out,
-                work=work,
-            )
-        )
+        command = ["mbtl matrix multitask", cmdp_id, *words, f"--seeds 1 --first-seed {seed}"]
+        results.append(_one(job, seed, " ".join(command), out))
     if as_json:
         print_json({"baselines": results})
 
 
-def _one(
-    cmdp: CMDP,
-    method: Method,
-    name: str,
-    seed: int,
-    timesteps: int,
-    command: str,
-    *,
-    episodes: int,
-    out: Path,
-    work: Path,
-) -> dict[str, Any]:
-    import mbtl.training.jax as engine
+OnStep = Callable[[int, int, str], None]
+"""Called with (done, total, a note)."""
 
-    assert isinstance(cmdp.trainer, JaxTrainer)
-    env, params = cmdp.trainer.problem(cmdp.space.contexts)
-    recipe = engine.multitask_recipe(method, type(env).__name__)
+Found = tuple[Array, Array, dict[str, Any]]
+"""(N,) mean returns and (N,) standard deviations over episodes, and their provenance."""
+
+
+@dataclass(frozen=True)
+class _InJax:
+    """Vectorised: PPO, PaCo or MOORE."""
+
+    cmdp: CMDP
+    method: Method
+    name: str
+    length: int
+    eval_episodes: int
+    work: Path
+
+    def run(self, seed: int, on_step: OnStep) -> Found:
+        import mbtl.training.jax as engine
+
+        assert isinstance(self.cmdp.trainer, JaxTrainer)
+        env, params = self.cmdp.trainer.problem(self.cmdp.space.contexts)
+        run = engine.run_multitask(
+            env,
+            engine.multitask_recipe(self.method, type(env).__name__),
+            params,
+            [seed],
+            self.length,
+            self.work / f"multitask-{self.cmdp.id}-{self.name}-seed{seed}",
+            episodes=self.eval_episodes,
+            on_progress=lambda _, done, total, value: on_step(done, total, f"return {value:.0f}"),
+        )
+        record = {"checkpoint": "best", "final_mean_return": float(run.returns["final"].mean())}
+        return run.returns["best"][0], run.std["best"][0], {**run.provenance[0], **record}
+
+
+@dataclass(frozen=True)
+class _InSimulator:
+    """By Stable-Baselines3, episode by episode; evaluated where the matrices are by default."""
+
+    cmdp: CMDP
+    trainer: SB3Trainer
+    judge: Any
+    name: str
+
+    @property
+    def length(self) -> int:
+        return self.trainer.episodes or self.trainer.timesteps or 0
+
+    def run(self, seed: int, on_step: OnStep) -> Found:
+        space = self.cmdp.space
+        from mbtl.training.multitask import for_all_contexts
+
+        every = for_all_contexts(self.trainer, space.contexts)
+
+        def on_progress(progress: Training) -> None:
+            note = " ".join(f"{k} {v:.2f}" for k, v in progress.metrics.items())
+            on_step(progress.step, progress.total, note)
+
+        begin = time.process_time()
+        chosen = training_seed(seed, _TRIAL, space.n)  # that of the source after the last
+        policy = every.train(space.contexts[0], chosen, on_progress)
+        trained = time.process_time()
+        judged = policy if self.judge is self.trainer else export_mlp(policy)
+        returns = self.judge.evaluate(judged, space.contexts, evaluation_seed(seed, _TRIAL))
+        record = {
+            "recipe": {**self.trainer.recipe, "contexts": "uniform, one per episode"},
+            "evaluation": self.judge.recipe,
+            "seed": seed,
+            "training_seed": chosen,
+            "train_seconds": round(trained - begin, 1),
+        }
+        return returns.mean(axis=1), returns.std(axis=1), record
+
+
+def _job(
+    cmdp_id: str,
+    method: str | None,
+    factor: int,
+    timesteps: int | None,
+    episodes: int | None,
+    eval_episodes: int | None,
+    work: Path,
+) -> _InJax | _InSimulator:
+    usual = get_cmdp(cmdp_id, visibility="multiplier")
+    suffix = "" if factor == 1 else f"-x{factor}"
+    if isinstance(usual.trainer, JaxTrainer):
+        known: tuple[Method, ...] = get_args(Method)
+        if method is not None and method not in known:
+            raise unknown_name("method", method, known)
+        if episodes is not None:
+            raise InvalidInput(f"{cmdp_id!r} counts steps, got --episodes; use --timesteps")
+        steps = (usual.preset("paper").timesteps or 0) if timesteps is None else timesteps
+        chosen = method or "ppo"
+        return _InJax(usual, chosen, chosen + suffix, steps * factor, eval_episodes or 100, work)
+    there = get_cmdp(cmdp_id, visibility="multiplier", engine="sumo")
+    trainer = there.trainer_for("paper")
+    assert isinstance(trainer, SB3Trainer)
+    own = str(trainer.algorithm).lower()
+    if method not in (None, own):
+        raise unknown_name(f"method for {cmdp_id!r}", method, [own])
+    if timesteps is not None:
+        raise InvalidInput(f"{cmdp_id!r} counts episodes, got --timesteps; use --episodes")
+    changes: dict[str, Any] = {"eval_episodes": eval_episodes} if eval_episodes else {}
+    trainer = replace(trainer, episodes=(episodes or trainer.episodes or 0) * factor, **changes)
+    judge: Any = trainer
+    if usual.settings["engine"] != "sumo":
+        judge = usual.trainer_for(None, **changes)
+    return _InSimulator(there, trainer, judge, own + suffix)
+
+
+def _one(job: _InJax | _InSimulator, seed: int, command: str, out: Path) -> dict[str, Any]:
+    cmdp = job.cmdp
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=30),
@@ -100,34 +202,22 @@ def _one(
     )
     begin = time.perf_counter()
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(f"{cmdp.id} {name} seed {seed}", total=timesteps, note="")
+        task = bar.add_task(f"{cmdp.id} {job.name} seed {seed}", total=job.length, note="")
 
-        def on_progress(_: int, done: int, total: int, mean_return: float) -> None:
-            bar.update(task, completed=done, total=total, note=f"return {mean_return:.0f}")
+        def on_step(done: int, total: int, note: str) -> None:
+            bar.update(task, completed=done, total=total, note=note)
 
-        run = engine.run_multitask(
-            env,
-            recipe,
-            params,
-            [seed],
-            timesteps,
-            work / f"multitask-{cmdp.id}-{name}-seed{seed}",
-            episodes=episodes,
-            on_progress=on_progress,
-        )
-    best = run.returns["best"][0]
+        returns, std, record = job.run(seed, on_step)
     provenance = {
-        **run.provenance[0],
+        **record,
         "problem": cmdp.id,
         "switches": dict(cmdp.settings),
-        "checkpoint": "best",
-        "final_mean_return": float(run.returns["final"].mean()),
         "command": command,
         "wall_seconds_of_last_run": round(time.perf_counter() - begin, 1),
         **here(),
     }
-    file = save_multitask(best, run.std["best"][0], provenance, out, cmdp.id, name, seed)
+    file = save_multitask(returns, std, provenance, out, cmdp.id, job.name, seed)
     assert cmdp.normalisation is not None
-    value = float(cmdp.normalisation.normalise(best).mean())
+    value = float(cmdp.normalisation.normalise(returns).mean())
     console.print(f"{file}: V = {value:.4f}", markup=False, highlight=False, soft_wrap=True)
     return {"file": str(file), "performance": value}

@@ -192,14 +192,14 @@ _ECO = {
 _ECO_TWIN = {
     "standard": Preset(
         budget=15,
-        episodes=300,
-        eval_episodes=20,
+        episodes=120,
+        eval_episodes=10,
         algorithm="PPO",
         recipe_name="fast",
         acting="mean",
         checkpoint="best",
-        checkpoint_episodes=4,
-        description="a sixteenth of the paper's episodes and a small network, in the twin",
+        checkpoint_episodes=2,
+        description="a fortieth of the paper's episodes and a small network, in the twin",
     ),
     "quick": Preset(
         budget=8,

@@ -130,8 +130,10 @@ TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
         "fast": EpisodicPPORecipe(
             rows=2048,
             minibatches=8,
-            n_epochs=4,
+            n_epochs=6,
             learning_rate=1e-3,
+            gamma=0.95,
+            gae_lambda=0.9,
             clip_range=0.2,
             value_clip=1e9,
             value_coef=0.5,
