@@ -24,14 +24,16 @@ class Progress:
     """One report from inside a training.
 
     Attributes:
-        step: environment steps done.
-        total: environment steps planned.
+        step: environment steps done, or episodes.
+        total: as many are planned.
         metrics: latest scalars, e.g. {"episode_return": 231.0}.
+        unit: what is counted, "steps" or "episodes".
     """
 
     step: int
     total: int
     metrics: Mapping[str, float] = field(default_factory=dict)
+    unit: str = "steps"
 
 
 OnProgress = Callable[[Progress], None]

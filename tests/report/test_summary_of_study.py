@@ -51,6 +51,14 @@ def test_failures_and_open_picks_are_listed():
     assert statuses == ["told", "failed: diverged", "open"]
 
 
+def test_a_study_whose_last_pick_is_open_is_not_finished():
+    study = study_of(5)
+    last = study.ask()
+    assert summarise_study(study).finished is None
+    study.tell(last, row(last.source))
+    assert summarise_study(study).finished == "the budget of 6 trainings is spent"
+
+
 def test_fresh_episodes_are_the_headline_when_measured():
     study = study_of(4)
     study.record_fresh_returns(np.array([r.returns for r in study.state.rows]) - 0.1)

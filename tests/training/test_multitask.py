@@ -1,4 +1,4 @@
-"""One environment for all contexts: contexts drawn as stated, and trained by an ordinary trainer."""
+"""One environment for all contexts: drawn as stated, trained by an ordinary trainer."""
 
 from collections import Counter
 
@@ -70,9 +70,9 @@ def test_bad_sets_of_contexts_are_refused():
     with pytest.raises(InvalidInput, match="at least one context"):
         multitask_env(Told, [])
     uneven = multitask_env(lambda c: Told(c, width=int(c["size"])), CONTEXTS)
+    uneven.reset(seed=1)  # seed 1 draws the narrow context first, and then a wider one
     with pytest.raises(InvalidInput, match="same spaces in each"):
-        for _ in range(50):
-            uneven.reset()
+        uneven.reset()
 
 
 @pytest.mark.slow

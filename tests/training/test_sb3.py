@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from training_envs import (
     Broken,
+    Dies,
     Guess,
     GuessBits,
     GuessDict,
@@ -23,7 +24,14 @@ from training_envs import (
     pendulum,
 )
 
-from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed, UnknownName
+from mbtl.errors import (
+    InvalidInput,
+    MissingExtra,
+    SimulationFailed,
+    StorageError,
+    TrainingFailed,
+    UnknownName,
+)
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import Purpose, episode_seed, evaluation_seed
 from mbtl.trainer import Trainer
@@ -451,3 +459,12 @@ def test_describing_a_trainer_imports_no_rl_library():
         "assert not {'torch', 'stable_baselines3', 'gymnasium'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+@pytest.mark.slow
+def test_the_end_of_a_simulators_process_is_a_failed_training():
+    trainer = SB3Trainer(
+        Dies, timesteps=64, processes=True, hyperparameters={"n_steps": 64, "batch_size": 64}
+    )
+    with pytest.raises(SimulationFailed, match="end of a process"):
+        trainer.train({}, seed=0)

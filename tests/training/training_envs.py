@@ -1,5 +1,7 @@
 """Environments of the training tests, in a module of their own so that trainers pickle."""
 
+import os
+
 import gymnasium
 import numpy as np
 from gymnasium import spaces
@@ -120,3 +122,22 @@ class Broken(Guess):
 
     def step(self, action):
         raise RuntimeError("the simulator lost its connection")
+
+
+class Dies(gymnasium.Env):
+    """Its process ends in the middle of an episode, as a simulator that crashes takes its own."""
+
+    def __init__(self, context):
+        self.observation_space = spaces.Box(0.0, 1.0, (1,), np.float32)
+        self.action_space = spaces.Discrete(2)
+        self.steps = 0
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        self.steps += 1
+        if self.steps == 30:
+            os._exit(3)
+        return np.zeros(1, np.float32), 0.0, False, False, {}

@@ -13,9 +13,12 @@ from mbtl.report.text import shown
 from mbtl.study import Callback, Pick, Study
 from mbtl.trainer import Progress
 
+_SILENCE = 60.0
+"""Seconds after which a log is told that a training goes on."""
+
 
 class LiveProgress(Callback):
-    """Two bars on a terminal; where there is none, a line per finished pick."""
+    """Two bars on a terminal; where there is none, lines: per finished pick, and per minute."""
 
     def __init__(self, study: Study, console: Console) -> None:
         self._console = console
@@ -34,6 +37,7 @@ class LiveProgress(Callback):
         self._pick_bars: dict[int, TaskID] = {}
         self._begun: dict[int, float] = {}
         self._seconds: list[float] = []
+        self._spoke = time.monotonic()
 
     def __enter__(self) -> LiveProgress:
         self._bars.start()
@@ -55,12 +59,22 @@ class LiveProgress(Callback):
         self._update(study)
 
     def on_progress(self, study: Study, pick: Pick, progress: Progress) -> None:
-        """Steps done, and the latest episode return."""
+        """Steps or episodes done, and the latest return or score."""
         share = progress.step / max(progress.total, 1)
         scores = [f"return {v:.0f}" for k, v in progress.metrics.items() if "return" in k]
-        note = f"{progress.step:,}/{progress.total:,} steps {' '.join(scores)}"
+        scores += [f"score {v:.2f}" for k, v in progress.metrics.items() if k == "score"]
+        note = f"{progress.step:,}/{progress.total:,} {progress.unit} {' '.join(scores)}"
         self._bars.update(self._pick_bars[pick.number], completed=0.97 * share, note=note)
         self._update(study, share)
+        if not self._console.is_terminal and time.monotonic() - self._spoke > _SILENCE:
+            self._spoke = time.monotonic()
+            where = shown(pick.context, study.space)
+            self._console.print(
+                f"pick {pick.number + 1}/{study.spec.budget}  {where}  {note}",
+                markup=False,
+                highlight=False,
+                soft_wrap=True,
+            )
 
     def on_evaluation(self, study: Study, pick: Pick) -> None:
         """Training is done."""

@@ -127,7 +127,7 @@ def summarise_study(study: Study) -> StudySummary:
         "selector": str(study.spec.selector["name"]),
         "budget": study.spec.budget,
         "n_contexts": space.n,
-        "finished": study.stop_reason,
+        "finished": study.stop_reason if study.is_finished else None,
         "bounds": best_and_worst,
         "automatic_bounds": study.spec.bounds is None,
         "picks": picks,

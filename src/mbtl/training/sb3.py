@@ -5,6 +5,7 @@ Nothing of the library is imported before a training, evaluation or load.
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import math
 import warnings
@@ -19,7 +20,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput, TrainingFailed, missing_extra, unknown_name
+from mbtl.errors import InvalidInput, SimulationFailed, TrainingFailed, missing_extra, unknown_name
 from mbtl.seeds import Purpose, derive_seed, episode_seed
 from mbtl.trainer import OnProgress, checked_returns
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
@@ -35,6 +36,9 @@ EPISODE = "episode"
 """Value of a hyperparameter: the steps of one episode, which the environment must tell."""
 
 _FOREVER = 1 << 62
+
+_GONE = (EOFError, BrokenPipeError, ConnectionResetError)
+"""What the end of another process looks like from here."""
 
 EVALUATION_ENVS = 128
 """Environments alive at once in an evaluation, when `n_eval_envs` does not say otherwise."""
@@ -263,7 +267,7 @@ class SB3Trainer:
         else:
             monitored = [partial(_monitored, one) for one in makers]
             envs = SubprocVecEnv(monitored) if self.processes else DummyVecEnv(monitored)
-        stack.callback(envs.close)
+        stack.callback(_close, envs)
         if self.normalize_reward:
             gamma = self.hyperparameters.get("gamma", 0.99)
             envs = VecNormalize(envs, norm_obs=False, norm_reward=True, gamma=gamma)
@@ -343,6 +347,12 @@ def _learn(model: Any, timesteps: int, watch: Watch, run_name: str) -> None:
     """Learn, and turn a divergence into an error that names it."""
     try:
         model.learn(timesteps, callback=watch, tb_log_name=run_name)
+    except _GONE as error:
+        raise SimulationFailed(
+            f"a training needs its simulators, got the end of a process ({type(error).__name__}) "
+            "that has written its own reason; mend that, or train with processes=False to see it "
+            "here"
+        ) from error
     except ValueError as error:
         # torch's distributions refuse NaN parameters with a ValueError; any other passes
         if "invalid values" not in str(error) and _finite(model):
@@ -350,6 +360,12 @@ def _learn(model: Any, timesteps: int, watch: Watch, run_name: str) -> None:
         raise _diverged(model) from error
     if not _finite(model):
         raise _diverged(model)
+
+
+def _close(envs: Any) -> None:
+    """Close them; a process that is gone cannot answer, and what ended it is told elsewhere."""
+    with contextlib.suppress(*_GONE):
+        envs.close()
 
 
 def _finite(model: Any) -> bool:

@@ -115,7 +115,7 @@ class TwinTrainer(MLPTrainer):
         def on_block(block: engine.Block) -> None:
             if on_progress is not None:
                 latest = float(np.mean(block.training.latest_return))
-                on_progress(Progress(block.steps, block.total, {"score": latest}))
+                on_progress(Progress(block.steps, block.total, {"score": latest}, "episodes"))
 
         recipe = self._recipe()
         twin, params = self.problem(contexts)

@@ -122,7 +122,8 @@ class Watch:
         if self._best is not None and self._best.best is not None:
             metrics["checkpoint_return"] = float(self._best.latest or 0.0)
             metrics["best_return"] = self._best.best
-        self._on_progress(Progress(step, self._total, metrics))
+        unit = "episodes" if self._ends else "steps"
+        self._on_progress(Progress(step, self._total, metrics, unit))
 
 
 def _same(env: Env) -> Env:

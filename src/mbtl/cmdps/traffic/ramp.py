@@ -61,7 +61,8 @@ class Ramp(TrafficTeam):
     HORIZON = advisory.HORIZON
     ACTIONS: ClassVar[Actions] = "acceleration"
     metadata: ClassVar[dict[str, Any]] = {**TrafficTeam.metadata, "name": "mbtl-ramp"}
-    most_agents = math.ceil((MAIN + 2 * MERGE + EXIT) / CAR / EVERY)
+    most_agents = math.ceil(MAIN / CAR / EVERY) + math.ceil((2 * MERGE + EXIT) / CAR)
+    """Every tenth car of the main road, and all of the merge section, where cars can overtake."""
 
     def __init__(
         self,

@@ -1,0 +1,27 @@
+"""What a log is told while a training runs."""
+
+import io
+
+from rich.console import Console
+
+import mbtl
+from mbtl.cli import progress
+from mbtl.cli.progress import LiveProgress
+from mbtl.trainer import Progress
+
+
+def told(monkeypatch, silence):
+    monkeypatch.setattr(progress, "_SILENCE", silence)
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
+    study = mbtl.create_study(space, budget=2, seed=0)
+    out = io.StringIO()
+    with LiveProgress(study, Console(file=out, width=100)) as live:
+        pick = study.ask()
+        live.on_pick(study, pick)
+        live.on_progress(study, pick, Progress(3, 40, {"score": 2.5}, "episodes"))
+    return out.getvalue()
+
+
+def test_a_log_hears_of_a_long_training_now_and_then(monkeypatch):
+    assert "pick 1/2  x = 0.5  3/40 episodes score 2.50" in told(monkeypatch, 0.0)
+    assert "episodes" not in told(monkeypatch, 3600.0)
