@@ -24,7 +24,9 @@ def test_a_multitask_baseline_becomes_a_file_beside_the_matrices(mbtl_command, t
     assert baseline.returns.shape == (1, 100)
     assert found["performance"] == pytest.approx(baseline.returns.mean() / 500)
     record = baseline.provenance[0]
-    assert record["command"].endswith("--timesteps 13000 --seeds 1 --first-seed 0")
+    assert record["command"].endswith(
+        "--timesteps 13000 --eval-episodes 1 --seeds 1 --first-seed 0"
+    )
     assert record["recipe"]["method"] == "ppo"
     assert "there already" in mbtl_command(*command)[2]
     assert mbtl_command("matrix", "multitask", "cartpole-length", "--factor", 0)[0] == 2

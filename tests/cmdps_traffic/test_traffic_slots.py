@@ -218,7 +218,7 @@ def test_a_shared_policy_learns_on_the_ramp(algorithm):
     from mbtl.cmdps.traffic.ramp import RampAcc
 
     env = SharedVecEnv([partial(RampAcc, {"hold": 40.0})])
-    assert env.num_envs == 9  # one car in ten of 630 m
+    assert env.num_envs == env.slots == RampAcc.most_agents
     options = {"batch_size": 18} if algorithm is PPO else {}
     book = Book()
     model = algorithm(

@@ -231,3 +231,11 @@ def test_exhausted_is_an_error_that_says_so():
     for name in selector_names():
         with pytest.raises(Exhausted, match="all 2 contexts"):
             get_selector(name).propose(problem, history, np.random.default_rng(0))
+
+
+def test_warm_up_goes_on_when_nothing_is_known_of_own_performance():
+    row = np.linspace(0.2, 0.8, 12)
+    row[5] = np.nan  # the source itself was not evaluated
+    history = History(12).with_row(5, row).with_pending(0)
+    proposal = MBTL().propose(SelectionProblem.of(line(12), budget=5), history, None)
+    assert proposal.source == 1

@@ -70,7 +70,7 @@ def test_bad_sets_of_contexts_are_refused():
     with pytest.raises(InvalidInput, match="at least one context"):
         multitask_env(Told, [])
     uneven = multitask_env(lambda c: Told(c, width=int(c["size"])), CONTEXTS)
-    uneven.reset(seed=1)  # seed 1 draws the narrow context first, and then a wider one
+    uneven.reset(seed=11)  # it draws the narrow context first, and then a wider one
     with pytest.raises(InvalidInput, match="same spaces in each"):
         uneven.reset()
 

@@ -77,12 +77,12 @@ def expected_gain(
 
     def block(rows: slice, gap: Array) -> Array:
         m = mean[rows, None] - gap - best
-        return np.asarray(scale[rows] * (_unit_improvement(m / scale[rows, None]) @ weights))
+        return np.asarray(scale[rows] * (unit_improvement(m / scale[rows, None]) @ weights))
 
     return _blocked(block, candidates, targets, theta, _EXPECTED_BLOCK_ENTRIES)
 
 
-def _unit_improvement(z: Array) -> Array:
+def unit_improvement(z: Array) -> Array:
     """E[(z + standard normal)_+] = z Phi(z) + phi(z), without cancellation below zero."""
     from scipy.special import erfc, erfcx  # kept out of `import mbtl`
 

@@ -1,21 +1,29 @@
 """Selectors: propose the next source from a problem and the rows seen so far."""
 
 from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, Selector, default_theta
+from mbtl.selectors.clustering import KMeansSelector
 from mbtl.selectors.equidistant import Equidistant
+from mbtl.selectors.gp_mbtl import GPMBTL
 from mbtl.selectors.greedy import Greedy
+from mbtl.selectors.m_mbtl import MMBTL
 from mbtl.selectors.mbtl import MBTL
 from mbtl.selectors.mbtl_ei import MBTLEI
 from mbtl.selectors.mbtl_release import MBTLRelease
 from mbtl.selectors.random import Random
 from mbtl.selectors.registry import get_selector, selector_names
+from mbtl.selectors.sd_mbtl import SDMBTL
 from mbtl.selectors.worst_first import WorstFirst
 
 __all__ = [
+    "GPMBTL",
     "MBTL",
     "MBTLEI",
+    "MMBTL",
+    "SDMBTL",
     "Equidistant",
     "Exhausted",
     "Greedy",
+    "KMeansSelector",
     "MBTLRelease",
     "Proposal",
     "Random",

@@ -124,8 +124,9 @@ def start(
         return first_pick(problem, history, mask)
     if begun < 1 + warm_up or not np.isfinite(history.training_performance).any():
         best = history.best
-        if history.pending:  # other workers are serving the contexts around them already
-            own = np.full(len(history.pending), np.nanmean(history.training_performance))
+        own_performance = history.training_performance[np.isfinite(history.training_performance)]
+        if history.pending and own_performance.size:  # others serve the contexts around them
+            own = np.full(len(history.pending), own_performance.mean())
             pending = problem.steps[list(history.pending)]
             rows = predicted_rows(own, pending, problem.steps, problem.theta)
             best = np.fmax(best, rows.max(axis=0))

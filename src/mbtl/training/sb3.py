@@ -5,7 +5,6 @@ Nothing of the library is imported before a training, evaluation or load.
 
 from __future__ import annotations
 
-import contextlib
 import inspect
 import math
 import warnings
@@ -20,13 +19,14 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput, SimulationFailed, TrainingFailed, missing_extra, unknown_name
+from mbtl.errors import InvalidInput, missing_extra, unknown_name
 from mbtl.seeds import Purpose, derive_seed, episode_seed
 from mbtl.trainer import OnProgress, checked_returns
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
 from mbtl.training.isolation import isolated
 from mbtl.training.rollout import Job, play
 from mbtl.training.sb3_files import load_sb3, save_sb3
+from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere
 from mbtl.training.watch import BestCheckpoint, Watch, actor_for
 
 _COUNTS = ("eval_episodes", "checkpoint_episodes", "n_envs", "threads")
@@ -36,9 +36,6 @@ EPISODE = "episode"
 """Value of a hyperparameter: the steps of one episode, which the environment must tell."""
 
 _FOREVER = 1 << 62
-
-_GONE = (EOFError, BrokenPipeError, ConnectionResetError)
-"""What the end of another process looks like from here."""
 
 EVALUATION_ENVS = 128
 """Environments alive at once in an evaluation, when `n_eval_envs` does not say otherwise."""
@@ -166,16 +163,16 @@ class SB3Trainer:
                     **lengths,
                 )
             if self.tensorboard is None:
-                _log_nowhere(model)
+                log_nowhere(model)
             ends = None if self.episodes is None else "score" if team else "episode"
             watch = Watch(model, self._length, on_progress, best, ends=ends)
             steps = _FOREVER if self.timesteps is None else self.timesteps
-            _learn(model, steps, watch, _run_name(context, seed))
+            learn(model, steps, watch, _run_name(context, seed))
             if best is not None:
                 best.visit(model, watch.done, last=True)
                 best.restore(model)
             watch.report(self._length)
-            return _lightened(model)
+            return lightened(model)
 
     def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
         """What episodes are worth (see `mbtl.training.rollout`), (n_targets, eval_episodes).
@@ -267,7 +264,7 @@ class SB3Trainer:
         else:
             monitored = [partial(_monitored, one) for one in makers]
             envs = SubprocVecEnv(monitored) if self.processes else DummyVecEnv(monitored)
-        stack.callback(_close, envs)
+        stack.callback(close, envs)
         if self.normalize_reward:
             gamma = self.hyperparameters.get("gamma", 0.99)
             envs = VecNormalize(envs, norm_obs=False, norm_reward=True, gamma=gamma)
@@ -334,74 +331,6 @@ def _is_team(envs: Any) -> bool:
 
 def _on_policy(algorithm: Any) -> bool:
     return "rollout_buffer_class" in inspect.signature(algorithm.__init__).parameters
-
-
-def _log_nowhere(model: Any) -> None:
-    """Keep the library from making an empty temporary folder for each training."""
-    from stable_baselines3.common.logger import Logger
-
-    model.set_logger(Logger(folder=None, output_formats=[]))
-
-
-def _learn(model: Any, timesteps: int, watch: Watch, run_name: str) -> None:
-    """Learn, and turn a divergence into an error that names it."""
-    try:
-        model.learn(timesteps, callback=watch, tb_log_name=run_name)
-    except _GONE as error:
-        raise SimulationFailed(
-            f"a training needs its simulators, got the end of a process ({type(error).__name__}) "
-            "that has written its own reason; mend that, or train with processes=False to see it "
-            "here"
-        ) from error
-    except ValueError as error:
-        # torch's distributions refuse NaN parameters with a ValueError; any other passes
-        if "invalid values" not in str(error) and _finite(model):
-            raise
-        raise _diverged(model) from error
-    if not _finite(model):
-        raise _diverged(model)
-
-
-def _close(envs: Any) -> None:
-    """Close them; a process that is gone cannot answer, and what ended it is told elsewhere."""
-    with contextlib.suppress(*_GONE):
-        envs.close()
-
-
-def _finite(model: Any) -> bool:
-    return all(bool(parameter.isfinite().all()) for parameter in model.policy.parameters())
-
-
-def _diverged(model: Any) -> TrainingFailed:
-    return TrainingFailed(
-        f"training must keep finite weights and actions, got NaN by step {model.num_timesteps}; "
-        "lower the learning rate, or check that observations and rewards are finite"
-    )
-
-
-def _lightened(model: Any) -> Any:
-    """Drop what only training needs: environments (closed by now), buffers, open log files."""
-    model.logger.close()
-    model.env = None
-    for name in ("_logger", "_last_obs", "_last_original_obs", "_last_episode_starts"):
-        model.__dict__.pop(name, None)
-    for name in ("replay_buffer", "rollout_buffer"):
-        if hasattr(model, name):
-            setattr(model, name, None)
-    for module in (model.policy, getattr(model.policy, "actor", None)):
-        _forget_last_actions(getattr(module, "action_dist", None))
-    return model
-
-
-def _forget_last_actions(distribution: Any) -> None:
-    """Drop the graph of the last forward pass: torch sends no such tensors to another process."""
-    import torch
-
-    for name, part in vars(distribution).items() if distribution is not None else ():
-        if isinstance(part, torch.Tensor):
-            setattr(distribution, name, part.detach())
-        elif isinstance(part, torch.distributions.Distribution) or name == "distribution":
-            setattr(distribution, name, None)  # made anew by every forward pass
 
 
 def _run_name(context: Context, seed: int) -> str:

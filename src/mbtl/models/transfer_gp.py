@@ -1,0 +1,238 @@
+"""Gaussian process of transfer: every evaluated (source, target) pair is an observation.
+
+    J(s, t) = mu + g(t) + f(s) + h(x_t - x_s) + h'(z_t - z_s) + i(s, t) + luck(s) + l_s(t) + noise
+
+g is how hard a target is, f how good a source, h and h' how performance falls with the signed
+difference of the contexts, once on their own scale x and once on a logarithmic one z: a plateau
+that ends at a ratio is one shape there. Both may change along the sources. i is what is left of the
+pair, luck what one training does to its whole row, l_s what it does to parts of it. Every term is a
+zero-mean process with a Matern-3/2 kernel, and all are scaled by one factor fitted to the data.
+
+Notation (shapes): n observed pairs, m queried pairs, N contexts, D columns.
+    x     (N, D)  unit-cube coordinates;  z  (N, D)  the same on a logarithmic scale
+    pairs (n, 2)  indices (source, target)
+    K     (n, n)  prior covariance of the observed pairs, noise included, before the factor
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.arrays import Array
+from mbtl.errors import InvalidInput
+
+Pairs = NDArray[np.intp]
+
+_ROOT3 = float(np.sqrt(3.0))
+_SHRINK = 2.0
+"""Observations that the prior scale is worth."""
+_USUAL = 0.05
+"""Prior scale: variance of performance between pairs."""
+_BLOCK_ENTRIES = 1 << 22
+
+
+@dataclass(frozen=True)
+class TransferPrior:
+    """Variances of the terms, relative to each other, and their length-scales in unit coordinates.
+
+    Attributes:
+        target, source, gap, log_gap, interaction, luck, row_luck, noise: variances of g, f, h, h',
+            i, luck, l_s and the noise.
+        target_length, source_length, gap_length, log_gap_length, row_luck_length: length-scales.
+        along_length: distance of two sources over which the shape of their gap changes.
+
+    Raises:
+        InvalidInput: a number is not finite and > 0.
+    """
+
+    target: float = 0.30
+    source: float = 0.10
+    gap: float = 0.30
+    log_gap: float = 0.30
+    interaction: float = 0.10
+    luck: float = 0.10
+    row_luck: float = 0.05
+    noise: float = 0.01
+    target_length: float = 0.20
+    source_length: float = 0.30
+    gap_length: float = 0.20
+    log_gap_length: float = 0.20
+    along_length: float = 0.50
+    row_luck_length: float = 0.10
+
+    def __post_init__(self) -> None:
+        for name, value in self.record.items():
+            if not (np.isfinite(value) and value > 0):
+                raise InvalidInput(f"{name} of a prior must be finite and > 0, got {value!r}")
+
+    @property
+    def record(self) -> dict[str, float]:
+        """By name, JSON-able."""
+        return asdict(self)
+
+    @property
+    def logs(self) -> Array:
+        """(14,) natural logarithms in the order of the fields, for fitting."""
+        return np.log([getattr(self, f.name) for f in fields(self)])
+
+    @classmethod
+    def of_logs(cls, logs: Array) -> TransferPrior:
+        """What `logs` gave."""
+        return cls(*np.exp(logs).tolist())
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the contexts lie.
+
+    Attributes:
+        x: (N, D) unit-cube coordinates.
+        z: (N, D) on a logarithmic scale.
+    """
+
+    x: Array
+    z: Array
+
+    @classmethod
+    def of(cls, unit: Array, steps: Array) -> Places:
+        """From both coordinates of a selection problem: z = log(1 + steps), scaled to 0..1.
+
+        A grid that starts one step above zero, as most do, is logarithmic in its values then.
+        """
+        low = steps.min(axis=0)
+        logs = np.log1p(steps - low)
+        return cls(unit, logs / np.maximum(logs.max(axis=0), 1e-12))
+
+
+class TransferGP:
+    """The posterior given some rows.
+
+    Attributes:
+        mean: mu, fitted by generalised least squares.
+        scale: the factor of all variances.
+        log_likelihood: of the data, the mean and the factor fitted.
+    """
+
+    def __init__(self, places: Places, prior: TransferPrior, pairs: Pairs, y: Array) -> None:
+        """Condition on data; O(n^3).
+
+        Args:
+            places: of all contexts.
+            prior: of the terms.
+            pairs: (n, 2) observed.
+            y: (n,) performance there, finite.
+
+        Raises:
+            InvalidInput: no pair, or values that are not finite.
+            numpy.linalg.LinAlgError: K is singular.
+        """
+        if len(y) < 1 or len(pairs) != len(y) or not np.isfinite(y).all():
+            raise InvalidInput(
+                f"a transfer GP needs finite values of n >= 1 pairs, got shapes {pairs.shape} and "
+                f"{y.shape}; drop what was not evaluated"
+            )
+        self._places, self._prior, self._pairs = places, prior, pairs
+        kernel = covariance(places, prior, pairs, pairs)
+        kernel[np.diag_indices_from(kernel)] += prior.noise
+        self._chol = np.linalg.cholesky(kernel)
+        ones = self._half(np.ones(len(y)))
+        values = self._half(y)
+        self.mean = float(ones @ values / (ones @ ones))
+        self._residual = values - self.mean * ones
+        n = len(y)
+        square = float(self._residual @ self._residual)
+        self.scale = (square + _SHRINK * _USUAL) / (n + _SHRINK)
+        log_det = 2.0 * float(np.log(np.diagonal(self._chol)).sum())
+        self.log_likelihood = -0.5 * (
+            n * np.log(2.0 * np.pi * self.scale) + log_det + square / self.scale
+        )
+
+    def predict(self, sources: Pairs, targets: Pairs) -> tuple[Array, Array]:
+        """Mean and standard deviation (M, T) of J for new trainings on `sources` (M,).
+
+        A source that was trained before is trained anew: its luck is drawn again.
+        """
+        mean, std = np.empty((2, len(sources), len(targets)))
+        own = variance(self._prior)
+        for rows in _blocks(len(sources), len(targets) * len(self._pairs)):
+            pairs = grid_pairs(sources[rows], targets)
+            cross = covariance(self._places, self._prior, pairs, self._pairs, anew=True)
+            half = self._half(cross.T)
+            shape = (-1, len(targets))
+            mean[rows] = (self.mean + half.T @ self._residual).reshape(shape)
+            left = np.maximum(own - np.einsum("ij,ij->j", half, half), 1e-9 * own)
+            std[rows] = np.sqrt(self.scale * left).reshape(shape)
+        return mean, std
+
+    def _half(self, right: Array) -> Array:
+        from scipy.linalg import solve_triangular  # kept out of `import mbtl`
+
+        return np.asarray(solve_triangular(self._chol, right, lower=True, check_finite=False))
+
+
+def covariance(
+    places: Places, prior: TransferPrior, a: Pairs, b: Pairs, *, anew: bool = False
+) -> Array:
+    """Prior covariance of J at pairs `a` (m, 2) and `b` (n, 2), without noise.
+
+    Args:
+        places: of all contexts.
+        prior: of the terms.
+        a: pairs of the rows.
+        b: pairs of the columns.
+        anew: the trainings of `a` are others than those of `b`, also on the same source.
+
+    Returns:
+        (m, n).
+    """
+    x, z = places.x, places.z
+    (s, t), (s2, t2) = a.T, b.T
+    apart = _distance(x[t], x[t2])
+    sources = _distance(x[s], x[s2])
+    near = _matern(sources, prior.source_length)
+    total = prior.target * _matern(apart, prior.target_length)
+    total += (prior.interaction / prior.target) * near * total
+    total += prior.source * near
+    shift = _distance(x[t] - x[s], x[t2] - x[s2])
+    total += prior.gap * _matern(shift, prior.gap_length) * _matern(sources, prior.along_length)
+    shift = _distance(z[t] - z[s], z[t2] - z[s2])
+    along = _matern(_distance(z[s], z[s2]), prior.along_length)
+    total += prior.log_gap * _matern(shift, prior.log_gap_length) * along
+    if not anew:
+        same = s[:, None] == s2[None, :]
+        total += same * (prior.luck + prior.row_luck * _matern(apart, prior.row_luck_length))
+    return np.asarray(total)
+
+
+def variance(prior: TransferPrior) -> float:
+    """Prior variance of one J, without noise and before the factor."""
+    p = prior
+    return p.target + p.source + p.gap + p.log_gap + p.interaction + p.luck + p.row_luck
+
+
+def grid_pairs(sources: Pairs, targets: Pairs) -> Pairs:
+    """(M * T, 2) all pairs, source by source."""
+    return np.column_stack([np.repeat(sources, len(targets)), np.tile(targets, len(sources))])
+
+
+def _distance(a: Array, b: Array) -> Array:
+    """(m, D), (n, D) -> (m, n) root mean square differences: in any D, a cube's side is 1."""
+    if a.shape[1] == 1:
+        return np.asarray(np.abs(a - b[:, 0]))
+    squared = np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1) - 2.0 * (a @ b.T)
+    return np.asarray(np.sqrt(np.maximum(squared, 0.0) / a.shape[1]))
+
+
+def _matern(distance: Array, length: float) -> Array:
+    scaled = (_ROOT3 / length) * distance
+    return np.asarray((1.0 + scaled) * np.exp(-scaled))
+
+
+def _blocks(rows: int, entries_per_row: int) -> Iterator[slice]:
+    size = max(1, _BLOCK_ENTRIES // max(entries_per_row, 1))
+    for start in range(0, rows, size):
+        yield slice(start, start + size)

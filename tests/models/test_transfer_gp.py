@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+
+from mbtl.errors import InvalidInput
+from mbtl.models.transfer_gp import (
+    Places,
+    TransferGP,
+    TransferPrior,
+    covariance,
+    grid_pairs,
+    variance,
+)
+
+N = 20
+STEPS = np.arange(float(N))[:, None]
+LINE = Places.of(STEPS / (N - 1), STEPS)
+PRIOR = TransferPrior()
+EVERY = np.arange(N)
+
+
+def matern(distance, length):
+    return (1 + np.sqrt(3) * distance / length) * np.exp(-np.sqrt(3) * distance / length)
+
+
+def test_covariance_is_the_sum_of_the_terms_as_stated():
+    p = PRIOR
+    (s, t), (s2, t2) = (3, 7), (3, 11)
+    x, z = LINE.x[:, 0], LINE.z[:, 0]
+    apart = matern(abs(x[7] - x[11]), p.target_length)
+    shift = matern(abs((x[7] - x[3]) - (x[11] - x[3])), p.gap_length)
+    log_shift = matern(abs(z[7] - z[11]), p.log_gap_length)
+    shared = p.target * apart + p.source + p.gap * shift + p.log_gap * log_shift
+    shared += p.interaction * apart
+    one, other = np.array([[s, t]]), np.array([[s2, t2]])
+    luck = p.luck + p.row_luck * matern(abs(x[7] - x[11]), p.row_luck_length)
+    assert covariance(LINE, p, one, other) == pytest.approx(shared + luck)
+    assert covariance(LINE, p, one, other, anew=True) == pytest.approx(shared)
+    assert covariance(LINE, p, one, one) == pytest.approx(variance(p))
+
+
+def test_logarithmic_places_turn_ratios_into_differences():
+    z = LINE.z[:, 0]
+    assert z[0] == 0.0
+    assert z[-1] == 1.0
+    assert z[1] - z[0] == pytest.approx(z[3] - z[1])  # values 1 : 2 as 2 : 4
+    assert np.ptp(Places.of(np.zeros((3, 1)), np.zeros((3, 1))).z) == 0.0
+
+
+@pytest.mark.parametrize("d", [1, 3])
+def test_prior_covariances_are_positive_definite(d):
+    rng = np.random.default_rng(0)
+    steps = rng.integers(0, 6, (12, d)).astype(float)
+    places = Places.of(steps / 5.0, steps)
+    pairs = grid_pairs(np.array([0, 4, 9]), np.arange(12))
+    kernel = covariance(places, PRIOR, pairs, pairs)
+    assert kernel == pytest.approx(kernel.T)
+    assert np.linalg.eigvalsh(kernel).min() > -1e-9
+
+
+def test_posterior_is_that_of_the_normal_distribution():
+    rng = np.random.default_rng(1)
+    pairs = grid_pairs(np.array([2, 11]), np.arange(0, N, 3))
+    y = rng.normal(0.5, 0.2, len(pairs))
+    model = TransferGP(LINE, PRIOR, pairs, y)
+    K = covariance(LINE, PRIOR, pairs, pairs) + PRIOR.noise * np.eye(len(y))
+    inverse, ones = np.linalg.inv(K), np.ones(len(y))
+    mu = ones @ inverse @ y / (ones @ inverse @ ones)
+    square = (y - mu) @ inverse @ (y - mu)
+    scale = (square + 2 * 0.05) / (len(y) + 2)
+    query = grid_pairs(np.array([5]), np.array([4, 17]))
+    cross = covariance(LINE, PRIOR, query, pairs, anew=True)
+    mean, std = model.predict(np.array([5]), np.array([4, 17]))
+    assert model.mean == pytest.approx(mu)
+    assert mean[0] == pytest.approx(mu + cross @ inverse @ (y - mu))
+    left = variance(PRIOR) - np.einsum("ij,jk,ik->i", cross, inverse, cross)
+    assert std[0] == pytest.approx(np.sqrt(scale * left))
+    from scipy.stats import multivariate_normal
+
+    density = multivariate_normal(np.full(len(y), mu), scale * K).logpdf(y)
+    assert model.log_likelihood == pytest.approx(density)
+
+
+def test_a_new_training_on_a_known_source_has_luck_of_its_own():
+    pairs = grid_pairs(EVERY[:12], EVERY)
+    y = np.sin(pairs[:, 0] + pairs[:, 1] / 3.0)
+    model = TransferGP(LINE, PRIOR, pairs, y)
+    _, std = model.predict(np.array([5]), EVERY)
+    assert (std**2 > 0.99 * model.scale * (PRIOR.luck + PRIOR.row_luck)).all()
+
+
+def plateau(source):
+    """A policy serves targets up to a third beyond its source, and none farther."""
+    return np.where(EVERY - source <= 6, 0.9, 0.1)
+
+
+def test_the_shape_of_the_gap_moves_with_the_source():
+    known = np.array([2, 4, 8])
+    y = np.concatenate([plateau(source) for source in known])
+    mean, _ = TransferGP(LINE, PRIOR, grid_pairs(known, EVERY), y).predict(np.array([6]), EVERY)
+    error = np.abs(mean[0] - plateau(6)).mean()
+    assert error < 0.6 * np.abs(plateau(8) - plateau(6)).mean()
+    assert error < 0.6 * np.abs(plateau(4) - plateau(6)).mean()
+
+
+def test_blocks_do_not_change_predictions(monkeypatch):
+    import mbtl.models.transfer_gp as module
+
+    pairs = grid_pairs(np.array([2, 8]), EVERY)
+    model = TransferGP(LINE, PRIOR, pairs, np.concatenate([plateau(2), plateau(8)]))
+    whole = model.predict(EVERY, EVERY)
+    monkeypatch.setattr(module, "_BLOCK_ENTRIES", 1)
+    assert np.array(model.predict(EVERY, EVERY)) == pytest.approx(np.array(whole))
+
+
+def test_logarithms_go_there_and_back():
+    assert TransferPrior.of_logs(PRIOR.logs).record == pytest.approx(PRIOR.record)
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(InvalidInput, match="gap_length of a prior must be finite and > 0"):
+        TransferPrior(gap_length=0.0)
+    with pytest.raises(InvalidInput, match="drop what was not evaluated"):
+        TransferGP(LINE, PRIOR, grid_pairs(EVERY[:1], EVERY), np.full(N, np.nan))

@@ -1,0 +1,89 @@
+import numpy as np
+import pytest
+
+import mbtl
+from mbtl.benchmark.compare import held_out
+from mbtl.history import History
+from mbtl.models import priors
+from mbtl.models.transfer_gp import TransferPrior
+from mbtl.selectors import Random, SelectionProblem
+from mbtl.selectors.auto import Auto
+
+RNG = np.random.default_rng(0)
+
+
+def line(n, budget=10):
+    return SelectionProblem.of(
+        mbtl.ContextSpace.grid({mbtl.Linear("x", 0.1, 10.0): n}), budget=budget
+    )
+
+
+def reach(n, source, below, above):
+    """0.9 on targets from `below` steps under the source to `above` steps over it, else 0.1."""
+    away = np.arange(n) - source
+    return np.where((away >= -below) & (away <= above), 0.9, 0.1)
+
+
+def test_second_pick_serves_what_the_first_does_not():
+    problem = line(100)
+    history = History(100).with_row(49, reach(100, 49, 60, 10))
+    proposal = Auto().propose(problem, history, RNG)
+    assert 60 < proposal.source < 100
+    assert proposal.reason == "largest expected gain"
+    assert 0.0 < proposal.acquisition < 0.5
+
+
+def test_two_rows_show_how_far_a_policy_reaches():
+    """Both reach 15 steps up and all the way down: the next should sit above the second's reach."""
+    problem, history = line(100), History(100)
+    for source in (20, 49):
+        history = history.with_row(source, reach(100, source, 100, 15))
+    assert 64 < Auto().propose(problem, history, RNG).source <= 99
+
+
+def test_a_pending_pick_counts_as_trained():
+    problem = line(100)
+    history = History(100).with_row(49, reach(100, 49, 20, 20))
+    first = Auto().propose(problem, history, RNG).source
+    second = Auto().propose(problem, history.with_pending(first), RNG).source
+    assert (first - 49) * (second - 49) < 0  # the other side
+
+
+def test_gaps_in_rows_are_left_out():
+    problem, row = line(30), reach(30, 14, 8, 3).astype(float)
+    row[::2] = np.nan
+    assert Auto().propose(problem, History(30).with_row(14, row), RNG).source != 14
+    nothing = History(30).with_row(14, np.full(30, np.nan))
+    assert Auto().propose(problem, nothing, RNG).source != 14
+
+
+def test_targets_without_weight_do_not_matter():
+    space = mbtl.ContextSpace.grid(
+        {mbtl.Linear("x", 0.1, 10.0): 40}, weights=[1.0] * 20 + [1e-9] * 20
+    )
+    problem = SelectionProblem.of(space, budget=5)
+    row = reach(40, 20, 8, 8)
+    assert Auto().propose(problem, History(40).with_row(20, row), RNG).source < 20
+
+
+@pytest.mark.parametrize("levels", [(15, 15, 15), (60,)])
+def test_many_contexts_are_sampled(levels):
+    grid = {mbtl.Linear(f"x{q}", 0.0, 1.0): n for q, n in enumerate(levels)}
+    problem = SelectionProblem.of(mbtl.ContextSpace.grid(grid), budget=5)
+    history, few = History(problem.n), Auto(most_candidates=40, most_targets=30, most_pairs=60)
+    for _ in range(4):
+        source = few.propose(problem, history, RNG).source
+        away = np.abs(problem.unit - problem.unit[source]).sum(axis=1)
+        history = history.with_row(source, 1.0 - away)
+    assert len(set(history.sources)) == 4
+    rows = 1.0 - np.abs(problem.unit[:, None] - problem.unit[None, ::7]).sum(axis=2)
+    random = [rows[RNG.permutation(problem.n)[:4]].max(axis=0).mean() for _ in range(200)]
+    assert history.best[::7].mean() > np.quantile(random, 0.6)
+
+
+def test_benchmarks_use_the_prior_that_has_not_seen_the_family(monkeypatch):
+    unseen = TransferPrior(target=7.0)
+    monkeypatch.setattr(priors, "PRIORS", {"all": TransferPrior(), "cartpole": unseen})
+    assert held_out(Auto(), "cartpole-length-hidden").prior == unseen
+    assert held_out(Auto(), "ring-acc").prior == TransferPrior()
+    assert held_out(Random(), "cartpole-length") == Random()
