@@ -1,12 +1,13 @@
 """Do policies of a twin transfer in SUMO as they do in the twin? One sub-matrix in both engines.
 
     .venv/bin/python benchmarks/twin_transfer.py [--cmdp ring-acc] [--sources 6] [--targets 8]
-        [--episodes 5]
+        [--episodes 5] [--train 300] [--train-in jax|sumo] [--out FILE.npz]
 
-Trains each source in the twin (preset `quick`, with as many training episodes as `--train`), then
-evaluates every policy on every target in the twin, and twice in SUMO with different seeds. Printed:
-the mean score of each source, the correlation of all entries, and Spearman's rank correlation of
-the source means, of the twin against SUMO and of SUMO against itself.
+Trains each source in the twin, or in SUMO (preset `quick`, with as many training episodes as
+`--train`), then evaluates every policy on every target in the twin, and twice in SUMO with other
+seeds. Printed: the mean score of each source, the correlation of all entries, and Spearman's rank
+correlation of the source means, of the twin against SUMO and of SUMO against itself. `--out` keeps
+the sub-matrices, arrays "twin", "sumo", "sumo_again" (source, target) and "sources", "targets".
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from scipy import stats
 
 from mbtl.cmdps import get_cmdp
 from mbtl.seeds import Purpose, evaluation_seed, training_seed
+from mbtl.training import export_mlp
 
 
 def main() -> None:
@@ -30,6 +32,8 @@ def main() -> None:
     parser.add_argument("--targets", type=int, default=8)
     parser.add_argument("--episodes", type=int, default=5)
     parser.add_argument("--train", type=int, default=300)
+    parser.add_argument("--train-in", choices=["jax", "sumo"], default="jax")
+    parser.add_argument("--out")
     args = parser.parse_args()
     twin, sumo = (get_cmdp(args.cmdp, engine=engine) for engine in ("jax", "sumo"))
     n = twin.space.n
@@ -39,9 +43,12 @@ def main() -> None:
     )
     there = [twin.space.contexts[i] for i in targets]
     trainer = twin.trainer_for("quick", episodes=args.train, eval_episodes=10 * args.episodes)
-    begin = time.process_time()
-    policies = [trainer.train(twin.space.contexts[i], training_seed(0, 0, int(i))) for i in sources]
-    print(f"{len(policies)} trainings: {time.process_time() - begin:.0f} s of processor time")
+    school = trainer if args.train_in == "jax" else sumo.trainer_for("quick", episodes=args.train)
+    begin = time.perf_counter()
+    policies = [school.train(twin.space.contexts[i], training_seed(0, 0, int(i))) for i in sources]
+    print(f"{len(policies)} trainings in {args.train_in}: {time.perf_counter() - begin:.0f} s")
+    if args.train_in == "sumo":
+        policies = [export_mlp(policy) for policy in policies]
     judge = sumo.trainer_for("quick", eval_episodes=args.episodes, acting=trainer.acting)
     seeds = evaluation_seed(0, 0), evaluation_seed(0, 0, Purpose.REPORT)
     found = {"twin": _means(trainer, policies, there, seeds[0])}
@@ -49,6 +56,9 @@ def main() -> None:
         begin = time.perf_counter()
         found[name] = _means(judge, policies, there, seed)
         print(f"{name}: {time.perf_counter() - begin:.0f} s")
+    if args.out:
+        stored = {name.lower().replace(" ", "_"): matrix for name, matrix in found.items()}
+        np.savez(args.out, sources=sources, targets=targets, **stored)
     axis = next(iter(twin.nominal or {}))
     print(f"\n{args.cmdp}, mean score over {len(targets)} targets by source ({axis})")
     print("source     " + " ".join(f"{twin.space.contexts[i][axis]:8g}" for i in sources))
