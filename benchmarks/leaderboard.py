@@ -1,6 +1,6 @@
 """The leaderboard of selectors on all shipped matrices.
 
-    .venv/bin/python benchmarks/leaderboard.py [--budget 40] [--selectors a,b] [--write]
+    .venv/bin/python benchmarks/leaderboard.py [--budget 30] [--selectors a,b] [--write]
 
 Nothing that was learned has seen what it is judged on: `auto` runs with the prior fitted without
 the family of each matrix. Beside the selectors stands "told", which is none: it owns the whole
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from mbtl.benchmark import compare
-from mbtl.benchmark.records import SelectorSummary, Summary
+from mbtl.benchmark.records import Estimate, Summary, Trainings
 from mbtl.benchmark.shipped import load_by_id, shipped_matrices
 from mbtl.benchmark.summary import SHARES
 from mbtl.objective import k_star
@@ -55,61 +55,59 @@ def told(matrix_id: str, budget: int) -> np.ndarray:
     return np.mean(logs, axis=0)
 
 
-def row(name: str, s: SelectorSummary) -> str:
-    def trainings(which: str) -> str:
-        found = getattr(s, which)
-        value = found.estimate.value
-        text = "-" if value is None else f"{value:.1f}"
-        return f"> {text}" if found.censored and value is not None else text
-
-    def closed(which: str) -> str:
-        found = getattr(s, which)
-        if found.value is None:
-            return "-"
-        interval = "" if found.low is None else f" [{found.low:.2f}, {found.high:.2f}]"
-        return f"{found.value:.2f}{interval}"
-
-    cells = [name, *map(trainings, ("k90", "k95", "k99"))]
-    cells += [closed("closed_at_K"), closed("closed_under_curve")]
-    return f"| {' | '.join(cells)} |"
+def trainings(found: Trainings) -> str:
+    value = found.estimate.value
+    text = "-" if value is None else f"{value:.1f}"
+    return f"> {text}" if found.censored and value is not None else text
 
 
-def table(title: str, summary: Summary, known: np.ndarray | None) -> list[str]:
+def closed(found: Estimate) -> str:
+    if found.value is None:
+        return "-"
+    interval = "" if found.low is None else f" [{found.low:.2f}, {found.high:.2f}]"
+    return f"{found.value:.2f}{interval}"
+
+
+def pooled(summary: Summary, known: np.ndarray) -> list[str]:
     lines = [
-        f"## {title}", "",
         f"| selector | k90 | k95 | k99 | closed at K = {summary.budget} | closed under the curve |",
         "|---|---|---|---|---|---|",
-    ]  # fmt: skip
-    lines += [row(name, s) for name, s in summary.pooled.items()]
-    if known is not None:
-        values = " | ".join(f"{v:.1f}" for v in np.exp(known))
-        lines.append(f"| *told the other seeds* | {values} | | |")
-    return [*lines, ""]
+    ]
+    for name, s in summary.pooled.items():
+        cells = [name, *map(trainings, (s.k90, s.k95, s.k99))]
+        cells += [closed(s.closed_at_K), closed(s.closed_under_curve)]
+        lines.append(f"| {' | '.join(cells)} |")
+    values = " | ".join(f"{v:.1f}" for v in np.exp(known))
+    return [*lines, f"| *told the other seeds* | {values} | | |"]
+
+
+def each(summary: Summary) -> list[str]:
+    """k95 of every selector on every matrix."""
+    names = list(summary.pooled)
+    lines = [f"| k95 | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
+    for matrix, found in summary.matrices.items():
+        cells = [trainings(found.selectors[name].k95) for name in names]
+        lines.append(f"| {matrix} | {' | '.join(cells)} |")
+    return lines
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--budget", type=int, default=40)
+    parser.add_argument("--budget", type=int, default=30)
     parser.add_argument("--selectors", default=",".join(SELECTORS))
     parser.add_argument("--write", action="store_true")
     args = parser.parse_args()
-    chosen = args.selectors.split(",")
-    families: dict[str, list[str]] = {}
-    for matrix_id in shipped_matrices():
-        families.setdefault(matrix_id.split("-")[0], []).append(matrix_id)
-    every = [m for group in families.values() for m in group]
-    lines = []
-    for title, group in {"all": every, **families}.items():
-        summary = compare(chosen, group, args.budget).summary
-        several = [m for m in group if load_by_id(m).n_seeds > 1]
-        known = np.mean([told(m, args.budget) for m in several], axis=0) if several else None
-        label = f"{len(group)} matrices" if title == "all" else f"{title}: {len(group)} matrices"
-        lines += table(label, summary, known)
-        print("\n".join(lines[-len(chosen) - 6 :]), flush=True)
+    every = shipped_matrices()
+    summary = compare(args.selectors.split(","), every, args.budget).summary
+    several = [m for m in every if load_by_id(m).n_seeds > 1]
+    known = np.mean([told(m, args.budget) for m in several], axis=0)
+    title = f"{len(every)} sets of matrices, K = {args.budget}"
+    lines = [title, "", *pooled(summary, known), "", *each(summary), ""]
+    print("\n".join(lines))
     if args.write:
-        text = FILE.read_text(encoding="utf-8")
-        head = text.split("<!-- tables -->\n")[0]
-        FILE.write_text(f"{head}<!-- tables -->\n\n" + "\n".join(lines), encoding="utf-8")
+        mark = "<!-- benchmarks/leaderboard.py --write: all below -->\n"
+        head = FILE.read_text(encoding="utf-8").split(mark)[0]
+        FILE.write_text(f"{head}{mark}\n" + "\n".join(lines), encoding="utf-8")
 
 
 if __name__ == "__main__":
