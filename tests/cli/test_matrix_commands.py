@@ -71,6 +71,13 @@ def test_an_interrupted_build_goes_on(mbtl_command, problem):
     assert len((problem / "trained.txt").read_text().split()) == 4
 
 
+def test_a_log_hears_of_a_long_build_now_and_then(mbtl_command, problem, monkeypatch):
+    monkeypatch.setattr("mbtl.cli.build.SILENCE", -1.0)
+    assert "seed 0: 3 of 4 sources" in mbtl_command(*BUILD, "--seeds", 1)[2]
+    monkeypatch.setattr("mbtl.cli.build.SILENCE", 3600.0)
+    assert "sources" not in mbtl_command(*BUILD, "--seeds", 1, "--first-seed", 1)[2]
+
+
 def test_reproduce_prints_ours_beside_the_papers(mbtl_command, problem):
     assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
     code, out, _ = mbtl_command("reproduce", "--folder", "matrices", "--budget", 2)

@@ -11,7 +11,7 @@ from mbtl.trainer import Progress
 
 
 def told(monkeypatch, silence):
-    monkeypatch.setattr(progress, "_SILENCE", silence)
+    monkeypatch.setattr(progress, "SILENCE", silence)
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
     study = mbtl.create_study(space, budget=2, seed=0)
     out = io.StringIO()

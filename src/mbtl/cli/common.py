@@ -19,6 +19,9 @@ from rich.console import Console
 console = Console(stderr=True)
 """Progress, notes and errors: always standard error."""
 
+SILENCE = 60.0
+"""Seconds after which a log, where there is no terminal, is told that long work goes on."""
+
 JsonFlag = Annotated[
     bool, typer.Option("--json", help="Print one JSON document on standard output.")
 ]

@@ -9,12 +9,10 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as Bars
 
+from mbtl.cli.common import SILENCE
 from mbtl.report.text import shown
 from mbtl.study import Callback, Pick, Study
 from mbtl.trainer import Progress
-
-_SILENCE = 60.0
-"""Seconds after which a log is told that a training goes on."""
 
 
 class LiveProgress(Callback):
@@ -66,7 +64,7 @@ class LiveProgress(Callback):
         note = f"{progress.step:,}/{progress.total:,} {progress.unit} {' '.join(scores)}"
         self._bars.update(self._pick_bars[pick.number], completed=0.97 * share, note=note)
         self._update(study, share)
-        if not self._console.is_terminal and time.monotonic() - self._spoke > _SILENCE:
+        if not self._console.is_terminal and time.monotonic() - self._spoke > SILENCE:
             self._spoke = time.monotonic()
             where = shown(pick.context, study.space)
             self._console.print(
