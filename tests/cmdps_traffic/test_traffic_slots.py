@@ -219,7 +219,7 @@ def test_a_shared_policy_learns_on_the_ramp(algorithm):
 
     env = SharedVecEnv([partial(RampAcc, {"hold": 40.0})])
     assert env.num_envs == env.slots == RampAcc.most_agents
-    options = {"batch_size": 18} if algorithm is PPO else {}
+    options = {"batch_size": env.num_envs} if algorithm is PPO else {}
     book = Book()
     model = algorithm(
         "MlpPolicy",
