@@ -6,8 +6,7 @@ from mbtl.benchmark.compare import held_out
 from mbtl.history import History
 from mbtl.models import priors
 from mbtl.models.transfer_gp import TransferPrior
-from mbtl.selectors import Random, SelectionProblem
-from mbtl.selectors.auto import Auto
+from mbtl.selectors import Auto, Random, SelectionProblem
 
 RNG = np.random.default_rng(0)
 
@@ -55,6 +54,15 @@ def test_gaps_in_rows_are_left_out():
     assert Auto().propose(problem, History(30).with_row(14, row), RNG).source != 14
     nothing = History(30).with_row(14, np.full(30, np.nan))
     assert Auto().propose(problem, nothing, RNG).source != 14
+
+
+def test_rows_known_only_elsewhere_than_where_it_looks():
+    row = np.full(100, np.nan)
+    row[1] = 0.5  # two targets are looked at, the ends
+    few = Auto(most_targets=2, most_pairs=1)
+    proposal = few.propose(line(100), History(100).with_row(49, row), RNG)
+    assert proposal.source in (0, 99)
+    assert "could not be fitted" in proposal.notes[0]
 
 
 def test_targets_without_weight_do_not_matter():

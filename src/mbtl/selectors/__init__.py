@@ -1,5 +1,6 @@
 """Selectors: propose the next source from a problem and the rows seen so far."""
 
+from mbtl.selectors.auto import Auto
 from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, Selector, default_theta
 from mbtl.selectors.clustering import KMeansSelector
 from mbtl.selectors.equidistant import Equidistant
@@ -20,6 +21,7 @@ __all__ = [
     "MBTLEI",
     "MMBTL",
     "SDMBTL",
+    "Auto",
     "Equidistant",
     "Exhausted",
     "Greedy",

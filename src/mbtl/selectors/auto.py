@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mbtl.acquisition import TIE, argmax_open, unit_improvement
 from mbtl.arrays import Array
+from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.priors import PRIORS, prior_without
 from mbtl.models.transfer_gp import Places, TransferGP, TransferPrior, grid_pairs
@@ -68,7 +69,7 @@ class Auto:
         targets = _spread(problem, np.arange(problem.n), count)
         try:
             gain = self._gain(problem, history, candidates, targets)
-        except np.linalg.LinAlgError as error:
+        except (np.linalg.LinAlgError, InvalidInput) as error:  # or nothing known of these targets
             source = farthest_open(problem, history.sources, mask)
             note = f"the transfer model could not be fitted ({error})"
             return Proposal(source, "far from what was tried so far", None, (note,))
