@@ -9,11 +9,9 @@ GP-MBTL 10.9 s and M-MBTL 5.7 s at N = 512, GP-MBTL 9.7 s and M-MBTL 14.6 s at N
 
 from __future__ import annotations
 
-import measure  # noqa: F401  first: threads
+import measure  # first: threads
 
 import argparse  # isort: skip
-import resource
-import time
 
 import numpy as np
 
@@ -33,7 +31,7 @@ def world(shape: tuple[int, ...]) -> SyntheticWorld:
     slope = [0.5 / d / (levels - 1) for levels in shape]
     return SyntheticWorld(
         "latency", shape, quality=1.0, difficulty=0.0, left=tuple(-s / 3 for s in slope),
-        right=tuple(slope), noise=0.02, n_seeds=1 + 1, scale=Bounds(0.0, 1.0),
+        right=tuple(slope), noise=0.02, scale=Bounds(0.0, 1.0),
     )  # fmt: skip
 
 
@@ -50,13 +48,13 @@ def main() -> None:
             selector, history, spent = get_selector(name), History(problem.n), []
             try:
                 for k in range(args.picks):
-                    begin = time.process_time()
+                    begin = measure.now()
                     pick = selector.propose(problem, history, np.random.default_rng(k)).source
-                    spent.append(time.process_time() - begin)
+                    spent.append((measure.now() - begin).cpu)
                     history = history.with_row(pick, source.rows(0, [pick])[0])
             except InvalidInput:  # greedy needs one axis
                 continue
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            peak = 1024 * measure.peak_gib()
             print(f"{name:14s}{problem.n:8,d}{sum(spent):10.2f} s{spent[-1]:10.3f} s{peak:10.0f}")
 
 

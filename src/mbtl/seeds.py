@@ -16,6 +16,10 @@ from mbtl.errors import InvalidInput
 _HASH_BITS = 28  # purpose (4 bits) + hash (28 bits) fit the 32-bit seeds that RL libraries accept
 
 
+MATRIX_TRIAL = 0
+"""Trial of transfer matrices and their baselines: seed s is the root of a study's seed tree."""
+
+
 class Purpose(IntEnum):
     """What a seed is for; two purposes never share a seed."""
 

@@ -95,3 +95,5 @@ def test_benchmarks_use_the_prior_that_has_not_seen_the_family(monkeypatch):
     assert held_out(Auto(), "cartpole-length-hidden").prior == unseen
     assert held_out(Auto(), "ring-acc").prior == TransferPrior()
     assert held_out(Random(), "cartpole-length") == Random()
+    own = Auto(prior=TransferPrior(luck=3.0))  # learned from nothing of ours
+    assert held_out(own, "cartpole-length") == own

@@ -23,13 +23,11 @@ from mbtl.benchmark.npz import read_npz, write_npz
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StorageError, StudyError
 from mbtl.files import claim_folder
-from mbtl.seeds import evaluation_seed, training_seed
+from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
 from mbtl.trainer import ManyTrainer, Trainer, checked_returns
 
 ONLY = "policy"
 """Name of the one checkpoint of a trainer that does not offer several."""
-
-_TRIAL = 0  # of the seed tree: matrix seed s holds the policies of a study with root seed s
 
 
 @dataclass(frozen=True)
@@ -92,11 +90,11 @@ class Build:
                 range(first, min(first + self.lanes, self.space.n)),
                 contexts[first : first + self.lanes],
                 [
-                    training_seed(self.seed, _TRIAL, source)
+                    training_seed(self.seed, MATRIX_TRIAL, source)
                     for source in range(first, min(first + self.lanes, self.space.n))
                 ],
                 contexts,
-                evaluation_seed(self.seed, _TRIAL),
+                evaluation_seed(self.seed, MATRIX_TRIAL),
                 self.keep,
                 self.folder / f"sources-{first:05d}.npz",
             )

@@ -19,6 +19,7 @@ from mbtl.benchmark.base import RowSource
 from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.oracle import Reference, reference
 from mbtl.benchmark.records import Comparison, Run
+from mbtl.benchmark.shipped import family_of
 from mbtl.benchmark.summary import summarise
 from mbtl.errors import InvalidInput, UnknownName, unknown_name
 from mbtl.history import History
@@ -108,11 +109,10 @@ def compare(
 def held_out(selector: Selector, matrix: str) -> Selector:
     """The selector as it would be had it never seen the family of a matrix.
 
-    One that has learned from matrices has a method `without(family)`. The family of ours is the
-    part of their id before the first "-", so that all CartPole variations are one.
+    One that has learned from matrices has a method `without(family)`; see `family_of`.
     """
     without = getattr(selector, "without", None)
-    return selector if without is None else cast(Selector, without(matrix.split("-")[0]))
+    return selector if without is None else cast(Selector, without(family_of(matrix)))
 
 
 def is_deterministic(selector: Selector) -> bool:

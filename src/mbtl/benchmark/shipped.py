@@ -26,6 +26,11 @@ def matrix_id(cmdp: str, variant: str = DEFAULT) -> str:
     return cmdp if variant == DEFAULT else f"{cmdp}-{variant}"
 
 
+def family_of(matrix: str) -> str:
+    """What comes before the first "-" of an id: all CartPole variations are one family."""
+    return matrix.split("-")[0]
+
+
 def shipped_matrices(folder: str | Path | None = None) -> list[str]:
     """Ids of all matrices in the package data, or in `folder`, sorted."""
     return sorted(_files(folder))

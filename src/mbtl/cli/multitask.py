@@ -17,13 +17,11 @@ from mbtl.benchmark.provenance import here
 from mbtl.cli.common import JsonFlag, console, print_json
 from mbtl.cmdps import CMDP, get_cmdp
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.seeds import evaluation_seed, training_seed
+from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
 from mbtl.trainer import Progress as Training
 from mbtl.training import JaxTrainer, SB3Trainer, export_mlp
 
 Method = Literal["ppo", "paco", "moore"]
-
-_TRIAL = 0  # of the seed tree: seed s is the root of a study, as in a transfer matrix
 
 
 def multitask(
@@ -131,9 +129,9 @@ class _InSimulator:
         return self.trainer.episodes or self.trainer.timesteps or 0
 
     def run(self, seed: int, on_step: OnStep) -> Found:
-        space = self.cmdp.space
         from mbtl.training.multitask import for_all_contexts
 
+        space = self.cmdp.space
         every = for_all_contexts(self.trainer, space.contexts)
 
         def on_progress(progress: Training) -> None:
@@ -141,11 +139,11 @@ class _InSimulator:
             on_step(progress.step, progress.total, note)
 
         begin = time.process_time()
-        chosen = training_seed(seed, _TRIAL, space.n)  # that of the source after the last
+        chosen = training_seed(seed, MATRIX_TRIAL, space.n)  # that of the source after the last
         policy = every.train(space.contexts[0], chosen, on_progress)
         trained = time.process_time()
         judged = policy if self.judge is self.trainer else export_mlp(policy)
-        returns = self.judge.evaluate(judged, space.contexts, evaluation_seed(seed, _TRIAL))
+        returns = self.judge.evaluate(judged, space.contexts, evaluation_seed(seed, MATRIX_TRIAL))
         record = {
             "recipe": {**self.trainer.recipe, "contexts": "uniform, one per episode"},
             "evaluation": self.judge.recipe,

@@ -41,13 +41,13 @@ class Auto:
     """The middle first, then the largest expected gain over whole rows.
 
     Attributes:
-        prior: of the transfer model.
+        prior: of the transfer model; None: the one chosen on shipped matrices.
         most_candidates: contexts considered as sources at once.
         most_targets: contexts considered as targets at once.
         most_pairs: observed pairs used; with more rows, fewer targets of each.
     """
 
-    prior: TransferPrior = PRIORS["all"]
+    prior: TransferPrior | None = None
     most_candidates: int = 100
     most_targets: int = 50
     most_pairs: int = 1000
@@ -55,7 +55,7 @@ class Auto:
 
     def without(self, family: str) -> Auto:
         """The same with a prior that has not seen a family of matrices; for honest benchmarks."""
-        return replace(self, prior=prior_without(family))
+        return self if self.prior else replace(self, prior=prior_without(family))
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator
@@ -88,14 +88,15 @@ class Auto:
         y = history.rows[:, targets].ravel()
         seen = np.isfinite(y)
         pairs, y = pairs[seen], y[seen]
-        model = TransferGP(places, self.prior, pairs, y)
+        prior = self.prior or PRIORS["all"]
+        model = TransferGP(places, prior, pairs, y)
         best = np.where(np.isfinite(history.best), history.best, y.min())[targets]
         if history.pending:  # believed to give what is expected of them
             waiting = np.asarray(history.pending, dtype=np.intp)
             believed, _ = model.predict(waiting, targets)
             best = np.maximum(best, believed.max(axis=0))
             pairs = np.vstack([pairs, grid_pairs(waiting, targets)])
-            model = TransferGP(places, self.prior, pairs, np.append(y, believed.ravel()))
+            model = TransferGP(places, prior, pairs, np.append(y, believed.ravel()))
         mean, std = model.predict(candidates, targets)
         weights = problem.weights[targets] / problem.weights[targets].sum()
         top = np.maximum(y.max() + _MARGIN * float(np.ptp(y)), best)

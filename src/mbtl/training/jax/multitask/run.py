@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.files import claim_folder, whole_file
-from mbtl.seeds import episode_seed, evaluation_seed, training_seed
+from mbtl.seeds import MATRIX_TRIAL, episode_seed, evaluation_seed, training_seed
 from mbtl.training.jax.environments import Environment, Tree
 from mbtl.training.jax.evaluation import episode_noise
 from mbtl.training.jax.loop import Block, Training, from_arrays, to_arrays
@@ -37,7 +37,6 @@ from mbtl.training.jax.recipes import MultiTaskRecipe
 
 CHECKPOINTS = ("best", "final")
 
-_TRIAL = 0  # of the seed tree: seed s is the root of a study, as in a transfer matrix
 _SAVE_SECONDS = 30.0
 
 OnProgress = Callable[[int, int, int, float], None]
@@ -109,7 +108,7 @@ def run_multitask(
     for seed in seeds:
         training, seconds = _trained(env, recipe, params, seed, timesteps, place, on_progress)
         noise = episode_noise(
-            env, [episode_seed(evaluation_seed(seed, _TRIAL), e) for e in range(episodes)]
+            env, [episode_seed(evaluation_seed(seed, MATRIX_TRIAL), e) for e in range(episodes)]
         )
         for name, weights in (("best", training.best), ("final", training.state.weights)):
             file = place / f"seed{seed}-{name}.npz"
@@ -173,7 +172,7 @@ def _trained(
 
 def _seed_of(params: Tree, root: int) -> int:
     """Sources are 0..N-1, so this is none of theirs."""
-    return training_seed(root, _TRIAL, len(params.visible))
+    return training_seed(root, MATRIX_TRIAL, len(params.visible))
 
 
 def _digest(params: Tree) -> str:
