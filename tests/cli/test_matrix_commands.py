@@ -112,3 +112,13 @@ def test_an_unfinished_file_is_no_matrix(mbtl_command, problem):
     names = {path.name for path in (problem / "matrices").iterdir()}
     assert names == {"cartpole-length-seed0.npz"}
     assert isinstance(TransferMatrix.load(problem / "matrices" / names.pop()), TransferMatrix)
+
+
+def test_a_coarser_grid_is_a_set_of_its_own(mbtl_command, problem):
+    code, _, err = mbtl_command(*BUILD, "--seeds", 1, "--every", 2)
+    assert code == 0, err
+    matrix = load_matrix("cartpole-length", "every2", folder=problem / "matrices")
+    assert matrix.space.values("length") == [1, 3]
+    assert matrix.theta == 0.2
+    assert "--every 2" in matrix.provenance["seeds"][0]["command"]
+    assert mbtl_command(*BUILD, "--every", 0)[0] == 2

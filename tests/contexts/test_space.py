@@ -36,6 +36,21 @@ def test_mixed_grid_round_trips_every_index():
         assert space.encode_steps(space.context(i)) == pytest.approx(space.steps[i])
 
 
+def test_a_coarser_grid_starts_in_the_middle_and_keeps_weights_and_levels():
+    space = ContextSpace.grid({LENGTH: 100}, weights=np.arange(100))
+    coarse = space.every(5)
+    assert coarse.values("length") == space.values("length")[2::5]
+    assert coarse.weights == pytest.approx(np.arange(2, 100, 5) / np.arange(2, 100, 5).sum())
+    assert space.every(1) == space
+    mixed = ContextSpace.grid(MIXED).every(3)
+    assert mixed.shape == (2, 3, 1)
+    assert mixed.values("n") == [2] * 6
+    with pytest.raises(InvalidInput, match="a step of 1 or more"):
+        space.every(0)
+    with pytest.raises(InvalidInput, match="needs a grid"):
+        ContextSpace.sample([LENGTH], 10, seed=0).every(2)
+
+
 @pytest.mark.parametrize(
     "space",
     [

@@ -45,6 +45,9 @@ def build(
     ] = None,
     physics: Annotated[str, typer.Option(help="How contexts act on CartPole.")] = "intended",
     engine: Annotated[str | None, typer.Option(help="jax, gymnasium or sumo.")] = None,
+    every: Annotated[
+        int, typer.Option(help="Only each so many-th context of the grid, per axis.")
+    ] = 1,
     algorithm: Annotated[str | None, typer.Option(help="Default: the preset's.")] = None,
     recipe: Annotated[
         str | None, typer.Option(help="Named hyper-parameters of the jax engine.")
@@ -82,6 +85,8 @@ def build(
     if seeds < 1:
         raise InvalidInput(f"--seeds must be >= 1, got {seeds}")
     cmdp = _problem(problem, visibility=visibility, physics=physics, engine=engine)
+    if every != 1:
+        cmdp = cmdp.every(every)
     keep = _checkpoints(checkpoint)
     overrides = {
         "timesteps": timesteps,
@@ -94,7 +99,7 @@ def build(
     given = {k: v for k, v in overrides.items() if v is not None}
     trainer = cmdp.trainer_for(preset, **given)
     name = variant or _variant(cmdp, given)
-    command = _command(problem, preset, visibility, physics, engine, lanes, given)
+    command = _command(problem, preset, visibility, physics, engine, every, lanes, given)
     results = []
     for seed in range(first_seed, first_seed + seeds):
         results += _one(
@@ -245,6 +250,8 @@ def _variant(cmdp: CMDP, given: Mapping[str, Any]) -> str:
             parts.append(str(cmdp.settings[switch]))
     if cmdp.settings.get("physics", "intended") != "intended":
         parts.append(str(cmdp.settings["physics"]))
+    if "every" in cmdp.settings:
+        parts.append(f"every{cmdp.settings['every']}")
     if "algorithm" in given:
         parts.append(str(given["algorithm"]).lower())
     return "-".join(parts) or DEFAULT
@@ -277,6 +284,7 @@ def _command(
     visibility: str | None,
     physics: str,
     engine: str | None,
+    every: int,
     lanes: int | None,
     given: Mapping[str, Any],
 ) -> str:
@@ -286,6 +294,7 @@ def _command(
         "visibility": visibility,
         "physics": None if physics == "intended" else physics,
         "engine": engine,
+        "every": None if every == 1 else every,
         "lanes": lanes,
         **{("recipe" if k == "recipe_name" else k): v for k, v in given.items()},
     }

@@ -264,6 +264,19 @@ class CMDP:
         options |= overrides
         return self._with_options(options) if options else self.trainer
 
+    def every(self, step: int) -> CMDP:
+        """The same on a coarser grid: each `step`-th value per axis (`ContextSpace.every`)."""
+        space = self.space.every(step)
+        presets = {
+            name: dataclasses.replace(preset, budget=min(preset.budget, space.n))
+            for name, preset in self.presets.items()
+        }
+        theta = None if self.theta is None else self.theta * step
+        settings = {**self.settings, "every": step}
+        return dataclasses.replace(
+            self, space=space, theta=theta, presets=presets, settings=settings
+        )
+
     # ---- inside ------------------------------------------------------------------------------
 
     def _with_options(self, options: Mapping[str, Any]) -> Trainer:

@@ -138,6 +138,27 @@ class ContextSpace:
                     return cls(axes, list(zip(*seen, strict=True)), weights=weights)
         raise InvalidInput(f"the axes have fewer than {n} distinct contexts; ask for {len(seen)}")
 
+    def every(self, step: int) -> ContextSpace:
+        """The grid of each `step`-th value per numeric axis, from the middle of the first few.
+
+        Raises:
+            InvalidInput: `step` < 1, or this space is no grid.
+        """
+        if self.shape is None or step < 1:
+            kind = "a list of contexts" if self.shape is None else "a grid"
+            raise InvalidInput(
+                f"a coarser grid needs a grid and a step of 1 or more, got {kind} and {step}"
+            )
+        chosen = (
+            range(n) if isinstance(axis, Categorical) else range((min(step, n) - 1) // 2, n, step)
+            for axis, n in zip(self.axes, self.shape, strict=True)
+        )
+        picked = np.ix_(*map(list, chosen))
+        kept = np.arange(self.n).reshape(self.shape)[picked].ravel()
+        levels = [list(dict.fromkeys(column[i] for i in kept)) for column in self._columns]
+        weights = self.weights[kept]
+        return ContextSpace.grid(dict(zip(self.axes, levels, strict=True)), weights=weights)
+
     # ---- reading -----------------------------------------------------------------------------
 
     @property
