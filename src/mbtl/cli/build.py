@@ -246,8 +246,9 @@ def _variant(cmdp: CMDP, given: Mapping[str, Any]) -> str:
     parts = []
     usual = _usual(cmdp)
     for switch in ("visibility", "engine"):
-        if switch in usual and cmdp.settings[switch] != usual[switch]:
-            parts.append(str(cmdp.settings[switch]))
+        now = cmdp.settings.get(switch)
+        if usual.get(switch, now) != now:
+            parts.append(str(now))
     if cmdp.settings.get("physics", "intended") != "intended":
         parts.append(str(cmdp.settings["physics"]))
     if "every" in cmdp.settings:
@@ -259,7 +260,7 @@ def _variant(cmdp: CMDP, given: Mapping[str, Any]) -> str:
 
 def _usual(cmdp: CMDP) -> Mapping[str, Any]:
     """Switches of one of our CMDPs unless told otherwise; a user's own has none."""
-    if cmdp.id not in cmdp_ids() or not cmdp.settings:
+    if cmdp.id not in cmdp_ids() or not set(cmdp.settings) - {"every"}:
         return {}
     usual = dict(get_cmdp(cmdp.id).settings)
     if cmdp.family in ("cartpole", "pendulum"):

@@ -72,9 +72,9 @@ def _list(records: list[dict[str, Any]]) -> None:
         nominal = record["nominal"] or {}
         table.add_row(
             record["id"],
-            _joined(_axis(axis) for axis in record["axes"]),
+            "\n".join(_axis(axis) for axis in record["axes"]),
             str(record["n"]),
-            _joined(_plain(value) for value in nominal.values()),
+            "\n".join(_plain(value) for value in nominal.values()),
             _or_dash(record["horizon"]),
             _bounds(record),
         )

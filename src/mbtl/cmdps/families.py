@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from mbtl.cmdps.cmdp import Preset
-from mbtl.cmdps.family import Family, JaxFamily, Variant
+from mbtl.cmdps.family import Family, GridAxis, JaxFamily, Variant, line
 from mbtl.cmdps.traffic_families import TRAFFIC_FAMILIES, TRAFFIC_VARIANTS
 
 
@@ -138,10 +138,10 @@ FAMILIES: Mapping[str, Family] = {
 
 
 VARIANTS: Mapping[str, Variant] = {
-    "cartpole-masscart": Variant(
+    "cartpole-masscart": line(
         "cartpole", "masscart", "kg", "0.1", 1.0, description="CartPole; the cart mass varies"
     ),
-    "cartpole-length": Variant(
+    "cartpole-length": line(
         "cartpole",
         "length",
         "m",
@@ -149,16 +149,26 @@ VARIANTS: Mapping[str, Variant] = {
         0.5,
         description="CartPole; half the pole's length varies",
     ),
-    "cartpole-masspole": Variant(
+    "cartpole-masspole": line(
         "cartpole", "masspole", "kg", "0.01", 0.1, description="CartPole; the pole mass varies"
     ),
-    "pendulum-length": Variant(
+    "cartpole-masses-length": Variant(
+        "cartpole",
+        (
+            GridAxis("masspole", "kg", "0.02", 0.1, n=10, unit_index=4),
+            GridAxis("masscart", "kg", "0.2", 1.0, n=10, unit_index=4),
+            GridAxis("length", "m", "0.1", 0.5, n=9, first=2, unit_index=3),
+        ),
+        theta=0.01,  # a step is two of the steps on one axis, in multiples of the nominal value
+        description="CartPole; both masses and half the pole's length vary (SD-MBTL's 900)",
+    ),
+    "pendulum-length": line(
         "pendulum", "length", "m", "0.1", 1.0, description="Pendulum; the length varies"
     ),
-    "pendulum-mass": Variant(
+    "pendulum-mass": line(
         "pendulum", "mass", "kg", "0.1", 1.0, description="Pendulum; the mass varies"
     ),
-    "pendulum-timestep": Variant(
+    "pendulum-timestep": line(
         "pendulum",
         "timestep",
         "s",

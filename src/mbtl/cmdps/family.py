@@ -1,4 +1,4 @@
-"""Records of the table of our CMDPs: a simulator family, its engines, and one axis that varies."""
+"""Records of the table of our CMDPs: a simulator family, its engines, and the axes that vary."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from decimal import Decimal
 from typing import Any
 
 from mbtl.cmdps.cmdp import Preset
+from mbtl.contexts import Context, ContextSpace, Linear
 
 
 @dataclass(frozen=True)
@@ -68,34 +69,82 @@ class Family:
 
 
 @dataclass(frozen=True)
+class GridAxis:
+    """One feature of the environment that varies, in equal steps.
+
+    Attributes:
+        name: the feature.
+        unit: its physical unit.
+        step: grid step, a decimal; the grid is k step for k = first, ..., first + n - 1.
+        nominal: value of the feature in the context that a user would train on without help.
+        n: number of values.
+        first: multiple of the step at which the grid begins.
+        unit_index: grid index of multiplier 1, not the middle.
+        paper_step: grid step by the paper's text where it differs from the released scripts.
+    """
+
+    name: str
+    unit: str
+    step: str
+    nominal: float
+    n: int = 100
+    first: int = 1
+    unit_index: int = 9
+    paper_step: str | None = None
+
+    def values(self, grid: str) -> list[float]:
+        """(n,) grid values; exact decimals, so that contexts print as they are meant."""
+        step = Decimal(self.paper_step or self.step) if grid == "paper" else Decimal(self.step)
+        return [float(step * k) for k in range(self.first, self.first + self.n)]
+
+
+@dataclass(frozen=True)
 class Variant:
-    """One CMDP: the axis that varies.
+    """One CMDP: what of a family varies, as the full grid over its axes.
 
     Attributes:
         family: name of the family.
-        axis: feature of the environment that varies.
-        axis_unit: its physical unit.
-        step: grid step, a decimal; the grid is step, 2 step, ..., N step.
-        nominal: value of the axis while another one varies.
-        n: number of contexts N.
-        unit_index: grid index of multiplier 1, not the middle.
-        paper_step: grid step by the paper's text where it differs from the released scripts.
+        axes: the features that vary, the last one fastest.
+        theta: slope of the linear gap where it is not the family's, performance per grid step.
         version: raised when results could change.
         description: one line for people.
     """
 
     family: str
-    axis: str
-    axis_unit: str
-    step: str
-    nominal: float
-    n: int = 100
-    unit_index: int = 9
-    paper_step: str | None = None
+    axes: tuple[GridAxis, ...]
+    theta: float | None = None
     version: int = 0
     description: str = ""
 
-    def values(self, grid: str) -> list[float]:
-        """(N,) grid values; exact decimals, so that contexts print as they are meant."""
-        step = Decimal(self.paper_step or self.step) if grid == "paper" else Decimal(self.step)
-        return [float(step * k) for k in range(1, self.n + 1)]
+    @property
+    def nominal(self) -> Context:
+        """The context that a user would train on without help."""
+        return {axis.name: axis.nominal for axis in self.axes}
+
+    def unit(self, grid: str) -> Context:
+        """The context at multiplier 1."""
+        return {axis.name: axis.values(grid)[axis.unit_index] for axis in self.axes}
+
+    def space(self, grid: str) -> ContextSpace:
+        """All contexts."""
+        levels = {axis: axis.values(grid) for axis in self.axes}
+        return ContextSpace.grid(
+            {Linear(a.name, values[0], values[-1], a.unit): values for a, values in levels.items()}
+        )
+
+
+def line(
+    family: str,
+    axis: str,
+    unit: str,
+    step: str,
+    nominal: float,
+    *,
+    n: int = 100,
+    unit_index: int = 9,
+    paper_step: str | None = None,
+    description: str = "",
+) -> Variant:
+    """A CMDP with one axis, on the grid step, 2 step, ..., n step; see `GridAxis`."""
+    varies = GridAxis(axis, unit, step, nominal, n, unit_index=unit_index, paper_step=paper_step)
+    return Variant(family, (varies,), description=description)

@@ -36,18 +36,16 @@ def make(
 
     Args:
         cmdp: id of the CMDP.
-        context: value of the varied feature; missing: the nominal one.
+        context: values of the varied features; missing: the nominal ones.
         render_mode: "rgb_array" in traffic: `render` gives images.
         gui: in traffic, show it in sumo-gui.
         **switches: `physics`, `visibility`, `time_limit`, `obs` as in `mbtl.cmdps.get_cmdp`.
 
     Many decision makers are one environment with a row for each, `mbtl.training.slots.Together`.
     """
-    variant = VARIANTS[cmdp]
-    nominal = {variant.axis: variant.nominal}
     from mbtl.training.slots import as_one
 
     factory = env_factory(cmdp, **switches)
     shown = {"render_mode": render_mode, "gui": gui} if render_mode is not None or gui else {}
     factory = replace(factory, options={**factory.options, **shown})
-    return as_one(factory(nominal if context is None else context))
+    return as_one(factory(VARIANTS[cmdp].nominal if context is None else context))

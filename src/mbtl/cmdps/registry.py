@@ -9,7 +9,6 @@ from mbtl.cmdps.cmdp import CMDP, Preset
 from mbtl.cmdps.engines import ENGINES, EnvFactory, JaxProblem, TwinProblem, jax_is_installed
 from mbtl.cmdps.families import FAMILIES, VARIANTS
 from mbtl.cmdps.family import Family, TwinFamily, Variant
-from mbtl.contexts import Context, ContextSpace, Linear
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.trainer import Trainer
 
@@ -51,7 +50,7 @@ def env_factory(
     }.items():  # fmt: skip
         _check_choice(kind, name)
     options = {
-        "unit": _unit(variant, "code"),
+        "unit": variant.unit("code"),
         "visibility": visibility,
         "time_limit": time_limit,
         "horizon": family.horizon,
@@ -99,19 +98,17 @@ def get_cmdp(
     make_env = env_factory(
         id, physics=physics, visibility=visibility, time_limit=time_limit, obs=obs
     )
-    values = variant.values(grid)
-    axis = Linear(variant.axis, values[0], values[-1], variant.axis_unit)
     presets, trainer = _training(id, family, engine, make_env)
     return CMDP(
         id,
-        ContextSpace.grid({axis: values}),
+        variant.space(grid),
         trainer,
         bounds=family.bounds,
-        theta=family.theta,
+        theta=family.theta if variant.theta is None else variant.theta,
         version=variant.version,
         make_env=make_env,
-        nominal={variant.axis: variant.nominal},
-        unit=_unit(variant, grid),
+        nominal=variant.nominal,
+        unit=variant.unit(grid),
         horizon=family.horizon,
         check_steps=family.check_steps,
         family=variant.family,
@@ -138,10 +135,6 @@ def _entry(id: str) -> tuple[Variant, Family]:
 def _check_choice(kind: str, name: str) -> None:
     if name not in _CHOICES[kind]:
         raise unknown_name(kind, name, _CHOICES[kind])
-
-
-def _unit(variant: Variant, grid: str) -> Context:
-    return {variant.axis: variant.values(grid)[variant.unit_index]}
 
 
 def _training(

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from mbtl.cmdps.cmdp import Preset
-from mbtl.cmdps.family import Family, TwinFamily, Variant
+from mbtl.cmdps.family import Family, TwinFamily, Variant, line
 
 # ---- advisory autonomy: ring and ramp --------------------------------------------------------
 
@@ -260,31 +260,31 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
 
 
 def _hold(family: str, description: str) -> Variant:
-    return Variant(family, "hold", "s", "1", 1.0, n=40, unit_index=0, description=description)
+    return line(family, "hold", "s", "1", 1.0, n=40, unit_index=0, description=description)
 
 
 TRAFFIC_VARIANTS: Mapping[str, Variant] = {
-    "signal-length": Variant(
+    "signal-length": line(
         "signal", "length", "m", "50", 750.0, n=50, paper_step="75",
         description="Traffic signal; the length of the approaches varies",
     ),
-    "signal-inflow": Variant(
+    "signal-inflow": line(
         "signal", "inflow", "cars", "50", 1000.0, n=50,
         description="Traffic signal; the demand varies",
     ),
-    "signal-speed": Variant(
+    "signal-speed": line(
         "signal", "speed", "m/s", "0.5", 14.0, n=50, paper_step="1.389",
         description="Traffic signal; the speed limit varies",
     ),
-    "eco-penetration": Variant(
+    "eco-penetration": line(
         "eco", "penetration", "share", "0.02", 0.2, n=50,
         description="Eco-driving; the share of controlled cars varies",
     ),
-    "eco-inflow": Variant(
+    "eco-inflow": line(
         "eco", "inflow", "veh/h", "40", 400.0, n=50,
         description="Eco-driving; the demand varies",
     ),
-    "eco-green": Variant(
+    "eco-green": line(
         "eco", "green", "s", "1", 35.0, n=50, paper_step="3.5",
         description="Eco-driving; the green time varies",
     ),

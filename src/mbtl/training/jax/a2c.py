@@ -22,9 +22,15 @@ from mbtl.training.jax.recipes import A2CRecipe
 from mbtl.training.jax.rollout import Noise, Rollout, State, advantages, draw, play, start
 
 
-def init(env: Environment, recipe: A2CRecipe, seeds: Sequence[int], params: Tree) -> State:
+def init(
+    env: Environment,
+    recipe: A2CRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    weights: Weights | None = None,
+) -> State:
     """All policies before their first update; see `rollout.start`."""
-    return start(env, recipe, optimizer, seeds, params)
+    return start(env, recipe, optimizer, seeds, params, weights)
 
 
 def update(env: Environment, recipe: A2CRecipe, state: State, params: Tree, clock: Clock) -> State:

@@ -2,8 +2,8 @@
 
 An algorithm is a module of pure functions on the state of training, vectorised by `jax.vmap`:
 
-    init(env, recipe, seeds, params) -> State       P policies, leading axis
-    update(env, recipe, state, params, clock)       one policy, one update further
+    init(env, recipe, seeds, params, weights) -> State      P policies, leading axis
+    update(env, recipe, state, params, clock)               one policy, one update further
 
 Its `State` holds the networks as `weights: networks.Weights`, whose `actor` is what acts. The clock
 is the same for all policies: what depends on it alone is computed once for all of them.
@@ -24,8 +24,15 @@ from mbtl.training.jax.recipes import A2CRecipe, DQNRecipe, MultiTaskRecipe, PPO
 class Algorithm(Protocol):
     """What a module of an algorithm offers."""
 
-    def init(self, env: Environment, recipe: Any, seeds: Sequence[int], params: Tree) -> Any:
-        """All policies before their first update, leading axis."""
+    def init(
+        self,
+        env: Environment,
+        recipe: Any,
+        seeds: Sequence[int],
+        params: Tree,
+        weights: Any = None,
+    ) -> Any:
+        """All policies before their first update, leading axis; fresh unless given weights."""
         ...
 
     def update(

@@ -80,20 +80,28 @@ class Round(NamedTuple):
     pick: jax.Array
 
 
-def init(env: Environment, recipe: DQNRecipe, seeds: Sequence[int], params: Tree) -> State:
-    """Fresh networks, freshly reset environments and empty rings of all policies.
+def init(
+    env: Environment,
+    recipe: DQNRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    weights: Weights | None = None,
+) -> State:
+    """Networks, freshly reset environments and empty rings of all policies.
 
     Args:
         env: the dynamics.
         recipe: hyper-parameters.
         seeds: one per policy, 32 bits; decides its whole training.
         params: one context per policy, leading axis.
+        weights: to begin from, also as the target, leading axis; None for fresh ones.
 
     Raises:
         InvalidInput: actions are not discrete.
     """
     widths = [env.n_features + params.visible.shape[-1], *recipe.hidden, _options(env)]
-    weights = networks.stack([networks.init_q_network(seed, widths) for seed in seeds])
+    if weights is None:
+        weights = networks.stack([networks.init_q_network(seed, widths) for seed in seeds])
     roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
     state: State = _start(env, recipe, weights, roots, params)
     return state

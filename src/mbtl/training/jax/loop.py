@@ -62,11 +62,17 @@ class Block(NamedTuple):
     training: Training
 
 
-def start(env: Environment, recipe: Recipe, seeds: Sequence[int], params: Tree) -> Training:
-    """Trainings before their first update.
+def start(
+    env: Environment,
+    recipe: Recipe,
+    seeds: Sequence[int],
+    params: Tree,
+    weights: Weights | None = None,
+) -> Training:
+    """Trainings before their first update; arguments as in `train`.
 
     Raises:
-        InvalidInput: there is not one seed per context.
+        InvalidInput: there is not one seed per context, or weights of another shape.
     """
     n_contexts = len(params.visible)
     if len(seeds) != n_contexts or not seeds:
@@ -74,7 +80,10 @@ def start(env: Environment, recipe: Recipe, seeds: Sequence[int], params: Tree) 
             f"training takes one seed per context (repeat contexts for more seeds), "
             f"got {len(seeds)} seeds and {n_contexts} contexts"
         )
-    state = algorithm_of(recipe).init(env, recipe, seeds, _float32(params))
+    params, init = _float32(params), algorithm_of(recipe).init
+    state = init(env, recipe, seeds, params)
+    if weights is not None:
+        state = init(env, recipe, seeds, params, _fitting(weights, state.weights))
     return Training(
         state,
         jax.tree.map(jnp.copy, state.weights),
@@ -95,6 +104,7 @@ def train(
     checkpoint_every: int | None = None,
     checkpoint_episodes: int = 10,
     only_best: bool = False,
+    weights: Weights | None = None,
     resume: Training | None = None,
 ) -> Training:
     """Train one policy per (context, seed), all of them together.
@@ -106,32 +116,44 @@ def train(
         env: the dynamics.
         recipe: hyper-parameters.
         seeds: P training seeds of 32 bits.
-        params: P contexts, leading axis; repeat a context to train it with several seeds.
+        params: P contexts, leading axis; repeat a context to train it with several seeds. With a
+            `MultiTaskRecipe` (P, N, ...): each policy has a set of N contexts of its own, repeated
+            where it is smaller, whose episodes take turns.
         timesteps: environment steps per policy, rounded up to whole updates.
         on_block: called after each block.
         checkpoint_every: environment steps between two evaluations of each policy on its own
-            context, rounded up to whole updates; None for 2 % of `timesteps`.
-        checkpoint_episodes: deterministic episodes of an evaluation, the same at every one.
+            contexts, rounded up to whole updates; None for 2 % of `timesteps`.
+        checkpoint_episodes: deterministic episodes of an evaluation, the same at every one; of N
+            contexts each plays as many of them.
         only_best: end as soon as the best evaluation of every policy is the largest return there
             is (`env.max_return`): the best weights, the earliest of equals, cannot change any more.
+        weights: P networks to begin from, e.g. `best` of trainings on other contexts; the optimiser
+            knows nothing of their past, and they are no checkpoint themselves. None for fresh ones.
         resume: what an interrupted call had reached (given again with the same arguments).
 
     Returns:
         Final and best weights.
 
     Raises:
-        InvalidInput: seeds and contexts do not match, or a number is below 1.
+        InvalidInput: seeds and contexts or weights do not match, a number is below 1, or N contexts
+            cannot share the checkpoint's episodes evenly.
         TrainingFailed: weights are no longer finite.
     """
     for name, value in (("timesteps", timesteps), ("checkpoint_episodes", checkpoint_episodes)):
         if value < 1:
             raise InvalidInput(f"{name} must be >= 1, got {value}")
+    shared_by = params.visible.shape[1] if params.visible.ndim == 3 else 1
+    if checkpoint_episodes % shared_by:
+        raise InvalidInput(
+            f"checkpoint_episodes must be a multiple of the {shared_by} contexts of each policy, "
+            f"got {checkpoint_episodes}"
+        )
     every = checkpoint_every or math.ceil(timesteps / BLOCKS)
     per_update = recipe.steps_per_update
     total, block = math.ceil(timesteps / per_update), math.ceil(every / per_update)
     params = _float32(params)
     noise = np.stack([_checkpoint_noise(env, seed, checkpoint_episodes) for seed in seeds])
-    training = start(env, recipe, seeds, params) if resume is None else resume
+    training = start(env, recipe, seeds, params, weights) if resume is None else resume
     done = int(training.updates)
     while done < total and not (only_best and _nothing_to_gain(env, training)):
         count = min(block, total - done)
@@ -217,6 +239,17 @@ def from_arrays(template: Training, arrays: Mapping[str, NDArray[Any]]) -> Train
             )
     restored: Training = jax.tree.unflatten(structure, [jnp.asarray(x) for x in loaded])
     return restored
+
+
+def _fitting(weights: Weights, fresh: Weights) -> Weights:
+    """A copy, since the training takes over its memory."""
+    given, needed = ([np.shape(x) for x in jax.tree.leaves(w)] for w in (weights, fresh))
+    if given != needed:
+        raise InvalidInput(
+            f"weights to begin from must have the shapes of this recipe and number of policies, "
+            f"{needed}, got {given}"
+        )
+    return jax.tree.map(lambda x: jnp.array(x, jnp.float32), weights)
 
 
 def _nothing_to_gain(env: Environment, training: Training) -> bool:

@@ -36,9 +36,15 @@ class Batch(NamedTuple):
     target: jax.Array
 
 
-def init(env: Environment, recipe: PPORecipe, seeds: Sequence[int], params: Tree) -> State:
+def init(
+    env: Environment,
+    recipe: PPORecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    weights: Weights | None = None,
+) -> State:
     """All policies before their first update; see `rollout.start`."""
-    return start(env, recipe, optimizer, seeds, params)
+    return start(env, recipe, optimizer, seeds, params, weights)
 
 
 def update(

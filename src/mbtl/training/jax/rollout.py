@@ -76,8 +76,9 @@ def start(
     optimizer: Callable[[Any], optax.GradientTransformation],
     seeds: Sequence[int],
     params: Tree,
+    weights: Weights | None = None,
 ) -> State:
-    """Fresh networks and freshly reset environments of all policies.
+    """Networks, an optimiser without memory and freshly reset environments of all policies.
 
     Args:
         env: the dynamics.
@@ -85,14 +86,17 @@ def start(
         optimizer: makes the optimiser from the recipe; a module's function.
         seeds: one per policy, 32 bits; decides its whole training.
         params: one context per policy, leading axis.
+        weights: to begin from, leading axis; None for fresh ones.
     """
-    n_inputs = env.n_features + params.visible.shape[-1]
-    each = [
-        networks.init_weights(seed, n_inputs, env.action, recipe.hidden, recipe.log_std)
-        for seed in seeds
-    ]
+    if weights is None:
+        n_inputs = env.n_features + params.visible.shape[-1]
+        each = [
+            networks.init_weights(seed, n_inputs, env.action, recipe.hidden, recipe.log_std)
+            for seed in seeds
+        ]
+        weights = networks.stack(each)
     roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
-    state: State = _start(env, recipe, optimizer, networks.stack(each), roots, params)
+    state: State = _start(env, recipe, optimizer, weights, roots, params)
     return state
 
 

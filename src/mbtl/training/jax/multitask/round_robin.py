@@ -49,7 +49,13 @@ class State(NamedTuple):
     key: jax.Array
 
 
-def init(env: Environment, recipe: MultiTaskRecipe, seeds: Sequence[int], params: Tree) -> State:
+def init(
+    env: Environment,
+    recipe: MultiTaskRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    weights: Any = None,
+) -> State:
     """All policies before their first update.
 
     Args:
@@ -57,11 +63,13 @@ def init(env: Environment, recipe: MultiTaskRecipe, seeds: Sequence[int], params
         recipe: hyper-parameters.
         seeds: one per policy, 32 bits; decides its whole training.
         params: (policies, N, ...) contexts, with their places where the method wants them.
+        weights: to begin from, leading axis; None for fresh ones.
     """
-    n_contexts, n_visible = params.visible.shape[1:]
-    n_inputs = env.n_features + n_visible - recipe.has_vectors  # the place is not for the layers
-    make = _INITIAL[recipe.method]
-    weights = networks.stack([make(env, recipe, seed, n_contexts, n_inputs) for seed in seeds])
+    if weights is None:
+        n_contexts, n_visible = params.visible.shape[1:]
+        n_inputs = env.n_features + n_visible - recipe.has_vectors  # no place for the layers
+        make = _INITIAL[recipe.method]
+        weights = networks.stack([make(env, recipe, seed, n_contexts, n_inputs) for seed in seeds])
     roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
     state: State = _start(env, recipe, weights, roots, params)
     return state
