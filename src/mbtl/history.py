@@ -1,10 +1,12 @@
 """History: the transfer rows observed so far, and nothing else. All that a selector may see.
 
 Notation (shapes): k rows observed, N targets.
-    sources  (k,)     context indices trained on, in the order they were told
+    sources  (k,)     context indices trained on, in the order they were told; one may come again
     rows     (k, N)   performance of each policy on every target; NaN where it was not evaluated
+    errors   (k, N)   standard errors of the rows, from the scatter of episodes; None: unknown
     pending  proposed but not yet told (other workers are training them)
     failed   trainings that gave nothing; never proposed again
+    spent    cost of all of these, where the problem has costs
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ class History:
     rows: Array = field(default_factory=lambda: np.empty((0, 0)))
     pending: tuple[int, ...] = ()
     failed: tuple[int, ...] = ()
+    errors: Array | None = None
+    spent: float = 0.0
 
     def __post_init__(self) -> None:
         if self.rows.size == 0 and not self.sources:
@@ -38,15 +42,24 @@ class History:
                 f"rows must have shape (sources, targets) = {(len(self.sources), self.n_targets)}, "
                 f"got {self.rows.shape}"
             )
+        if self.errors is not None and self.errors.shape != self.rows.shape:
+            raise InvalidInput(
+                f"errors must have the shape of the rows {self.rows.shape}, got {self.errors.shape}"
+            )
 
     def __len__(self) -> int:
         return len(self.sources)
 
     def with_row(self, source: int, row: Array) -> History:
-        """The history after one more training; `row` is (N,) performance."""
+        """The history after one more training; `row` is (N,) performance, taken as exact."""
         rows = np.vstack([self.rows, np.asarray(row, dtype=np.float64)[None, :]])
         pending = tuple(p for p in self.pending if p != source)
-        return replace(self, sources=(*self.sources, int(source)), rows=rows, pending=pending)
+        errors = self.errors
+        if errors is not None:
+            errors = np.vstack([errors, np.zeros(self.n_targets)])
+        return replace(
+            self, sources=(*self.sources, int(source)), rows=rows, pending=pending, errors=errors
+        )
 
     def with_pending(self, source: int) -> History:
         """The history after `source` was proposed and before it is told."""
@@ -62,14 +75,31 @@ class History:
         """(N,) generalisation performance so far; -inf before the first row."""
         return generalisation_performance(self.rows)
 
+    def filled(self, steps: Array) -> Array:
+        """(k, N) rows where a missing entry is the one evaluated nearest to it, (N, D) in steps."""
+        missing = ~np.isfinite(self.rows)
+        if not missing.any():
+            return self.rows
+        from scipy.spatial import KDTree  # kept out of `import mbtl`
+
+        rows = self.rows.copy()
+        for row, gone in zip(rows, missing, strict=True):
+            if not gone.all():
+                _, nearest = KDTree(steps[~gone]).query(steps[gone])
+                row[gone] = row[~gone][nearest]
+        return rows
+
     @cached_property
     def training_performance(self) -> Array:
         """(k,) J(pi_i, x_i): each policy on its own source."""
         return self.rows[np.arange(len(self.sources)), np.asarray(self.sources, dtype=np.intp)]
 
-    def open_mask(self, n_candidates: int) -> NDArray[np.bool_]:
-        """(M,) True where a candidate is neither trained, pending nor failed."""
-        mask = np.ones(n_candidates, dtype=bool)
-        taken = [*self.sources, *self.pending, *self.failed]
-        mask[taken] = False
-        return mask
+    def open_mask(self, n_candidates: int, repeats: int = 1) -> NDArray[np.bool_]:
+        """(M,) True where a candidate is not pending, never failed, and trained < `repeats` times.
+
+        Repeated trainings count the picks under way too, so that parallel ones differ.
+        """
+        times = np.bincount(np.asarray(self.sources, dtype=np.intp), minlength=n_candidates)
+        mask = times < repeats
+        mask[[*self.pending, *self.failed]] = False
+        return np.asarray(mask)

@@ -5,7 +5,8 @@ Notation (shapes):
     rows     (k, N)   transfer rows of the trained sources, in training order
     weights  (N,)     target weights, >= 0, sum 1 (uniform: 1/N)
     best     (N,)     generalisation performance J(pi_1:k, x') = max over trained policies
-    V        scalar   sum_t weights_t best_t
+    V        scalar   sum_t weights_t best_t; with a risk r < 1, the mean over the worst share r of
+                      the weight alone (conditional value at risk)
 Return is in raw units; performance is return after normalisation, larger is better.
 """
 
@@ -85,14 +86,46 @@ def generalisation_performance(rows: Array) -> Array:
     return np.asarray(np.fmax.reduce(rows, axis=0, initial=-np.inf))
 
 
-def value(best: Array, weights: Array | None = None) -> float:
-    """V = sum_t w_t best_t (paper, section 3); uniform weights when none are given."""
+def value(best: Array, weights: Array | None = None, risk: float = 1.0) -> float:
+    """V = sum_t w_t best_t (paper, section 3); uniform weights when none are given.
+
+    Args:
+        best: (N,) generalisation performance.
+        weights: (N,) target weights, sum 1.
+        risk: share of the weight, the worst of it, that counts; 1 for all of it.
+    """
+    if risk < 1.0:
+        return float(worst_share_mean(best, weights, risk))
     return float(best.mean()) if weights is None else float(best @ weights)
 
 
-def value_curve(rows: Array, weights: Array | None = None) -> Array:
+def worst_share_mean(best: Array, weights: Array | None, risk: float) -> Array:
+    """Mean over the targets that do worst, up to a share `risk` of the weight; (..., N) -> (...).
+
+    The last target that fits in part counts with that part, so the measure is continuous.
+
+    Raises:
+        InvalidInput: `risk` is not in (0, 1].
+    """
+    if not 0.0 < risk <= 1.0:
+        raise InvalidInput(f"risk is the share of the worst targets, in (0, 1], got {risk!r}")
+    n = best.shape[-1]
+    if risk == 1.0:
+        return np.asarray(best.mean(axis=-1) if weights is None else best @ weights)
+    shares = np.full(n, 1.0 / n) if weights is None else weights
+    order = np.argsort(best, axis=-1, kind="stable")
+    ascending = np.take_along_axis(best, order, axis=-1)
+    sorted_shares = shares[order]
+    before = np.cumsum(sorted_shares, axis=-1) - sorted_shares
+    counted = np.clip(risk - before, 0.0, sorted_shares)
+    return np.asarray(np.sum(np.where(counted > 0, ascending, 0.0) * counted, axis=-1) / risk)
+
+
+def value_curve(rows: Array, weights: Array | None = None, risk: float = 1.0) -> Array:
     """V after 1, 2, ..., k trainings; (k, N) -> (k,). Non-decreasing."""
     running = np.fmax.accumulate(np.asarray(rows, dtype=np.float64), axis=0)
+    if risk < 1.0:
+        return worst_share_mean(running, weights, risk)
     return running.mean(axis=1) if weights is None else running @ weights
 
 

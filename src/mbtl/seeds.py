@@ -54,9 +54,13 @@ def derive_seed(root: int, purpose: Purpose, *path: int) -> int:
     return (int(purpose) << _HASH_BITS) | (int(state[0]) >> (32 - _HASH_BITS))
 
 
-def training_seed(root: int, trial: int, source: int) -> int:
-    """Seed of the training on `source` (index) in `trial`; independent of the pick number."""
-    return derive_seed(root, Purpose.TRAINING, trial, source)
+def training_seed(root: int, trial: int, source: int, repeat: int = 0) -> int:
+    """Seed of the training on `source` (index) in `trial`; independent of the pick number.
+
+    `repeat` counts the earlier trainings on the same source, of a study that allows several.
+    """
+    again = (repeat,) if repeat else ()
+    return derive_seed(root, Purpose.TRAINING, trial, source, *again)
 
 
 def evaluation_seed(root: int, trial: int, purpose: Purpose = Purpose.EVALUATION) -> int:

@@ -174,6 +174,23 @@ def checked_returns(returns: Any, n_targets: int) -> Array:
     return array
 
 
+def checked_targets(targets: Sequence[int] | None, n: int) -> list[int]:
+    """Indices of the contexts that returns are of; all `n` for None.
+
+    Raises:
+        InvalidInput: none, a repeated one, or one that is not in 0..n-1.
+    """
+    if targets is None:
+        return list(range(n))
+    indices = [int(target) for target in targets]
+    distinct = len(set(indices)) == len(indices) > 0
+    if not distinct or min(indices) < 0 or max(indices) >= n:
+        raise InvalidInput(
+            f"targets are one or more distinct context indices from 0 to {n - 1}, got {targets}"
+        )
+    return indices
+
+
 def recipe_of(trainer: Trainer) -> dict[str, Any]:
     """What decides the policies of a trainer, JSON-able: two studies of one recipe may be compared.
 

@@ -3,6 +3,7 @@ import pytest
 
 from mbtl.errors import InvalidInput
 from mbtl.models.transfer_gp import (
+    NEW,
     Places,
     TransferGP,
     TransferPrior,
@@ -31,10 +32,13 @@ def test_covariance_is_the_sum_of_the_terms_as_stated():
     log_shift = matern(abs(z[7] - z[11]), p.log_gap_length)
     shared = p.target * apart + p.source + p.gap * shift + p.log_gap * log_shift
     shared += p.interaction * apart
-    one, other = np.array([[s, t]]), np.array([[s2, t2]])
+    one, other = np.array([[s, t, 0]]), np.array([[s2, t2, 0]])
+    again, new = np.array([[s2, t2, 1]]), np.array([[s2, t2, NEW]])
     luck = p.luck + p.row_luck * matern(abs(x[7] - x[11]), p.row_luck_length)
     assert covariance(LINE, p, one, other) == pytest.approx(shared + luck)
-    assert covariance(LINE, p, one, other, anew=True) == pytest.approx(shared)
+    assert covariance(LINE, p, one, again) == pytest.approx(shared)
+    assert covariance(LINE, p, new, new) == pytest.approx(variance(p) - p.luck - p.row_luck)
+    assert covariance(LINE, p, new, new, one_training=True) == pytest.approx(variance(p))
     assert covariance(LINE, p, one, one) == pytest.approx(variance(p))
 
 
@@ -67,8 +71,8 @@ def test_posterior_is_that_of_the_normal_distribution():
     mu = ones @ inverse @ y / (ones @ inverse @ ones)
     square = (y - mu) @ inverse @ (y - mu)
     scale = (square + 2 * 0.05) / (len(y) + 2)
-    query = grid_pairs(np.array([5]), np.array([4, 17]))
-    cross = covariance(LINE, PRIOR, query, pairs, anew=True)
+    query = grid_pairs(np.array([5]), np.array([4, 17]), np.array([NEW]))
+    cross = covariance(LINE, PRIOR, query, pairs)
     mean, std = model.predict(np.array([5]), np.array([4, 17]))
     assert model.mean == pytest.approx(mu)
     assert mean[0] == pytest.approx(mu + cross @ inverse @ (y - mu))
@@ -86,6 +90,30 @@ def test_a_new_training_on_a_known_source_has_luck_of_its_own():
     model = TransferGP(LINE, PRIOR, pairs, y)
     _, std = model.predict(np.array([5]), EVERY)
     assert (std**2 > 0.99 * model.scale * (PRIOR.luck + PRIOR.row_luck)).all()
+
+
+def test_a_done_training_is_predicted_as_it_was_seen_and_noise_is_averaged_out():
+    pairs = grid_pairs(np.array([3, 15]), EVERY)
+    truth = np.sin(pairs[:, 0] + pairs[:, 1] / 6.0)
+    exact = TransferGP(LINE, PRIOR, pairs, truth)
+    mean, std = exact.predict(np.array([3, 15]), EVERY, np.array([0, 1]))
+    assert mean.ravel() == pytest.approx(truth, abs=0.02)
+    assert (std < exact.predict(np.array([3, 15]), EVERY)[1]).all()
+    error = 0.3 * np.random.default_rng(0).standard_normal(len(truth))
+    noise = np.full(len(truth), 0.09)
+    told = TransferGP(LINE, PRIOR, pairs, truth + error, noise)
+    mean, _ = told.predict(np.array([3, 15]), EVERY, np.array([0, 1]))
+    assert np.abs(mean.ravel() - truth).mean() < 0.7 * np.abs(error).mean()
+
+
+def test_draws_have_the_posteriors_mean_and_scatter_and_share_their_luck():
+    pairs = grid_pairs(np.array([3, 15]), EVERY)
+    model = TransferGP(LINE, PRIOR, pairs, np.sin(pairs[:, 0] + pairs[:, 1] / 6.0))
+    draws = model.draws(9, EVERY, 4000, np.random.default_rng(0))
+    mean, std = model.predict(np.array([9]), EVERY)
+    assert draws.mean(axis=0) == pytest.approx(mean[0], abs=5 * std.max() / np.sqrt(4000))
+    assert draws.std(axis=0) == pytest.approx(std[0], rel=0.06)
+    assert np.corrcoef(draws[:, 0], draws[:, 1])[0, 1] > 0.5
 
 
 def plateau(source):

@@ -244,7 +244,7 @@ def test_a_saved_portfolio_serves_every_context(tmp_path):
 def test_routes_follow_the_running_maximum():
     rows = np.array([[1.0, 0.0, 0.5], [0.0, 2.0, 0.5], [3.0, 1.0, 0.0]])
     assert routes_by_k(rows).tolist() == [[0, 0, 0], [0, 1, 0], [2, 1, 0]]
-    assert [s.tolist() for s in served_targets(rows)] == [[0, 1, 2], [1], [0]]
+    assert [s.tolist() for s in served_targets(routes_by_k(rows))] == [[0, 1, 2], [1], [0]]
 
 
 @pytest.mark.parametrize("change", [{"on_failure": "shrug"}, {"parallel": 0}])

@@ -1,3 +1,5 @@
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
@@ -24,7 +26,7 @@ def told(study, picks):
 
 
 def new(tmp_path=None, **settings):
-    settings = {"budget": 6, "bounds": (0.0, 1.0), **settings}
+    settings = {"budget": 6, "bounds": (0.0, 1.0), "selector": "mbtl", **settings}
     return mbtl.create_study(SPACE, storage=tmp_path / "study.db" if tmp_path else None, **settings)
 
 
@@ -269,3 +271,129 @@ def test_a_damaged_log_is_noticed(tmp_path):
     connection.close()
     with pytest.raises(mbtl.MbtlError, match="event 3 is missing"):
         mbtl.load_study(tmp_path)
+
+
+# ---- what real studies need --------------------------------------------------------------------
+
+
+def test_ask_gives_several_picks_that_differ():
+    study = new(selector="auto")
+    picks = study.ask(4)
+    assert len({pick.source for pick in picks}) == 4
+    for pick in reversed(picks):
+        study.tell(pick, row(pick.source))
+    assert [pick.number for pick in study.ask(5)] == [4, 5]  # what is left of six
+    with pytest.raises(StudyFinished):
+        study.ask(2)
+    with pytest.raises(InvalidInput, match="1 or more picks"):
+        study.ask(0)
+
+
+def test_a_context_may_be_trained_again_with_another_seed(tmp_path):
+    study = new(tmp_path, selector=Stubborn(), budget=3, repeats=2)
+    first = study.ask()
+    study.tell(first, row(first.source) - 0.1)
+    study.policies[0] = "first"
+    second = study.ask()
+    assert (first.source, first.repeat) == (second.source, 0)
+    assert second.repeat == 1
+    assert first.seed == training_seed(0, 0, first.source)
+    assert second.seed == training_seed(0, 0, first.source, 1) != first.seed
+    study.tell(second, row(first.source), policy_object="second")
+    assert study.policies == {0: "first", 1: "second"}
+    assert study.portfolio().policy(1) == "second"
+    assert study.value == pytest.approx(row(first.source).mean())
+    with pytest.raises(StudyError, match=r"repeats=\.\.\.\) allows, here 2"):
+        study.tell(first.source, row(first.source))
+    with pytest.raises(InvalidInput, match=r"contexts \(20\) times 2 repeats, got 41"):
+        new(repeats=2, budget=41)
+    again = mbtl.load_study(tmp_path, selector=Stubborn())
+    assert again.state.picks[1].repeat == 1
+
+
+@dataclass(frozen=True)
+class Stubborn:
+    """Context 7 as long as it is allowed."""
+
+    name: str = "stubborn"
+
+    def propose(self, problem, history, rng):
+        mask = history.open_mask(problem.n, problem.repeats)
+        return Proposal(7 if mask[7] else int(mask.argmax()), "because")
+
+
+def test_costs_known_before_keep_the_study_within_its_budget():
+    study = new(selector="auto", costs=lambda c: 1.0 + 9.0 * (c["x"] > 0.5), cost_budget=12.5)
+    told(study, 4)
+    dear = [source >= 10 for source in study.history.sources]
+    assert [r.cost for r in study.state.rows] == [10.0 if d else 1.0 for d in dear]
+    assert study.state.cost <= 12.5
+    study = new(costs=np.full(N, 10.0), cost_budget=13.0)
+    study.ask()  # a pick under way has its cost set aside
+    with pytest.raises(StudyFinished, match=r"costs less than the 3 that remain of 13"):
+        study.ask()
+    with pytest.raises(InvalidInput, match="one per context, got"):
+        new(costs=[1.0, 2.0])
+    with pytest.raises(InvalidInput, match="20 finite numbers > 0"):
+        new(costs=np.zeros(N))
+
+
+def test_policies_evaluated_on_a_few_targets_only():
+    study = new(selector="auto", eval_targets=6)
+    for _ in range(4):
+        pick = study.ask()
+        assert len(pick.targets) == 6
+        assert pick.source in pick.targets
+        study.tell(pick, row(pick.source)[list(pick.targets)])
+    rows = study.history.rows
+    assert (np.isfinite(rows).sum(axis=1) == 6).all()
+    truth = np.max([row(s) for s in study.history.sources], axis=0).mean()
+    assert study.value == pytest.approx(truth, abs=0.05)
+    assert (np.diff(study.curve) >= 0).all()
+    assert study.portfolio().assignment.shape == (N,)
+    study.tell(0, [0.5, 0.6], targets=[0, 19])
+    assert study.history.rows[-1, 19] == 0.6
+    for wrong in ([], [3, 3], [20], [-1]):
+        with pytest.raises(InvalidInput, match="distinct context indices from 0 to 19"):
+            study.tell(1, [0.5] * len(wrong), targets=wrong)
+    with pytest.raises(InvalidInput, match="eval_targets must be from 1 to 20, got 0"):
+        new(eval_targets=0)
+
+
+def test_a_study_of_the_worst_share_values_it():
+    study = new(selector="auto", risk=0.1)
+    told(study, 3)
+    best = np.max([row(s) for s in study.history.sources], axis=0)
+    assert study.value == pytest.approx(np.sort(best)[:2].mean())
+    with pytest.raises(InvalidInput, match="share of the worst targets"):
+        new(risk=0.0)
+
+
+def test_the_study_ends_when_one_more_training_is_predicted_to_gain_little(tmp_path):
+    study = new(tmp_path, selector="auto", budget=20, stop_gain=0.02, stop_confidence=0.8)
+    with pytest.raises(StudyFinished, match=r"one more training gains less than 0\.02"):
+        told(study, 20)
+    done = len(study.state.rows)
+    assert 1 < done < 15
+    assert study.is_finished
+    again = mbtl.load_study(tmp_path)
+    assert again.is_finished
+    assert "gains less than" in again.stop_reason
+    again.tell(0, row(0))  # news: it asks the selector once more
+    assert again.stop_reason is None
+    with pytest.raises(InvalidInput, match="needs a selector that predicts chances"):
+        new(selector="mbtl", stop_gain=0.02)
+    with pytest.raises(InvalidInput, match="needs bounds"):
+        new(selector="auto", bounds=None, stop_gain=0.02)
+    with pytest.raises(InvalidInput, match="probability in"):
+        new(selector="auto", stop_gain=0.02, stop_confidence=1.0)
+
+
+def test_scatter_of_episodes_reaches_the_selector_as_standard_errors():
+    study = new(bounds=(0.0, 2.0))
+    episodes = np.stack([row(9) - 0.3, row(9), row(9) + 0.3], axis=1)
+    study.tell(study.ask(), episodes)
+    assert study.history.errors == pytest.approx(
+        episodes.std(axis=1) / np.sqrt(3) / 2.0 * np.ones((1, N))
+    )
+    assert told(new(), 1).history.errors is None

@@ -1,16 +1,17 @@
 """Gaussian process of transfer: every evaluated (source, target) pair is an observation.
 
-    J(s, t) = mu + g(t) + f(s) + h(x_t - x_s) + h'(z_t - z_s) + i(s, t) + luck(s) + l_s(t) + noise
+    J(s, t, r) = mu + g(t) + f(s) + h(x_t - x_s) + h'(z_t - z_s) + i(s, t) + luck(r) + l_r(t) + e
 
 g is how hard a target is, f how good a source, h and h' how performance falls with the signed
 difference of the contexts, once on their own scale x and once on a logarithmic one z: a plateau
 that ends at a ratio is one shape there. Both may change along the sources. i is what is left of the
-pair, luck what one training does to its whole row, l_s what it does to parts of it. Every term is a
-zero-mean process with a Matern-3/2 kernel, and all are scaled by one factor fitted to the data.
+pair, luck what one training r does to its whole row, l_r what it does to parts of it: two trainings
+on one source differ by those alone. Every term is a zero-mean process with a Matern-3/2 kernel, and
+all are scaled by one factor fitted to the data. Known noise of an observation may come on top of e.
 
 Notation (shapes): n observed pairs, m queried pairs, N contexts, D columns.
     x     (N, D)  unit-cube coordinates;  z  (N, D)  the same on a logarithmic scale
-    pairs (n, 2)  indices (source, target)
+    pairs (n, 3)  indices (source, target) and number of the training; `NEW` is one not done yet
     K     (n, n)  prior covariance of the observed pairs, noise included, before the factor
 """
 
@@ -27,11 +28,16 @@ from mbtl.errors import InvalidInput
 
 Pairs = NDArray[np.intp]
 
+NEW = -1
+"""Training number of a source that would be trained anew, whatever was trained there before."""
+
 _ROOT3 = float(np.sqrt(3.0))
 _SHRINK = 2.0
 """Observations that the prior scale is worth."""
 _USUAL = 0.05
 """Prior scale: variance of performance between pairs."""
+_ROUNDS = 12
+"""At most so many fits to find the factor beside a known noise."""
 _BLOCK_ENTRIES = 1 << 22
 
 
@@ -117,14 +123,22 @@ class TransferGP:
         log_likelihood: of the data, the mean and the factor fitted.
     """
 
-    def __init__(self, places: Places, prior: TransferPrior, pairs: Pairs, y: Array) -> None:
+    def __init__(
+        self,
+        places: Places,
+        prior: TransferPrior,
+        pairs: Pairs,
+        y: Array,
+        noise: Array | None = None,
+    ) -> None:
         """Condition on data; O(n^3).
 
         Args:
             places: of all contexts.
             prior: of the terms.
-            pairs: (n, 2) observed.
+            pairs: (n, 3) observed.
             y: (n,) performance there, finite.
+            noise: (n,) variance of each y around the true mean return; None for none.
 
         Raises:
             InvalidInput: no pair, or values that are not finite.
@@ -138,6 +152,17 @@ class TransferGP:
         self._places, self._prior, self._pairs = places, prior, pairs
         kernel = covariance(places, prior, pairs, pairs)
         kernel[np.diag_indices_from(kernel)] += prior.noise
+        self._fit(kernel, y)
+        if noise is not None and noise.any():  # it is absolute and the kernel is not: fixed point
+            own = np.diagonal(kernel).copy()
+            for _ in range(_ROUNDS):
+                before = self.scale
+                kernel[np.diag_indices_from(kernel)] = own + noise / before
+                self._fit(kernel, y)
+                if abs(self.scale - before) < 0.05 * before:
+                    break
+
+    def _fit(self, kernel: Array, y: Array) -> None:
         self._chol = np.linalg.cholesky(kernel)
         ones = self._half(np.ones(len(y)))
         values = self._half(y)
@@ -151,22 +176,39 @@ class TransferGP:
             n * np.log(2.0 * np.pi * self.scale) + log_det + square / self.scale
         )
 
-    def predict(self, sources: Pairs, targets: Pairs) -> tuple[Array, Array]:
-        """Mean and standard deviation (M, T) of J for new trainings on `sources` (M,).
+    def predict(
+        self, sources: Pairs, targets: Pairs, trainings: Pairs | None = None
+    ) -> tuple[Array, Array]:
+        """Mean and standard deviation (M, T) of J, without noise.
 
-        A source that was trained before is trained anew: its luck is drawn again.
+        Args:
+            sources: (M,) contexts trained on.
+            targets: (T,) contexts evaluated on.
+            trainings: (M,) numbers of trainings done; None: all are new ones, whose luck is drawn
+                again also where the source was trained before.
         """
         mean, std = np.empty((2, len(sources), len(targets)))
         own = variance(self._prior)
+        numbers = np.full(len(sources), NEW) if trainings is None else trainings
         for rows in _blocks(len(sources), len(targets) * len(self._pairs)):
-            pairs = grid_pairs(sources[rows], targets)
-            cross = covariance(self._places, self._prior, pairs, self._pairs, anew=True)
-            half = self._half(cross.T)
+            pairs = grid_pairs(sources[rows], targets, numbers[rows])
+            half = self._half(covariance(self._places, self._prior, self._pairs, pairs))
             shape = (-1, len(targets))
             mean[rows] = (self.mean + half.T @ self._residual).reshape(shape)
             left = np.maximum(own - np.einsum("ij,ij->j", half, half), 1e-9 * own)
             std[rows] = np.sqrt(self.scale * left).reshape(shape)
         return mean, std
+
+    def draws(self, source: int, targets: Pairs, n: int, rng: np.random.Generator) -> Array:
+        """(n, T) samples of the row of one new training on `source`."""
+        pairs = grid_pairs(np.array([source]), targets, np.array([NEW]))
+        half = self._half(covariance(self._places, self._prior, self._pairs, pairs))
+        prior = covariance(self._places, self._prior, pairs, pairs, one_training=True)
+        left = prior - half.T @ half
+        left[np.diag_indices_from(left)] += 1e-6 * variance(self._prior)
+        root = np.sqrt(self.scale) * np.linalg.cholesky(left)
+        normal = rng.standard_normal((n, len(targets)))
+        return np.asarray(self.mean + half.T @ self._residual + normal @ root.T)
 
     def _half(self, right: Array) -> Array:
         from scipy.linalg import solve_triangular  # kept out of `import mbtl`
@@ -175,22 +217,22 @@ class TransferGP:
 
 
 def covariance(
-    places: Places, prior: TransferPrior, a: Pairs, b: Pairs, *, anew: bool = False
+    places: Places, prior: TransferPrior, a: Pairs, b: Pairs, *, one_training: bool = False
 ) -> Array:
-    """Prior covariance of J at pairs `a` (m, 2) and `b` (n, 2), without noise.
+    """Prior covariance of J at pairs `a` (m, 3) and `b` (n, 3), without noise.
 
     Args:
         places: of all contexts.
         prior: of the terms.
         a: pairs of the rows.
         b: pairs of the columns.
-        anew: the trainings of `a` are others than those of `b`, also on the same source.
+        one_training: `NEW` is the same training everywhere; otherwise each is one of its own.
 
     Returns:
         (m, n).
     """
     x, z = places.x, places.z
-    (s, t), (s2, t2) = a.T, b.T
+    (s, t, r), (s2, t2, r2) = a.T, b.T
     apart = _distance(x[t], x[t2])
     sources = _distance(x[s], x[s2])
     near = _matern(sources, prior.source_length)
@@ -202,8 +244,10 @@ def covariance(
     shift = _distance(z[t] - z[s], z[t2] - z[s2])
     along = _matern(_distance(z[s], z[s2]), prior.along_length)
     total += prior.log_gap * _matern(shift, prior.log_gap_length) * along
-    if not anew:
-        same = s[:, None] == s2[None, :]
+    same = r[:, None] == r2[None, :]
+    if not one_training:
+        same &= r[:, None] != NEW
+    if same.any():
         total += same * (prior.luck + prior.row_luck * _matern(apart, prior.row_luck_length))
     return np.asarray(total)
 
@@ -214,9 +258,11 @@ def variance(prior: TransferPrior) -> float:
     return p.target + p.source + p.gap + p.log_gap + p.interaction + p.luck + p.row_luck
 
 
-def grid_pairs(sources: Pairs, targets: Pairs) -> Pairs:
-    """(M * T, 2) all pairs, source by source."""
-    return np.column_stack([np.repeat(sources, len(targets)), np.tile(targets, len(sources))])
+def grid_pairs(sources: Pairs, targets: Pairs, trainings: Pairs | None = None) -> Pairs:
+    """(M * T, 3) each of M trainings on every target; they are numbered from 0 unless told."""
+    numbers = np.arange(len(sources)) if trainings is None else trainings
+    source, training = (np.repeat(column, len(targets)) for column in (sources, numbers))
+    return np.column_stack([source, np.tile(targets, len(sources)), training])
 
 
 def _distance(a: Array, b: Array) -> Array:

@@ -102,6 +102,10 @@ class Portfolio:
         """V of the returns held here: weighted mean over contexts of the best performance."""
         return value(generalisation_performance(self.performance), self.space.weights)
 
+    def first(self, k: int) -> Portfolio:
+        """The portfolio as it was after `k` trainings, without the policies themselves."""
+        return Portfolio(self.space, self.sources[:k], self.returns[:k], self.bounds, self.theta)
+
     # ---- routing -----------------------------------------------------------------------------
 
     @cached_property

@@ -145,7 +145,8 @@ def summarise_study(study: Study) -> StudySummary:
             next_gain=None,
             serving=(),
         )
-    singles = history.rows @ weights
+    rows = history.filled(space.steps)
+    singles = rows @ weights
     best_single = int(singles.argmax())
     coming = predicted_gain(study.problem, history)
     return StudySummary(
@@ -155,7 +156,7 @@ def summarise_study(study: Study) -> StudySummary:
         fresh_value=None if fresh is None else float(fresh[-1]),
         best_single=history.sources[best_single],
         best_single_value=float(singles[best_single]),
-        policies_enough=policies_enough(history.rows, weights),
+        policies_enough=policies_enough(rows, weights),
         next_source=None if coming is None else coming.source,
         next_gain=None if coming is None else coming.acquisition,
         serving=tuple(history.sources[i] for i in study.portfolio().assignment),

@@ -12,6 +12,7 @@ candidates and targets, spread over the space, stands for all of them.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,12 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.priors import PRIORS, prior_without
-from mbtl.models.transfer_gp import Places, TransferGP, TransferPrior, grid_pairs
+from mbtl.models.transfer_gp import Pairs, Places, TransferGP, TransferPrior, grid_pairs
+from mbtl.objective import worst_share_mean
 from mbtl.selectors.base import (
     Proposal,
     SelectionProblem,
+    even_targets,
     farthest_open,
     first_pick,
     open_candidates,
@@ -34,11 +37,17 @@ Indices = NDArray[np.intp]
 
 _MARGIN = 0.02
 """By how much `top` lies above the best seen, as a share of the range seen."""
+_DRAWS = 4000
+"""Samples of a row behind the chance of a gain: a standard error below 0.01."""
 
 
 @dataclass(frozen=True)
 class Auto:
     """The middle first, then the largest expected gain over whole rows.
+
+    It takes into account what the problem says of costs (gain per cost), of repeated trainings
+    (their luck is drawn again) and of risk (gain of the worst targets), and what the history says
+    of evaluation noise and of targets that were not evaluated.
 
     Attributes:
         prior: of the transfer model; None: the one chosen on shipped matrices.
@@ -52,6 +61,7 @@ class Auto:
     most_targets: int = 50
     most_pairs: int = 1000
     name: str = "auto"
+    predicts_chances: ClassVar[bool] = True
 
     def without(self, family: str) -> Auto:
         """The same with a prior that has not seen a family of matrices; for honest benchmarks."""
@@ -61,47 +71,138 @@ class Auto:
         self, problem: SelectionProblem, history: History, rng: np.random.Generator
     ) -> Proposal:
         """The largest expected gain; far from what was tried where nothing is known."""
-        mask = open_candidates(problem, history)
+        mask = open_candidates(problem, history, repeats=problem.repeats)
         if not np.isfinite(history.rows).any():
             return first_pick(problem, history, mask)
         candidates = _spread(problem, np.flatnonzero(mask), self.most_candidates)
-        count = min(self.most_targets, max(24, self.most_pairs // len(history)))
-        targets = _spread(problem, np.arange(problem.n), count)
         try:
-            gain = self._gain(problem, history, candidates, targets)
+            outlook = self._outlook(problem, history)
         except (np.linalg.LinAlgError, InvalidInput) as error:  # or nothing known of these targets
             source = farthest_open(problem, history.sources, mask)
             note = f"the transfer model could not be fitted ({error})"
             return Proposal(source, "far from what was tried so far", None, (note,))
-        best = argmax_open(gain, np.ones(len(gain), dtype=bool))
+        gain = outlook.gain(candidates)
+        score = gain if problem.costs is None else gain / problem.costs[candidates]
+        best = argmax_open(score, np.ones(len(score), dtype=bool))
+        source, chance = int(candidates[best]), None
+        if problem.least_gain is not None:
+            chance = outlook.chance(source, problem.least_gain)
         if gain[best] <= TIE:
             source = farthest_open(problem, [*history.sources, *history.pending], mask)
-            return Proposal(source, "no predicted gain anywhere: far from what was tried", 0.0)
-        return Proposal(int(candidates[best]), "largest expected gain", float(gain[best]))
+            reason = "no predicted gain anywhere: far from what was tried"
+            return Proposal(source, reason, 0.0, chance=chance)
+        reason = "largest expected gain"
+        if problem.costs is not None:
+            reason += " per cost"
+        if source in history.sources:
+            reason += ", trained again"
+        return Proposal(source, reason, float(gain[best]), chance=chance)
 
-    def _gain(
-        self, problem: SelectionProblem, history: History, candidates: Indices, targets: Indices
-    ) -> Array:
-        """(M,) expected gain of each candidate."""
+    def targets(
+        self, problem: SelectionProblem, history: History, source: int, count: int
+    ) -> tuple[int, ...]:
+        """The `count` targets that a policy of `source` is worth evaluating on.
+
+        Its own context, then by turns the target of the largest expected gain and one of an even
+        spread, which keeps the model honest where it expects nothing.
+        """
+        spread = even_targets(problem, source, count)
+        if not np.isfinite(history.rows).any():
+            return spread
+        every = np.arange(problem.n)
+        try:
+            outlook = self._outlook(problem, history, every)
+        except (np.linalg.LinAlgError, InvalidInput):
+            return spread
+        promising = np.argsort(-outlook.gain_by_target(source), kind="stable").tolist()
+        half = even_targets(problem, source, 1 + count // 2)
+        chosen = dict.fromkeys([*half, *promising])
+        return tuple(sorted(list(chosen)[:count]))
+
+    def _outlook(
+        self, problem: SelectionProblem, history: History, every: Indices | None = None
+    ) -> _Outlook:
+        """What is believed, on a part of the targets or on all of `every`."""
+        count = min(self.most_targets, max(24, self.most_pairs // len(history)))
+        targets = _spread(problem, np.arange(problem.n), count)
         places = Places.of(problem.unit, problem.steps)
-        pairs = grid_pairs(np.asarray(history.sources, dtype=np.intp), targets)
+        sources = np.asarray(history.sources, dtype=np.intp)
+        pairs = grid_pairs(sources, targets)
         y = history.rows[:, targets].ravel()
         seen = np.isfinite(y)
+        if not seen.all():  # of rows evaluated in part, all that was evaluated
+            pairs, y, seen = _evaluated(history, self.most_pairs)
         pairs, y = pairs[seen], y[seen]
+        noise = None
+        if history.errors is not None:
+            noise = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
         prior = self.prior or PRIORS["all"]
-        model = TransferGP(places, prior, pairs, y)
-        best = np.where(np.isfinite(history.best), history.best, y.min())[targets]
+        model = TransferGP(places, prior, pairs, y, noise)
+        judged = targets if every is None else every
+        best = history.best[judged]
+        trained = np.arange(len(sources))
+        if not np.isfinite(history.rows).all() or (noise is not None and noise.any()):
+            # the best of noisy or missing entries is what the model believes them to be
+            best = model.predict(sources, judged, trained)[0].max(axis=0)
+        top = float(y.max() + _MARGIN * np.ptp(y))
         if history.pending:  # believed to give what is expected of them
             waiting = np.asarray(history.pending, dtype=np.intp)
-            believed, _ = model.predict(waiting, targets)
-            best = np.maximum(best, believed.max(axis=0))
-            pairs = np.vstack([pairs, grid_pairs(waiting, targets)])
-            model = TransferGP(places, prior, pairs, np.append(y, believed.ravel()))
-        mean, std = model.predict(candidates, targets)
-        weights = problem.weights[targets] / problem.weights[targets].sum()
-        top = np.maximum(y.max() + _MARGIN * float(np.ptp(y)), best)
-        gain = unit_improvement((mean - best) / std) - unit_improvement((mean - top) / std)
-        return np.asarray((std * gain) @ weights)
+            numbers = len(sources) + np.arange(len(waiting))
+            believed = model.predict(waiting, targets)[0]
+            best = np.maximum(best, model.predict(waiting, judged)[0].max(axis=0))
+            pairs = np.vstack([pairs, grid_pairs(waiting, targets, numbers)])
+            noise = None if noise is None else np.append(noise, np.zeros(believed.size))
+            model = TransferGP(places, prior, pairs, np.append(y, believed.ravel()), noise)
+        weights = problem.weights[judged] / problem.weights[judged].sum()
+        return _Outlook(model, judged, best, np.maximum(top, best), weights, problem.risk)
+
+
+@dataclass(frozen=True)
+class _Outlook:
+    """What one more training may bring: T targets, with the best so far and the cap of each."""
+
+    model: TransferGP
+    targets: Indices
+    best: Array
+    top: Array
+    weights: Array
+    risk: float
+
+    def gain(self, candidates: Indices) -> Array:
+        """(M,) expected gain in V of each candidate."""
+        expected = self._improvement(candidates)
+        if self.risk == 1.0:
+            return np.asarray(expected @ self.weights)
+        return self._value(self.best + expected) - self._value(self.best)
+
+    def gain_by_target(self, source: int) -> Array:
+        """(T,) share of each target in the expected gain."""
+        return np.asarray(self._improvement(np.array([source]))[0] * self.weights)
+
+    def chance(self, source: int, least: float) -> float:
+        """Probability that V gains `least` or more, from samples of the whole row."""
+        rows = self.model.draws(source, self.targets, _DRAWS, np.random.default_rng(0))
+        reached = np.maximum(np.minimum(rows, self.top), self.best)
+        return float(np.mean(self._value(reached) - self._value(self.best) >= least))
+
+    def _value(self, best: Array) -> Array:
+        return worst_share_mean(best, self.weights, self.risk)
+
+    def _improvement(self, candidates: Indices) -> Array:
+        mean, std = self.model.predict(candidates, self.targets)
+        below = unit_improvement((mean - self.top) / std)
+        return np.asarray(std * (unit_improvement((mean - self.best) / std) - below))
+
+
+def _evaluated(history: History, most: int) -> tuple[Pairs, Array, NDArray[np.bool_]]:
+    """Pairs that were evaluated, an even part of them where they are too many."""
+    rows, targets = np.nonzero(np.isfinite(history.rows))
+    if len(rows) > most:
+        kept = np.linspace(0, len(rows) - 1, most).round().astype(np.intp)
+        rows, targets = rows[kept], targets[kept]
+    sources = np.asarray(history.sources, dtype=np.intp)[rows]
+    y = history.rows[rows, targets]
+    return np.column_stack([sources, targets, rows]), y, np.ones(len(y), dtype=bool)
 
 
 def _spread(problem: SelectionProblem, among: Indices, most: int) -> Indices:

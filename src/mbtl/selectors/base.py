@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,11 @@ class SelectionProblem:
         weights: (N,) target weights, sum 1.
         budget: number of trainings K.
         theta: slope of the linear gap, performance per grid step.
+        repeats: trainings allowed on one context; only selectors that know of luck use more than 1.
+        costs: (N,) cost of a training on each context; None where all cost the same.
+        cost_budget: of all trainings together; None for no limit.
+        risk: share of the targets, the worst of them, that V is the mean of.
+        least_gain: gain in V that one more training should be worth; None where that is not asked.
     """
 
     unit: Array
@@ -42,22 +47,51 @@ class SelectionProblem:
     weights: Array
     budget: int
     theta: float
+    repeats: int = 1
+    costs: Array | None = None
+    cost_budget: float | None = None
+    risk: float = 1.0
+    least_gain: float | None = None
 
     def __post_init__(self) -> None:
-        if not 1 <= self.budget <= self.n:
+        if not self.repeats >= 1:
+            raise InvalidInput(f"repeats must be at least 1, got {self.repeats}")
+        if not 1 <= self.budget <= self.n * self.repeats:
+            times = "" if self.repeats == 1 else f" times {self.repeats} repeats"
             raise InvalidInput(
-                f"budget must be from 1 to the number of contexts ({self.n}), got {self.budget}"
+                f"budget must be from 1 to the number of contexts ({self.n}){times}, got "
+                f"{self.budget}"
+            )
+        if not 0.0 < self.risk <= 1.0:
+            raise InvalidInput(
+                f"risk is the share of the worst targets, in (0, 1], got {self.risk!r}"
+            )
+        if self.costs is not None and not (
+            self.costs.shape == (self.n,)
+            and np.isfinite(self.costs).all()
+            and (self.costs > 0).all()
+        ):
+            raise InvalidInput(
+                f"costs must be {self.n} finite numbers > 0, one per context, got shape "
+                f"{self.costs.shape}"
             )
         if not (np.isfinite(self.theta) and self.theta >= 0):
             raise InvalidInput(f"theta must be finite and >= 0, got {self.theta!r}")
 
     @classmethod
     def of(
-        cls, space: ContextSpace, *, budget: int, theta: float | None = None
+        cls, space: ContextSpace, *, budget: int, theta: float | None = None, **wishes: Any
     ) -> SelectionProblem:
-        """The selection problem of a context space; `theta` defaults to `default_theta(N)`."""
+        """The selection problem of a context space; `theta` defaults to `default_theta(N)`.
+
+        Args:
+            space: the contexts.
+            budget: number of trainings K.
+            theta: slope of the linear gap.
+            **wishes: `repeats`, `costs`, `cost_budget`, `risk`, `least_gain`.
+        """
         slope = default_theta(space.n) if theta is None else theta
-        return cls(space.unit, space.steps, space.weights, budget, slope)
+        return cls(space.unit, space.steps, space.weights, budget, slope, **wishes)
 
     @property
     def n(self) -> int:
@@ -91,12 +125,14 @@ class Proposal:
         reason: one line for people, e.g. "warm-up: worst context so far".
         acquisition: value of the acquisition at `source`; None where the rule has none.
         notes: what went differently from the plan (a fit that fell back, ...); kept in the study.
+        chance: probability that V gains `least_gain` or more from it, where the problem asks.
     """
 
     source: int
     reason: str
     acquisition: float | None = None
     notes: tuple[str, ...] = ()
+    chance: float | None = None
 
 
 @runtime_checkable
@@ -120,20 +156,30 @@ class Selector(Protocol):
 
 
 class Exhausted(StudyError):
-    """Every context has been trained, is pending, or failed."""
+    """Every context has been trained, is pending, or failed; or none is cheap enough."""
 
 
-def open_candidates(problem: SelectionProblem, history: History) -> NDArray[np.bool_]:
-    """(N,) mask of the contexts that may be proposed.
+def open_candidates(
+    problem: SelectionProblem, history: History, *, repeats: int = 1
+) -> NDArray[np.bool_]:
+    """(N,) mask of the contexts that may be proposed and that the cost budget still allows.
 
     Raises:
         Exhausted: there is none.
     """
-    mask = history.open_mask(problem.n)
+    mask = history.open_mask(problem.n, repeats)
     if not mask.any():
         raise Exhausted(
             f"all {problem.n} contexts are trained, pending or failed; nothing is left to propose"
         )
+    if problem.costs is not None and problem.cost_budget is not None:
+        left = problem.cost_budget - history.spent
+        mask &= problem.costs <= left + 1e-9 * problem.cost_budget
+        if not mask.any():
+            raise Exhausted(
+                f"no context left costs less than the {max(left, 0.0):g} that remain of "
+                f"{problem.cost_budget:g}"
+            )
     return mask
 
 
@@ -152,6 +198,16 @@ def farthest_open(problem: SelectionProblem, taken: Sequence[int], mask: NDArray
         nearest = np.minimum(nearest, away)
     nearest[~mask] = -np.inf
     return int(np.flatnonzero(nearest >= nearest.max() - 1e-9)[0])
+
+
+def even_targets(problem: SelectionProblem, source: int, count: int) -> tuple[int, ...]:
+    """`count` targets: the source itself and others evenly spaced in the list of contexts."""
+    every = np.linspace(0, problem.n - 1, max(count, 1)).round().astype(np.intp).tolist()
+    chosen = {int(target) for target in every}
+    if source not in chosen:
+        chosen.discard(min(chosen, key=lambda target: abs(target - source)))
+        chosen.add(source)
+    return tuple(sorted(chosen))
 
 
 def first_pick(problem: SelectionProblem, history: History, mask: NDArray[np.bool_]) -> Proposal:

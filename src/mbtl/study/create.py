@@ -6,14 +6,17 @@ import dataclasses
 import json
 import operator
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from mbtl.contexts import ContextSpace
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.objective import Bounds, Direction
-from mbtl.selectors import SelectionProblem, Selector, get_selector, selector_names
+from mbtl.selectors import Selector, get_selector, selector_names
 from mbtl.study.events import Event
 from mbtl.study.state import StudySpec
 from mbtl.study.storage import (
@@ -33,7 +36,7 @@ def create_study(
     space: ContextSpace,
     *,
     budget: int,
-    selector: str | Selector = "mbtl",
+    selector: str | Selector = "auto",
     bounds: tuple[float, float] | None = None,
     direction: Direction = "maximize",
     theta: float | None = None,
@@ -41,6 +44,12 @@ def create_study(
     trial: int = 0,
     stop_value: float | None = None,
     cost_budget: float | None = None,
+    costs: ArrayLike | Callable[[Context], float] | None = None,
+    repeats: int = 1,
+    risk: float = 1.0,
+    eval_targets: int | None = None,
+    stop_gain: float | None = None,
+    stop_confidence: float = 0.9,
     storage: str | Path | None = None,
     name: str = "study",
     problem: str = "",
@@ -51,8 +60,9 @@ def create_study(
 
     Args:
         space: the contexts; sources and targets.
-        budget: number of trainings K, 1..N.
-        selector: a registered name, or an object with `propose`.
+        budget: number of trainings K, 1..N (times `repeats`).
+        selector: a registered name, or an object with `propose`. "auto" heeds all that follows;
+            of costs, repeats, risk and noise the paper's selectors know nothing.
         bounds: (low, high) of the returns; None takes the range told so far.
         direction: "maximize" or "minimize" the returns.
         theta: slope of the linear gap, performance per grid step; None: 0.005, or 0.5/(N-1) for
@@ -60,7 +70,16 @@ def create_study(
         seed: root of the seed tree.
         trial: repetition; another trial has other training seeds.
         stop_value: end when V reaches this performance; needs bounds.
-        cost_budget: end when the costs told add up to this.
+        cost_budget: end when the costs told add up to this; with `costs`, no source is proposed
+            that costs more than what is left.
+        costs: (N,) expected cost of a training on each context, or a function of the context. The
+            selector then maximises gain per cost.
+        repeats: trainings allowed on one context, with other seeds, where their luck is worth it.
+        risk: V is the mean over this share of the targets, those that do worst; 1 for all.
+        eval_targets: evaluate each policy on so many targets, which the selector chooses
+            (`Pick.targets`); None for all.
+        stop_gain: end when one more training gains less than this in V ...
+        stop_confidence: ... with at least this probability, as the selector predicts it.
         storage: path of an SQLite file or an SQLAlchemy URL; None keeps the study in memory.
         name: name of the study within its storage.
         problem: id of the problem, to refuse a study of another one.
@@ -92,7 +111,9 @@ def create_study(
         raise InvalidInput(f"cost_budget must be > 0, got {cost_budget!r}")
     if seed < 0 or trial < 0:
         raise InvalidInput(f"seed and trial must be >= 0, got {seed} and {trial}")
-    SelectionProblem.of(space, budget=budget, theta=theta)
+    if eval_targets is not None and not 1 <= _whole("eval_targets", eval_targets) <= space.n:
+        raise InvalidInput(f"eval_targets must be from 1 to {space.n}, got {eval_targets}")
+    _check_stopping(stop_gain, stop_confidence, bounds, chosen)
     spec = StudySpec(
         space,
         budget,
@@ -106,7 +127,14 @@ def create_study(
         cost_budget,
         problem,
         _json_like(settings or {}),
+        _whole("repeats", repeats),
+        _costs(costs, space),
+        float(risk),
+        eval_targets,
+        stop_gain,
+        float(stop_confidence),
     )
+    spec.selection_problem()  # checks what a selector is to work with
     log: EventLog = MemoryLog() if storage is None else SqlLog(storage, name, create=True)
     created = {"spec": spec.to_json(), "version": __version__, "uid": uuid.uuid4().hex[:8]}
     event = Event("created", created)
@@ -203,6 +231,42 @@ def _changed(value: Any, field: dataclasses.Field[Any]) -> Any:
     if default is dataclasses.MISSING and field.default_factory is not dataclasses.MISSING:
         default = field.default_factory()
     return _KEPT if default is not dataclasses.MISSING and given == default else given
+
+
+def _costs(
+    costs: ArrayLike | Callable[[Context], float] | None, space: ContextSpace
+) -> tuple[float, ...] | None:
+    if costs is None:
+        return None
+    given = [costs(context) for context in space.contexts] if callable(costs) else costs
+    try:
+        array = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(f"costs must be numbers, one per context ({error})") from error
+    if array.shape != (space.n,):
+        raise InvalidInput(f"costs must be {space.n} numbers, one per context, got {array.shape}")
+    return tuple(array.tolist())
+
+
+def _check_stopping(
+    gain: float | None,
+    confidence: float,
+    bounds: tuple[float, float] | None,
+    selector: Selector,
+) -> None:
+    if not 0.0 < confidence < 1.0:
+        raise InvalidInput(f"stop_confidence is a probability in (0, 1), got {confidence!r}")
+    if gain is None:
+        return
+    if not gain > 0:
+        raise InvalidInput(f"stop_gain must be > 0, got {gain!r}")
+    if bounds is None:
+        raise InvalidInput("stop_gain is in performance, so it needs bounds=(low, high); got none")
+    if not getattr(selector, "predicts_chances", False):
+        raise InvalidInput(
+            f"stop_gain needs a selector that predicts chances of a gain, such as 'auto', got "
+            f"{selector.name!r}"
+        )
 
 
 def _folder(storage: str | Path | None) -> Path | None:

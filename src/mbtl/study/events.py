@@ -7,6 +7,7 @@ claimed   a worker took over a pick whose worker is gone
 released  a worker gave its pick back untrained
 told      a transfer row arrived
 failed    a training or evaluation gave nothing that can be used
+stopped   the selector predicts too little gain from one more training
 reported  returns on fresh evaluation seeds, for the V that people are told
 """
 
@@ -18,7 +19,9 @@ from typing import Any, Literal, get_args
 
 from mbtl.arrays import Array
 
-Kind = Literal["created", "extended", "asked", "claimed", "released", "told", "failed", "reported"]
+Kind = Literal[
+    "created", "extended", "asked", "claimed", "released", "told", "failed", "stopped", "reported"
+]
 KINDS: tuple[str, ...] = get_args(Kind)
 
 

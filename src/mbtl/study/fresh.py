@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
+from mbtl.objective import worst_share_mean
 from mbtl.seeds import Purpose, evaluation_seed
 from mbtl.study.study import Study
 from mbtl.trainer import Trainer, checked_returns
@@ -22,7 +23,7 @@ Indices = NDArray[np.intp]
 def can_report(study: Study) -> bool:
     """True when there is something to report and every policy is at hand."""
     state = study.state
-    at_hand = all(row.policy or row.source in study.policies for row in state.rows)
+    at_hand = all(row.policy or i in study.policies for i, row in enumerate(state.rows))
     return bool(state.rows) and state.fresh_returns is None and at_hand
 
 
@@ -32,7 +33,7 @@ def report_fresh_returns(study: Study, trainer: Trainer) -> Array:
     portfolio = study.portfolio(trainer)
     seed = evaluation_seed(study.spec.seed, study.spec.trial, Purpose.REPORT)
     fresh = np.full(history.rows.shape, np.nan)
-    for i, targets in enumerate(served_targets(history.rows)):
+    for i, targets in enumerate(served_targets(routes(study))):
         if targets.size:
             contexts = [study.space.context(int(t)) for t in targets]
             returns = trainer.evaluate(portfolio.policy(i), contexts, seed)
@@ -41,10 +42,13 @@ def report_fresh_returns(study: Study, trainer: Trainer) -> Array:
     return fresh
 
 
-def served_targets(rows: Array) -> list[Indices]:
-    """For each of k rows, the targets it serves after 1, 2, ... or k trainings."""
-    routes = routes_by_k(rows)
-    return [np.flatnonzero((routes == i).any(axis=0)) for i in range(len(rows))]
+def routes(study: Study) -> Indices:
+    """(k, N) row index that serves each target after 1..k trainings, as the portfolio routes it."""
+    rows = study.history.rows
+    if np.isfinite(rows).all():
+        return routes_by_k(rows)
+    whole = study.portfolio()
+    return np.array([whole.first(k).assignment for k in range(1, len(rows) + 1)])
 
 
 def routes_by_k(rows: Array) -> Indices:
@@ -55,12 +59,16 @@ def routes_by_k(rows: Array) -> Indices:
     return np.asarray(np.maximum.accumulate(index, axis=0))
 
 
+def served_targets(routes: Indices) -> list[Indices]:
+    """For each of k rows, the targets it serves after 1, 2, ... or k trainings."""
+    return [np.flatnonzero((routes == i).any(axis=0)) for i in range(len(routes))]
+
+
 def fresh_curve(study: Study) -> Array | None:
     """(k,) V after each training, routed by the selecting rows, measured on fresh episodes."""
     fresh = study.state.fresh_returns
     if fresh is None:
         return None
     performance = study.bounds.normalise(fresh)
-    routes = routes_by_k(study.history.rows)
-    routed = np.take_along_axis(performance, routes, axis=0)
-    return np.asarray(routed @ study.space.weights)
+    routed = np.take_along_axis(performance, routes(study), axis=0)
+    return worst_share_mean(routed, study.space.weights, study.spec.risk)

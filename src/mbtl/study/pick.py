@@ -22,6 +22,8 @@ class Pick:
         context: the context itself, axis name -> value.
         seed: training seed; it depends on the source, not on the pick number.
         reason: why the selector chose it.
+        repeat: how many picks of this study trained on the source before.
+        targets: contexts worth evaluating on, their indices; None for all.
     """
 
     number: int
@@ -29,3 +31,5 @@ class Pick:
     context: Context
     seed: int
     reason: str
+    repeat: int = 0
+    targets: tuple[int, ...] | None = None

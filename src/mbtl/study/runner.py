@@ -180,7 +180,7 @@ class _Work:
             pick,
             outcome.returns,
             seconds=outcome.seconds,
-            policy=_policy_path(self.study, pick.source).as_posix() if outcome.saved else None,
+            policy=_policy_path(self.study, pick).as_posix() if outcome.saved else None,
             policy_object=outcome.policy,
         )
 
@@ -216,9 +216,11 @@ class _Work:
 
     def _job(self, pick: Pick) -> Job:
         study, spec = self.study, self.study.spec
-        folder = study.folder / _policy_path(study, pick.source) if study.folder else None
+        folder = study.folder / _policy_path(study, pick) if study.folder else None
         seed = evaluation_seed(spec.seed, spec.trial)
-        return Job(self.trainer, pick.context, pick.seed, study.space.contexts, seed, folder)
+        targets = range(study.space.n) if pick.targets is None else pick.targets
+        contexts = [study.space.context(target) for target in targets]
+        return Job(self.trainer, pick.context, pick.seed, contexts, seed, folder)
 
 
 class _CallbackError(BaseException):
@@ -229,9 +231,10 @@ class _CallbackError(BaseException):
         self.error = error
 
 
-def _policy_path(study: Study, source: int) -> Path:
+def _policy_path(study: Study, pick: Pick) -> Path:
     """Below the study's folder; studies that share it, or a database, keep apart by their uid."""
-    return Path("policies", study.state.uid, f"source-{source:04d}")
+    again = f"-{pick.repeat}" if pick.repeat else ""
+    return Path("policies", study.state.uid, f"source-{pick.source:04d}{again}")
 
 
 def _check_can_travel(executor: Executor, job: Job) -> None:

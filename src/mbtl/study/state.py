@@ -12,7 +12,8 @@ from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.errors import StorageError
 from mbtl.history import History
-from mbtl.objective import Bounds, Direction
+from mbtl.objective import Bounds, Direction, value_curve
+from mbtl.selectors.base import SelectionProblem
 from mbtl.study.events import Event
 from mbtl.study.worker import Worker
 
@@ -34,6 +35,12 @@ class StudySpec:
         cost_budget: total cost at which the study ends early; None for never.
         problem: id of the CMDP or of a user's problem.
         settings: free-form JSON-able record of the training recipe.
+        repeats: trainings allowed on one context.
+        costs: cost of a training on each context; None where all cost the same.
+        risk: share of the targets, the worst of them, that V is the mean of.
+        eval_targets: targets that each policy is evaluated on; None for all.
+        stop_gain: gain in V that one more training should be worth; None: never ends for that.
+        stop_confidence: how probable it must be that the gain is smaller.
     """
 
     space: ContextSpace
@@ -48,12 +55,32 @@ class StudySpec:
     cost_budget: float | None
     problem: str
     settings: Mapping[str, Any]
+    repeats: int = 1
+    costs: tuple[float, ...] | None = None
+    risk: float = 1.0
+    eval_targets: int | None = None
+    stop_gain: float | None = None
+    stop_confidence: float = 0.9
+
+    def selection_problem(self) -> SelectionProblem:
+        """What the selector may know before any training."""
+        return SelectionProblem.of(
+            self.space,
+            budget=self.budget,
+            theta=self.theta,
+            repeats=self.repeats,
+            costs=None if self.costs is None else np.asarray(self.costs, dtype=np.float64),
+            cost_budget=self.cost_budget,
+            risk=self.risk,
+            least_gain=self.stop_gain,
+        )
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record; `from_json` rebuilds it."""
         record = {name: getattr(self, name) for name in self.__dataclass_fields__}
         record["space"] = self.space.to_json()
-        record["bounds"] = list(self.bounds) if self.bounds else None
+        for name in ("bounds", "costs"):
+            record[name] = list(record[name]) if record[name] else None
         return record
 
     @classmethod
@@ -66,7 +93,8 @@ class StudySpec:
             )
         values = dict(record)
         values["space"] = ContextSpace.from_json(record["space"])
-        values["bounds"] = tuple(record["bounds"]) if record["bounds"] else None
+        for name in ("bounds", "costs"):
+            values[name] = tuple(record[name]) if record.get(name) else None
         return cls(**values)
 
 
@@ -81,6 +109,8 @@ class PickRecord:
     notes: tuple[str, ...]
     worker: Worker | None
     asked_at: float
+    repeat: int = 0
+    targets: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -90,7 +120,7 @@ class ToldRow:
     Attributes:
         source: context index.
         pick: number of the pick it answers; None for a source nobody asked for.
-        returns: (N,) mean returns, raw units.
+        returns: (N,) mean returns, raw units; NaN where it was not evaluated.
         std: (N,) standard deviation over episodes; zero for a single episode.
         episodes: episodes behind each mean.
         cost: cost of the training in the user's unit.
@@ -133,6 +163,7 @@ class StudyState:
     rows: list[ToldRow] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     fresh_returns: Array | None = None
+    stopped: str | None = None
     _history: History | None = field(default=None, repr=False)
 
     def apply(self, event: Event) -> None:
@@ -156,6 +187,12 @@ class StudyState:
             self._history = self._make_history()
         return self._history
 
+    def curve(self) -> Array:
+        """(k,) V after each row; see `Study.curve`."""
+        assert self.spec is not None
+        rows = self.history().filled(self.spec.space.steps)
+        return value_curve(rows, self.spec.space.weights, self.spec.risk)
+
     def _make_history(self) -> History:
         assert self.spec is not None
         n = self.spec.space.n
@@ -168,7 +205,17 @@ class StudyState:
             performance,
             tuple(pick.source for pick in self.open_picks.values()),
             tuple(failure.source for failure in self.failures),
+            self._standard_errors(),
+            self.committed,
         )
+
+    def _standard_errors(self) -> Array | None:
+        """(k, N) of the performance; None where no row has several episodes that differ."""
+        if not any(row.std.any() for row in self.rows):
+            return None
+        bounds = self.bounds()
+        span = bounds.high - bounds.low
+        return np.array([row.std / np.sqrt(row.episodes) / span for row in self.rows])
 
     def bounds(self) -> Bounds:
         """The given bounds, or the range of all returns told so far (unit range before any)."""
@@ -178,6 +225,17 @@ class StudyState:
         if not self.rows:
             return Bounds(0.0, 1.0, self.spec.direction)
         return Bounds.of([row.returns for row in self.rows], self.spec.direction)
+
+    @property
+    def committed(self) -> float:
+        """Cost of the rows told and, where costs are known, of picks that failed or are open."""
+        assert self.spec is not None
+        costs = self.spec.costs
+        if costs is None:
+            return self.cost
+        begun = [pick.source for pick in self.open_picks.values()]
+        begun += [failure.source for failure in self.failures]
+        return self.cost + sum(costs[source] for source in begun)
 
     @property
     def trainings(self) -> int:
@@ -200,6 +258,7 @@ class StudyState:
     def _extended(self, event: Event) -> None:
         assert self.spec is not None
         self.spec = replace(self.spec, budget=event.data["budget"])
+        self.stopped = None
 
     def _asked(self, event: Event) -> None:
         data = event.data
@@ -211,6 +270,8 @@ class StudyState:
             tuple(data["notes"]),
             Worker(**data["worker"]),
             event.time,
+            sum(earlier.source == data["source"] for earlier in self.picks),
+            None if data.get("targets") is None else tuple(data["targets"]),
         )
         self.picks.append(pick)
         self.open_picks[pick.number] = pick
@@ -222,15 +283,13 @@ class StudyState:
         self._give(event.data["pick"], None)
 
     def _give(self, number: int, worker: Worker | None) -> None:
-        old = self.open_picks[number]
-        self.open_picks[number] = PickRecord(
-            old.number, old.source, old.reason, old.acquisition, old.notes, worker, old.asked_at
-        )
+        self.open_picks[number] = replace(self.open_picks[number], worker=worker)
 
     def _told(self, event: Event) -> None:
         data = event.data
         self.open_picks.pop(data["pick"], None)
         self.fresh_returns = None  # a new policy may serve targets that were not reported
+        self.stopped = None  # nor was the prediction made with this row
         self.rows.append(
             ToldRow(
                 data["source"],
@@ -249,6 +308,9 @@ class StudyState:
         data = event.data
         self.open_picks.pop(data["pick"], None)
         self.failures.append(Failure(data["source"], data["pick"], data["reason"]))
+
+    def _stopped(self, event: Event) -> None:
+        self.stopped = event.data["reason"]
 
     def _reported(self, event: Event) -> None:
         self.fresh_returns = event.arrays["returns"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,15 +17,15 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.history import History
-from mbtl.objective import Bounds, value, value_curve
-from mbtl.seeds import selection_rng, training_seed
-from mbtl.selectors import Exhausted, SelectionProblem, Selector
+from mbtl.objective import Bounds
+from mbtl.seeds import training_seed
+from mbtl.selectors import SelectionProblem, Selector
+from mbtl.study import asking
 from mbtl.study.events import Event, Kind
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.state import PickRecord, StudySpec, StudyState
 from mbtl.study.storage import Conflict, EventLog
-from mbtl.study.worker import this_worker
-from mbtl.trainer import Trainer, checked_returns
+from mbtl.trainer import Trainer, checked_returns, checked_targets
 
 if TYPE_CHECKING:
     from mbtl.portfolio import Portfolio
@@ -43,34 +43,54 @@ class Study:
         self.folder = folder
         self.selector = selector
         self.policies: dict[int, Any] = {}
-        """Source -> policy object, for policies of this process that no trainer could save."""
+        """Number of the row -> policy, for policies of this process that no trainer could save."""
         self._log = log
         self._state = StudyState()
         self.refresh()
 
     # ---- ask and tell ------------------------------------------------------------------------
 
-    def ask(self, *, take_over: bool = False) -> Pick:
-        """Propose the next source and reserve it for this process.
+    @overload
+    def ask(self, n: None = None, *, take_over: bool = False) -> Pick: ...
 
-        A pick that somebody gave back is handed out again before a new one is proposed.
+    @overload
+    def ask(self, n: int, *, take_over: bool = False) -> list[Pick]: ...
+
+    def ask(self, n: int | None = None, *, take_over: bool = False) -> Pick | list[Pick]:
+        """Propose the next source, or the next `n`, and reserve them for this process.
+
+        Each of several is proposed as if those before it had given what is expected of them. A pick
+        that somebody gave back is handed out again before a new one is proposed.
 
         Args:
+            n: number of picks, for as many parallel trainings; fewer where fewer are left. None:
+                one pick, not in a list.
             take_over: also hand out picks whose process is gone (a killed run). Leave it off when
                 the trainings go on elsewhere after the asking process has ended.
 
         Raises:
             StudyFinished: the budget is spent, a stopping rule is met, or no context is left.
+            InvalidInput: n < 1.
         """
-        asked = self._commit(lambda state: self._next_event(state, take_over))
-        return self._pick(self._state.picks[asked.data["pick"]])
+        if n is None:
+            return self._ask(take_over)
+        if n < 1:
+            raise InvalidInput(f"ask gives 1 or more picks, got n = {n}")
+        picks = [self._ask(take_over)]
+        while len(picks) < n:
+            try:
+                picks.append(self._ask(take_over))
+            except StudyFinished:
+                break
+        return picks
 
     def tell(
         self,
         pick: Pick | int | Mapping[str, Any],
         returns: ArrayLike,
         *,
-        cost: float = 1.0,
+        targets: Sequence[int] | None = None,
+        cost: float | None = None,
         seconds: float | None = None,
         policy: str | None = None,
         policy_object: Any = None,
@@ -80,8 +100,11 @@ class Study:
         Args:
             pick: what `ask` gave, or the context (or its index) of a policy you already have; rows
                 that nobody asked for do not count towards the budget.
-            returns: (N,) or (N, n_episodes) undiscounted returns on all contexts, raw units.
-            cost: cost of the training, in the unit of the cost budget.
+            returns: (T,) or (T, n_episodes) undiscounted returns on the targets, raw units.
+            targets: T indices of the contexts evaluated on; None: those that the pick asks for,
+                which are all N unless the study was made with `eval_targets`.
+            cost: cost of the training, in the unit of the cost budget; None: what `costs` says of
+                the source, or 1.
             seconds: wall time of training and evaluation.
             policy: folder of the saved policy, relative to the study's folder.
             policy_object: the policy itself, kept in this process only.
@@ -91,12 +114,18 @@ class Study:
                 again, or record it with `fail`.
             StudyError: the pick was answered before.
         """
-        n = self.space.n
-        rows = checked_returns(returns, n)
+        source = self._source(pick)
+        if cost is None:
+            cost = 1.0 if self.spec.costs is None else self.spec.costs[source]
         if not (np.isfinite(cost) and cost >= 0):
             raise InvalidInput(f"cost must be finite and >= 0, got {cost!r}")
-        source = self._source(pick)
-        arrays = {"returns": rows.mean(axis=1), "std": rows.std(axis=1)}
+        if targets is None and isinstance(pick, Pick):
+            targets = pick.targets
+        evaluated = checked_targets(targets, self.space.n)
+        rows = checked_returns(returns, len(evaluated))
+        arrays = {"returns": np.full(self.space.n, np.nan), "std": np.zeros(self.space.n)}
+        arrays["returns"][evaluated] = rows.mean(axis=1)
+        arrays["std"][evaluated] = rows.std(axis=1)
         data = {
             "source": source,
             "episodes": rows.shape[1],
@@ -110,7 +139,9 @@ class Study:
 
         self._commit(told)
         if policy_object is not None:
-            self.policies[source] = policy_object
+            rows_told = self._state.rows
+            mine = (i for i, row in enumerate(rows_told) if row.source == source)
+            self.policies[max(mine)] = policy_object
 
     def fail(self, pick: Pick, reason: str) -> None:
         """Record that a pick gave nothing usable; it spends budget and is never proposed again."""
@@ -124,11 +155,11 @@ class Study:
         """
 
         def extended(state: StudyState) -> Event:
-            now = self.spec.budget
-            if not now < budget <= self.space.n:
+            now, most = self.spec.budget, self.space.n * self.spec.repeats
+            if not now < budget <= most:
                 raise InvalidInput(
-                    f"a budget can only be raised, from {now} up to the {self.space.n} contexts, "
-                    f"got {budget}"
+                    f"a budget can only be raised, from {now} up to {most} trainings of "
+                    f"{self.space.n} contexts, got {budget}"
                 )
             return Event("extended", {"budget": int(budget)})
 
@@ -222,7 +253,7 @@ class Study:
     @property
     def problem(self) -> SelectionProblem:
         """What the selector may know before any training."""
-        return SelectionProblem.of(self.space, budget=self.spec.budget, theta=self.spec.theta)
+        return self.spec.selection_problem()
 
     @property
     def history(self) -> History:
@@ -236,47 +267,31 @@ class Study:
 
     @property
     def value(self) -> float:
-        """V of the told rows, performance; -inf before the first. Biased upwards by noise."""
-        return value(self.history.best, self.space.weights)
+        """V of the told rows, performance; -inf before the first. Biased upwards by noise.
+
+        Where a policy was not evaluated, it counts as on the nearest context where it was.
+        """
+        return float(self.curve[-1]) if len(self.history) else -np.inf
 
     @property
     def curve(self) -> Array:
         """(k,) V after each row, performance, on the episodes that selected."""
-        return value_curve(self.history.rows, self.space.weights)
+        return self._state.curve()
 
     @property
     def stop_reason(self) -> str | None:
         """Why nothing more can be asked; None while something can."""
-        if self._early_stop is not None:
-            return self._early_stop
-        if len(self._state.picks) >= self.spec.budget:
-            return f"the budget of {self.spec.budget} trainings is spent"
-        if not self.history.open_mask(self.space.n).any():
-            return f"all {self.space.n} contexts are taken"
-        return None
-
-    @property
-    def _early_stop(self) -> str | None:
-        """The level or the cost budget that was reached; picks given back are not trained then."""
-        state, spec = self._state, self.spec
-        if spec.stop_value is not None and state.rows and self.value >= spec.stop_value:
-            return f"V = {self.value:.4f} reaches the level {spec.stop_value:g}"
-        if spec.cost_budget is not None and state.cost >= spec.cost_budget:
-            return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
-        return None
+        return asking.stop_reason(self._state)
 
     @property
     def is_finished(self) -> bool:
         """True when nothing can be asked and nobody works on a pick."""
-        held = len(self._state.open_picks) - len(self._given_back)
-        open_picks = held if self._early_stop else len(self._state.open_picks)
-        return self.stop_reason is not None and not open_picks
+        return asking.is_finished(self._state)
 
     @property
     def orphans(self) -> list[int]:
         """Numbers of open picks that nobody works on: given back, or their process is gone."""
-        picks = sorted(self._state.open_picks.items())
-        return [number for number, p in picks if p.worker is None or p.worker.is_gone]
+        return asking.orphans(self._state)
 
     def portfolio(self, trainer: Trainer | None = None) -> Portfolio:
         """The trained policies with their router.
@@ -289,7 +304,6 @@ class Study:
         rows = self.refresh().rows
         folders = [self.folder / r.policy if self.folder and r.policy else None for r in rows]
         sources = [row.source for row in rows]
-        kept = {i: self.policies[s] for i, s in enumerate(sources) if s in self.policies}
         return Portfolio(
             self.space,
             tuple(sources),
@@ -299,51 +313,26 @@ class Study:
             policy_folders=folders,
             policy_format=str(self.spec.settings.get("policy_format", "custom")),
             load=trainer.load if trainer is not None else None,
-            in_memory=kept,
+            in_memory=dict(self.policies),
             cmdp=self.spec.problem or None,
             metadata={"study": self.name, "selector": dict(self.spec.selector)},
         )
 
     # ---- inside ------------------------------------------------------------------------------
 
-    @property
-    def _given_back(self) -> list[int]:
-        return sorted(n for n, pick in self._state.open_picks.items() if pick.worker is None)
-
-    def _next_event(self, state: StudyState, take_over: bool) -> Event:
-        if self._early_stop is not None:
-            raise StudyFinished(f"the study is finished: {self._early_stop}")
-        orphans = self.orphans if take_over else self._given_back
-        if not orphans:
-            return self._proposal(state)
-        return Event("claimed", {"pick": orphans[0], "worker": this_worker().to_json()})
-
-    def _proposal(self, state: StudyState) -> Event:
-        reason = self.stop_reason
-        if reason is not None:
-            held = len(state.open_picks)
-            waiting = f"; {held} picks are still under way" if held else ""
-            raise StudyFinished(f"the study is finished: {reason}{waiting}")
-        number = len(state.picks)
-        rng = selection_rng(self.spec.seed, self.spec.trial, number)
-        try:
-            proposal = self.selector.propose(self.problem, state.history(), rng)
-        except Exhausted as error:
-            raise StudyFinished(f"the study is finished: {error}") from error
-        data = {
-            "pick": number,
-            "source": int(proposal.source),
-            "reason": proposal.reason,
-            "acquisition": proposal.acquisition,
-            "notes": list(proposal.notes),
-            "worker": this_worker().to_json(),
-        }
-        return Event("asked", data)
+    def _ask(self, take_over: bool) -> Pick:
+        asked = self._commit(lambda state: asking.next_event(state, self.selector, take_over))
+        if asked.kind == "stopped":
+            raise StudyFinished(f"the study is finished: {asked.data['reason']}")
+        return self._pick(self._state.picks[asked.data["pick"]])
 
     def _pick(self, record: PickRecord) -> Pick:
-        source = record.source
-        seed = training_seed(self.spec.seed, self.spec.trial, source)
-        return Pick(record.number, source, self.space.context(source), seed, record.reason)
+        source, spec = record.source, self.spec
+        seed = training_seed(spec.seed, spec.trial, source, record.repeat)
+        context = self.space.context(source)
+        return Pick(
+            record.number, source, context, seed, record.reason, record.repeat, record.targets
+        )
 
     def _source(self, pick: Pick | int | Mapping[str, Any]) -> int:
         if isinstance(pick, Pick):
@@ -366,8 +355,12 @@ class Study:
         for number, record in state.open_picks.items():
             if record.source == source:
                 return number
-        if any(row.source == source for row in state.rows):
-            raise StudyError(f"context {source} was told before; a study keeps one row per source")
+        told = sum(row.source == source for row in state.rows)
+        if told >= self.spec.repeats:
+            raise StudyError(
+                f"context {source} was told before; a study keeps one row per source, or as many "
+                f"as create_study(repeats=...) allows, here {self.spec.repeats}"
+            )
         return None
 
     def _settle(self, kind: Kind, pick: Pick, data: dict[str, Any]) -> None:

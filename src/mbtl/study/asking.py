@@ -1,0 +1,125 @@
+"""What a study answers when it is asked: hand out again, propose, or end; from its state alone."""
+
+from __future__ import annotations
+
+from mbtl.history import History
+from mbtl.seeds import selection_rng
+from mbtl.selectors.base import (
+    Exhausted,
+    SelectionProblem,
+    Selector,
+    even_targets,
+    open_candidates,
+)
+from mbtl.study.events import Event
+from mbtl.study.pick import StudyFinished
+from mbtl.study.state import StudySpec, StudyState
+from mbtl.study.worker import this_worker
+
+
+def next_event(state: StudyState, selector: Selector, take_over: bool) -> Event:
+    """A pick handed out again ("claimed"), a new one ("asked"), or "stopped".
+
+    Raises:
+        StudyFinished: nothing can be asked.
+    """
+    early = _early_stop(state)
+    if early is not None:
+        raise StudyFinished(f"the study is finished: {early}")
+    left = orphans(state) if take_over else given_back(state)
+    if left:
+        return Event("claimed", {"pick": left[0], "worker": this_worker().to_json()})
+    reason = stop_reason(state)
+    if reason is not None:
+        held = len(state.open_picks)
+        waiting = f"; {held} picks are still under way" if held else ""
+        raise StudyFinished(f"the study is finished: {reason}{waiting}")
+    return _proposal(state, selector)
+
+
+def stop_reason(state: StudyState) -> str | None:
+    """Why nothing more can be asked; None while something can."""
+    assert state.spec is not None
+    reason = _early_stop(state) or state.stopped
+    if reason is not None:
+        return reason
+    if len(state.picks) >= state.spec.budget:
+        return f"the budget of {state.spec.budget} trainings is spent"
+    try:
+        open_candidates(state.spec.selection_problem(), state.history(), repeats=state.spec.repeats)
+    except Exhausted as error:
+        return str(error)
+    return None
+
+
+def is_finished(state: StudyState) -> bool:
+    """True when nothing can be asked and nobody works on a pick."""
+    held = len(state.open_picks) - len(given_back(state))
+    open_picks = held if _early_stop(state) else len(state.open_picks)
+    return stop_reason(state) is not None and not open_picks
+
+
+def given_back(state: StudyState) -> list[int]:
+    """Numbers of open picks that were given back."""
+    return sorted(n for n, pick in state.open_picks.items() if pick.worker is None)
+
+
+def orphans(state: StudyState) -> list[int]:
+    """Numbers of open picks that nobody works on: given back, or their process is gone."""
+    picks = sorted(state.open_picks.items())
+    return [number for number, p in picks if p.worker is None or p.worker.is_gone]
+
+
+def _early_stop(state: StudyState) -> str | None:
+    """The level or the cost budget that was reached; picks given back are not trained then."""
+    spec = state.spec
+    assert spec is not None
+    if spec.stop_value is not None and state.rows and state.curve()[-1] >= spec.stop_value:
+        return f"V = {state.curve()[-1]:.4f} reaches the level {spec.stop_value:g}"
+    if spec.cost_budget is not None and state.cost >= spec.cost_budget:
+        return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
+    return None
+
+
+def _proposal(state: StudyState, selector: Selector) -> Event:
+    spec, number = state.spec, len(state.picks)
+    assert spec is not None
+    rng = selection_rng(spec.seed, spec.trial, number)
+    problem, history = spec.selection_problem(), state.history()
+    try:
+        proposal = selector.propose(problem, history, rng)
+    except Exhausted as error:
+        raise StudyFinished(f"the study is finished: {error}") from error
+    enough = _enough(spec, proposal.chance)
+    if enough is not None and len(history):
+        return Event("stopped", {"reason": enough})
+    source = int(proposal.source)
+    data = {
+        "pick": number,
+        "source": source,
+        "reason": proposal.reason,
+        "acquisition": proposal.acquisition,
+        "notes": list(proposal.notes),
+        "worker": this_worker().to_json(),
+    }
+    if spec.eval_targets is not None:
+        choose = getattr(selector, "targets", _even_targets)
+        data["targets"] = list(choose(problem, history, source, spec.eval_targets))
+    return Event("asked", data)
+
+
+def _enough(spec: StudySpec, chance: float | None) -> str | None:
+    """Why one more training is not worth it; None where it is, or where nobody asked."""
+    if spec.stop_gain is None or chance is None or 1.0 - chance < spec.stop_confidence:
+        return None
+    return (
+        f"one more training gains less than {spec.stop_gain:g} in V with probability "
+        f"{1.0 - chance:.3f}, the selector predicts"
+    )
+
+
+def _even_targets(
+    problem: SelectionProblem, history: History, source: int, count: int
+) -> tuple[int, ...]:
+    """For selectors that have no opinion."""
+    return even_targets(problem, source, count)
