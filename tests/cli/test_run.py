@@ -85,7 +85,7 @@ def test_another_seed_is_another_study(mbtl_command, own, tmp_path):
     names = sorted(p.name for p in (tmp_path / "runs").iterdir())
     assert names == ["mass-default-seed0", "mass-default-seed1"]
     _, out, _ = mbtl_command("study", "list", "--json")
-    assert [(s["selector"], s["told"]) for s in json.loads(out)] == [("mbtl", 4), ("greedy", 4)]
+    assert [(s["selector"], s["told"]) for s in json.loads(out)] == [("auto", 4), ("greedy", 4)]
 
 
 def test_a_level_ends_the_run_early(mbtl_command, own):
@@ -277,7 +277,7 @@ def test_an_interrupt_says_how_to_go_on_and_does(mbtl_command, tmp_path):
     code, out, err = mbtl_command("run", "stops.py:problem", "--json")
     assert code == 0
     assert "going on after 1 of 3 trainings" in " ".join(err.split())
-    assert [p["source"] for p in json.loads(out)["picks"]] == [5, 0, 10]
+    assert [p["source"] for p in json.loads(out)["picks"]] == [5, 9, 2]
 
 
 def test_a_failure_with_brackets_in_its_reason_is_shown_as_it_is(mbtl_command, tmp_path):

@@ -17,7 +17,9 @@ def row(source):
 
 
 def study_of(picks, **settings):
-    study = mbtl.create_study(SPACE, budget=6, bounds=(0.0, 1.0), problem="toy", **settings)
+    study = mbtl.create_study(
+        SPACE, budget=6, bounds=(0.0, 1.0), problem="toy", selector="mbtl", **settings
+    )
     for _ in range(picks):
         pick = study.ask()
         study.tell(pick, row(pick.source))
@@ -68,7 +70,7 @@ def test_fresh_episodes_are_the_headline_when_measured():
 
 
 def test_verdict_tells_one_policy_from_many():
-    flat = mbtl.create_study(SPACE, budget=3, bounds=(0.0, 1.0))
+    flat = mbtl.create_study(SPACE, budget=3, bounds=(0.0, 1.0), selector="mbtl")
     for _ in range(3):
         flat.tell(flat.ask(), np.full(N, 0.8))
     assert "One policy would do" in summarise_study(flat).verdict

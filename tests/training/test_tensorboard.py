@@ -26,7 +26,7 @@ def test_v_and_training_scalars_reach_tensorboard(tmp_path):
     study.run(trainer=Reporting(None, evaluate), callbacks=[TensorBoardCallback(tmp_path)])
     events = event_accumulator.EventAccumulator(str(tmp_path / "study")).Reload()
     assert [e.value for e in events.Scalars("study/V")] == pytest.approx(study.curve, abs=1e-6)
-    assert [e.value for e in events.Scalars("study/source")] == [4.0, 0.0, 8.0]
+    assert [e.value for e in events.Scalars("study/source")] == [4.0, 7.0, 1.0]
     (scalar,) = events.Scalars("source-0004/episode_return")
     assert (scalar.step, scalar.value) == (50, 7.5)
     assert np.isfinite(study.value)

@@ -36,7 +36,9 @@ def run(
     budget: Annotated[
         int | None, typer.Option(help="Number of trainings K; default: the preset's.")
     ] = None,
-    selector: Annotated[str, typer.Option(help="Rule that picks the next source.")] = "mbtl",
+    selector: Annotated[
+        str, typer.Option(help="Rule that picks the next source; the paper's is mbtl.")
+    ] = "auto",
     seed: Annotated[int, typer.Option(help="Root of all randomness.")] = 0,
     study: Annotated[
         Path | None,
@@ -64,6 +66,23 @@ def run(
     stop_value: Annotated[
         float | None, typer.Option(help="End early when V reaches this performance.")
     ] = None,
+    stop_gain: Annotated[
+        float | None,
+        typer.Option(help="End when one more training surely gains less than this in V."),
+    ] = None,
+    stop_confidence: Annotated[
+        float, typer.Option(help="How probable that has to be, as the selector predicts it.")
+    ] = 0.9,
+    repeats: Annotated[
+        int, typer.Option(help="Trainings allowed on one context, where another try may pay.")
+    ] = 1,
+    eval_targets: Annotated[
+        int | None,
+        typer.Option(help="Evaluate each policy on so many contexts only, which are chosen."),
+    ] = None,
+    risk: Annotated[
+        float, typer.Option(help="V is the mean of this share of the contexts, the worst of them.")
+    ] = 1.0,
     stop_on_failure: Annotated[
         bool, typer.Option("--stop-on-failure", help="End at the first failed training.")
     ] = False,
@@ -72,14 +91,14 @@ def run(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Train policies on the contexts that MBTL picks, and serve all contexts with the best of them.
+    """Train policies on the contexts that pay most, and serve all contexts with the best of them.
 
     Interrupt it at any time; the same command goes on where it was.
 
     Example: mbtl run cartpole-length --budget 6 --seed 1
 
     The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million
-    steps each, 100 episodes per context).
+    steps each, 100 episodes per context). The paper's rule: --selector mbtl.
     """
     cmdp = resolve_cmdp(problem, engine=engine)
     get_selector(selector)  # a mistyped name must not set a study aside
@@ -111,6 +130,11 @@ def run(
         theta=cmdp.theta,
         seed=seed,
         stop_value=stop_value,
+        stop_gain=stop_gain,
+        stop_confidence=stop_confidence,
+        repeats=repeats,
+        eval_targets=eval_targets,
+        risk=risk,
         storage=folder / "study.db",
         name=folder.resolve().name,
         problem=cmdp.id,

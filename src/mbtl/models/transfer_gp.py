@@ -38,6 +38,9 @@ _USUAL = 0.05
 """Prior scale: variance of performance between pairs."""
 _ROUNDS = 12
 """At most so many fits to find the factor beside a known noise."""
+_SHARES = (0.0, 0.1, 0.3, 1.0)
+_ENOUGH = 300
+"""Observations that decide how much of the noise is independent."""
 _BLOCK_ENTRIES = 1 << 22
 
 
@@ -214,6 +217,25 @@ class TransferGP:
         from scipy.linalg import solve_triangular  # kept out of `import mbtl`
 
         return np.asarray(solve_triangular(self._chol, right, lower=True, check_finite=False))
+
+
+def independent_noise(
+    places: Places, prior: TransferPrior, pairs: Pairs, y: Array, noise: Array
+) -> Array:
+    """(n,) the part of the variance `noise` that makes the observations most likely.
+
+    Policies judged on the same episodes share most of their luck there: what scatters between
+    episodes then says little about differences between policies, and can be far too much.
+    """
+    if not noise.any():
+        return noise
+    some = np.linspace(0, len(y) - 1, min(len(y), _ENOUGH)).round().astype(np.intp)
+
+    def likelihood(share: float) -> float:
+        part = TransferGP(places, prior, pairs[some], y[some], share * noise[some])
+        return part.log_likelihood
+
+    return max(_SHARES, key=likelihood) * noise
 
 
 def covariance(

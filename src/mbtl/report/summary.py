@@ -13,11 +13,12 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.objective import value
+from mbtl.objective import value, worst_share_mean
 from mbtl.selectors.mbtl_ei import predicted_gain
 from mbtl.study import Study
-from mbtl.study.fresh import fresh_curve
+from mbtl.study.fresh import fresh_curve, fresh_performance
 
+TENTH = 0.1
 ENOUGH = 0.99
 """Share of the portfolio's gain over its best single policy that counts as all of it."""
 
@@ -63,6 +64,8 @@ class StudySummary:
         picks: the sources in order.
         value: V now, on the selecting episodes; None before the first row.
         fresh_value: V on fresh episodes; None where not measured.
+        worst_tenth: mean performance of the tenth of the contexts, by weight, served worst;
+            on fresh episodes where there are any.
         best_single: source of the best single policy.
         best_single_value: its own V, on the selecting episodes.
         policies_enough: fewest policies that reach 99 % of the way from it to V.
@@ -82,6 +85,7 @@ class StudySummary:
     picks: tuple[PickSummary, ...]
     value: float | None
     fresh_value: float | None
+    worst_tenth: float | None
     best_single: int | None
     best_single_value: float | None
     policies_enough: int | None
@@ -138,6 +142,7 @@ def summarise_study(study: Study) -> StudySummary:
             episodes=0,
             value=None,
             fresh_value=None,
+            worst_tenth=None,
             best_single=None,
             best_single_value=None,
             policies_enough=None,
@@ -148,12 +153,15 @@ def summarise_study(study: Study) -> StudySummary:
     rows = history.filled(space.steps)
     singles = rows @ weights
     best_single = int(singles.argmax())
+    measured = fresh_performance(study)
+    served = rows.max(axis=0) if measured is None else measured[-1]
     coming = predicted_gain(study.problem, history)
     return StudySummary(
         **common,
         episodes=state.rows[-1].episodes,
         value=float(curve[-1]),
         fresh_value=None if fresh is None else float(fresh[-1]),
+        worst_tenth=float(worst_share_mean(served, weights, TENTH)),
         best_single=history.sources[best_single],
         best_single_value=float(singles[best_single]),
         policies_enough=policies_enough(rows, weights),

@@ -22,7 +22,14 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.priors import PRIORS, prior_without
-from mbtl.models.transfer_gp import Pairs, Places, TransferGP, TransferPrior, grid_pairs
+from mbtl.models.transfer_gp import (
+    Pairs,
+    Places,
+    TransferGP,
+    TransferPrior,
+    grid_pairs,
+    independent_noise,
+)
 from mbtl.objective import worst_share_mean
 from mbtl.selectors.base import (
     Proposal,
@@ -133,10 +140,10 @@ class Auto:
         if not seen.all():  # of rows evaluated in part, all that was evaluated
             pairs, y, seen = _evaluated(history, self.most_pairs)
         pairs, y = pairs[seen], y[seen]
-        noise = None
+        prior, noise = self.prior or PRIORS["all"], None
         if history.errors is not None:
-            noise = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
-        prior = self.prior or PRIORS["all"]
+            scatter = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
+            noise = independent_noise(places, prior, pairs, y, scatter)
         model = TransferGP(places, prior, pairs, y, noise)
         judged = targets if every is None else every
         best = history.best[judged]

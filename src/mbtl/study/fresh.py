@@ -66,9 +66,16 @@ def served_targets(routes: Indices) -> list[Indices]:
 
 def fresh_curve(study: Study) -> Array | None:
     """(k,) V after each training, routed by the selecting rows, measured on fresh episodes."""
+    routed = fresh_performance(study)
+    if routed is None:
+        return None
+    return worst_share_mean(routed, study.space.weights, study.spec.risk)
+
+
+def fresh_performance(study: Study) -> Array | None:
+    """(k, N) performance after each training where it would be used, on fresh episodes."""
     fresh = study.state.fresh_returns
     if fresh is None:
         return None
     performance = study.bounds.normalise(fresh)
-    routed = np.take_along_axis(performance, routes(study), axis=0)
-    return worst_share_mean(routed, study.space.weights, study.spec.risk)
+    return np.take_along_axis(performance, routes(study), axis=0)

@@ -1,0 +1,214 @@
+"""What `auto` makes of what real studies have: noise, partial rows, costs, luck, batches, an end.
+
+    .venv/bin/python benchmarks/real_studies.py [--parts noise,partial,...] [--sets a,b]
+
+Plays on shipped matrices (of 100 contexts every second; first two seeds), with the prior that has
+not seen their family. V is always that of the true rows, of the policies that the study would use.
+"regret" is the distance to Oracle Transfer in V, as a share of that of one random policy.
+
+    noise     Gaussian noise on every entry that the selector sees: told its size, or not
+    partial   each policy evaluated on so many targets: chosen by `auto`, even, or at random
+    costs     a training costs 1 to 10, rising along the contexts; budget 30: heeded, or not
+    repeats   a context may be trained again (the rows of the other seeds): allowed, or not
+    batches   n picks at a time, each without the rows of the others
+    stopping  the study ends when auto says that one more training gains < 0.01 with 90 %: how many
+              trainings, and how often the next one gained less indeed
+"""
+
+from __future__ import annotations
+
+import measure  # noqa: F401  first: threads
+
+import argparse  # isort: skip
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.benchmark.shipped import family_of, load_by_id
+from mbtl.history import History
+from mbtl.objective import value
+from mbtl.selectors import Auto, SelectionProblem
+from mbtl.selectors.base import even_targets
+
+SETS = (
+    "cartpole-length,cartpole-length-dqn,pendulum-length-hidden,pendulum-timestep,ring-acc,ring-vel"
+)
+K = 10
+Rows = Array
+
+
+def worlds(name: str, budget: int = K) -> Iterator[tuple[SelectionProblem, list[Rows]]]:
+    """Problem, and the true rows of each seed, rotated so that the first is the study's own."""
+    matrix = load_by_id(name)
+    problem = matrix.problem(budget)
+    skip = 1 if problem.n <= 50 else 2
+    kept = np.arange(skip - 1, problem.n, skip)
+    part = SelectionProblem(
+        problem.unit[kept], problem.steps[kept] / skip, np.full(len(kept), 1.0 / len(kept)),
+        budget, problem.theta * skip,
+    )  # fmt: skip
+    every = [matrix.rows(s, kept)[:, kept] for s in range(matrix.n_seeds)]
+    for s in range(min(2, len(every))):
+        yield part, every[s:] + every[:s]
+
+
+def regret(truth: Rows, trained: list[Array], seen: Array) -> float:
+    """Of the policies that rows `seen` (k, N) would choose per target, NaN where not evaluated."""
+    best = np.nanmax(np.where(np.isfinite(seen), seen, -np.inf), axis=0)
+    routes = np.where(np.isfinite(best), np.argmax(np.where(np.isfinite(seen), seen, -9e9), 0), -1)
+    filled = History(seen.shape[1], (0,) * len(seen), seen).filled(
+        np.arange(seen.shape[1], dtype=float)[:, None]
+    )
+    routes = np.where(routes < 0, filled.argmax(axis=0), routes)
+    reached = np.take_along_axis(np.stack(trained), routes[None], axis=0)[0]
+    low, high = truth.mean(), truth.max(axis=0).mean()
+    return float((high - reached.mean()) / (high - low))
+
+
+def auto(name: str) -> Auto:
+    return Auto().without(family_of(name))
+
+
+def noise(name: str, sd: float, told: bool) -> Iterator[float]:
+    for problem, rows in worlds(name):
+        rng, history, trained = np.random.default_rng(0), History(problem.n), []
+        for _ in range(K):
+            source = auto(name).propose(problem, history, rng).source
+            trained.append(rows[0][source])
+            seen = np.vstack([history.rows, trained[-1] + sd * rng.standard_normal(problem.n)])
+            errors = np.full(seen.shape, sd) if told else None
+            history = History(problem.n, (*history.sources, source), seen, errors=errors)
+        yield regret(rows[0], trained, history.rows)
+
+
+def partial(name: str, count: int, how: str) -> Iterator[float]:
+    for problem, rows in worlds(name):
+        rng, history, trained = np.random.default_rng(0), History(problem.n), []
+        for _ in range(K):
+            source = auto(name).propose(problem, history, rng).source
+            if how == "chosen":
+                chosen = auto(name).targets(problem, history, source, count)
+            elif how == "even":
+                chosen = even_targets(problem, source, count)
+            else:
+                chosen = (source, *rng.choice(problem.n, count - 1, replace=False))
+            row = np.full(problem.n, np.nan)
+            row[list(chosen)] = rows[0][source][list(chosen)]
+            history = history.with_row(source, row)
+            trained.append(rows[0][source])
+        yield regret(rows[0], trained, history.rows)
+
+
+def costs(name: str, heeded: bool) -> Iterator[float]:
+    for problem, rows in worlds(name, 40):
+        price = np.linspace(1.0, 10.0, problem.n)
+        told = replace(problem, costs=price, cost_budget=30.0)
+        history = History(problem.n)
+        while True:
+            open_to = told if heeded else problem
+            source = auto(name).propose(open_to, history, np.random.default_rng(0)).source
+            if history.spent + price[source] > 30.0:
+                break
+            spent = history.spent + price[source]
+            history = replace(history.with_row(source, rows[0][source]), spent=spent)
+            if 30.0 - spent < price.min() or len(history) == 40:
+                break
+        yield regret(rows[0], list(history.rows), history.rows)
+
+
+def repeats(name: str, times: int) -> Iterator[float]:
+    for problem, rows in worlds(name):
+        history = History(problem.n)
+        for _ in range(K):
+            allowed = replace(problem, repeats=times)
+            source = auto(name).propose(allowed, history, np.random.default_rng(0)).source
+            again = history.sources.count(source)
+            history = history.with_row(source, rows[again][source])
+        yield regret(rows[0], list(history.rows), history.rows)
+
+
+def batches(name: str, size: int) -> Iterator[float]:
+    for problem, rows in worlds(name, 12):
+        history = History(problem.n)
+        while len(history) < 12:
+            waiting = history
+            for _ in range(min(size, 12 - len(history))):
+                pick = auto(name).propose(problem, waiting, np.random.default_rng(0)).source
+                waiting = waiting.with_pending(pick)
+            for pick in waiting.pending:
+                history = history.with_row(pick, rows[0][pick])
+        yield regret(rows[0], list(history.rows), history.rows)
+
+
+def stopping(name: str, least: float = 0.01, confidence: float = 0.9) -> Iterator[Array]:
+    """Trainings until it says so, whether the next gained less, regret then; with K = 30."""
+    for problem, rows in worlds(name, 30):
+        history = History(problem.n)
+        wish = replace(problem, least_gain=least)
+        while len(history) < 30:
+            proposal = auto(name).propose(wish, history, np.random.default_rng(0))
+            row = rows[0][proposal.source]
+            enough = proposal.chance is not None and 1.0 - proposal.chance >= confidence
+            gain = value(np.maximum(history.best, row)) - value(history.best)
+            if enough:
+                left = regret(rows[0], list(history.rows), history.rows)
+                yield np.array([len(history), gain < least, left])
+                break
+            history = history.with_row(proposal.source, row)
+        else:
+            yield np.array([31.0, np.nan, regret(rows[0], list(history.rows), history.rows)])
+
+
+def table(
+    title: str, names: list[str], columns: dict[str, Callable[[str], Iterator[float]]]
+) -> None:
+    print(f"\n{title}\n\n| regret at the end | {' | '.join(columns)} |")
+    print("|---" * (len(columns) + 1) + "|")
+    found = np.array([[np.mean(list(play(n))) for play in columns.values()] for n in names])
+    for label, row in zip([*names, "mean"], [*found, found.mean(axis=0)], strict=True):
+        print(f"| {label} | {' | '.join(f'{v:.3f}' for v in row)} |", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--parts", default="noise,partial,costs,repeats,batches,stopping")
+    parser.add_argument("--sets", default=SETS)
+    args = parser.parse_args()
+    names, parts = args.sets.split(","), args.parts.split(",")
+    if "noise" in parts:
+        plays = {
+            f"sd {sd:g} {'told' if told else 'not told'}": lambda n, a=(sd, told): noise(n, *a)
+            for sd in (0.05, 0.2)
+            for told in (True, False)
+        }
+        table(f"Evaluation noise, K = {K}", names, plays)
+    if "partial" in parts:
+        plays = {
+            f"{count} {how}": lambda n, a=(count, how): partial(n, *a)
+            for count in (5, 10)
+            for how in ("chosen", "even", "random")
+        }
+        plays["all"] = lambda n: noise(n, 0.0, False)
+        table(f"Targets evaluated, K = {K}", names, plays)
+    if "costs" in parts:
+        plays = {"heeded": lambda n: costs(n, True), "not heeded": lambda n: costs(n, False)}
+        table("Costs 1 to 10 along the contexts, budget 30", names, plays)
+    if "repeats" in parts:
+        plays = {f"{t} per context": lambda n, t=t: repeats(n, t) for t in (1, 3)}
+        table(f"Trained again, K = {K}", names, plays)
+    if "batches" in parts:
+        plays = {f"{size} at a time": lambda n, s=size: batches(n, s) for size in (1, 2, 4, 6)}
+        table("Batches, K = 12", names, plays)
+    if "stopping" in parts:
+        print("\nStopping at a gain < 0.01 with 90 %, K = 30\n")
+        print("| | trainings | next one gained less | regret then |\n|---|---|---|---|")
+        for name in names:
+            k, less, left = np.array(list(stopping(name))).T
+            right = "-" if np.isnan(less).all() else f"{np.nanmean(less):.2f}"
+            print(f"| {name} | {k.mean():.1f} | {right} | {left.mean():.3f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
