@@ -178,3 +178,13 @@ def test_targets_worth_evaluating_are_the_own_one_the_promising_and_a_few_everyw
     assert 50 in chosen
     assert (chosen > 34).sum() > 12  # where the first policy does not serve
     assert (chosen < 34).sum() >= 3
+
+
+def test_a_catastrophe_does_not_hide_the_rest():
+    """Far outside everything, and below the bounds by their whole width: how far is all the same."""
+    n, picks = 40, []
+    for worst in (-1e2, -1e6):
+        row = reach(n, 19, 8, 8)
+        row[30:33] = worst
+        picks.append(Auto().propose(line(n), History(n).with_row(19, row), RNG))
+    assert picks[0] == picks[1]

@@ -140,13 +140,15 @@ class Auto:
         if not seen.all():  # of rows evaluated in part, all that was evaluated
             pairs, y, seen = _evaluated(history, self.most_pairs)
         pairs, y = pairs[seen], y[seen]
+        floor = _floor(y)
+        y = np.maximum(y, floor)
         prior, noise = self.prior or PRIORS["all"], None
         if history.errors is not None:
             scatter = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
             noise = independent_noise(places, prior, pairs, y, scatter)
         model = TransferGP(places, prior, pairs, y, noise)
         judged = targets if every is None else every
-        best = history.best[judged]
+        best = np.maximum(history.best[judged], floor)
         trained = np.arange(len(sources))
         if not np.isfinite(history.rows).all() or (noise is not None and noise.any()):
             # the best of noisy or missing entries is what the model believes them to be
@@ -199,6 +201,16 @@ class _Outlook:
         mean, std = self.model.predict(candidates, self.targets)
         below = unit_improvement((mean - self.top) / std)
         return np.asarray(std * (unit_improvement((mean - self.best) / std) - below))
+
+
+def _floor(y: Array) -> float:
+    """Performance below which all is equally bad: far outside, and far below the bounds as well.
+
+    A policy that jams a junction may be worth -800 where others reach 0.9; as they stand, such
+    values would be all that a Gaussian process sees.
+    """
+    low, high = np.quantile(y, [0.25, 0.75])
+    return float(min(low - 3.0 * (high - low), -1.0))
 
 
 def _evaluated(history: History, most: int) -> tuple[Pairs, Array, NDArray[np.bool_]]:
