@@ -133,7 +133,10 @@ def open_matrix(name: str | Path) -> RowSource:
 
 
 def open_matrices(names: Sequence[str | Path | RowSource]) -> dict[str, RowSource]:
-    """Matrices by name, in order; "all" stands for every shipped one, objects keep their own name.
+    """Matrices by name, in order; objects keep their own name.
+
+    "all" stands for every shipped set on the whole grid of one axis; coarser grids (`-every5`) and
+    sets with several axes have ids of their own.
 
     Raises:
         InvalidInput: there is none, or two have the same name.
@@ -141,7 +144,7 @@ def open_matrices(names: Sequence[str | Path | RowSource]) -> dict[str, RowSourc
     opened: list[tuple[str, RowSource]] = []
     for name in names:
         if name == "all":
-            opened += [(known, load_by_id(known)) for known in shipped_matrices()]
+            opened += _whole_lines()
         elif isinstance(name, (str, Path)):
             opened.append((str(name), open_matrix(name)))
         else:
@@ -156,6 +159,12 @@ def open_matrices(names: Sequence[str | Path | RowSource]) -> dict[str, RowSourc
     if twice:
         raise InvalidInput(f"matrices must have distinct names, got {twice} more than once")
     return dict(opened)
+
+
+def _whole_lines() -> list[tuple[str, RowSource]]:
+    whole = [known for known in shipped_matrices() if not re.search(r"-every\d+", known)]
+    opened = [(known, load_by_id(known)) for known in whole]
+    return [(known, matrix) for known, matrix in opened if matrix.space.d == 1]
 
 
 def _is_variant(match: re.Match[str]) -> bool:

@@ -25,8 +25,9 @@ def bench(
     matrix: Annotated[
         list[str],
         typer.Option(
-            help="A path ending in .npz, the id of a shipped matrix, `all` (every shipped one), or "
-            "a synthetic world such as synthetic:linear-gap; repeat for more."
+            help="A path ending in .npz, the id of a shipped matrix, `all` (every shipped one with "
+            "the whole grid of one axis), or a synthetic world such as synthetic:linear-gap; "
+            "repeat for more."
         ),
     ],
     selectors: Annotated[
