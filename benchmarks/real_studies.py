@@ -7,7 +7,7 @@ not seen their family. V is always that of the true rows, of the policies that t
 "regret" is the distance to Oracle Transfer in V, as a share of that of one random policy.
 
     noise     Gaussian noise on every entry that the selector sees: told its size, or not
-    partial   each policy evaluated on so many targets: chosen by `auto`, even, or at random
+    partial   each policy evaluated on so many targets: evenly spaced, or random ones
     costs     a training costs 1 to 10, rising along the contexts; budget 30: heeded, or not
     repeats   a context may be trained again (the rows of the other seeds): allowed, or not
     batches   n picks at a time, each without the rows of the others
@@ -88,9 +88,7 @@ def partial(name: str, count: int, how: str) -> Iterator[float]:
         rng, history, trained = np.random.default_rng(0), History(problem.n), []
         for _ in range(K):
             source = auto(name).propose(problem, history, rng).source
-            if how == "chosen":
-                chosen = auto(name).targets(problem, history, source, count)
-            elif how == "even":
+            if how == "even":
                 chosen = even_targets(problem, source, count)
             else:
                 chosen = (source, *rng.choice(problem.n, count - 1, replace=False))
@@ -187,8 +185,8 @@ def main() -> None:
     if "partial" in parts:
         plays = {
             f"{count} {how}": lambda n, a=(count, how): partial(n, *a)
-            for count in (5, 10)
-            for how in ("chosen", "even", "random")
+            for count in (5, 10, 20)
+            for how in ("even", "random")
         }
         plays["all"] = lambda n: noise(n, 0.0, False)
         table(f"Targets evaluated, K = {K}", names, plays)

@@ -7,6 +7,7 @@ from mbtl.history import History
 from mbtl.models import priors
 from mbtl.models.transfer_gp import TransferPrior
 from mbtl.selectors import Auto, Exhausted, Random, SelectionProblem
+from mbtl.selectors.base import even_targets
 
 RNG = np.random.default_rng(0)
 
@@ -166,18 +167,10 @@ def test_noise_told_is_not_taken_for_a_gain():
     assert gain[0] < 0.7 * gain[1]
 
 
-def test_targets_worth_evaluating_are_the_own_one_the_promising_and_a_few_everywhere():
-    n = 60
-    problem = line(n)
-    first = Auto().targets(problem, History(n), 29, 10)
-    assert len(first) == 10
-    assert {0, 29, 59} <= set(first)
-    history = History(n).with_row(29, reach(n, 29, 40, 5))
-    chosen = np.array(Auto().targets(problem, history, 50, 20))
-    assert len(set(chosen.tolist())) == 20
-    assert 50 in chosen
-    assert (chosen > 34).sum() > 12  # where the first policy does not serve
-    assert (chosen < 34).sum() >= 3
+def test_targets_evaluated_are_evenly_spaced_with_the_source_among_them():
+    assert even_targets(line(61), 31, 7) == (0, 10, 20, 31, 40, 50, 60)
+    assert even_targets(line(61), 60, 1) == (60,)
+    assert even_targets(line(5), 2, 5) == (0, 1, 2, 3, 4)
 
 
 def test_a_catastrophe_does_not_hide_the_rest():

@@ -78,7 +78,7 @@ def run(
     ] = 1,
     eval_targets: Annotated[
         int | None,
-        typer.Option(help="Evaluate each policy on so many contexts only, which are chosen."),
+        typer.Option(help="Evaluate each policy on so many contexts only."),
     ] = None,
     risk: Annotated[
         float, typer.Option(help="V is the mean of this share of the contexts, the worst of them.")

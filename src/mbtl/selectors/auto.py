@@ -34,7 +34,6 @@ from mbtl.objective import worst_share_mean
 from mbtl.selectors.base import (
     Proposal,
     SelectionProblem,
-    even_targets,
     farthest_open,
     first_pick,
     open_candidates,
@@ -105,31 +104,8 @@ class Auto:
             reason += ", trained again"
         return Proposal(source, reason, float(gain[best]), chance=chance)
 
-    def targets(
-        self, problem: SelectionProblem, history: History, source: int, count: int
-    ) -> tuple[int, ...]:
-        """The `count` targets that a policy of `source` is worth evaluating on.
-
-        Its own context, then by turns the target of the largest expected gain and one of an even
-        spread, which keeps the model honest where it expects nothing.
-        """
-        spread = even_targets(problem, source, count)
-        if not np.isfinite(history.rows).any():
-            return spread
-        every = np.arange(problem.n)
-        try:
-            outlook = self._outlook(problem, history, every)
-        except (np.linalg.LinAlgError, InvalidInput):
-            return spread
-        promising = np.argsort(-outlook.gain_by_target(source), kind="stable").tolist()
-        half = even_targets(problem, source, 1 + count // 2)
-        chosen = dict.fromkeys([*half, *promising])
-        return tuple(sorted(list(chosen)[:count]))
-
-    def _outlook(
-        self, problem: SelectionProblem, history: History, every: Indices | None = None
-    ) -> _Outlook:
-        """What is believed, on a part of the targets or on all of `every`."""
+    def _outlook(self, problem: SelectionProblem, history: History) -> _Outlook:
+        """What is believed, on a part of the targets."""
         count = min(self.most_targets, max(24, self.most_pairs // len(history)))
         targets = _spread(problem, np.arange(problem.n), count)
         places = Places.of(problem.unit, problem.steps)
@@ -147,23 +123,22 @@ class Auto:
             scatter = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
             noise = independent_noise(places, prior, pairs, y, scatter)
         model = TransferGP(places, prior, pairs, y, noise)
-        judged = targets if every is None else every
-        best = np.maximum(history.best[judged], floor)
+        best = np.maximum(history.best[targets], floor)
         trained = np.arange(len(sources))
         if not np.isfinite(history.rows).all() or (noise is not None and noise.any()):
             # the best of noisy or missing entries is what the model believes them to be
-            best = model.predict(sources, judged, trained)[0].max(axis=0)
+            best = model.predict(sources, targets, trained)[0].max(axis=0)
         top = float(y.max() + _MARGIN * np.ptp(y))
         if history.pending:  # believed to give what is expected of them
             waiting = np.asarray(history.pending, dtype=np.intp)
             numbers = len(sources) + np.arange(len(waiting))
             believed = model.predict(waiting, targets)[0]
-            best = np.maximum(best, model.predict(waiting, judged)[0].max(axis=0))
+            best = np.maximum(best, believed.max(axis=0))
             pairs = np.vstack([pairs, grid_pairs(waiting, targets, numbers)])
             noise = None if noise is None else np.append(noise, np.zeros(believed.size))
             model = TransferGP(places, prior, pairs, np.append(y, believed.ravel()), noise)
-        weights = problem.weights[judged] / problem.weights[judged].sum()
-        return _Outlook(model, judged, best, np.maximum(top, best), weights, problem.risk)
+        weights = problem.weights[targets] / problem.weights[targets].sum()
+        return _Outlook(model, targets, best, np.maximum(top, best), weights, problem.risk)
 
 
 @dataclass(frozen=True)
@@ -183,10 +158,6 @@ class _Outlook:
         if self.risk == 1.0:
             return np.asarray(expected @ self.weights)
         return self._value(self.best + expected) - self._value(self.best)
-
-    def gain_by_target(self, source: int) -> Array:
-        """(T,) share of each target in the expected gain."""
-        return np.asarray(self._improvement(np.array([source]))[0] * self.weights)
 
     def chance(self, source: int, least: float) -> float:
         """Probability that V gains `least` or more, from samples of the whole row."""

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from mbtl.history import History
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import (
     Exhausted,
-    SelectionProblem,
     Selector,
     even_targets,
     open_candidates,
@@ -103,8 +101,7 @@ def _proposal(state: StudyState, selector: Selector) -> Event:
         "worker": this_worker().to_json(),
     }
     if spec.eval_targets is not None:
-        choose = getattr(selector, "targets", _even_targets)
-        data["targets"] = list(choose(problem, history, source, spec.eval_targets))
+        data["targets"] = list(even_targets(problem, source, spec.eval_targets))
     return Event("asked", data)
 
 
@@ -116,10 +113,3 @@ def _enough(spec: StudySpec, chance: float | None) -> str | None:
         f"one more training gains less than {spec.stop_gain:g} in V with probability "
         f"{1.0 - chance:.3f}, the selector predicts"
     )
-
-
-def _even_targets(
-    problem: SelectionProblem, history: History, source: int, count: int
-) -> tuple[int, ...]:
-    """For selectors that have no opinion."""
-    return even_targets(problem, source, count)

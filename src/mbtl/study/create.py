@@ -76,7 +76,7 @@ def create_study(
             selector then maximises gain per cost.
         repeats: trainings allowed on one context, with other seeds, where their luck is worth it.
         risk: V is the mean over this share of the targets, those that do worst; 1 for all.
-        eval_targets: evaluate each policy on so many targets, which the selector chooses
+        eval_targets: evaluate each policy on so many targets, its source among them
             (`Pick.targets`); None for all.
         stop_gain: end when one more training gains less than this in V ...
         stop_confidence: ... with at least this probability, as the selector predicts it.
