@@ -170,11 +170,11 @@ def test_noise_told_is_not_taken_for_a_gain():
 def test_targets_evaluated_are_evenly_spaced_with_the_source_among_them():
     assert even_targets(line(61), 31, 7) == (0, 10, 20, 31, 40, 50, 60)
     assert even_targets(line(61), 60, 1) == (60,)
-    assert even_targets(line(5), 2, 5) == (0, 1, 2, 3, 4)
+    assert even_targets(line(5, 5), 2, 5) == (0, 1, 2, 3, 4)
 
 
 def test_a_catastrophe_does_not_hide_the_rest():
-    """Far outside everything, and below the bounds by their whole width: how far is all the same."""
+    """Far outside all, and below the bounds by their whole width: how far is all the same."""
     n, picks = 40, []
     for worst in (-1e2, -1e6):
         row = reach(n, 19, 8, 8)
