@@ -31,6 +31,7 @@ from mbtl.history import History
 from mbtl.objective import value
 from mbtl.selectors import Auto, SelectionProblem
 from mbtl.selectors.base import even_targets
+from mbtl.study.asking import LEAST_ROWS
 
 SETS = (
     "cartpole-length,cartpole-length-dqn,pendulum-length-hidden,pendulum-timestep,ring-acc,ring-vel"
@@ -150,7 +151,7 @@ def stopping(name: str, least: float = 0.01, confidence: float = 0.9) -> Iterato
             row = rows[0][proposal.source]
             enough = proposal.chance is not None and 1.0 - proposal.chance >= confidence
             gain = value(np.maximum(history.best, row)) - value(history.best)
-            if enough:
+            if enough and len(history) >= LEAST_ROWS:
                 left = regret(rows[0], list(history.rows), history.rows)
                 yield np.array([len(history), gain < least, left])
                 break

@@ -128,7 +128,8 @@ class Auto:
         if not np.isfinite(history.rows).all() or (noise is not None and noise.any()):
             # the best of noisy or missing entries is what the model believes them to be
             best = model.predict(sources, targets, trained)[0].max(axis=0)
-        top = float(y.max() + _MARGIN * np.ptp(y))
+        highest = float(y.max())
+        top = highest + _MARGIN * float(np.ptp(y))
         if history.pending:  # believed to give what is expected of them
             waiting = np.asarray(history.pending, dtype=np.intp)
             numbers = len(sources) + np.arange(len(waiting))
@@ -138,7 +139,7 @@ class Auto:
             noise = None if noise is None else np.append(noise, np.zeros(believed.size))
             model = TransferGP(places, prior, pairs, np.append(y, believed.ravel()), noise)
         weights = problem.weights[targets] / problem.weights[targets].sum()
-        return _Outlook(model, targets, best, np.maximum(top, best), weights, problem.risk)
+        return _Outlook(model, targets, best, np.maximum(top, best), highest, weights, problem.risk)
 
 
 @dataclass(frozen=True)
@@ -149,6 +150,7 @@ class _Outlook:
     targets: Indices
     best: Array
     top: Array
+    seen: float
     weights: Array
     risk: float
 
@@ -160,9 +162,13 @@ class _Outlook:
         return self._value(self.best + expected) - self._value(self.best)
 
     def chance(self, source: int, least: float) -> float:
-        """Probability that V gains `least` or more, from samples of the whole row."""
+        """Probability that V gains `least` or more, from samples of the whole row.
+
+        No higher than the best performance seen: where targets are served as well as any can be, a
+        margin above it would promise a little for ever.
+        """
         rows = self.model.draws(source, self.targets, _DRAWS, np.random.default_rng(0))
-        reached = np.maximum(np.minimum(rows, self.top), self.best)
+        reached = np.maximum(np.minimum(rows, self.seen), self.best)
         return float(np.mean(self._value(reached) - self._value(self.best) >= least))
 
     def _value(self, best: Array) -> Array:

@@ -15,6 +15,10 @@ from mbtl.study.state import StudySpec, StudyState
 from mbtl.study.worker import this_worker
 
 
+LEAST_ROWS = 3
+"""Rows before a prediction may end the study: one or two say too little of how rows differ."""
+
+
 def next_event(state: StudyState, selector: Selector, take_over: bool) -> Event:
     """A pick handed out again ("claimed"), a new one ("asked"), or "stopped".
 
@@ -89,7 +93,7 @@ def _proposal(state: StudyState, selector: Selector) -> Event:
     except Exhausted as error:
         raise StudyFinished(f"the study is finished: {error}") from error
     enough = _enough(spec, proposal.chance)
-    if enough is not None and len(history):
+    if enough is not None and len(history) >= LEAST_ROWS:
         return Event("stopped", {"reason": enough})
     source = int(proposal.source)
     data = {

@@ -79,7 +79,8 @@ def create_study(
         eval_targets: evaluate each policy on so many targets, its source among them
             (`Pick.targets`); None for all.
         stop_gain: end when one more training gains less than this in V ...
-        stop_confidence: ... with at least this probability, as the selector predicts it.
+        stop_confidence: ... with at least this probability, as the selector predicts it after
+            three rows or more.
         storage: path of an SQLite file or an SQLAlchemy URL; None keeps the study in memory.
         name: name of the study within its storage.
         problem: id of the problem, to refuse a study of another one.
