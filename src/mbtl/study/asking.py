@@ -14,7 +14,6 @@ from mbtl.study.pick import StudyFinished
 from mbtl.study.state import StudySpec, StudyState
 from mbtl.study.worker import this_worker
 
-
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
 
