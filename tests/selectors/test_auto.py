@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -181,3 +183,25 @@ def test_a_catastrophe_does_not_hide_the_rest():
         row[30:33] = worst
         picks.append(Auto().propose(line(n), History(n).with_row(19, row), RNG))
     assert picks[0] == picks[1]
+
+
+def test_with_many_contexts_the_error_of_the_gain_is_stated():
+    n = 400
+    history = History(n).with_row(199, reach(n, 199, 60, 60))
+    proposal = Auto().propose(line(n), history, RNG)
+    assert "150 of 400 targets judged" in proposal.notes[0]
+    stated = float(proposal.notes[0].split("+- ")[1].split(":")[0])
+    whole = Auto(final_targets=n).propose(line(n), history, RNG)
+    assert whole.notes == ()
+    assert abs(whole.acquisition - proposal.acquisition) < 3 * stated
+
+
+def test_little_is_said_to_be_left_where_hard_targets_are_served_as_well_as_they_can_be():
+    n, history = 50, History(50)
+    ceiling = np.linspace(1.0, 0.3, n)  # what a training on the target itself gives
+    for source in (4, 14, 24, 34, 44):
+        far = np.abs(np.arange(n) - source) > 5
+        history = history.with_row(source, ceiling - 0.2 * far)
+    proposal = Auto().propose(replace(line(n), least_gain=0.05), history, RNG)
+    assert proposal.acquisition < 0.015  # 0.05 without ceilings
+    assert proposal.chance < 0.1

@@ -41,7 +41,7 @@ _ROUNDS = 12
 _SHARES = (0.0, 0.1, 0.3, 1.0)
 _ENOUGH = 300
 """Observations that decide how much of the noise is independent."""
-_BLOCK_ENTRIES = 1 << 22
+_BLOCK_ENTRIES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -191,16 +191,18 @@ class TransferGP:
                 again also where the source was trained before.
         """
         mean, std = np.empty((2, len(sources), len(targets)))
-        own = variance(self._prior)
         numbers = np.full(len(sources), NEW) if trainings is None else trainings
         for rows in _blocks(len(sources), len(targets) * len(self._pairs)):
-            pairs = grid_pairs(sources[rows], targets, numbers[rows])
-            half = self._half(covariance(self._places, self._prior, self._pairs, pairs))
-            shape = (-1, len(targets))
-            mean[rows] = (self.mean + half.T @ self._residual).reshape(shape)
-            left = np.maximum(own - np.einsum("ij,ij->j", half, half), 1e-9 * own)
-            std[rows] = np.sqrt(self.scale * left).reshape(shape)
+            found = self.predict_pairs(grid_pairs(sources[rows], targets, numbers[rows]))
+            mean[rows], std[rows] = (values.reshape(-1, len(targets)) for values in found)
         return mean, std
+
+    def predict_pairs(self, pairs: Pairs) -> tuple[Array, Array]:
+        """Mean and standard deviation (m,) of J at `pairs` (m, 3), without noise; O(n^2 m)."""
+        half = self._half(covariance(self._places, self._prior, self._pairs, pairs))
+        own = variance(self._prior)
+        left = np.maximum(own - np.einsum("ij,ij->j", half, half), 1e-9 * own)
+        return self.mean + half.T @ self._residual, np.sqrt(self.scale * left)
 
     def draws(self, source: int, targets: Pairs, n: int, rng: np.random.Generator) -> Array:
         """(n, T) samples of the row of one new training on `source`."""
@@ -233,7 +235,7 @@ def independent_noise(
 
     def likelihood(share: float) -> float:
         part = TransferGP(places, prior, pairs[some], y[some], share * noise[some])
-        return part.log_likelihood
+        return float(part.log_likelihood)
 
     return max(_SHARES, key=likelihood) * noise
 
@@ -242,6 +244,9 @@ def covariance(
     places: Places, prior: TransferPrior, a: Pairs, b: Pairs, *, one_training: bool = False
 ) -> Array:
     """Prior covariance of J at pairs `a` (m, 3) and `b` (n, 3), without noise.
+
+    Terms of sources alone and of targets alone are computed once per distinct context and looked
+    up; only those of the shifts are computed for every two pairs.
 
     Args:
         places: of all contexts.
@@ -255,23 +260,37 @@ def covariance(
     """
     x, z = places.x, places.z
     (s, t, r), (s2, t2, r2) = a.T, b.T
-    apart = _distance(x[t], x[t2])
-    sources = _distance(x[s], x[s2])
+    (some, at), (some2, at2) = _distinct(s), _distinct(s2)
+    (ends, to), (ends2, to2) = _distinct(t), _distinct(t2)
+
+    def of_sources(table: Array) -> Array:
+        return table.take(at, axis=0).take(at2, axis=1)
+
+    def of_targets(table: Array) -> Array:
+        return table.take(to, axis=0).take(to2, axis=1)
+
+    apart = _distance(x[ends], x[ends2])
+    sources = _distance(x[some], x[some2])
     near = _matern(sources, prior.source_length)
-    total = prior.target * _matern(apart, prior.target_length)
-    total += (prior.interaction / prior.target) * near * total
-    total += prior.source * near
-    shift = _distance(x[t] - x[s], x[t2] - x[s2])
-    total += prior.gap * _matern(shift, prior.gap_length) * _matern(sources, prior.along_length)
-    shift = _distance(z[t] - z[s], z[t2] - z[s2])
-    along = _matern(_distance(z[s], z[s2]), prior.along_length)
-    total += prior.log_gap * _matern(shift, prior.log_gap_length) * along
+    total = of_targets(prior.target * _matern(apart, prior.target_length))
+    total *= of_sources(1.0 + (prior.interaction / prior.target) * near)
+    total += of_sources(prior.source * near)
+    shapes = (
+        (x, prior.gap, prior.gap_length),
+        (z, prior.log_gap, prior.log_gap_length),
+    )
+    for place, size, length in shapes:
+        along = _matern(_distance(place[some], place[some2]), prior.along_length)
+        shift = _matern(_distance(place[t] - place[s], place[t2] - place[s2]), length)
+        shift *= of_sources(size * along)
+        total += shift
     same = r[:, None] == r2[None, :]
     if not one_training:
         same &= r[:, None] != NEW
     if same.any():
-        total += same * (prior.luck + prior.row_luck * _matern(apart, prior.row_luck_length))
-    return np.asarray(total)
+        luck = prior.luck + prior.row_luck * _matern(apart, prior.row_luck_length)
+        total += same * of_targets(luck)
+    return total
 
 
 def variance(prior: TransferPrior) -> float:
@@ -290,14 +309,29 @@ def grid_pairs(sources: Pairs, targets: Pairs, trainings: Pairs | None = None) -
 def _distance(a: Array, b: Array) -> Array:
     """(m, D), (n, D) -> (m, n) root mean square differences: in any D, a cube's side is 1."""
     if a.shape[1] == 1:
-        return np.asarray(np.abs(a - b[:, 0]))
-    squared = np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1) - 2.0 * (a @ b.T)
-    return np.asarray(np.sqrt(np.maximum(squared, 0.0) / a.shape[1]))
+        distance = a - b[:, 0]
+        return np.asarray(np.abs(distance, out=distance))
+    d = a.shape[1]
+    squared = (a * (-2.0 / d)) @ b.T
+    squared += np.square(a).sum(axis=1)[:, None] / d
+    squared += np.square(b).sum(axis=1) / d
+    np.maximum(squared, 0.0, out=squared)
+    return np.asarray(np.sqrt(squared, out=squared))
 
 
 def _matern(distance: Array, length: float) -> Array:
-    scaled = (_ROOT3 / length) * distance
-    return np.asarray((1.0 + scaled) * np.exp(-scaled))
+    """(1 + r) exp(-r) with r = sqrt(3) distance / length; overwrites nothing."""
+    scaled = distance * (-_ROOT3 / length)
+    fall = np.exp(scaled)
+    np.subtract(1.0, scaled, out=scaled)
+    scaled *= fall
+    return scaled
+
+
+def _distinct(indices: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The distinct contexts, and where each index stands among them."""
+    some, at = np.unique(indices, return_inverse=True)
+    return some, at
 
 
 def _blocks(rows: int, entries_per_row: int) -> Iterator[slice]:

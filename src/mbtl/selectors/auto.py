@@ -1,12 +1,10 @@
 """Auto: train where whole rows seen so far promise the largest expected gain.
 
-    a(x) = sum_t w_t E[ (min(J(x, t), top) - best(t))_+ ]
-
-under the posterior of `mbtl.models.TransferGP`, which learns from every entry of every row. It is
-Gaussian, so the expectation is closed: with e(m) = s (z Phi(z) + phi(z)) and z = m / s, it is
-e(E J - best) - e(E J - top). `top` is the best performance seen anywhere: a Gaussian far from all
-data would promise more than any policy has ever reached. Beyond some hundred contexts a part of the
-candidates and targets, spread over the space, stands for all of them.
+The gain is `mbtl.acquisition.RowGain` under the posterior of `mbtl.models.TransferGP`, which learns
+from every entry of every row. Nobody is expected to do better than the best performance seen
+anywhere, and a little: a Gaussian far from all data would promise more than any policy has reached.
+Beyond some hundred contexts a part of the candidates and targets, spread over the space, stands for
+all of them, and the best few candidates are judged again on more targets.
 """
 
 from __future__ import annotations
@@ -17,20 +15,19 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.acquisition import TIE, argmax_open, unit_improvement
+from mbtl.acquisition import TIE, RowGain, argmax_open
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.priors import PRIORS, prior_without
+from mbtl.models.relevance import Columns, fit_relevance, stretched
 from mbtl.models.transfer_gp import (
     Pairs,
-    Places,
     TransferGP,
     TransferPrior,
     grid_pairs,
     independent_noise,
 )
-from mbtl.objective import worst_share_mean
 from mbtl.selectors.base import (
     Proposal,
     SelectionProblem,
@@ -43,8 +40,6 @@ Indices = NDArray[np.intp]
 
 _MARGIN = 0.02
 """By how much `top` lies above the best seen, as a share of the range seen."""
-_DRAWS = 4000
-"""Samples of a row behind the chance of a gain: a standard error below 0.01."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +55,18 @@ class Auto:
         most_candidates: contexts considered as sources at once.
         most_targets: contexts considered as targets at once.
         most_pairs: observed pairs used; with more rows, fewer targets of each.
+        finalists: candidates that are judged a second time, on more targets.
+        final_targets: targets of that.
+        relevance: with several axes, learn which of them matter (predicts better, picks alike).
     """
 
     prior: TransferPrior | None = None
     most_candidates: int = 100
     most_targets: int = 50
     most_pairs: int = 1000
+    finalists: int = 10
+    final_targets: int = 150
+    relevance: bool = False
     name: str = "auto"
     predicts_chances: ClassVar[bool] = True
 
@@ -82,17 +83,25 @@ class Auto:
             return first_pick(problem, history, mask)
         candidates = _spread(problem, np.flatnonzero(mask), self.most_candidates)
         try:
-            outlook = self._outlook(problem, history)
+            beliefs = self._beliefs(problem, history)
         except (np.linalg.LinAlgError, InvalidInput) as error:  # or nothing known of these targets
             source = farthest_open(problem, history.sources, mask)
             note = f"the transfer model could not be fitted ({error})"
             return Proposal(source, "far from what was tried so far", None, (note,))
-        gain = outlook.gain(candidates)
-        score = gain if problem.costs is None else gain / problem.costs[candidates]
-        best = argmax_open(score, np.ones(len(score), dtype=bool))
+        costs = np.ones(problem.n) if problem.costs is None else problem.costs
+        outlook = beliefs.row_gain(beliefs.targets)
+        gain = outlook.expected(candidates)
+        wide = _spread(problem, np.arange(problem.n), self.final_targets)
+        if len(wide) > len(beliefs.targets):  # what few targets say is in part their own luck
+            order = np.argsort(-gain / costs[candidates], kind="stable")
+            candidates = np.sort(candidates[order[: self.finalists]])
+            outlook = beliefs.row_gain(wide)
+            gain = outlook.expected(candidates)
+        best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
         source, chance = int(candidates[best]), None
+        gained = outlook.samples(source)
         if problem.least_gain is not None:
-            chance = outlook.chance(source, problem.least_gain)
+            chance = float(np.mean(gained >= problem.least_gain))
         if gain[best] <= TIE:
             source = farthest_open(problem, [*history.sources, *history.pending], mask)
             reason = "no predicted gain anywhere: far from what was tried"
@@ -102,13 +111,17 @@ class Auto:
             reason += " per cost"
         if source in history.sources:
             reason += ", trained again"
-        return Proposal(source, reason, float(gain[best]), chance=chance)
+        sampling = outlook.standard_error(source, problem.n)
+        judged = f"gain +- {sampling:.2g}: {len(outlook.targets)} of {problem.n} targets judged"
+        notes = (judged,) if sampling else ()
+        return Proposal(source, reason, float(gained.mean()), notes, chance)
 
-    def _outlook(self, problem: SelectionProblem, history: History) -> _Outlook:
-        """What is believed, on a part of the targets."""
+    def _beliefs(self, problem: SelectionProblem, history: History) -> _Beliefs:
+        """Condition the model on the rows, at some of the targets."""
         count = min(self.most_targets, max(24, self.most_pairs // len(history)))
         targets = _spread(problem, np.arange(problem.n), count)
-        places = Places.of(problem.unit, problem.steps)
+        columns = Columns.of(problem.axes, problem.unit.shape[1])
+        places = columns.places(problem.unit, problem.steps)
         sources = np.asarray(history.sources, dtype=np.intp)
         pairs = grid_pairs(sources, targets)
         y = history.rows[:, targets].ravel()
@@ -116,68 +129,52 @@ class Auto:
         if not seen.all():  # of rows evaluated in part, all that was evaluated
             pairs, y, seen = _evaluated(history, self.most_pairs)
         pairs, y = pairs[seen], y[seen]
-        floor = _floor(y)
-        y = np.maximum(y, floor)
-        prior, noise = self.prior or PRIORS["all"], None
+        y = np.maximum(y, _floor(y))
+        prior, noise = self.prior or PRIORS["all"], np.zeros(len(y))
+        if self.relevance:
+            weights = fit_relevance(places, columns.axis, prior, pairs, y)
+            places = stretched(places, weights[columns.axis])
         if history.errors is not None:
             scatter = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
             noise = independent_noise(places, prior, pairs, y, scatter)
-        model = TransferGP(places, prior, pairs, y, noise)
-        best = np.maximum(history.best[targets], floor)
-        trained = np.arange(len(sources))
-        if not np.isfinite(history.rows).all() or (noise is not None and noise.any()):
-            # the best of noisy or missing entries is what the model believes them to be
-            best = model.predict(sources, targets, trained)[0].max(axis=0)
-        highest = float(y.max())
-        top = highest + _MARGIN * float(np.ptp(y))
-        if history.pending:  # believed to give what is expected of them
-            waiting = np.asarray(history.pending, dtype=np.intp)
+        told = TransferGP(places, prior, pairs, y, noise)
+        waiting = np.asarray(history.pending, dtype=np.intp)
+        expecting = told
+        if len(waiting):  # believed to give what is expected of them
+            believed = told.predict(waiting, targets)[0].ravel()
             numbers = len(sources) + np.arange(len(waiting))
-            believed = model.predict(waiting, targets)[0]
-            best = np.maximum(best, believed.max(axis=0))
             pairs = np.vstack([pairs, grid_pairs(waiting, targets, numbers)])
-            noise = None if noise is None else np.append(noise, np.zeros(believed.size))
-            model = TransferGP(places, prior, pairs, np.append(y, believed.ravel()), noise)
-        weights = problem.weights[targets] / problem.weights[targets].sum()
-        return _Outlook(model, targets, best, np.maximum(top, best), highest, weights, problem.risk)
+            noise = np.append(noise, np.zeros(len(believed)))
+            expecting = TransferGP(places, prior, pairs, np.append(y, believed), noise)
+        return _Beliefs(problem, history, targets, y, bool(noise.any()), told, expecting)
 
 
 @dataclass(frozen=True)
-class _Outlook:
-    """What one more training may bring: T targets, with the best so far and the cap of each."""
+class _Beliefs:
+    """The model after the rows told (values `y`), and after those expected of pending picks too."""
 
-    model: TransferGP
+    problem: SelectionProblem
+    history: History
     targets: Indices
-    best: Array
-    top: Array
-    seen: float
-    weights: Array
-    risk: float
+    y: Array
+    noisy: bool
+    told: TransferGP
+    expecting: TransferGP
 
-    def gain(self, candidates: Indices) -> Array:
-        """(M,) expected gain in V of each candidate."""
-        expected = self._improvement(candidates)
-        if self.risk == 1.0:
-            return np.asarray(expected @ self.weights)
-        return self._value(self.best + expected) - self._value(self.best)
-
-    def chance(self, source: int, least: float) -> float:
-        """Probability that V gains `least` or more, from samples of the whole row.
-
-        No higher than the best performance seen: where targets are served as well as any can be, a
-        margin above it would promise a little for ever.
-        """
-        rows = self.model.draws(source, self.targets, _DRAWS, np.random.default_rng(0))
-        reached = np.maximum(np.minimum(rows, self.seen), self.best)
-        return float(np.mean(self._value(reached) - self._value(self.best) >= least))
-
-    def _value(self, best: Array) -> Array:
-        return worst_share_mean(best, self.weights, self.risk)
-
-    def _improvement(self, candidates: Indices) -> Array:
-        mean, std = self.model.predict(candidates, self.targets)
-        below = unit_improvement((mean - self.top) / std)
-        return np.asarray(std * (unit_improvement((mean - self.best) / std) - below))
+    def row_gain(self, targets: Indices) -> RowGain:
+        """What one more training may bring on these targets."""
+        sources = np.asarray(self.history.sources, dtype=np.intp)
+        best = np.maximum(self.history.best[targets], _floor(self.y))
+        if self.noisy or not np.isfinite(self.history.rows[:, targets]).all():
+            # the best of noisy or missing entries is what the model believes them to be
+            best = self.told.predict(sources, targets, np.arange(len(sources)))[0].max(axis=0)
+        waiting = np.asarray(self.history.pending, dtype=np.intp)
+        if len(waiting):
+            best = np.maximum(best, self.told.predict(waiting, targets)[0].max(axis=0))
+        highest = float(self.y.max())
+        top = np.maximum(highest + _MARGIN * float(np.ptp(self.y)), best)
+        weights = self.problem.weights[targets] / self.problem.weights[targets].sum()
+        return RowGain(self.expecting, targets, best, top, highest, weights, self.problem.risk)
 
 
 def _floor(y: Array) -> float:

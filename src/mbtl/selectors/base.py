@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
-from mbtl.contexts import ContextSpace
+from mbtl.contexts import Axis, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.history import History
 
@@ -40,6 +40,7 @@ class SelectionProblem:
         cost_budget: of all trainings together; None for no limit.
         risk: share of the targets, the worst of them, that V is the mean of.
         least_gain: gain in V that one more training should be worth; None where that is not asked.
+        axes: of the context space, D columns together; empty: D linear axes.
     """
 
     unit: Array
@@ -52,6 +53,7 @@ class SelectionProblem:
     cost_budget: float | None = None
     risk: float = 1.0
     least_gain: float | None = None
+    axes: tuple[Axis, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.repeats >= 1:
@@ -91,7 +93,7 @@ class SelectionProblem:
             **wishes: `repeats`, `costs`, `cost_budget`, `risk`, `least_gain`.
         """
         slope = default_theta(space.n) if theta is None else theta
-        return cls(space.unit, space.steps, space.weights, budget, slope, **wishes)
+        return cls(space.unit, space.steps, space.weights, budget, slope, axes=space.axes, **wishes)
 
     @property
     def n(self) -> int:
