@@ -7,18 +7,24 @@ the family of each matrix. Beside the selectors stands "told", which is none: it
 matrices of the *other seeds* of the same CMDP, smoothed over sources, and picks by their mean gain.
 What separates it from the Sequential Oracle is luck of single trainings, which nobody can foresee.
 
+Sets with several axes have a table of their own, without the selectors that need one axis (n/a).
+Coarser grids (`-every5`) are left out: they have fewer contexts than the others have trainings.
+
 `--write` puts the tables into docs/leaderboard.md.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter
 
 from mbtl.benchmark import compare
+from mbtl.benchmark.catalogue import open_matrices
+from mbtl.benchmark.compare import default_selectors
 from mbtl.benchmark.records import Estimate, Summary, Trainings
 from mbtl.benchmark.shipped import load_by_id, shipped_matrices
 from mbtl.benchmark.summary import SHARES
@@ -35,6 +41,7 @@ SMOOTH = 2.0
 def told(matrix_id: str, budget: int) -> np.ndarray:
     """(levels,) mean logarithm of the trainings to each share, a level not reached as K + 1."""
     matrix = load_by_id(matrix_id)
+    shape = matrix.space.shape or (matrix.n,)
     every = np.arange(matrix.n)
     rows = np.stack([matrix.rows(s, every) for s in range(matrix.n_seeds)])
     logs = []
@@ -44,7 +51,7 @@ def told(matrix_id: str, budget: int) -> np.ndarray:
         for _ in range(budget):
             base = best if taken else np.zeros(matrix.n)
             gain = (np.maximum(others - base, 0.0) if taken else others).mean(axis=(0, 2))
-            gain = gaussian_filter1d(gain, SMOOTH, mode="nearest")
+            gain = gaussian_filter(gain.reshape(shape), SMOOTH, mode="nearest").ravel()
             gain[taken] = -np.inf
             taken.append(int(gain.argmax()))
             best = np.maximum(best, truth[taken[-1]])
@@ -68,7 +75,7 @@ def closed(found: Estimate) -> str:
     return f"{found.value:.2f}{interval}"
 
 
-def pooled(summary: Summary, known: np.ndarray) -> list[str]:
+def pooled(summary: Summary, known: np.ndarray | None) -> list[str]:
     lines = [
         f"| selector | k90 | k95 | k99 | closed at K = {summary.budget} | closed under the curve |",
         "|---|---|---|---|---|---|",
@@ -77,18 +84,28 @@ def pooled(summary: Summary, known: np.ndarray) -> list[str]:
         cells = [name, *map(trainings, (s.k90, s.k95, s.k99))]
         cells += [closed(s.closed_at_K), closed(s.closed_under_curve)]
         lines.append(f"| {' | '.join(cells)} |")
+    if known is None:
+        return lines
     values = " | ".join(f"{v:.1f}" for v in np.exp(known))
     return [*lines, f"| *told the other seeds* | {values} | | |"]
 
 
-def each(summary: Summary) -> list[str]:
+def each(names: Sequence[str], summaries: Sequence[Summary]) -> list[str]:
     """k95 of every selector on every matrix."""
-    names = list(summary.pooled)
     lines = [f"| k95 | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
-    for matrix, found in summary.matrices.items():
-        cells = [trainings(found.selectors[name].k95) for name in names]
+    for matrix, found in sorted(item for s in summaries for item in s.matrices.items()):
+        by = found.selectors
+        cells = [trainings(by[name].k95) if name in by else "n/a" for name in names]
         lines.append(f"| {matrix} | {' | '.join(cells)} |")
     return lines
+
+
+def board(names: Sequence[str], ids: Sequence[str], budget: int) -> tuple[Summary, list[str]]:
+    """Summary and pooled table of matrices that all these selectors can run on."""
+    summary = compare(names, ids, budget).summary
+    several = [i for i in ids if load_by_id(i).n_seeds > 1]
+    known = np.mean([told(i, budget) for i in several], axis=0) if several else None
+    return summary, pooled(summary, known)
 
 
 def main() -> None:
@@ -97,12 +114,22 @@ def main() -> None:
     parser.add_argument("--selectors", default=",".join(SELECTORS))
     parser.add_argument("--write", action="store_true")
     args = parser.parse_args()
-    every = shipped_matrices()
-    summary = compare(args.selectors.split(","), every, args.budget).summary
-    several = [m for m in every if load_by_id(m).n_seeds > 1]
-    known = np.mean([told(m, args.budget) for m in several], axis=0)
-    title = f"{len(every)} sets of matrices, K = {args.budget}"
-    lines = [title, "", *pooled(summary, known), "", *each(summary), ""]
+    names = args.selectors.split(",")
+    sets = {
+        "one axis": list(open_matrices(["all"])),
+        "several axes": [i for i in shipped_matrices() if load_by_id(i).space.d > 1],
+    }
+    lines: list[str] = []
+    summaries = []
+    for axes, ids in sets.items():
+        if not ids:
+            continue
+        able = default_selectors(ids)
+        summary, table = board([n for n in names if n in able], ids, args.budget)
+        count = f"{len(ids)} set{'s' * (len(ids) > 1)}"
+        lines += [f"{count} of matrices with {axes}, K = {args.budget}", "", *table, ""]
+        summaries.append(summary)
+    lines += [*each(names, summaries), ""]
     print("\n".join(lines))
     if args.write:
         mark = "<!-- benchmarks/leaderboard.py --write: all below -->\n"

@@ -21,7 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.benchmark.shipped import family_of, load_by_id, shipped_matrices
+from mbtl.benchmark.catalogue import open_matrices
+from mbtl.benchmark.shipped import family_of, load_by_id
 from mbtl.benchmark.summary import SHARES
 from mbtl.history import History
 from mbtl.models.priors import CANDIDATES
@@ -64,7 +65,7 @@ def main() -> None:
     parser.add_argument("--budget", type=int, default=15)
     parser.add_argument("--write", action="store_true")
     args = parser.parse_args()
-    ids = [i for i in shipped_matrices() if not i.endswith("-final")]  # twins of the default sets
+    ids = [i for i in open_matrices(["all"]) if not i.endswith("-final")]  # twins of the defaults
     families = sorted({family_of(i) for i in ids})
     stock = {
         f: [p for i in ids if family_of(i) == f for p in small(i, args.budget)] for f in families

@@ -47,6 +47,16 @@ def test_values_of_a_known_matrix(folder):
     assert (row.n, row.n_seeds, row.published["greedy"].mean) == (N, 2, 0.9424)
 
 
+def test_greedy_is_left_out_where_it_cannot_run(tmp_path):
+    contexts = [[a, b] for a in (0.0, 1.0, 2.0) for b in (0.0, 1.0)]
+    matrix = TransferMatrix.of(np.eye(6)[None], contexts=contexts, axes=["a", "b"], bounds=(0, 1))
+    save_shipped(matrix, tmp_path, "two-axes")
+    (row,) = reproduce(["two-axes"], budget=6, folder=tmp_path)
+    assert "greedy" not in row.ours
+    assert row.ours["mbtl"].mean == row.ours["sequential_oracle"].mean == 1.0
+    assert row.published == {}
+
+
 def test_a_baseline_that_saw_something_else_is_no_peer(tmp_path):
     returns = np.full((1, N, N), 10.0)
     for variant, shown in (("default", "multiplier"), ("hidden", "hidden")):

@@ -29,8 +29,8 @@ def run():
     app.command()(check)
     runner = CliRunner()
 
-    def call(*arguments):
-        return runner.invoke(app, arguments, env={"COLUMNS": "120"})
+    def call(*arguments, columns=120):
+        return runner.invoke(app, arguments, env={"COLUMNS": str(columns)})
 
     return call
 
@@ -53,13 +53,22 @@ def test_the_list_names_all_six_with_axis_and_nominal(run):
 
 
 def test_the_list_fits_80_columns(run):
-    result = run("cmdps")
-    assert max(map(len, result.stdout.splitlines())) <= 80
+    lines = run("cmdps", columns=80).stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert not any("\N{HORIZONTAL ELLIPSIS}" in line for line in lines), "nothing is cut off"
+
+
+def test_the_list_gives_each_axis_a_line(run):
+    lines = run("cmdps").stdout.splitlines()
+    [first] = [i for i, line in enumerate(lines) if line.startswith("cartpole-masses-length")]
+    shown = [line.split() for line in lines[first : first + 3]]
+    assert shown[0][1:6] == ["masspole", "0.02..0.2", "kg", "900", "0.1"]
+    assert shown[1:] == [["masscart", "0.2..2", "kg", "1"], ["length", "0.2..1", "m", "0.5"]]
 
 
 def test_json_is_one_document(run):
     records = json.loads(run("cmdps", "--json").stdout)
-    assert len(records) == 16
+    assert len(records) == 17
     one = json.loads(run("cmdps", "cartpole-length", "--json").stdout)
     assert one == records[1]
     assert one["presets"]["paper"]["trainer"]["timesteps"] == 5_000_000

@@ -63,8 +63,9 @@ def test_grids_and_constants_of_traffic(id):
     assert cmdp.settings["visibility"] == ("multiplier" if id.startswith("eco") else "hidden")
 
 
-def test_the_sixteen_ids():
+def test_the_seventeen_ids():
     control = ["cartpole-masscart", "cartpole-length", "cartpole-masspole"]
+    control += ["cartpole-masses-length"]
     control += ["pendulum-length", "pendulum-mass", "pendulum-timestep"]
     assert cmdp_ids() == [*control, *TRAFFIC]
 

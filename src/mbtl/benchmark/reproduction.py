@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.benchmark.compare import compare
+from mbtl.benchmark.compare import compare, default_selectors
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.multitask import MultiTask, load_multitask
 from mbtl.benchmark.oracle import reference
@@ -35,7 +35,7 @@ METHODS = (
 )
 """Columns in the paper's order; the last one is ours (all N policies, no selection)."""
 
-_SELECTORS = ("greedy", "mbtl")
+_SELECTORS = ("greedy", "mbtl")  # greedy needs one axis
 
 
 @dataclass(frozen=True)
@@ -137,9 +137,11 @@ def _reproduced(
         for name, found in baselines.items()
         if _same_problem(found, matrix)
     }
+    able = default_selectors([matrix])
     curves = {
         name: np.stack([run.performance for run in compare([name], [matrix], budget, 1).results])
         for name in _SELECTORS
+        if name in able
     }
     per_seed: dict[str, Array] = {
         "independent": np.array([k.levels.independent for k in known]),

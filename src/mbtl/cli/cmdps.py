@@ -63,7 +63,7 @@ def _record(cmdp: Any) -> dict[str, Any]:
 
 
 def _list(records: list[dict[str, Any]]) -> None:
-    table = Table(box=None, pad_edge=False, header_style="bold")
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="bold")
     for title in ("CMDP", "axis"):
         table.add_column(title, no_wrap=True)
     for title in ("N", "nominal", "horizon", "returns"):

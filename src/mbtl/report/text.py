@@ -22,7 +22,7 @@ def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) ->
     for pick in summary.picks:
         table.add_row(
             "-" if pick.number is None else str(pick.number + 1),
-            Text(shown(pick.context, space)),
+            Text(shown(pick.context, space, "\n")),
             _number(pick.value),
             _number(pick.fresh_value),
             "-" if pick.seconds is None else f"{pick.seconds / 60:.1f}",
@@ -55,6 +55,8 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
             f"V = {summary.value:.4f} on the selecting episodes, which flatters; "
             "no fresh ones were run."
         )
+    if summary.worst_tenth is not None:
+        out.append(f"The tenth of the contexts served worst: {summary.worst_tenth:.4f}.")
     out.append(summary.verdict)
     if summary.next_source is not None and summary.next_gain is not None:
         where = shown(space.context(summary.next_source), space)
@@ -66,14 +68,14 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     return out
 
 
-def shown(context: Context, space: ContextSpace) -> str:
-    """A context in few characters, e.g. "length = 0.5 m"."""
+def shown(context: Context, space: ContextSpace, between: str = ", ") -> str:
+    """A context in few characters, e.g. "length = 0.5 m"; `between` stands between its axes."""
     units = {axis.name: axis.unit for axis in space.axes}
     parts = []
     for name, value in context.items():
         number = f"{value:.4g}" if isinstance(value, float) else str(value)
         parts.append(f"{name} = {number} {units[name]}".rstrip())
-    return ", ".join(parts)
+    return between.join(parts)
 
 
 def _number(value: float | None) -> str:

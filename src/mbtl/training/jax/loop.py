@@ -249,7 +249,8 @@ def _fitting(weights: Weights, fresh: Weights) -> Weights:
             f"weights to begin from must have the shapes of this recipe and number of policies, "
             f"{needed}, got {given}"
         )
-    return jax.tree.map(lambda x: jnp.array(x, jnp.float32), weights)
+    copy: Weights = jax.tree.map(lambda x: jnp.array(x, jnp.float32), weights)
+    return copy
 
 
 def _nothing_to_gain(env: Environment, training: Training) -> bool:
