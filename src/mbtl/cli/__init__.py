@@ -1,5 +1,5 @@
 """The command line: one module per command. Exit codes: 0 done, 1 failed, 2 wrong usage."""
 
-from mbtl.cli.app import main
+from mbtl.cli.app import main, program
 
-__all__ = ["main"]
+__all__ = ["main", "program"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from typing import Annotated
 
@@ -11,7 +12,7 @@ import typer
 from mbtl.cli.bench import bench
 from mbtl.cli.check import check
 from mbtl.cli.cmdps import cmdps
-from mbtl.cli.common import console, interruptible
+from mbtl.cli.common import console, interruptible, interrupts
 from mbtl.cli.matrix import matrix_app
 from mbtl.cli.reproduce import reproduce_command
 from mbtl.cli.run import run
@@ -48,6 +49,21 @@ def _root(
     ] = False,
 ) -> None:
     """Options of the program itself."""
+
+
+def program() -> None:
+    """What the installed command runs: `main`, and after an interrupt in jax an end without ado.
+
+    XLA's threads go on computing then, and the interpreter, taken down around them, crashes.
+    """
+    try:
+        main()
+    except SystemExit:
+        if interrupts and "jax" in sys.modules:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(1)
+        raise
 
 
 def main() -> None:

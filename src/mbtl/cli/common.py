@@ -27,6 +27,10 @@ JsonFlag = Annotated[
 ]
 
 
+interrupts: list[str] = []
+"""Commands of this process that were interrupted."""
+
+
 def interruptible(command: Callable[..., None]) -> Callable[..., None]:
     """Say how to go on; the command-line library would print nothing and exit with 130."""
 
@@ -36,6 +40,7 @@ def interruptible(command: Callable[..., None]) -> Callable[..., None]:
             command(*args, **kwargs)
         except KeyboardInterrupt:
             console.print("interrupted: run the same command again to go on")
+            interrupts.append(command.__name__)
             raise typer.Exit(1) from None
 
     return wrapped

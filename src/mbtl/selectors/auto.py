@@ -4,7 +4,7 @@ The gain is `mbtl.acquisition.RowGain` under the posterior of `mbtl.models.Trans
 from every entry of every row. Nobody is expected to do better than the best performance seen
 anywhere, and a little: a Gaussian far from all data would promise more than any policy has reached.
 Beyond some hundred contexts a part of the candidates and targets, spread over the space, stands for
-all of them, and the best few candidates are judged again on more targets.
+all of them; with several axes the best few candidates are judged again on more targets.
 """
 
 from __future__ import annotations
@@ -92,7 +92,8 @@ class Auto:
         outlook = beliefs.row_gain(beliefs.targets)
         gain = outlook.expected(candidates)
         wide = _spread(problem, np.arange(problem.n), self.final_targets)
-        if len(wide) > len(beliefs.targets):  # what few targets say is in part their own luck
+        if not problem.is_line and len(wide) > len(beliefs.targets):
+            # a few of them on several axes are a sample, with its luck; on a line they are even
             order = np.argsort(-gain / costs[candidates], kind="stable")
             candidates = np.sort(candidates[order[: self.finalists]])
             outlook = beliefs.row_gain(wide)
