@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -204,6 +202,5 @@ def test_little_is_said_to_be_left_where_hard_targets_are_served_as_well_as_they
     for source in (4, 14, 24, 34, 44):
         far = np.abs(np.arange(n) - source) > 5
         history = history.with_row(source, ceiling - 0.2 * far)
-    proposal = Auto().propose(replace(line(n), least_gain=0.05), history, RNG)
+    proposal = Auto().propose(line(n), history, RNG)
     assert proposal.acquisition < 0.015  # 0.05 without ceilings
-    assert proposal.chance < 0.1

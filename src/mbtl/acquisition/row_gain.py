@@ -65,19 +65,31 @@ class RowGain:
         gain = self.by_target(np.array([candidate]))[0] * self.weights * count
         return float(gain.std(ddof=1) * np.sqrt((1.0 - count / n) / count))
 
-    def samples(self, source: int) -> Array:
-        """(n,) gains in V that one training on `source` may bring; for what is said, not to rank.
+    def said(self, source: int) -> float:
+        """Expected gain of one training on `source`, for people; not to rank by.
 
         `expected` ranks well and promises too much: where each target is served as well as it can
         be, each still promises a little. Here nobody does better on a target than a training on the
-        target itself would, nor than the best performance seen; whether those ceilings are high or
-        low is drawn once for all targets. Picks by this gain were no better (docs/calibration.md).
+        target itself would; whether those ceilings are high or low is drawn once for all targets.
+        Picks by this gain were no better (docs/calibration.md).
         """
         rng, own = np.random.default_rng(0), self.targets
         rows = self.model.draws(source, own, _DRAWS, rng)
         mean, std = self.model.predict_pairs(np.column_stack([own, own, np.full(len(own), NEW)]))
-        ceiling = np.minimum(mean + std * rng.standard_normal((_DRAWS, 1)), self.seen)
-        reached = np.maximum(np.minimum(rows, ceiling), self.best)
+        ceiling = mean + std * rng.standard_normal((_DRAWS, 1))
+        return float(self._gained(np.minimum(rows, ceiling)).mean())
+
+    def chance(self, source: int, least: float) -> float:
+        """Probability that one training on `source` gains `least` or more.
+
+        Without those ceilings, so that a study ends rather too late than too early.
+        """
+        rows = self.model.draws(source, self.targets, _DRAWS, np.random.default_rng(0))
+        return float(np.mean(self._gained(rows) >= least))
+
+    def _gained(self, rows: Array) -> Array:
+        """(n,) gains in V from samples of a row, none better than the best performance seen."""
+        reached = np.maximum(np.minimum(rows, self.seen), self.best)
         return self._value(reached) - self._value(self.best)
 
     def _value(self, best: Array) -> Array:

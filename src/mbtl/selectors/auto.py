@@ -100,9 +100,8 @@ class Auto:
             gain = outlook.expected(candidates)
         best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
         source, chance = int(candidates[best]), None
-        gained = outlook.samples(source)
         if problem.least_gain is not None:
-            chance = float(np.mean(gained >= problem.least_gain))
+            chance = outlook.chance(source, problem.least_gain)
         if gain[best] <= TIE:
             source = farthest_open(problem, [*history.sources, *history.pending], mask)
             reason = "no predicted gain anywhere: far from what was tried"
@@ -115,7 +114,7 @@ class Auto:
         sampling = outlook.standard_error(source, problem.n)
         judged = f"gain +- {sampling:.2g}: {len(outlook.targets)} of {problem.n} targets judged"
         notes = (judged,) if sampling else ()
-        return Proposal(source, reason, float(gained.mean()), notes, chance)
+        return Proposal(source, reason, outlook.said(source), notes, chance)
 
     def _beliefs(self, problem: SelectionProblem, history: History) -> _Beliefs:
         """Condition the model on the rows, at some of the targets."""
