@@ -27,8 +27,7 @@ from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.compare import default_selectors
 from mbtl.benchmark.records import Estimate, Summary, Trainings
 from mbtl.benchmark.shipped import load_by_id, shipped_matrices
-from mbtl.benchmark.summary import SHARES
-from mbtl.objective import k_star
+from mbtl.benchmark.summary import trainings_to
 
 SELECTORS = (
     "random", "greedy", "mbtl", "mbtl-release", "gp-mbtl", "m-mbtl", "sd-mbtl", "auto", "oracle",
@@ -57,7 +56,7 @@ def told(matrix_id: str, budget: int) -> np.ndarray:
             best = np.maximum(best, truth[taken[-1]])
             curve.append(best.mean())
         low, high = truth.mean(), truth.max(axis=0).mean()
-        reached = [k_star(np.array(curve), low + share * (high - low)) for share in SHARES]
+        reached = trainings_to(np.array(curve), low, high)
         logs.append([np.log(budget + 1 if k is None else k) for k in reached])
     return np.mean(logs, axis=0)
 

@@ -23,11 +23,11 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.shipped import family_of, load_by_id
-from mbtl.benchmark.summary import SHARES
+from mbtl.benchmark.summary import trainings_to
 from mbtl.history import History
 from mbtl.models.priors import CANDIDATES
 from mbtl.models.transfer_gp import TransferPrior
-from mbtl.objective import k_star, value_curve
+from mbtl.objective import value_curve
 from mbtl.selectors import SelectionProblem
 from mbtl.selectors.auto import Auto
 
@@ -56,7 +56,7 @@ def trainings(prior: TransferPrior, problem: SelectionProblem, rows: Array) -> A
         history = history.with_row(source, rows[source])
     curve = value_curve(history.rows, problem.weights)
     low, high = rows.mean(axis=0) @ problem.weights, rows.max(axis=0) @ problem.weights
-    reached = [k_star(curve, low + share * (high - low)) for share in SHARES]
+    reached = trainings_to(curve, low, high)
     return np.log([problem.budget + 1 if k is None else k for k in reached])
 
 

@@ -90,13 +90,8 @@ class _Table:
     @classmethod
     def of(cls, values: Array, refs: Sequence[Reference], draws: Array | None) -> _Table:
         budget = values.shape[1]
-        reached = tuple(
-            tuple(
-                k_star(curve, _levels(ref)[q] - _TIE)
-                for curve, ref in zip(values, refs, strict=True)
-            )
-            for q in range(1 + len(SHARES))
-        )
+        by_seed = [_reached(curve, ref) for curve, ref in zip(values, refs, strict=True)]
+        reached = tuple(zip(*by_seed, strict=True))
         trainings = np.array([[budget + 1 if k is None else k for k in row] for row in reached])
         random = np.array([ref.random for ref in refs])
         gain, room = values - random, np.array([ref.oracle.curve for ref in refs]) - random
@@ -114,9 +109,15 @@ class _Table:
         return cls(columns, reached, draws)
 
 
-def _levels(ref: Reference) -> tuple[float, ...]:
+def trainings_to(curve: Array, low: float, high: float) -> list[int | None]:
+    """Trainings until (K,) V has gone each of `SHARES` of the way from `low` to `high`."""
+    return [k_star(curve, low + share * (high - low) - _TIE) for share in SHARES]
+
+
+def _reached(curve: Array, ref: Reference) -> list[int | None]:
+    """k_star, k90, k95, k99 of one seed."""
     low, high = ref.levels.grand_mean, ref.levels.oracle_transfer
-    return (ref.levels.independent, *(low + share * (high - low) for share in SHARES))
+    return [k_star(curve, ref.levels.independent - _TIE), *trainings_to(curve, low, high)]
 
 
 def _draws(n_seeds: int, rng: np.random.Generator) -> Array | None:
