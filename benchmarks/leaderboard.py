@@ -114,8 +114,10 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     args = parser.parse_args()
     names = args.selectors.split(",")
-    sets = {
-        "one axis": list(open_matrices(["all"])),
+    lines_of = open_matrices(["all"])
+    sets = {  # a set of one seed would leave the pool without intervals
+        "one axis": [i for i, matrix in lines_of.items() if matrix.n_seeds > 1],
+        "one axis and one seed": [i for i, matrix in lines_of.items() if matrix.n_seeds == 1],
         "several axes": [i for i in shipped_matrices() if load_by_id(i).space.d > 1],
     }
     lines: list[str] = []
