@@ -28,7 +28,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.benchmark.shipped import family_of, load_by_id
 from mbtl.history import History
-from mbtl.objective import value
+from mbtl.objective import nearest_filled, value
 from mbtl.selectors import Auto, SelectionProblem
 from mbtl.selectors.base import even_targets
 from mbtl.study.asking import LEAST_ROWS
@@ -56,13 +56,12 @@ def worlds(name: str, budget: int = K) -> Iterator[tuple[SelectionProblem, list[
 
 
 def regret(truth: Rows, trained: list[Array], seen: Array) -> float:
-    """Of the policies that rows `seen` (k, N) would choose per target, NaN where not evaluated."""
-    best = np.nanmax(np.where(np.isfinite(seen), seen, -np.inf), axis=0)
-    routes = np.where(np.isfinite(best), np.argmax(np.where(np.isfinite(seen), seen, -9e9), 0), -1)
-    filled = History(seen.shape[1], (0,) * len(seen), seen).filled(
-        np.arange(seen.shape[1], dtype=float)[:, None]
-    )
-    routes = np.where(routes < 0, filled.argmax(axis=0), routes)
+    """Of the policies that rows `seen` (k, N) choose per target, NaN where not evaluated.
+
+    As a portfolio does: a policy counts as on the nearest target where it was evaluated.
+    """
+    steps = np.arange(seen.shape[1], dtype=np.float64)[:, None]
+    routes = nearest_filled(seen, steps).argmax(axis=0)
     reached = np.take_along_axis(np.stack(trained), routes[None], axis=0)[0]
     low, high = truth.mean(), truth.max(axis=0).mean()
     return float((high - reached.mean()) / (high - low))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.objective import generalisation_performance
+from mbtl.objective import generalisation_performance, nearest_filled
 
 
 @dataclass(frozen=True)
@@ -77,17 +77,7 @@ class History:
 
     def filled(self, steps: Array) -> Array:
         """(k, N) rows where a missing entry is the one evaluated nearest to it, (N, D) in steps."""
-        missing = ~np.isfinite(self.rows)
-        if not missing.any():
-            return self.rows
-        from scipy.spatial import KDTree  # kept out of `import mbtl`
-
-        rows = self.rows.copy()
-        for row, gone in zip(rows, missing, strict=True):
-            if not gone.all():
-                _, nearest = KDTree(steps[~gone]).query(steps[gone])
-                row[gone] = row[~gone][nearest]
-        return rows
+        return nearest_filled(self.rows, steps)
 
     @cached_property
     def training_performance(self) -> Array:

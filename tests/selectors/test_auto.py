@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -204,3 +206,32 @@ def test_little_is_said_to_be_left_where_hard_targets_are_served_as_well_as_they
         history = history.with_row(source, ceiling - 0.2 * far)
     proposal = Auto().propose(line(n), history, RNG)
     assert proposal.acquisition < 0.015  # 0.05 without ceilings
+
+
+def test_the_unit_of_costs_does_not_matter():
+    history = History(40).with_row(19, reach(40, 19, 9, 9))
+    picks = [
+        Auto().propose(replace(line(40), costs=np.full(40, cost)), history, RNG).source
+        for cost in (1e-9, 1.0, 1e12)
+    ]
+    assert len(set(picks)) == 1
+
+
+def test_only_targets_with_weight_are_looked_at():
+    weights = np.zeros(200)
+    weights[[1, 2]] = 0.5
+    problem = replace(line(200), weights=weights)
+    history = History(200).with_row(150, reach(200, 150, 30, 30))
+    assert Auto().propose(problem, history, RNG).source < 60
+
+
+def test_the_chance_is_that_of_the_largest_gain_not_of_the_cheapest():
+    n = 40
+    history = History(n)
+    for source in (4, 14):
+        history = history.with_row(source, 0.9 - 0.04 * np.abs(np.arange(n) - source))
+    costs = np.where(np.arange(n) < 20, 0.001, 10.0)
+    problem = replace(line(n), costs=costs, least_gain=0.02)
+    proposal = Auto().propose(problem, history, RNG)
+    assert proposal.source < 20
+    assert proposal.chance > 0.5

@@ -1,4 +1,5 @@
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from mbtl.history import History
 from mbtl.seeds import training_seed
 from mbtl.selectors import MBTL, Proposal, SelectionProblem
 from mbtl.study import StudyFinished
+from mbtl.study.events import Event
 
 N = 20
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})
@@ -285,7 +287,7 @@ def test_ask_gives_several_picks_that_differ():
     assert [pick.number for pick in study.ask(5)] == [4, 5]  # what is left of six
     with pytest.raises(StudyFinished):
         study.ask(2)
-    with pytest.raises(InvalidInput, match="1 or more picks"):
+    with pytest.raises(InvalidInput, match="a whole number of picks, 1 or more"):
         study.ask(0)
 
 
@@ -306,7 +308,9 @@ def test_a_context_may_be_trained_again_with_another_seed(tmp_path):
     with pytest.raises(StudyError, match=r"repeats=\.\.\.\) allows, here 2"):
         study.tell(first.source, row(first.source))
     with pytest.raises(InvalidInput, match=r"contexts \(20\) times 2 repeats, got 41"):
-        new(repeats=2, budget=41)
+        new(selector="auto", repeats=2, budget=41)
+    with pytest.raises(InvalidInput, match="needs a selector that trains a context again"):
+        new(selector="mbtl", repeats=2)
     again = mbtl.load_study(tmp_path, selector=Stubborn())
     assert again.state.picks[1].repeat == 1
 
@@ -316,6 +320,7 @@ class Stubborn:
     """Context 7 as long as it is allowed."""
 
     name: str = "stubborn"
+    retrains: ClassVar[bool] = True
 
     def propose(self, problem, history, rng):
         mask = history.open_mask(problem.n, problem.repeats)
@@ -330,7 +335,7 @@ def test_costs_known_before_keep_the_study_within_its_budget():
     assert study.state.cost <= 12.5
     study = new(costs=np.full(N, 10.0), cost_budget=13.0)
     study.ask()  # a pick under way has its cost set aside
-    with pytest.raises(StudyFinished, match=r"costs less than the 3 that remain of 13"):
+    with pytest.raises(StudyFinished, match=r"costs more than the 3 that remain of 13"):
         study.ask()
     with pytest.raises(InvalidInput, match="one per context, got"):
         new(costs=[1.0, 2.0])
@@ -366,7 +371,9 @@ def test_a_study_of_the_worst_share_values_it():
     best = np.max([row(s) for s in study.history.sources], axis=0)
     assert study.value == pytest.approx(np.sort(best)[:2].mean())
     with pytest.raises(InvalidInput, match="share of the worst targets"):
-        new(risk=0.0)
+        new(risk=1.1)
+    with pytest.raises(InvalidInput, match="risk must be finite and > 0, got 0"):
+        new(risk=0)
 
 
 def test_the_study_ends_when_one_more_training_is_predicted_to_gain_little(tmp_path):
@@ -394,6 +401,74 @@ def test_scatter_of_episodes_reaches_the_selector_as_standard_errors():
     episodes = np.stack([row(9) - 0.3, row(9), row(9) + 0.3], axis=1)
     study.tell(study.ask(), episodes)
     assert study.history.errors == pytest.approx(
-        episodes.std(axis=1) / np.sqrt(3) / 2.0 * np.ones((1, N))
+        episodes.std(axis=1, ddof=1) / np.sqrt(3) / 2.0 * np.ones((1, N))
     )
     assert told(new(), 1).history.errors is None
+
+
+def test_a_failed_pick_takes_back_what_was_predicted_with_it():
+    study = told(new(selector="auto", budget=20, stop_gain=0.02, stop_confidence=0.8), 2)
+    pick = study.ask()
+    study._commit(lambda state: Event("stopped", {"reason": "it seemed so"}))
+    assert study.stop_reason == "it seemed so"
+    study.fail(pick, "out of memory")
+    assert study.stop_reason is None
+
+
+def test_rows_nobody_asked_for_cost_nothing_unless_told():
+    study = new(cost_budget=3.0)
+    for source in (0, 1, 2, 3):
+        study.tell(source, row(source))
+    assert (study.state.cost, study.stop_reason) == (0.0, None)
+    study.tell(4, row(4), cost=3.0)
+    assert "the cost 3 reaches" in study.stop_reason
+
+
+def test_a_pick_given_back_is_not_begun_again_where_the_budget_cannot_pay_it():
+    study = new(costs=np.full(N, 4.0), cost_budget=12.0)
+    first, second = study.ask(2)
+    study.tell(first, row(first.source), cost=11.0)
+    study.release(second)
+    with pytest.raises(StudyFinished, match="given back cost more than is left of 12"):
+        study.ask()
+    assert study.is_finished
+
+
+def test_a_pick_told_by_its_context_has_the_targets_it_was_asked_with():
+    study = new(selector="auto", eval_targets=4)
+    pick = study.ask()
+    study.tell(pick.context, row(pick.source)[list(pick.targets)])
+    assert np.isfinite(study.history.rows[0]).sum() == 4
+    assert np.isnan(study.state.rows[0].std).sum() == N - 4
+
+
+def test_portfolio_and_study_agree_on_rows_that_are_partial():
+    study = told_partly(new(selector="auto", eval_targets=5), 4)
+    portfolio = study.portfolio()
+    assert portfolio.value == pytest.approx(study.value)
+    best = study.history.filled(SPACE.steps)
+    assert best[portfolio.assignment, np.arange(N)] == pytest.approx(best.max(axis=0))
+    shown = portfolio.explain(SPACE.context(1))
+    assert shown.basis == "interpolated"
+
+
+def told_partly(study, picks):
+    for _ in range(picks):
+        pick = study.ask()
+        study.tell(pick, row(pick.source)[list(pick.targets)])
+    return study
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"stop_gain": float("inf")}, "stop_gain must be finite and > 0"),
+        ({"cost_budget": float("inf")}, "cost_budget must be finite and > 0"),
+        ({"risk": "x"}, "risk must be a number"),
+        ({"costs": -np.ones(N)}, "from -1 to -1"),
+    ],
+)
+def test_wishes_that_make_no_sense_leave_nothing_behind(tmp_path, settings, words):
+    with pytest.raises(InvalidInput, match=words):
+        new(tmp_path, **{"selector": "auto", **settings})
+    assert not (tmp_path / "study.db").exists()

@@ -76,7 +76,7 @@ class LiveProgress(Callback):
 
     def on_evaluation(self, study: Study, pick: Pick) -> None:
         """Training is done."""
-        note = f"evaluating on {study.space.n} contexts"
+        note = f"evaluating on {len(pick.targets or study.space.contexts)} contexts"
         self._bars.update(self._pick_bars[pick.number], completed=0.97, note=note)
 
     def on_told(self, study: Study, pick: Pick) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Value
 from mbtl.errors import InvalidInput, StorageError
-from mbtl.objective import Bounds, generalisation_performance, value
+from mbtl.objective import Bounds, generalisation_performance, nearest_filled, value
 from mbtl.portfolio import router
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
 from mbtl.portfolio.choice import Choice, explanation, shown
@@ -99,8 +99,17 @@ class Portfolio:
 
     @property
     def value(self) -> float:
-        """V of the returns held here: weighted mean over contexts of the best performance."""
-        return value(generalisation_performance(self.performance), self.space.weights)
+        """V of the returns held here: weighted mean over contexts of the best performance.
+
+        A policy counts as on the nearest context where it was evaluated.
+        """
+        rows = nearest_filled(self.performance, self.space.steps)
+        return value(generalisation_performance(rows), self.space.weights)
+
+    @cached_property
+    def _judged(self) -> Array:
+        """(k, N) performance that routing compares; one entry alone is left to the gap model."""
+        return nearest_filled(self.performance, self.space.steps, least=2)
 
     def first(self, k: int) -> Portfolio:
         """The portfolio as it was after `k` trainings, without the policies themselves."""
@@ -111,7 +120,7 @@ class Portfolio:
     @cached_property
     def assignment(self) -> Indices:
         """(N,) position of the policy that serves each listed context: the policy map."""
-        chosen = router.assign(self.space, self.sources, self.performance)
+        chosen = router.assign(self.space, self.sources, self._judged)
         for target in np.flatnonzero(chosen < 0):
             chosen[target] = self.explain(self.space.context(int(target))).policy
         chosen.setflags(write=False)
@@ -129,7 +138,7 @@ class Portfolio:
             ContextMismatch: the context lies outside the axes.
             InvalidInput: no policy has a measured or predicted return there.
         """
-        seen = router.forecast(self.space, self.sources, self.performance, self.theta, context)
+        seen = router.forecast(self.space, self.sources, self._judged, self.theta, context)
         ranking = seen.ranking(self.sources)
         if not ranking:
             raise InvalidInput(
@@ -138,10 +147,11 @@ class Portfolio:
             )
         best, runner_up = ranking[0], ranking[1] if len(ranking) > 1 else None
         source, basis = self.sources[best], seen.basis[best]
+        returns = self.bounds.denormalise(seen.performance)
         if basis == "observed":
-            returns = self.returns[:, seen.target]  # the measured number itself, free of rounding
-        else:
-            returns = self.bounds.denormalise(seen.performance)
+            measured = self.returns[:, seen.target]  # the number itself, free of rounding
+            returns = np.where(np.isfinite(measured), measured, returns)
+            basis = basis if np.isfinite(measured[best]) else "interpolated"
         predicted = float(returns[best])
         margin = None if runner_up is None else abs(predicted - float(returns[runner_up]))
         steps = float(seen.distance[best])

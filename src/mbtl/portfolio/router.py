@@ -1,6 +1,7 @@
 """Routing: which trained policy serves a context, and what return it should earn there.
 
-On a listed context the measured returns decide. Elsewhere each policy is judged by its own row:
+On a listed context the measured returns decide; a policy evaluated on some contexts only counts as
+on the nearest of those (`mbtl.objective.nearest_filled`). Elsewhere each is judged by its own row:
 
     grid, one axis    linear interpolation between the grid points around the context (multilinear
                       with more axes; beyond the outermost grid value, that value's return)

@@ -49,7 +49,9 @@ def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
             None,
             f"no reference curves: the shipped matrix of {name!r} was trained by another recipe",
         )
-    budget, seeds = study.spec.budget, range(matrix.n_seeds)
+    if study.spec.risk < 1.0:
+        return None, "no reference curves: they are of the mean, this study's V is not"
+    budget, seeds = min(study.spec.budget, matrix.n), range(matrix.n_seeds)
     known = [reference(matrix, seed, budget) for seed in seeds]
     greedy: Array = np.empty((0, budget))
     if study.problem.is_line:

@@ -6,7 +6,7 @@ one: the rows that chose the routes are noisy, so their own maximum is biased up
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -69,7 +69,8 @@ class StudySummary:
         best_single: source of the best single policy.
         best_single_value: its own V, on the selecting episodes.
         policies_enough: fewest policies that reach 99 % of the way from it to V.
-        next_source: where one more training is predicted to gain most; None if none is left.
+        next_source: where one more training is predicted to gain most; None if none is left, or
+            where V is not the mean.
         next_gain: that gain, performance.
         serving: (N,) source whose policy serves each context.
     """
@@ -151,11 +152,13 @@ def summarise_study(study: Study) -> StudySummary:
             serving=(),
         )
     rows = history.filled(space.steps)
-    singles = rows @ weights
+    risk = study.spec.risk
+    singles = worst_share_mean(rows, weights, risk)
     best_single = int(singles.argmax())
     measured = fresh_performance(study)
     served = rows.max(axis=0) if measured is None else measured[-1]
-    coming = predicted_gain(study.problem, history)
+    # the formula is that of the mean
+    coming = None if risk < 1.0 else predicted_gain(study.problem, replace(history, rows=rows))
     return StudySummary(
         **common,
         episodes=state.rows[-1].episodes,
@@ -164,23 +167,25 @@ def summarise_study(study: Study) -> StudySummary:
         worst_tenth=float(worst_share_mean(served, weights, TENTH)),
         best_single=history.sources[best_single],
         best_single_value=float(singles[best_single]),
-        policies_enough=policies_enough(rows, weights),
+        policies_enough=policies_enough(rows, weights, risk=risk),
         next_source=None if coming is None else coming.source,
         next_gain=None if coming is None else coming.acquisition,
         serving=tuple(history.sources[i] for i in study.portfolio().assignment),
     )
 
 
-def policies_enough(rows: Array, weights: Array, share: float = ENOUGH) -> int:
+def policies_enough(
+    rows: Array, weights: Array, share: float = ENOUGH, *, risk: float = 1.0
+) -> int:
     """Fewest rows, added greedily, whose V reaches `share` of the way from the best single to all.
 
     Greedy addition is within 1 - 1/e of the best set, so a smaller set may exist.
     """
-    goal_from = float((rows @ weights).max())
-    goal = goal_from + share * (value(rows.max(axis=0), weights) - goal_from)
+    goal_from = float(worst_share_mean(rows, weights, risk).max())
+    goal = goal_from + share * (value(rows.max(axis=0), weights, risk) - goal_from)
     best = np.full(rows.shape[1], -np.inf)
     for count in range(1, len(rows) + 1):
-        values = np.maximum(rows, best) @ weights
+        values = worst_share_mean(np.maximum(rows, best), weights, risk)
         best = np.maximum(best, rows[int(values.argmax())])
         if values.max() >= goal - 1e-12:
             return count

@@ -69,6 +69,7 @@ class Auto:
     relevance: bool = False
     name: str = "auto"
     predicts_chances: ClassVar[bool] = True
+    retrains: ClassVar[bool] = True
 
     def without(self, family: str) -> Auto:
         """The same with a prior that has not seen a family of matrices; for honest benchmarks."""
@@ -88,20 +89,24 @@ class Auto:
             source = farthest_open(problem, history.sources, mask)
             note = f"the transfer model could not be fitted ({error})"
             return Proposal(source, "far from what was tried so far", None, (note,))
-        costs = np.ones(problem.n) if problem.costs is None else problem.costs
+        costs = np.ones(problem.n)
+        if problem.costs is not None:  # their unit must not matter to what counts as a tie
+            costs = problem.costs / problem.costs.mean()
         outlook = beliefs.row_gain(beliefs.targets)
         gain = outlook.expected(candidates)
-        wide = _spread(problem, np.arange(problem.n), self.final_targets)
+        counted = np.flatnonzero(problem.weights > 0)
+        wide = _spread(problem, counted, self.final_targets)
         if not problem.is_line and len(wide) > len(beliefs.targets):
             # a few of them on several axes are a sample, with its luck; on a line they are even
             order = np.argsort(-gain / costs[candidates], kind="stable")
-            candidates = np.sort(candidates[order[: self.finalists]])
+            finalists = np.append(order[: self.finalists], gain.argmax())
+            candidates = candidates[np.unique(finalists)]
             outlook = beliefs.row_gain(wide)
             gain = outlook.expected(candidates)
         best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
         source, chance = int(candidates[best]), None
         if problem.least_gain is not None:
-            chance = outlook.chance(source, problem.least_gain)
+            chance = outlook.chance(int(candidates[gain.argmax()]), problem.least_gain)
         if gain[best] <= TIE:
             source = farthest_open(problem, [*history.sources, *history.pending], mask)
             reason = "no predicted gain anywhere: far from what was tried"
@@ -111,15 +116,15 @@ class Auto:
             reason += " per cost"
         if source in history.sources:
             reason += ", trained again"
-        sampling = outlook.standard_error(source, problem.n)
-        judged = f"gain +- {sampling:.2g}: {len(outlook.targets)} of {problem.n} targets judged"
+        sampling = outlook.standard_error(source, len(counted))
+        judged = f"gain +- {sampling:.2g}: {len(outlook.targets)} of {len(counted)} targets judged"
         notes = (judged,) if sampling else ()
         return Proposal(source, reason, outlook.said(source), notes, chance)
 
     def _beliefs(self, problem: SelectionProblem, history: History) -> _Beliefs:
         """Condition the model on the rows, at some of the targets."""
         count = min(self.most_targets, max(24, self.most_pairs // len(history)))
-        targets = _spread(problem, np.arange(problem.n), count)
+        targets = _spread(problem, np.flatnonzero(problem.weights > 0), count)
         columns = Columns.of(problem.axes, problem.unit.shape[1])
         places = columns.places(problem.unit, problem.steps)
         sources = np.asarray(history.sources, dtype=np.intp)

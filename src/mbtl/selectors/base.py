@@ -74,8 +74,8 @@ class SelectionProblem:
             and (self.costs > 0).all()
         ):
             raise InvalidInput(
-                f"costs must be {self.n} finite numbers > 0, one per context, got shape "
-                f"{self.costs.shape}"
+                f"costs must be {self.n} finite numbers > 0, one per context, got "
+                f"{self.costs.shape[0]} from {self.costs.min():g} to {self.costs.max():g}"
             )
         if not (np.isfinite(self.theta) and self.theta >= 0):
             raise InvalidInput(f"theta must be finite and >= 0, got {self.theta!r}")
@@ -179,7 +179,7 @@ def open_candidates(
         mask &= problem.costs <= left + 1e-9 * problem.cost_budget
         if not mask.any():
             raise Exhausted(
-                f"no context left costs less than the {max(left, 0.0):g} that remain of "
+                f"every context left costs more than the {max(left, 0.0):g} that remain of "
                 f"{problem.cost_budget:g}"
             )
     return mask

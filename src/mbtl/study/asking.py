@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import (
     Exhausted,
@@ -79,6 +81,9 @@ def _early_stop(state: StudyState) -> str | None:
         return f"V = {state.curve()[-1]:.4f} reaches the level {spec.stop_value:g}"
     if spec.cost_budget is not None and state.cost >= spec.cost_budget:
         return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
+    most = np.inf if spec.cost_budget is None else spec.cost_budget * (1.0 + 1e-9)
+    if spec.costs is not None and given_back(state) and state.committed > most:
+        return f"the picks given back cost more than is left of {spec.cost_budget:g}"
     return None
 
 

@@ -8,7 +8,7 @@ import operator
 import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -108,13 +108,14 @@ def create_study(
         raise InvalidInput(f"direction must be 'maximize' or 'minimize', got {direction!r}")
     if stop_value is not None and bounds is None:
         raise InvalidInput("stop_value is a performance, so it needs bounds=(low, high); got none")
-    if cost_budget is not None and not cost_budget > 0:
-        raise InvalidInput(f"cost_budget must be > 0, got {cost_budget!r}")
+    cost_budget = _real("cost_budget", cost_budget)
+    stop_gain, stop_confidence = (
+        _real("stop_gain", stop_gain),
+        _real("stop_confidence", stop_confidence),
+    )
     if seed < 0 or trial < 0:
         raise InvalidInput(f"seed and trial must be >= 0, got {seed} and {trial}")
-    if eval_targets is not None and not 1 <= _whole("eval_targets", eval_targets) <= space.n:
-        raise InvalidInput(f"eval_targets must be from 1 to {space.n}, got {eval_targets}")
-    _check_stopping(stop_gain, stop_confidence, bounds, chosen)
+    _check_wishes(chosen, repeats, stop_gain, stop_confidence, bounds)
     spec = StudySpec(
         space,
         budget,
@@ -130,10 +131,10 @@ def create_study(
         _json_like(settings or {}),
         _whole("repeats", repeats),
         _costs(costs, space),
-        float(risk),
-        eval_targets,
+        _real("risk", risk),
+        _target_count(eval_targets, space.n),
         stop_gain,
-        float(stop_confidence),
+        stop_confidence,
     )
     spec.selection_problem()  # checks what a selector is to work with
     log: EventLog = MemoryLog() if storage is None else SqlLog(storage, name, create=True)
@@ -249,18 +250,23 @@ def _costs(
     return tuple(array.tolist())
 
 
-def _check_stopping(
-    gain: float | None,
-    confidence: float,
-    bounds: tuple[float, float] | None,
+def _check_wishes(
     selector: Selector,
+    repeats: int,
+    stop_gain: float | None,
+    stop_confidence: float,
+    bounds: tuple[float, float] | None,
 ) -> None:
-    if not 0.0 < confidence < 1.0:
-        raise InvalidInput(f"stop_confidence is a probability in (0, 1), got {confidence!r}")
-    if gain is None:
+    """Repeated trainings and the stopping rule need a selector that knows of them."""
+    if repeats != 1 and not getattr(selector, "retrains", False):
+        raise InvalidInput(
+            f"repeats needs a selector that trains a context again, such as 'auto', got "
+            f"{selector.name!r} with repeats={repeats!r}"
+        )
+    if not stop_confidence < 1.0:
+        raise InvalidInput(f"stop_confidence is a probability in (0, 1), got {stop_confidence!r}")
+    if stop_gain is None:
         return
-    if not gain > 0:
-        raise InvalidInput(f"stop_gain must be > 0, got {gain!r}")
     if bounds is None:
         raise InvalidInput("stop_gain is in performance, so it needs bounds=(low, high); got none")
     if not getattr(selector, "predicts_chances", False):
@@ -268,6 +274,15 @@ def _check_stopping(
             f"stop_gain needs a selector that predicts chances of a gain, such as 'auto', got "
             f"{selector.name!r}"
         )
+
+
+def _target_count(count: int | None, n: int) -> int | None:
+    if count is None:
+        return None
+    count = _whole("eval_targets", count)
+    if not 1 <= count <= n:
+        raise InvalidInput(f"eval_targets must be from 1 to {n}, got {count}")
+    return count
 
 
 def _folder(storage: str | Path | None) -> Path | None:
@@ -282,6 +297,27 @@ def _whole(name: str, number: Any) -> int:
         return operator.index(number)
     except TypeError:
         raise InvalidInput(f"{name} must be a whole number, got {number!r}") from None
+
+
+@overload
+def _real(name: str, number: None) -> None: ...
+
+
+@overload
+def _real(name: str, number: float) -> float: ...
+
+
+def _real(name: str, number: float | None) -> float | None:
+    """A finite number > 0, as Python's own, or None."""
+    if number is None:
+        return None
+    try:
+        value = float(number)
+    except (TypeError, ValueError):
+        raise InvalidInput(f"{name} must be a number, got {number!r}") from None
+    if not (np.isfinite(value) and value > 0):
+        raise InvalidInput(f"{name} must be finite and > 0, got {number!r}")
+    return value
 
 
 def _json_like(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -29,8 +29,8 @@ def can_report(study: Study) -> bool:
 
 def report_fresh_returns(study: Study, trainer: Trainer) -> Array:
     """Evaluate on fresh seeds each policy where it served at some k; record and return (k, N)."""
+    portfolio = study.portfolio(trainer)  # refreshes; what follows is of this moment
     history = study.history
-    portfolio = study.portfolio(trainer)
     seed = evaluation_seed(study.spec.seed, study.spec.trial, Purpose.REPORT)
     fresh = np.full(history.rows.shape, np.nan)
     for i, targets in enumerate(served_targets(routes(study))):

@@ -86,10 +86,12 @@ def _report(study: Study, trainer: Trainer, callbacks: Sequence[Callback]) -> No
     """Measure V on fresh episodes; a failure there must not hide what the study found."""
     for callback in callbacks:
         callback.on_report(study)
+    told = len(study.state.rows)
     try:
         report_fresh_returns(study, trainer)
     except StorageError:
-        raise
+        if len(study.refresh().rows) == told:
+            raise
     except StudyError:  # another process told a row meanwhile; it reports when it ends
         return
     except Exception as error:

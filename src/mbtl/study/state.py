@@ -121,7 +121,7 @@ class ToldRow:
         source: context index.
         pick: number of the pick it answers; None for a source nobody asked for.
         returns: (N,) mean returns, raw units; NaN where it was not evaluated.
-        std: (N,) standard deviation over episodes; zero for a single episode.
+        std: (N,) standard deviation over episodes; zero for a single episode, NaN as `returns`.
         episodes: episodes behind each mean.
         cost: cost of the training in the user's unit.
         seconds: wall time of training and evaluation; None when unknown.
@@ -211,11 +211,10 @@ class StudyState:
 
     def _standard_errors(self) -> Array | None:
         """(k, N) of the performance; None where no row has several episodes that differ."""
-        if not any(row.std.any() for row in self.rows):
-            return None
+        scatter = [np.nan_to_num(row.std) / np.sqrt(max(row.episodes - 1, 1)) for row in self.rows]
         bounds = self.bounds()
-        span = bounds.high - bounds.low
-        return np.array([row.std / np.sqrt(row.episodes) / span for row in self.rows])
+        errors = np.array(scatter) / (bounds.high - bounds.low)
+        return errors if errors.any() else None
 
     def bounds(self) -> Bounds:
         """The given bounds, or the range of all returns told so far (unit range before any)."""
@@ -308,6 +307,7 @@ class StudyState:
         data = event.data
         self.open_picks.pop(data["pick"], None)
         self.failures.append(Failure(data["source"], data["pick"], data["reason"]))
+        self.stopped = None  # the prediction believed that this pick would give something
 
     def _stopped(self, event: Event) -> None:
         self.stopped = event.data["reason"]

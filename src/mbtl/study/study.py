@@ -74,8 +74,8 @@ class Study:
         """
         if n is None:
             return self._ask(take_over)
-        if n < 1:
-            raise InvalidInput(f"ask gives 1 or more picks, got n = {n}")
+        if not isinstance(n, (int, np.integer)) or n < 1:
+            raise InvalidInput(f"ask gives a whole number of picks, 1 or more, got n = {n!r}")
         picks = [self._ask(take_over)]
         while len(picks) < n:
             try:
@@ -104,7 +104,7 @@ class Study:
             targets: T indices of the contexts evaluated on; None: those that the pick asks for,
                 which are all N unless the study was made with `eval_targets`.
             cost: cost of the training, in the unit of the cost budget; None: what `costs` says of
-                the source, or 1.
+                the source, or 1; 0 for a row that nobody asked for.
             seconds: wall time of training and evaluation.
             policy: folder of the saved policy, relative to the study's folder.
             policy_object: the policy itself, kept in this process only.
@@ -115,33 +115,35 @@ class Study:
             StudyError: the pick was answered before.
         """
         source = self._source(pick)
-        if cost is None:
-            cost = 1.0 if self.spec.costs is None else self.spec.costs[source]
-        if not (np.isfinite(cost) and cost >= 0):
+        if cost is not None and not (np.isfinite(cost) and cost >= 0):
             raise InvalidInput(f"cost must be finite and >= 0, got {cost!r}")
-        if targets is None and isinstance(pick, Pick):
-            targets = pick.targets
+        usual = 1.0 if self.spec.costs is None else self.spec.costs[source]
+        if targets is None:
+            targets = self._asked_targets(pick, source)
         evaluated = checked_targets(targets, self.space.n)
         rows = checked_returns(returns, len(evaluated))
-        arrays = {"returns": np.full(self.space.n, np.nan), "std": np.zeros(self.space.n)}
+        arrays = {name: np.full(self.space.n, np.nan) for name in ("returns", "std")}
         arrays["returns"][evaluated] = rows.mean(axis=1)
         arrays["std"][evaluated] = rows.std(axis=1)
         data = {
             "source": source,
             "episodes": rows.shape[1],
-            "cost": float(cost),
             "seconds": seconds,
             "policy": policy,
         }
+        place = 0
 
         def told(state: StudyState) -> Event:
-            return Event("told", {**data, "pick": self._answered(state, pick, source)}, arrays)
+            nonlocal place
+            place = len(state.rows)
+            number = self._answered(state, pick, source)
+            expected = 0.0 if number is None else usual
+            spent = expected if cost is None else float(cost)
+            return Event("told", {**data, "pick": number, "cost": spent}, arrays)
 
         self._commit(told)
         if policy_object is not None:
-            rows_told = self._state.rows
-            mine = (i for i, row in enumerate(rows_told) if row.source == source)
-            self.policies[max(mine)] = policy_object
+            self.policies[place] = policy_object
 
     def fail(self, pick: Pick, reason: str) -> None:
         """Record that a pick gave nothing usable; it spends budget and is never proposed again."""
@@ -333,6 +335,13 @@ class Study:
         return Pick(
             record.number, source, context, seed, record.reason, record.repeat, record.targets
         )
+
+    def _asked_targets(self, pick: Any, source: int) -> tuple[int, ...] | None:
+        """Targets of the pick, or of the open pick with this source."""
+        if isinstance(pick, Pick):
+            return pick.targets
+        open_picks = self.refresh().open_picks.values()
+        return next((p.targets for p in open_picks if p.source == source), None)
 
     def _source(self, pick: Pick | int | Mapping[str, Any]) -> int:
         if isinstance(pick, Pick):
