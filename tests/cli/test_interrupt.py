@@ -12,14 +12,16 @@ pytest.importorskip("jax")
 
 
 def test_an_interrupt_in_the_middle_of_a_jax_training_ends_with_1(tmp_path):
-    program = "from mbtl.cli import program; program()"
+    program = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from mbtl.cli import program; program()"
+    )
     command = ["run", "pendulum-length", "--preset", "paper", "--timesteps", "20000000"]
     log = tmp_path / "log"
     with log.open("w") as out:
         process = subprocess.Popen(
             [sys.executable, "-c", program, *command], cwd=tmp_path, stdout=out, stderr=out,
             env={**os.environ, "COLUMNS": "100"},
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )  # fmt: skip
         deadline = time.monotonic() + 300
         while not list(tmp_path.glob("runs/*/study.db")) and time.monotonic() < deadline:

@@ -111,7 +111,9 @@ class CartPole(ContextualEnv):
         )
         self.constants = derive(self.features, physics)
         self._state = (0.0, 0.0, 0.0, 0.0)
-        reach = [2 * X_LIMIT, math.inf, 2 * ANGLE_LIMIT, math.inf]
+        # where several features vary, a light short pole on a light cart swings far in one step
+        angle = 2 * ANGLE_LIMIT if len(context or {}) <= 1 else math.inf
+        reach = [2 * X_LIMIT, math.inf, angle, math.inf]
         self.observation_space = self._space([-r for r in reach], reach)
         self.action_space = Discrete(2)
 
