@@ -34,8 +34,8 @@ from mbtl.selectors.auto import Auto
 FILE = Path(__file__).parents[1] / "src/mbtl/models/priors.py"
 
 
-def small(matrix_id: str, budget: int) -> Iterator[tuple[SelectionProblem, Array]]:
-    """Problem and performance of the first two seeds, on at most 50 contexts."""
+def halved(matrix_id: str, budget: int) -> tuple[SelectionProblem, list[Array]]:
+    """Problem on at most 50 contexts of a line, and the performance of each seed on them."""
     matrix = load_by_id(matrix_id)
     problem = matrix.problem(budget)
     skip = 1 if problem.n <= 50 else 2
@@ -44,8 +44,14 @@ def small(matrix_id: str, budget: int) -> Iterator[tuple[SelectionProblem, Array
     part = SelectionProblem(
         problem.unit[kept], problem.steps[kept] / skip, weights, budget, problem.theta * skip
     )
-    for seed in range(min(matrix.n_seeds, 2)):
-        yield part, matrix.rows(seed, kept)[:, kept]
+    return part, [matrix.rows(seed, kept)[:, kept] for seed in range(matrix.n_seeds)]
+
+
+def small(matrix_id: str, budget: int) -> Iterator[tuple[SelectionProblem, Array]]:
+    """Problem and performance of the first two seeds, on at most 50 contexts."""
+    part, seeds = halved(matrix_id, budget)
+    for rows in seeds[:2]:
+        yield part, rows
 
 
 def trainings(prior: TransferPrior, problem: SelectionProblem, rows: Array) -> Array:

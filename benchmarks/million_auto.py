@@ -72,11 +72,6 @@ def make_history(problem: SelectionProblem, n_rows: int, dtype: str) -> History:
     return History(n, tuple(sources.tolist()), rows)
 
 
-def sampling_error(gain: Array, n: int) -> float:
-    """Standard error of the mean of (T,) gains of targets drawn from N."""
-    return float(gain.std(ddof=1) * np.sqrt((1.0 - len(gain) / n) / len(gain)))
-
-
 def lost(gains: Array, candidates: int, targets: int, again: int = 1) -> float:
     """Mean share of the best gain that is lost by choosing from a part of (M, T) `gains`.
 
@@ -123,14 +118,15 @@ def case(n: int, d: int, args: Any) -> dict[str, Any]:
     peak, first = peak_gib(), costs[0]
     note("  errors ...")
     beliefs, chosen = auto._beliefs(problem, history), np.array([proposal.source])
-    each = beliefs.row_gain(beliefs.targets).by_target(chosen)[0]
+    outlook = beliefs.row_gain(beliefs.targets)
     rng = np.random.default_rng(4)
     wide = rng.choice(problem.n, min(args.sample_targets, problem.n), replace=False)
     some = rng.choice(problem.n, min(args.sample_candidates, problem.n), replace=False)
     begin = now()
-    gains = beliefs.row_gain(wide).by_target(some)
+    larger = beliefs.row_gain(wide)
+    gains = larger.by_target(some)
     spent = now() - begin
-    again = beliefs.row_gain(wide).by_target(chosen)[0]
+    again = larger.by_target(chosen)[0]
     true_pick, true = true_gains(problem, history, proposal.source)
     return {
         "contexts": problem.n,
@@ -141,11 +137,11 @@ def case(n: int, d: int, args: Any) -> dict[str, Any]:
         "pick_again_seconds": costs[1].to_json(),
         "peak_gib": {"before": digits(before, 3), "after": digits(peak, 3)},
         "gain": {
-            "expected": digits(float(each.mean())),
-            "standard_error": digits(sampling_error(each, problem.n), 2),
-            "targets": len(each),
+            "expected": digits(float(outlook.expected(chosen)[0])),
+            "standard_error": digits(outlook.standard_error(proposal.source, problem.n), 2),
+            "targets": len(outlook.targets),
             "on_larger_sample": digits(float(again.mean())),
-            "standard_error_there": digits(sampling_error(again, problem.n), 2),
+            "standard_error_there": digits(larger.standard_error(proposal.source, problem.n), 2),
             "targets_for_5_percent": int(np.ceil((again.std() / (0.05 * again.mean())) ** 2)),
         },
         "lost_share": {

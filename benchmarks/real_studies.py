@@ -24,9 +24,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
+from learn_prior import halved
 
 from mbtl.arrays import Array
-from mbtl.benchmark.shipped import family_of, load_by_id
+from mbtl.benchmark.shipped import family_of
 from mbtl.history import History
 from mbtl.objective import nearest_filled, value
 from mbtl.selectors import Auto, SelectionProblem
@@ -42,15 +43,7 @@ Rows = Array
 
 def worlds(name: str, budget: int = K) -> Iterator[tuple[SelectionProblem, list[Rows]]]:
     """Problem, and the true rows of each seed, rotated so that the first is the study's own."""
-    matrix = load_by_id(name)
-    problem = matrix.problem(budget)
-    skip = 1 if problem.n <= 50 else 2
-    kept = np.arange(skip - 1, problem.n, skip)
-    part = SelectionProblem(
-        problem.unit[kept], problem.steps[kept] / skip, np.full(len(kept), 1.0 / len(kept)),
-        budget, problem.theta * skip,
-    )  # fmt: skip
-    every = [matrix.rows(s, kept)[:, kept] for s in range(matrix.n_seeds)]
+    part, every = halved(name, budget)
     for s in range(min(2, len(every))):
         yield part, every[s:] + every[:s]
 

@@ -123,7 +123,9 @@ def summarise_study(study: Study) -> StudySummary:
     """Compute the summary of a study as it stands."""
     state = study.refresh()
     history, weights, space = study.history, study.space.weights, study.space
-    curve, fresh = study.curve, fresh_curve(study)
+    curve, measured = study.curve, fresh_performance(study)
+    risk = study.spec.risk
+    fresh = fresh_curve(study, measured)
     picks = _picks(study, curve, fresh)
     bounds = study.bounds
     best_and_worst = tuple(float(r) for r in bounds.denormalise(np.array([0.0, 1.0])))
@@ -152,10 +154,8 @@ def summarise_study(study: Study) -> StudySummary:
             serving=(),
         )
     rows = history.filled(space.steps)
-    risk = study.spec.risk
     singles = worst_share_mean(rows, weights, risk)
     best_single = int(singles.argmax())
-    measured = fresh_performance(study)
     served = rows.max(axis=0) if measured is None else measured[-1]
     # the formula is that of the mean
     coming = None if risk < 1.0 else predicted_gain(study.problem, replace(history, rows=rows))

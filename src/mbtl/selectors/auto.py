@@ -128,13 +128,9 @@ class Auto:
         columns = Columns.of(problem.axes, problem.unit.shape[1])
         places = columns.places(problem.unit, problem.steps)
         sources = np.asarray(history.sources, dtype=np.intp)
-        pairs = grid_pairs(sources, targets)
-        y = history.rows[:, targets].ravel()
-        seen = np.isfinite(y)
-        if not seen.all():  # of rows evaluated in part, all that was evaluated
-            pairs, y, seen = _evaluated(history, self.most_pairs)
-        pairs, y = pairs[seen], y[seen]
-        y = np.maximum(y, _floor(y))
+        pairs, y = _observed(history, targets, self.most_pairs)
+        floor = _floor(y)
+        y = np.maximum(y, floor)
         prior, noise = self.prior or PRIORS["all"], np.zeros(len(y))
         if self.relevance:
             weights = fit_relevance(places, columns.axis, prior, pairs, y)
@@ -151,7 +147,7 @@ class Auto:
             pairs = np.vstack([pairs, grid_pairs(waiting, targets, numbers)])
             noise = np.append(noise, np.zeros(len(believed)))
             expecting = TransferGP(places, prior, pairs, np.append(y, believed), noise)
-        return _Beliefs(problem, history, targets, y, bool(noise.any()), told, expecting)
+        return _Beliefs(problem, history, targets, y, floor, bool(noise.any()), told, expecting)
 
 
 @dataclass(frozen=True)
@@ -162,6 +158,7 @@ class _Beliefs:
     history: History
     targets: Indices
     y: Array
+    floor: float
     noisy: bool
     told: TransferGP
     expecting: TransferGP
@@ -169,7 +166,7 @@ class _Beliefs:
     def row_gain(self, targets: Indices) -> RowGain:
         """What one more training may bring on these targets."""
         sources = np.asarray(self.history.sources, dtype=np.intp)
-        best = np.maximum(self.history.best[targets], _floor(self.y))
+        best = np.maximum(self.history.best[targets], self.floor)
         if self.noisy or not np.isfinite(self.history.rows[:, targets]).all():
             # the best of noisy or missing entries is what the model believes them to be
             best = self.told.predict(sources, targets, np.arange(len(sources)))[0].max(axis=0)
@@ -192,15 +189,20 @@ def _floor(y: Array) -> float:
     return float(min(low - 3.0 * (high - low), -1.0))
 
 
-def _evaluated(history: History, most: int) -> tuple[Pairs, Array, NDArray[np.bool_]]:
-    """Pairs that were evaluated, an even part of them where they are too many."""
-    rows, targets = np.nonzero(np.isfinite(history.rows))
+def _observed(history: History, targets: Indices, most: int) -> tuple[Pairs, Array]:
+    """Pairs and their performance: on `targets`, or all there are where rows are partial.
+
+    Those are thinned evenly to `most`.
+    """
+    sources = np.asarray(history.sources, dtype=np.intp)
+    y = history.rows[:, targets].ravel()
+    if np.isfinite(y).all():
+        return grid_pairs(sources, targets), y
+    rows, seen = np.nonzero(np.isfinite(history.rows))
     if len(rows) > most:
         kept = np.linspace(0, len(rows) - 1, most).round().astype(np.intp)
-        rows, targets = rows[kept], targets[kept]
-    sources = np.asarray(history.sources, dtype=np.intp)[rows]
-    y = history.rows[rows, targets]
-    return np.column_stack([sources, targets, rows]), y, np.ones(len(y), dtype=bool)
+        rows, seen = rows[kept], seen[kept]
+    return np.column_stack([sources[rows], seen, rows]), history.rows[rows, seen]
 
 
 def _spread(problem: SelectionProblem, among: Indices, most: int) -> Indices:

@@ -64,9 +64,14 @@ def served_targets(routes: Indices) -> list[Indices]:
     return [np.flatnonzero((routes == i).any(axis=0)) for i in range(len(routes))]
 
 
-def fresh_curve(study: Study) -> Array | None:
-    """(k,) V after each training, routed by the selecting rows, measured on fresh episodes."""
-    routed = fresh_performance(study)
+def fresh_curve(study: Study, routed: Array | None = None) -> Array | None:
+    """(k,) V after each training, routed by the selecting rows, measured on fresh episodes.
+
+    Args:
+        study: that was reported.
+        routed: what `fresh_performance` gives, where it is at hand.
+    """
+    routed = fresh_performance(study) if routed is None else routed
     if routed is None:
         return None
     return worst_share_mean(routed, study.space.weights, study.spec.risk)

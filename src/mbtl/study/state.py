@@ -12,7 +12,13 @@ from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.errors import StorageError
 from mbtl.history import History
-from mbtl.objective import Bounds, Direction, value_curve
+from mbtl.objective import (
+    Bounds,
+    Direction,
+    generalisation_performance,
+    value,
+    value_curve,
+)
 from mbtl.selectors.base import SelectionProblem
 from mbtl.study.events import Event
 from mbtl.study.worker import Worker
@@ -186,6 +192,15 @@ class StudyState:
         if self._history is None:
             self._history = self._make_history()
         return self._history
+
+    def value(self) -> float:
+        """V of the told rows; see `Study.value`."""
+        assert self.spec is not None
+        if not self.rows:
+            return -np.inf
+        rows = self.history().filled(self.spec.space.steps)
+        best = generalisation_performance(rows)
+        return value(best, self.spec.space.weights, self.spec.risk)
 
     def curve(self) -> Array:
         """(k,) V after each row; see `Study.curve`."""

@@ -273,7 +273,7 @@ class Study:
 
         Where a policy was not evaluated, it counts as on the nearest context where it was.
         """
-        return float(self.curve[-1]) if len(self.history) else -np.inf
+        return self._state.value()
 
     @property
     def curve(self) -> Array:
