@@ -6,7 +6,7 @@ pytest.importorskip("libsumo")
 from mbtl.cmdps import check_cmdp
 from mbtl.cmdps.engines import EnvFactory
 from mbtl.cmdps.traffic import demand
-from mbtl.cmdps.traffic.signal import CELLS, Signal, cell_of
+from mbtl.cmdps.traffic.signal import CELLS, JAM, Signal, cell_of
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import ContextMismatch, InvalidInput
 
@@ -74,7 +74,7 @@ def test_three_quarters_go_straight_and_turns_go_both_ways():
 
 
 def test_decisions_are_between_386_and_540(make):
-    env = make({"inflow": 50})
+    env = make({"inflow": 50}, jam=-np.inf)
     assert episode(env, (0,))[0] == 540  # the green never changes
     assert episode(env, (0, 2))[0] == 386  # it always does
 
@@ -214,12 +214,30 @@ def test_a_car_without_its_turn_leaves_by_its_lane_after_its_patience_only(make)
     assert routes["c"] == ["W_in", "S_out"]  # left of east, clockwise: south
 
 
-def test_a_signal_that_never_changes_is_counted_to_the_end(make):
-    decisions, _, info = episode(make({"inflow": 200}), (0,))
-    assert decisions == 540
+def test_a_jam_ends_the_episode_with_the_score_of_the_whole_one_cut_off(make):
     # those of the other axis wait from their arrival on: far below the paper's bound, -100
-    assert info["score"] < -1000.0
-    assert info["mean_queue"] > 40.0
+    decisions, _, whole = episode(make({"inflow": 200}, jam=-np.inf), (0,))
+    assert decisions == 540
+    assert whole["score"] < -1000.0
+    assert not whole["jammed"]
+    assert whole["mean_queue"] > 40.0
+    decisions, _, cut = episode(make({"inflow": 200}), (0,))
+    assert decisions < 540
+    assert cut["jammed"]
+    assert cut["score"] == JAM == -1000.0
+    decisions, _, above = episode(make({"inflow": 200}, jam=whole["score"] - 1.0), (0,))
+    assert decisions == 540
+    assert above["score"] == whole["score"]
+
+
+def test_a_jam_is_no_terminal_state_unless_the_end_of_time_is_one(make):
+    for time_limit, expected in (("truncation", (False, True)), ("terminal", (True, False))):
+        env = make({"inflow": 50}, jam=-1e-9, time_limit=time_limit)
+        env.reset(seed=0)
+        ends = (False, False)
+        while not any(ends):
+            ends = env.step(0)[2:4]
+        assert ends == expected
 
 
 @pytest.mark.parametrize("speed", [14.0, 5.0])
@@ -248,6 +266,12 @@ def test_braking_takes_whole_seconds():
 def test_impossible_contexts_are_refused(context, message):
     with pytest.raises(ContextMismatch, match=message):
         Signal(context)
+
+
+@pytest.mark.parametrize("jam", [0.0, 3.0, np.nan])
+def test_a_jam_that_every_episode_is_is_refused(jam):
+    with pytest.raises(InvalidInput, match="< 0"):
+        Signal(jam=jam)
 
 
 @pytest.mark.parametrize("phase", [-1, 4, 0.5])

@@ -8,7 +8,7 @@ others straight. A green lasts 10 s, after 4 s of yellow if the phase changes.
     action        0 north-south, 1 north-south left, 2 east-west, 3 east-west left
     reward        previous minus present total W of accumulated waiting time [s] over the cars on
                   the approaches; cars that have left are dropped (the reference keeps some)
-    score         -(sum of W over all decisions) / 5400
+    score         -(sum of W over all decisions) / 5400, but not below `JAM`
 """
 
 from __future__ import annotations
@@ -47,6 +47,11 @@ PATIENCE = 120
 the lane leads. On short roads cars that each want the other's lane would else stand there for ever,
 and nobody behind them could move: there is no teleport. Nothing leaves the demand."""
 
+JAM = -1000.0
+"""Lowest score, ten times as far as the paper's bound: an episode that has reached it is a jam and
+ends. Waiting only adds up, so the score is what the whole episode would have, cut off here; but
+SUMO needs ten times as long for hundreds of cars that stand as for traffic that flows."""
+
 _PHASES = (("NS", False), ("NS", True), ("WE", False), ("WE", True))
 _PLACES = {"W": (-1, 0), "N": (0, 1), "E": (1, 0), "S": (0, -1)}
 _LANES = [(f"{a}_in_{lane}", 2 * k + (lane == LEFT_LANE)) for k, a in enumerate(APPROACHES)
@@ -66,16 +71,29 @@ class Signal(TrafficEnv):
     WINDOW = Window(-110.0, -110.0, 110.0, 110.0)
 
     def __init__(
-        self, context: Mapping[str, Value] | None = None, **settings: Unpack[Settings]
+        self,
+        context: Mapping[str, Value] | None = None,
+        *,
+        jam: float = JAM,
+        **settings: Unpack[Settings],
     ) -> None:
-        """Arguments as in `Traffic`.
+        """Arguments as in `Traffic`, and one more.
 
         An episode that changes phases has fewer decisions than `horizon`, down to 386.
 
+        Args:
+            context: features that differ from the nominal ones.
+            jam: score at which an episode is given up; see `JAM`. -inf: never.
+            **settings: see `Traffic`.
+
         Raises:
             ContextMismatch: a road too short to stop on, or an inflow that is no number of cars.
+            InvalidInput: a jam that every episode is.
         """
+        if not jam < 0.0:
+            raise InvalidInput(f"the score of a jam is < 0, got {jam!r}; -inf: no jam ends early")
         super().__init__(context, **settings)
+        self._jam = jam
         self._edges = CELLS * (self.features["length"] / self.FEATURES["length"])
         self.observation_space = self._space([0.0] * 80, [1.0] * 80)
         self.action_space = Discrete(len(_PHASES))
@@ -122,14 +140,20 @@ class Signal(TrafficEnv):
             observation = self._observe(api)
             reward = self._account(api)
             self._left -= 1
-            ended = self._time >= SECONDS or self._left == 0
+            jammed = self._score <= self._jam
+            ended = self._time >= SECONDS or self._left == 0 or jammed
             if ended:
-                info = self._summary(api)
+                info = {**self._summary(api), "jammed": jammed}
         if ended:
             self._finish()
         return observation, reward, *self._ends(ended), info
 
     # ---- inside ------------------------------------------------------------------------------
+
+    @property
+    def _score(self) -> float:
+        """Of the episode so far; it only falls."""
+        return max(-self._waiting_sum / SECONDS, self._jam)
 
     def _show(self, api: Any, state: str, seconds: int) -> None:
         """Let the light show `state`, no longer than the episode lasts."""
@@ -179,7 +203,7 @@ class Signal(TrafficEnv):
         return reward
 
     def _summary(self, api: Any) -> dict[str, Any]:
-        """Measures of the whole episode.
+        """Measures of the episode.
 
         score: see the module; mean_queue: halted cars on the approaches at decisions;
         mean_speed: of the cars there [m/s]; not_inserted: cars that still wait to enter, which no
@@ -187,7 +211,7 @@ class Signal(TrafficEnv):
         """
         statistic = api.simulation.getParameter("", "stats.safety.collisions")
         return {
-            "score": -self._waiting_sum / SECONDS,
+            "score": self._score,
             "mean_queue": self._queue_sum / self._decisions,
             "mean_speed": self._speed_sum / self._seen if self._seen else 0.0,
             "not_inserted": len(api.simulation.getPendingVehicles()),
