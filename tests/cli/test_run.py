@@ -56,6 +56,33 @@ def test_run_again_prints_the_summary_and_trains_nothing(mbtl_command, own):
     assert json.loads(out) == first
 
 
+def test_costs_come_from_a_file_and_end_the_study(mbtl_command, own, tmp_path):
+    file = tmp_path / "costs.txt"
+    file.write_text("\n".join(["1"] * 5 + ["50"] * 10))
+    options = ("--costs", str(file), "--cost-budget", "2.5", "--budget", "10", "--json")
+    code, out, err = mbtl_command("run", own, *options)
+    assert code == 0, err
+    document = json.loads(out)
+    assert len(document["picks"]) == 2
+    assert all(pick["source"] < 5 for pick in document["picks"])
+    assert "budget of 2.5" in document["finished"] or "cost" in document["finished"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"), [("1\n2", "15 numbers"), ("a", "text file"), (None, "text file")]
+)
+def test_costs_that_are_no_numbers_of_contexts_are_refused(
+    mbtl_command, own, tmp_path, text, message
+):
+    file = tmp_path / "costs.txt"
+    if text is not None:
+        file.write_text(text)
+    code, _, err = mbtl_command("run", own, "--costs", str(file))
+    assert code != 0
+    assert message in err
+    assert not (tmp_path / "runs").exists()
+
+
 def test_the_summary_says_what_a_person_wants_to_know(mbtl_command, own):
     code, out, _ = mbtl_command("run", own)
     assert code == 0

@@ -131,6 +131,26 @@ def test_pictures_are_drawn_from_the_summary(tmp_path):
         assert path.read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_policy_map_of_several_axes_has_a_panel_for_each():
+    from mbtl.report.plots import _shares_map
+
+    space = mbtl.ContextSpace.grid(
+        {
+            mbtl.Log("mass", 0.2, 2.0, unit="kg"): 5,
+            mbtl.Linear("length", 0.1, 1.0): 40,
+            mbtl.Categorical("road", ("wet", "dry")): 2,
+        }
+    )
+    wet = np.array([road == "wet" for road in space.values("road")])
+    figure = _shares_map(space, np.where(wet, 0, 399), np.full(400, 0.5))
+    mass, length, road = figure.axes[:3]
+    assert [len(panel.patches) for panel in (mass, length, road)] == [10, 24, 4]  # bars
+    assert [bar.get_height() for bar in mass.patches] == pytest.approx([0.5] * 10)
+    assert [bar.get_height() for bar in road.patches] == [1.0, 0.0, 0.0, 1.0]
+    assert [tick.get_text() for tick in road.get_xticklabels()] == ["wet", "dry"]
+    assert mass.get_xlabel() == "mass [kg]"
+
+
 def test_a_picture_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(mbtl.MbtlError, match="choose another place"):

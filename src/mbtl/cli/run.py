@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from mbtl.arrays import Array
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.cli.progress import LiveProgress
 from mbtl.cmdps import CMDP, resolve_cmdp
@@ -80,6 +81,13 @@ def run(
         int | None,
         typer.Option(help="Evaluate each policy on so many contexts only."),
     ] = None,
+    costs: Annotated[
+        Path | None,
+        typer.Option(help="Text file: cost of a training on each context; picks gain per cost."),
+    ] = None,
+    cost_budget: Annotated[
+        float | None, typer.Option(help="End before the trainings cost more than this.")
+    ] = None,
     risk: Annotated[
         float, typer.Option(help="V is the mean of this share of the contexts, the worst of them.")
     ] = 1.0,
@@ -134,6 +142,8 @@ def run(
         stop_confidence=stop_confidence,
         repeats=repeats,
         eval_targets=eval_targets,
+        costs=None if costs is None else _numbers(costs),
+        cost_budget=cost_budget,
         risk=risk,
         storage=folder / "study.db",
         name=folder.resolve().name,
@@ -155,6 +165,16 @@ def run(
             callbacks=callbacks,
         )
     _finish(running, trainer, folder, as_json=as_json)
+
+
+def _numbers(file: Path) -> Array:
+    """The numbers of a text file, in order: one per line, or separated by spaces."""
+    try:
+        return np.array(file.read_text(encoding="utf-8").split(), dtype=np.float64)
+    except (OSError, ValueError) as error:
+        raise InvalidInput(
+            f"--costs takes a text file of numbers, one per context, got {file}: {error}"
+        ) from error
 
 
 def _settings(cmdp: CMDP, preset: str | None, trainer: Trainer) -> dict[str, Any]:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbtl.arrays import Array
-from mbtl.contexts import ContextSpace
+from mbtl.contexts import Axis, Categorical, ContextSpace, Value
 from mbtl.errors import cannot_write, missing_extra
 from mbtl.report.reference import ReferenceCurves
 from mbtl.report.summary import StudySummary
 from mbtl.report.text import shown
 
 _STYLE = {"axes.spines.top": False, "axes.spines.right": False, "font.size": 9}
+_MOST_BARS = 12
 _BLUE, _GREY = "#1f5fa8", "#777777"
 
 
@@ -58,18 +61,21 @@ def plot_policy_map(
 
     Args:
         summary: of the study.
-        space: the contexts; on one numeric axis the map runs along it, else along the index.
+        space: the contexts. On one numeric axis the map runs along it; else there is a panel per
+            axis: at each of its values, the share of contexts that each policy serves.
         performance: (N,) performance of the serving policy on each context.
         path: file to write.
     """
+    draw = _line_map if space.d == 1 and space.unit.shape[1] == 1 else _shares_map
+    return _save(draw(space, np.asarray(summary.serving), performance), path)
+
+
+def _line_map(space: ContextSpace, serving: Array, performance: Array) -> Any:
     figure, axes = _figure(6.4, 3.2)
-    line = space.d == 1 and space.unit.shape[1] == 1
-    x = np.asarray(space.values(space.axes[0].name), dtype=float) if line else np.arange(space.n)
-    serving = np.asarray(summary.serving)
+    axis = space.axes[0]
+    x = np.asarray(space.values(axis.name), dtype=float)
     order = np.argsort(x)
-    used = sorted(set(summary.serving))
-    colours = _colours(len(used))
-    for colour, source in zip(colours, used, strict=True):
+    for source, colour in _coloured(serving):
         mine = serving == source
         axes.plot(x[mine], performance[mine], "s", ms=4, color=colour)
         axes.axvline(x[source], color=colour, lw=1, ls=":", zorder=0)
@@ -79,16 +85,67 @@ def plot_policy_map(
             fontsize=7, color=colour, ha="center", va="bottom",
         )  # fmt: skip
     axes.plot(x[order], performance[order], lw=0.5, color=_GREY, zorder=0)
-    axis = space.axes[0]
-    axes.set_xlabel(
-        f"{axis.name} [{axis.unit}]"
-        if line and axis.unit
-        else axis.name
-        if line
-        else "context index"
-    )
+    axes.set_xlabel(_label(axis))
     axes.set_ylabel("performance")
-    return _save(figure, path)
+    return figure
+
+
+def _shares_map(space: ContextSpace, serving: Array, performance: Array) -> Any:
+    """A panel per axis; the line is the mean performance of the contexts with that value."""
+    figure, panels = _figure(min(3.0 * space.d + 1.5, 14.0), 3.6, space.d)
+    from matplotlib.patches import Patch
+
+    coloured, scale = _coloured(serving), (min(0.0, performance.min()), max(1.0, performance.max()))
+    for axis, panel in zip(space.axes, np.atleast_1d(panels), strict=True):
+        names, group = _groups(axis, space.values(axis.name))
+        counts = np.bincount(group, minlength=len(names))
+        below = np.zeros(len(names))
+        for source, colour in coloured:
+            share = np.bincount(group[serving == source], minlength=len(names)) / counts
+            panel.bar(names, share, bottom=below, width=1.0, color=colour)
+            below += share
+        means = np.bincount(group, performance, len(names)) / counts
+        line = panel.twinx()
+        line.plot(names, means, "o-", color="black", ms=3, lw=1)
+        line.set_ylim(*scale)
+        panel.set_ylim(0.0, 1.0)
+        panel.set_xlabel(_label(axis))
+        panel.tick_params("x", rotation=90)
+    figure.supylabel("share of contexts; line, right: performance", fontsize=9)
+    handles = [
+        Patch(color=colour, label=shown(space.context(source), space))
+        for source, colour in coloured
+    ]
+    columns = max(1, 4 - space.d // 2)
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=7
+    )
+    return figure
+
+
+def _groups(axis: Axis, values: Sequence[Value]) -> tuple[list[str], NDArray[np.intp]]:
+    """Names of the bars of an axis, and the bar of each context: its values, or ranges of them."""
+    if isinstance(axis, Categorical):
+        names = list(dict.fromkeys(values))
+        return [str(name) for name in names], np.array([names.index(v) for v in values])
+    x = np.asarray(values, dtype=float)
+    levels, group = np.unique(x, return_inverse=True)
+    if len(levels) > _MOST_BARS:
+        edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, _MOST_BARS + 1)))
+        group = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+        kept, group = np.unique(group, return_inverse=True)
+        return [f"{edges[i]:.3g} to {edges[i + 1]:.3g}" for i in kept], group
+    return [f"{level:.4g}" for level in levels], group
+
+
+def _coloured(serving: Array) -> list[tuple[int, Any]]:
+    """Sources that serve a context, with their colours."""
+    used = sorted({int(source) for source in serving})
+    return list(zip(used, _colours(len(used)), strict=True))
+
+
+def _label(axis: Axis) -> str:
+    return f"{axis.name} [{axis.unit}]" if axis.unit else axis.name
 
 
 def _band(axes: Any, curves: Array, label: str, colour: str) -> None:
@@ -97,7 +154,7 @@ def _band(axes: Any, curves: Array, label: str, colour: str) -> None:
     axes.fill_between(k, curves.min(axis=0), curves.max(axis=0), color=colour, alpha=0.2, lw=0)
 
 
-def _figure(width: float, height: float) -> tuple[Any, Any]:
+def _figure(width: float, height: float, panels: int = 1) -> tuple[Any, Any]:
     try:
         from matplotlib import rc_context
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -107,7 +164,7 @@ def _figure(width: float, height: float) -> tuple[Any, Any]:
     with rc_context(_STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasAgg(figure)
-        return figure, figure.add_subplot()
+        return figure, figure.subplots(1, panels)
 
 
 def _colours(n: int) -> list[Any]:
