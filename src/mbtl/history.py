@@ -79,6 +79,10 @@ class History:
         """(k, N) rows where a missing entry is the one evaluated nearest to it, (N, D) in steps."""
         return nearest_filled(self.rows, steps)
 
+    def served(self, steps: Array) -> Array:
+        """(N,) as `best`, where entries not evaluated count as in `filled`."""
+        return generalisation_performance(self.filled(steps))
+
     @cached_property
     def training_performance(self) -> Array:
         """(k,) J(pi_i, x_i): each policy on its own source."""

@@ -76,6 +76,17 @@ def test_mbtl_starts_in_the_middle_and_warms_up_where_it_is_worst(selector):
     assert curve[3] == pytest.approx(0.8544, abs=5e-5)
 
 
+@pytest.mark.parametrize("selector", ["mbtl", "gp-mbtl", "worst-first"])
+def test_a_target_that_nobody_was_evaluated_on_counts_as_the_nearest(selector):
+    row = np.full(10, np.nan)
+    row[[0, 4, 7]] = 0.9, 0.5, 0.1
+    history = History(10).with_row(4, row)
+    assert history.served(np.arange(10.0)[:, None]).tolist() == [0.9] * 3 + [0.5] * 3 + [0.1] * 4
+    problem = SelectionProblem.of(line(10), budget=5)
+    pick = get_selector(selector).propose(problem, history, np.random.default_rng(0))
+    assert pick.source == 6  # neither 1, the first without an entry, nor 7, the lowest entry alone
+
+
 @pytest.mark.parametrize(("n", "first"), [(100, 49), (50, 24), (40, 19)])
 @pytest.mark.parametrize("selector", ["mbtl", "mbtl-release", "mbtl-ei", "greedy", "worst-first"])
 def test_first_pick_is_the_lower_middle(selector, n, first):

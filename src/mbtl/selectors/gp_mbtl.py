@@ -80,10 +80,10 @@ def _incumbent(
 ) -> Array:
     """(N,) best per target: observed rows, and what pending picks are believed to give.
 
-    A target that nobody was evaluated on counts as the worst that is known.
+    A target that nobody was evaluated on counts as the nearest where somebody was, else as 0.
     """
-    known = np.isfinite(history.best)
-    best = np.where(known, history.best, history.best[known].min() if known.any() else 0.0)
+    best = history.served(problem.steps)
+    best = np.where(np.isfinite(best), best, 0.0)
     if history.pending:
         pending = problem.steps[list(history.pending)]
         believed = gp.predict(pending)[0][:, None] + gap.between(pending, problem.steps)

@@ -123,7 +123,7 @@ def start(
     if told == 0:
         return first_pick(problem, history, mask)
     if begun < 1 + warm_up or not np.isfinite(history.training_performance).any():
-        best = history.best
+        best = history.served(problem.steps)
         own_performance = history.training_performance[np.isfinite(history.training_performance)]
         if history.pending and own_performance.size:  # others serve the contexts around them
             own = np.full(len(history.pending), own_performance.mean())

@@ -64,9 +64,10 @@ def observed_incumbent(
 ) -> Array:
     """(N,) best performance per target: observed rows, and what pending picks are believed to give.
 
-    A target nobody was evaluated on counts as performance 0.
+    A target nobody was evaluated on counts as the nearest where somebody was, else as 0.
     """
-    best = np.where(np.isfinite(history.best), history.best, 0.0)
+    best = history.served(problem.steps)
+    best = np.where(np.isfinite(best), best, 0.0)
     believed = _believed_rows(problem, history, gp, theta)
     return np.asarray(np.fmax(best, believed.max(axis=0, initial=-np.inf)))
 

@@ -26,7 +26,7 @@ class WorstFirst:
         mask = open_candidates(problem, history)
         if not history.sources:
             return first_pick(problem, history, mask)
-        return Proposal(worst_context(history.best, mask), "worst context so far")
+        return Proposal(worst_context(history.served(problem.steps), mask), "worst context so far")
 
 
 def worst_context(best: Array, mask: NDArray[np.bool_]) -> int:
