@@ -72,9 +72,9 @@ def test_an_interrupted_build_goes_on(mbtl_command, problem):
 
 
 def test_a_log_hears_of_a_long_build_now_and_then(mbtl_command, problem, monkeypatch):
-    monkeypatch.setattr("mbtl.cli.build.SILENCE", -1.0)
+    monkeypatch.setattr("mbtl.cli.common.SILENCE", -1.0)
     assert "seed 0: 3 of 4 sources" in mbtl_command(*BUILD, "--seeds", 1)[2]
-    monkeypatch.setattr("mbtl.cli.build.SILENCE", 3600.0)
+    monkeypatch.setattr("mbtl.cli.common.SILENCE", 3600.0)
     assert "sources" not in mbtl_command(*BUILD, "--seeds", 1, "--first-seed", 1)[2]
 
 

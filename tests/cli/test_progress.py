@@ -5,13 +5,12 @@ import io
 from rich.console import Console
 
 import mbtl
-from mbtl.cli import progress
 from mbtl.cli.progress import LiveProgress
 from mbtl.trainer import Progress
 
 
 def told(monkeypatch, silence):
-    monkeypatch.setattr(progress, "SILENCE", silence)
+    monkeypatch.setattr("mbtl.cli.common.SILENCE", silence)
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
     study = mbtl.create_study(space, budget=2, seed=0)
     out = io.StringIO()

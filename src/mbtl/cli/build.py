@@ -16,7 +16,7 @@ from mbtl.benchmark import TransferMatrix, levels, save_shipped
 from mbtl.benchmark.build import ONLY, Build
 from mbtl.benchmark.provenance import here
 from mbtl.benchmark.shipped import DEFAULT, matrix_id
-from mbtl.cli.common import SILENCE, JsonFlag, console, print_json
+from mbtl.cli.common import JsonFlag, LongWork, console, print_json
 from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp, resolve_cmdp
 from mbtl.errors import InvalidInput
 from mbtl.trainer import ManyTrainer, Trainer, recipe_of
@@ -193,14 +193,11 @@ def _run(building: Build, workers: int, label: str) -> None:
     )
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(label, total=building.space.n)
-        spoke = time.monotonic()
+        log = LongWork(console)
 
         def on_piece(done: int, total: int) -> None:
-            nonlocal spoke
             bar.update(task, completed=done, total=total)
-            if not console.is_terminal and time.monotonic() - spoke > SILENCE:
-                spoke = time.monotonic()
-                console.print(f"{label}: {done} of {total} sources", markup=False, highlight=False)
+            log.say(f"{label}: {done} of {total} sources")
 
         building.run(workers, on_piece)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable
 from functools import wraps
 from typing import Annotated, Any
@@ -44,6 +45,20 @@ def interruptible(command: Callable[..., None]) -> Callable[..., None]:
             raise typer.Exit(1) from None
 
     return wrapped
+
+
+class LongWork:
+    """Tells a log, where there is no terminal with bars, now and then that long work goes on."""
+
+    def __init__(self, to: Console) -> None:
+        self._console, self._spoke = to, time.monotonic()
+
+    def say(self, line: str) -> None:
+        """Print the line if nothing was said for `SILENCE`."""
+        if self._console.is_terminal or time.monotonic() - self._spoke <= SILENCE:
+            return
+        self._spoke = time.monotonic()
+        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def printer() -> Console:

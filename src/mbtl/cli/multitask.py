@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from mbtl.arrays import Array
 from mbtl.benchmark.multitask import multitask_file, save_multitask
 from mbtl.benchmark.provenance import here
-from mbtl.cli.common import JsonFlag, console, print_json
+from mbtl.cli.common import JsonFlag, LongWork, console, print_json
 from mbtl.cmdps import CMDP, get_cmdp
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
@@ -200,10 +200,12 @@ def _one(job: _InJax | _InSimulator, seed: int, command: str, out: Path) -> dict
     )
     begin = time.perf_counter()
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(f"{cmdp.id} {job.name} seed {seed}", total=job.length, note="")
+        label, log = f"{cmdp.id} {job.name} seed {seed}", LongWork(console)
+        task = bar.add_task(label, total=job.length, note="")
 
         def on_step(done: int, total: int, note: str) -> None:
             bar.update(task, completed=done, total=total, note=note)
+            log.say(f"{label}: {done:,} of {total:,}  {note}")
 
         returns, std, record = job.run(seed, on_step)
     provenance = {

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as Bars
 
-from mbtl.cli.common import SILENCE
+from mbtl.cli.common import LongWork
 from mbtl.report.text import shown
 from mbtl.study import Callback, Pick, Study
 from mbtl.trainer import Progress
@@ -35,7 +35,7 @@ class LiveProgress(Callback):
         self._pick_bars: dict[int, TaskID] = {}
         self._begun: dict[int, float] = {}
         self._seconds: list[float] = []
-        self._spoke = time.monotonic()
+        self._work = LongWork(console)
 
     def __enter__(self) -> LiveProgress:
         self._bars.start()
@@ -64,15 +64,8 @@ class LiveProgress(Callback):
         note = f"{progress.step:,}/{progress.total:,} {progress.unit} {' '.join(scores)}"
         self._bars.update(self._pick_bars[pick.number], completed=0.97 * share, note=note)
         self._update(study, share)
-        if not self._console.is_terminal and time.monotonic() - self._spoke > SILENCE:
-            self._spoke = time.monotonic()
-            where = shown(pick.context, study.space)
-            self._console.print(
-                f"pick {pick.number + 1}/{study.spec.budget}  {where}  {note}",
-                markup=False,
-                highlight=False,
-                soft_wrap=True,
-            )
+        where = shown(pick.context, study.space)
+        self._work.say(f"pick {pick.number + 1}/{study.spec.budget}  {where}  {note}")
 
     def on_evaluation(self, study: Study, pick: Pick) -> None:
         """Training is done."""
