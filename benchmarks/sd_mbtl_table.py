@@ -31,11 +31,12 @@ from mbtl.selectors import get_selector
 
 BUDGET, PUBLISHED_TRIALS = 50, 100
 METHODS = ("random", "gp-mbtl", "m-mbtl", "sd-mbtl", "oracle")
-SELECTORS = ("gp-mbtl", "m-mbtl", "sd-mbtl")
+SELECTORS = ("gp-mbtl", "m-mbtl", "sd-mbtl", "auto")
 OWN_ORACLE = "oracle of each trial"
+UNPUBLISHED = (OWN_ORACLE, "auto")
 NAMES = {
     "random": "Random", "gp-mbtl": "GP-MBTL", "m-mbtl": "M-MBTL", "sd-mbtl": "M/GP-MBTL",
-    "oracle": "oracle", OWN_ORACLE: "own oracle",
+    "oracle": "oracle", OWN_ORACLE: "own oracle", "auto": "auto",
 }  # fmt: skip
 PUBLISHED = {  # V after 50 trainings, in the order of METHODS, by world and noise
     "const-lin-nd": {
@@ -126,7 +127,7 @@ def common_order(world: SyntheticWorld) -> list[int]:
 
 def run_world(world: SyntheticWorld, trials: int) -> tuple[dict[str, Array], dict[str, float]]:
     """(trials,) V by method, and seconds of processor time per trial of each selector."""
-    values: dict[str, list[float]] = {name: [] for name in (*METHODS, OWN_ORACLE)}
+    values: dict[str, list[float]] = {name: [] for name in NAMES}
     watch = measure.Stopwatch()
     order = common_order(world)
     for trial in range(trials):
@@ -150,21 +151,21 @@ def spread(values: Array) -> float | None:
 def aggregate(results: dict[str, dict[str, Array]], noise: int) -> dict[str, Any]:
     """Normalised scores, 0 at Random and 1 at the common oracle, and the published ones."""
     found: dict[str, Any] = {}
-    for column, name in enumerate(METHODS):
-        if name not in SELECTORS:
-            continue
+    for name in SELECTORS:
         ours, published = [], []
         for world, values in results.items():
             low, high = values["random"].mean(), values["oracle"].mean()
             ours.append((values[name] - low) / (high - low))
-            printed = PUBLISHED[world][noise]
-            published.append((printed[column] - printed[0]) / (printed[-1] - printed[0]))
+            if name in METHODS:
+                printed = dict(zip(METHODS, PUBLISHED[world][noise], strict=True))
+                low, high = printed["random"], printed["oracle"]
+                published.append((printed[name] - low) / (high - low))
         scores = np.concatenate(ours)
         found[name] = {
             "mean": digits(float(scores.mean()), 3),
             "interval": spread(scores),
-            "published_same_worlds": digits(float(np.mean(published)), 3),
-            "published_all_worlds": AGGREGATED[noise][name],
+            "published_same_worlds": digits(float(np.mean(published)), 3) if published else None,
+            "published_all_worlds": AGGREGATED[noise].get(name),
         }
     return found
 
@@ -184,11 +185,11 @@ def lines_of(document: dict[str, Any]) -> list[str]:
         lines += [f"  {world:14}{ours}", f"  {'':14}{theirs}".rstrip()]
     lines.append(f"  {'aggregate':14}{'ours':>18}{'published, these':>18}{'published, all':>18}")
     for name, score in document["aggregate"].items():
-        mean, half = score["published_all_worlds"]
-        lines.append(
-            f"  {NAMES[name]:14}{score['mean']:9.3f} +-{score['interval'] or 0:6.3f}"
-            f"{score['published_same_worlds']:18.3f}{mean:9.3f} +-{half:6.3f}"
-        )
+        line = f"  {NAMES[name]:14}{score['mean']:9.3f} +-{score['interval'] or 0:6.3f}"
+        if score["published_all_worlds"] is not None:
+            mean, half = score["published_all_worlds"]
+            line += f"{score['published_same_worlds']:18.3f}{mean:9.3f} +-{half:6.3f}"
+        lines.append(line)
     seconds = ", ".join(f"{NAMES[n]} {s:.2f}" for n, s in document["seconds"].items())
     return [*lines, f"processor seconds per run of {BUDGET} picks: {seconds}"]
 
@@ -223,7 +224,9 @@ def main() -> None:
                     "published": printed,
                 }
                 for name, printed in zip(
-                    (*METHODS, OWN_ORACLE), (*PUBLISHED[world][args.noise], None), strict=True
+                    (*METHODS, *UNPUBLISHED),
+                    (*PUBLISHED[world][args.noise], *[None] * len(UNPUBLISHED)),
+                    strict=True,
                 )
             }
             for world, values in results.items()

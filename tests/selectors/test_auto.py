@@ -9,6 +9,7 @@ from mbtl.history import History
 from mbtl.models import priors
 from mbtl.models.transfer_gp import TransferPrior
 from mbtl.selectors import Auto, Exhausted, Random, SelectionProblem
+from mbtl.selectors.auto import _search
 from mbtl.selectors.base import even_targets
 
 RNG = np.random.default_rng(0)
@@ -235,3 +236,32 @@ def test_the_chance_is_that_of_the_largest_gain_not_of_the_cheapest():
     proposal = Auto().propose(problem, history, RNG)
     assert proposal.source < 20
     assert proposal.chance > 0.5
+
+
+def test_the_search_for_a_source_ends_at_the_best_of_a_hill():
+    space = mbtl.ContextSpace.grid({mbtl.Linear(name, 0.0, 1.0): 20 for name in "abc"})
+    problem = SelectionProblem.of(space, budget=5)
+    everyone, asked = np.arange(problem.n), []
+    top = np.array([0.13, 0.87, 0.51])
+    height = -np.square(problem.unit - top).sum(axis=1)
+
+    def gain_of(sources):
+        asked.extend(sources)
+        return height[sources]
+
+    found, gain = _search(problem, everyone, 100, gain_of, np.ones(problem.n))
+    assert found[gain.argmax()] == height.argmax()
+    assert len(asked) == len(set(asked)) == len(found) < 500
+    np.testing.assert_array_equal(gain, height[found])
+    few, _ = _search(problem, everyone[:60], 100, gain_of, np.ones(problem.n))
+    np.testing.assert_array_equal(few, everyone[:60])
+
+
+def test_the_search_looks_for_gain_per_cost():
+    problem = SelectionProblem.of(
+        mbtl.ContextSpace.grid({mbtl.Linear("a", 0.0, 1.0): 2000}), budget=5
+    )
+    gain, costs = np.linspace(1.0, 2.0, 2000), np.linspace(1.0, 9.0, 2000)
+    found, _ = _search(problem, np.arange(2000), 20, lambda sources: gain[sources], costs)
+    assert 0 in found  # the dearest gains most, the cheapest most per cost
+    assert np.median(found[20:]) < 400  # so that is where it looked

@@ -3,12 +3,14 @@
 The gain is `mbtl.acquisition.RowGain` under the posterior of `mbtl.models.TransferGP`, which learns
 from every entry of every row. Nobody is expected to do better than the best performance seen
 anywhere, and a little: a Gaussian far from all data would promise more than any policy has reached.
-Beyond some hundred contexts a part of the candidates and targets, spread over the space, stands for
-all of them; with several axes the best few candidates are judged again on more targets.
+Beyond some hundred contexts a part of the targets, spread over the space, stands for all of them,
+and candidates are searched: some spread over the space, then ever nearer to the best. With several
+axes the best few are judged again on more targets.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -38,6 +40,8 @@ from mbtl.selectors.base import (
 
 Indices = NDArray[np.intp]
 
+_LEADERS, _AROUND = 3, 12
+"""So many of the best candidates are looked around, at so many contexts each and round."""
 _MARGIN = 0.02
 """By how much `top` lies above the best seen, as a share of the range seen."""
 
@@ -52,7 +56,7 @@ class Auto:
 
     Attributes:
         prior: of the transfer model; None: the one chosen on shipped matrices.
-        most_candidates: contexts considered as sources at once.
+        most_candidates: contexts from which the search for a source begins.
         most_targets: contexts considered as targets at once.
         most_pairs: observed pairs used; with more rows, fewer targets of each.
         finalists: candidates that are judged a second time, on more targets.
@@ -82,7 +86,6 @@ class Auto:
         mask = open_candidates(problem, history, repeats=problem.repeats)
         if not np.isfinite(history.rows).any():
             return first_pick(problem, history, mask)
-        candidates = _spread(problem, np.flatnonzero(mask), self.most_candidates)
         try:
             beliefs = self._beliefs(problem, history)
         except (np.linalg.LinAlgError, InvalidInput) as error:  # or nothing known of these targets
@@ -93,7 +96,9 @@ class Auto:
         if problem.costs is not None:  # their unit must not matter to what counts as a tie
             costs = problem.costs / problem.costs.mean()
         outlook = beliefs.row_gain(beliefs.targets)
-        gain = outlook.expected(candidates)
+        candidates, gain = _search(
+            problem, np.flatnonzero(mask), self.most_candidates, outlook.expected, costs
+        )
         counted = np.flatnonzero(problem.weights > 0)
         wide = _spread(problem, counted, self.final_targets)
         if not problem.is_line and len(wide) > len(beliefs.targets):
@@ -203,6 +208,44 @@ def _observed(history: History, targets: Indices, most: int) -> tuple[Pairs, Arr
         kept = np.linspace(0, len(rows) - 1, most).round().astype(np.intp)
         rows, seen = rows[kept], seen[kept]
     return np.column_stack([sources[rows], seen, rows]), history.rows[rows, seen]
+
+
+def _search(
+    problem: SelectionProblem,
+    among: Indices,
+    most: int,
+    gain_of: Callable[[Indices], Array],
+    costs: Array,
+) -> tuple[Indices, Array]:
+    """Candidates and their gains: `most` spread over the space, then some near the best of them.
+
+    What is near shrinks from round to round; in the end the neighbours of the best are tried until
+    none of them is better.
+    """
+    found = _spread(problem, among, most)
+    gain = gain_of(found)
+    if len(found) == len(among):
+        return found, gain
+    reach = 4 * len(among) // most
+    while True:
+        worth = gain / costs[found]
+        leaders = found[np.argsort(-worth, kind="stable")[:_LEADERS]]
+        near = [_spread(problem, _nearest(problem, among, x, reach), _AROUND) for x in leaders]
+        new = np.setdiff1d(np.concatenate(near), found)
+        if not len(new):
+            return found, gain
+        found, gain = np.append(found, new), np.append(gain, gain_of(new))
+        if reach == _AROUND and (gain / costs[found])[-len(new) :].max() <= worth.max():
+            return found, gain
+        reach = max(reach // _AROUND, _AROUND)
+
+
+def _nearest(problem: SelectionProblem, among: Indices, place: int, count: int) -> Indices:
+    """The `count` contexts that are nearest to one, itself among them."""
+    if len(among) <= count:
+        return among
+    squared = np.square(problem.unit[among] - problem.unit[place]).sum(axis=1)
+    return np.asarray(among[np.argpartition(squared, count)[:count]])
 
 
 def _spread(problem: SelectionProblem, among: Indices, most: int) -> Indices:
