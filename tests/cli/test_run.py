@@ -58,14 +58,16 @@ def test_run_again_prints_the_summary_and_trains_nothing(mbtl_command, own):
 
 def test_costs_come_from_a_file_and_end_the_study(mbtl_command, own, tmp_path):
     file = tmp_path / "costs.txt"
-    file.write_text("\n".join(["1"] * 5 + ["50"] * 10))
-    options = ("--costs", str(file), "--cost-budget", "2.5", "--budget", "10", "--json")
+    file.write_text("1 " * 9 + "\n" + "50 " * 6)
+    options = ("--costs", str(file), "--cost-budget", "60", "--budget", "3", "--json")
     code, out, err = mbtl_command("run", own, *options)
     assert code == 0, err
-    document = json.loads(out)
-    assert len(document["picks"]) == 2
-    assert all(pick["source"] < 5 for pick in document["picks"])
-    assert "budget of 2.5" in document["finished"] or "cost" in document["finished"]
+    sources = [pick["source"] for pick in json.loads(out)["picks"]]
+    assert len(sources) == 3
+    assert max(sources) < 9  # a dear one could be paid, and would gain more
+    code, out, _ = mbtl_command("run", own, "--new", "--costs", str(file), "--cost-budget", "1.5")
+    assert code == 0
+    assert "pick 2" not in out
 
 
 @pytest.mark.parametrize(

@@ -149,6 +149,14 @@ def test_the_policy_map_of_several_axes_has_a_panel_for_each():
     assert [bar.get_height() for bar in road.patches] == [1.0, 0.0, 0.0, 1.0]
     assert [tick.get_text() for tick in road.get_xticklabels()] == ["wet", "dry"]
     assert mass.get_xlabel() == "mass [kg]"
+    # a bar for each year, however alike their names are, and for each value, however rare
+    years = mbtl.ContextSpace.grid(
+        {mbtl.Integer("year", 2000, 2007): 8, mbtl.Linear("x", 0.0, 1.0): [0.0, 1.0]}
+    )
+    figure = _shares_map(years, np.arange(16) % 2, np.full(16, -9.0))
+    assert [len(panel.patches) for panel in figure.axes[:2]] == [16, 4]
+    assert {bar.get_x() for bar in figure.axes[0].patches} == set(np.arange(8) - 0.5)
+    assert figure.axes[2].get_ylim()[0] < -9.0
 
 
 def test_a_picture_that_cannot_be_written_is_named(tmp_path):

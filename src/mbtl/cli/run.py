@@ -83,10 +83,11 @@ def run(
     ] = None,
     costs: Annotated[
         Path | None,
-        typer.Option(help="Text file: cost of a training on each context; picks gain per cost."),
+        typer.Option(help="Text file: cost of a training on each context; auto gains per cost."),
     ] = None,
     cost_budget: Annotated[
-        float | None, typer.Option(help="End before the trainings cost more than this.")
+        float | None,
+        typer.Option(help="End when trainings have cost this; with --costs, before."),
     ] = None,
     risk: Annotated[
         float, typer.Option(help="V is the mean of this share of the contexts, the worst of them.")
@@ -168,12 +169,13 @@ def run(
 
 
 def _numbers(file: Path) -> Array:
-    """The numbers of a text file, in order: one per line, or separated by spaces."""
+    """The numbers of a text file, in the order of the contexts."""
     try:
         return np.array(file.read_text(encoding="utf-8").split(), dtype=np.float64)
     except (OSError, ValueError) as error:
         raise InvalidInput(
-            f"--costs takes a text file of numbers, one per context, got {file}: {error}"
+            "--costs takes a text file of numbers, one per context, with spaces or new lines "
+            f"between them, got {file}: {error}"
         ) from error
 
 

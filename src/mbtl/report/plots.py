@@ -91,51 +91,50 @@ def _line_map(space: ContextSpace, serving: Array, performance: Array) -> Any:
 
 
 def _shares_map(space: ContextSpace, serving: Array, performance: Array) -> Any:
-    """A panel per axis; the line is the mean performance of the contexts with that value."""
-    figure, panels = _figure(min(3.0 * space.d + 1.5, 14.0), 3.6, space.d)
+    """A panel per axis; dots are the mean performance of the contexts with that value."""
     from matplotlib.patches import Patch
 
-    coloured, scale = _coloured(serving), (min(0.0, performance.min()), max(1.0, performance.max()))
+    coloured = _coloured(serving)
+    columns = max(1, 4 - space.d // 2)
+    rows = -(-len(coloured) // columns)
+    figure, panels = _figure(min(3.0 * space.d + 1.5, 14.0), 3.2 + 0.17 * rows, space.d)
+    every = []
     for axis, panel in zip(space.axes, np.atleast_1d(panels), strict=True):
         names, group = _groups(axis, space.values(axis.name))
-        counts = np.bincount(group, minlength=len(names))
+        counts, places = np.bincount(group), np.arange(len(names))
         below = np.zeros(len(names))
         for source, colour in coloured:
             share = np.bincount(group[serving == source], minlength=len(names)) / counts
-            panel.bar(names, share, bottom=below, width=1.0, color=colour)
+            panel.bar(places, share, bottom=below, width=1.0, color=colour)
             below += share
-        means = np.bincount(group, performance, len(names)) / counts
-        line = panel.twinx()
-        line.plot(names, means, "o-", color="black", ms=3, lw=1)
-        line.set_ylim(*scale)
+        dots = panel.twinx()
+        dots.plot(places, np.bincount(group, performance) / counts, "o", color="black", ms=3)
+        every.append(dots)
         panel.set_ylim(0.0, 1.0)
         panel.set_xlabel(_label(axis))
-        panel.tick_params("x", rotation=90)
-    figure.supylabel("share of contexts; line, right: performance", fontsize=9)
-    handles = [
-        Patch(color=colour, label=shown(space.context(source), space))
-        for source, colour in coloured
-    ]
-    columns = max(1, 4 - space.d // 2)
+        panel.set_xticks(places, names, rotation=90)
+    limits = np.array([dots.get_ylim() for dots in every])
+    for dots in every:
+        dots.set_ylim(min(0.0, limits.min()), max(1.0, limits.max()))
+    figure.supylabel("share of contexts; dots, right: performance", fontsize=9)
     figure.legend(
-        handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=7
-    )
+        handles=[Patch(color=c, label=shown(space.context(i), space)) for i, c in coloured],
+        loc="outside lower center", ncols=columns, frameon=False, fontsize=7,
+    )  # fmt: skip
     return figure
 
 
 def _groups(axis: Axis, values: Sequence[Value]) -> tuple[list[str], NDArray[np.intp]]:
-    """Names of the bars of an axis, and the bar of each context: its values, or ranges of them."""
+    """Names of the bars of an axis, and the bar of each context: its values, or runs of them."""
     if isinstance(axis, Categorical):
-        names = list(dict.fromkeys(values))
-        return [str(name) for name in names], np.array([names.index(v) for v in values])
-    x = np.asarray(values, dtype=float)
-    levels, group = np.unique(x, return_inverse=True)
-    if len(levels) > _MOST_BARS:
-        edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, _MOST_BARS + 1)))
-        group = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
-        kept, group = np.unique(group, return_inverse=True)
-        return [f"{edges[i]:.3g} to {edges[i + 1]:.3g}" for i in kept], group
-    return [f"{level:.4g}" for level in levels], group
+        kinds = list(dict.fromkeys(values))
+        return [str(kind) for kind in kinds], np.array([kinds.index(v) for v in values])
+    levels, group = np.unique(np.asarray(values, dtype=float), return_inverse=True)
+    runs = np.array_split(np.arange(len(levels)), min(len(levels), _MOST_BARS))
+    bar = np.repeat(np.arange(len(runs)), [len(run) for run in runs])
+    ends = [(levels[run[0]], levels[run[-1]]) for run in runs]
+    names = [f"{low:.6g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in ends]
+    return names, bar[group]
 
 
 def _coloured(serving: Array) -> list[tuple[int, Any]]:

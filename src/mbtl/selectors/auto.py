@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -42,6 +43,8 @@ Indices = NDArray[np.intp]
 
 _LEADERS, _AROUND = 3, 12
 """So many of the best candidates are looked around, at so many contexts each and round."""
+_MANY = 20_000
+"""Contexts through which every round of the search may look."""
 _MARGIN = 0.02
 """By how much `top` lies above the best seen, as a share of the range seen."""
 
@@ -103,9 +106,8 @@ class Auto:
         wide = _spread(problem, counted, self.final_targets)
         if not problem.is_line and len(wide) > len(beliefs.targets):
             # a few of them on several axes are a sample, with its luck; on a line they are even
-            order = np.argsort(-gain / costs[candidates], kind="stable")
-            finalists = np.append(order[: self.finalists], gain.argmax())
-            candidates = candidates[np.unique(finalists)]
+            few = _finalists(gain / costs[candidates], self.most_candidates, self.finalists)
+            candidates = candidates[np.union1d(few, gain.argmax())]
             outlook = beliefs.row_gain(wide)
             gain = outlook.expected(candidates)
         best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
@@ -217,35 +219,49 @@ def _search(
     gain_of: Callable[[Indices], Array],
     costs: Array,
 ) -> tuple[Indices, Array]:
-    """Candidates and their gains: `most` spread over the space, then some near the best of them.
+    """Candidates and their gains: `most` spread over the space first, then some near the best.
 
-    What is near shrinks from round to round; in the end the neighbours of the best are tried until
-    none of them is better.
+    Near is meant in unit coordinates and in grid steps, so that neither fine nor coarse axes are
+    left out, and shrinks from round to round; the last rounds go on while they find a better one.
     """
     found = _spread(problem, among, most)
     gain = gain_of(found)
-    if len(found) == len(among):
-        return found, gain
-    reach = 4 * len(among) // most
-    while True:
+    reach, pool = max(4 * len(among) // most, _AROUND), among
+    while len(found) < len(among):
         worth = gain / costs[found]
-        leaders = found[np.argsort(-worth, kind="stable")[:_LEADERS]]
-        near = [_spread(problem, _nearest(problem, among, x, reach), _AROUND) for x in leaders]
-        new = np.setdiff1d(np.concatenate(near), found)
-        if not len(new):
-            return found, gain
-        found, gain = np.append(found, new), np.append(gain, gain_of(new))
-        if reach == _AROUND and (gain / costs[found])[-len(new) :].max() <= worth.max():
-            return found, gain
+        leaders = [*found[np.argsort(-worth, kind="stable")[:_LEADERS]], found[gain.argmax()]]
+        near = [
+            _nearest(scale, pool, leader, reach)
+            for leader in dict.fromkeys(leaders)
+            for scale in (problem.unit, problem.steps)
+        ]
+        width = 4 * _AROUND if reach == _AROUND else _AROUND  # in the end, all neighbours
+        some = [_spread(problem, around, width) for around in near]
+        new = np.setdiff1d(np.concatenate(some), found)
+        if len(new):
+            found, gain = np.append(found, new), np.append(gain, gain_of(new))
+        if reach == _AROUND and (gain / costs[found]).max() <= worth.max():
+            break
+        if len(pool) > _MANY:  # too many to look through again
+            pool = np.unique(np.concatenate(near))
         reach = max(reach // _AROUND, _AROUND)
+    return found, gain
 
 
-def _nearest(problem: SelectionProblem, among: Indices, place: int, count: int) -> Indices:
-    """The `count` contexts that are nearest to one, itself among them."""
+def _finalists(worth: Array, spread: int, count: int) -> Indices:
+    """The best of all, and the best of the first `spread`: the others may lie on one hill."""
+    half = count // 2
+    best, apart = (np.argsort(-w, kind="stable") for w in (worth, worth[:spread]))
+    return np.union1d(best[: count - half], apart[:half])
+
+
+def _nearest(places: Array, among: Indices, place: int, count: int) -> Indices:
+    """The contexts that are no farther from one than the `count`-th nearest, itself among them."""
     if len(among) <= count:
         return among
-    squared = np.square(problem.unit[among] - problem.unit[place]).sum(axis=1)
-    return np.asarray(among[np.argpartition(squared, count)[:count]])
+    squared = np.square(places[among] - places[place]).sum(axis=1)
+    limit = np.partition(squared, count)[count]  # a value; which of equals comes first varies
+    return np.asarray(among[squared <= limit * (1.0 + 1e-9)])
 
 
 def _spread(problem: SelectionProblem, among: Indices, most: int) -> Indices:
@@ -255,7 +271,10 @@ def _spread(problem: SelectionProblem, among: Indices, most: int) -> Indices:
     if problem.is_line:
         order = among[np.argsort(problem.line[among], kind="stable")]
         return np.sort(order[np.linspace(0, len(order) - 1, most).round().astype(np.intp)])
-    shuffled = np.random.default_rng(0).permutation(problem.n)
-    rank = np.empty(problem.n, dtype=np.intp)
-    rank[shuffled] = np.arange(problem.n)
-    return np.sort(among[np.argsort(rank[among], kind="stable")[:most]])
+    return np.sort(among[np.argsort(_shuffled(problem.n)[among], kind="stable")[:most]])
+
+
+@lru_cache(maxsize=1)
+def _shuffled(n: int) -> Indices:
+    """(n,) place of each context in a random order, always the same."""
+    return np.argsort(np.random.default_rng(0).permutation(n))
