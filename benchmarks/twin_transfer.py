@@ -46,7 +46,10 @@ def main() -> None:
     school = trainer if args.train_in == "jax" else sumo.trainer_for("quick", episodes=args.train)
     begin = time.perf_counter()
     policies = [school.train(twin.space.contexts[i], training_seed(0, 0, int(i))) for i in sources]
-    print(f"{len(policies)} trainings in {args.train_in}: {time.perf_counter() - begin:.0f} s")
+    print(
+        f"{len(policies)} trainings in {args.train_in}: {time.perf_counter() - begin:.0f} s",
+        flush=True,
+    )
     if args.train_in == "sumo":
         policies = [export_mlp(policy) for policy in policies]
     judge = sumo.trainer_for("quick", eval_episodes=args.episodes, acting=trainer.acting)
@@ -55,10 +58,10 @@ def main() -> None:
     for name, seed in zip(("SUMO", "SUMO again"), seeds, strict=True):
         begin = time.perf_counter()
         found[name] = _means(judge, policies, there, seed)
-        print(f"{name}: {time.perf_counter() - begin:.0f} s")
-    if args.out:
-        stored = {name.lower().replace(" ", "_"): matrix for name, matrix in found.items()}
-        np.savez(args.out, sources=sources, targets=targets, **stored)
+        print(f"{name}: {time.perf_counter() - begin:.0f} s", flush=True)
+        if args.out:  # each is an hour of simulation: kept as it comes
+            stored = {key.lower().replace(" ", "_"): matrix for key, matrix in found.items()}
+            np.savez(args.out, sources=sources, targets=targets, **stored)
     axis = next(iter(twin.nominal or {}))
     print(f"\n{args.cmdp}, mean score over {len(targets)} targets by source ({axis})")
     print("source     " + " ".join(f"{twin.space.contexts[i][axis]:8g}" for i in sources))
