@@ -33,7 +33,6 @@ BUDGET, PUBLISHED_TRIALS = 50, 100
 METHODS = ("random", "gp-mbtl", "m-mbtl", "sd-mbtl", "oracle")
 SELECTORS = ("gp-mbtl", "m-mbtl", "sd-mbtl", "auto")
 OWN_ORACLE = "oracle of each trial"
-UNPUBLISHED = (OWN_ORACLE, "auto")
 NAMES = {
     "random": "Random", "gp-mbtl": "GP-MBTL", "m-mbtl": "M-MBTL", "sd-mbtl": "M/GP-MBTL",
     "oracle": "oracle", OWN_ORACLE: "own oracle", "auto": "auto",
@@ -85,6 +84,11 @@ AGGREGATED = {  # published, over all eight worlds: mean and half the width of i
     0: {"gp-mbtl": (0.837, 0.027), "m-mbtl": (0.301, 0.026), "sd-mbtl": (0.987, 0.002)},
     30: {"gp-mbtl": (0.213, 0.051), "m-mbtl": (0.015, 0.009), "sd-mbtl": (0.310, 0.028)},
 }
+
+
+def published(world: str, noise: int) -> dict[str, float]:
+    """V by method, of those that are in the publication."""
+    return dict(zip(METHODS, PUBLISHED[world][noise], strict=True))
 
 
 def short(world: SyntheticWorld) -> str:
@@ -152,19 +156,19 @@ def aggregate(results: dict[str, dict[str, Array]], noise: int) -> dict[str, Any
     """Normalised scores, 0 at Random and 1 at the common oracle, and the published ones."""
     found: dict[str, Any] = {}
     for name in SELECTORS:
-        ours, published = [], []
+        ours, theirs = [], []
         for world, values in results.items():
             low, high = values["random"].mean(), values["oracle"].mean()
             ours.append((values[name] - low) / (high - low))
-            if name in METHODS:
-                printed = dict(zip(METHODS, PUBLISHED[world][noise], strict=True))
+            printed = published(world, noise)
+            if name in printed:
                 low, high = printed["random"], printed["oracle"]
-                published.append((printed[name] - low) / (high - low))
+                theirs.append((printed[name] - low) / (high - low))
         scores = np.concatenate(ours)
         found[name] = {
             "mean": digits(float(scores.mean()), 3),
             "interval": spread(scores),
-            "published_same_worlds": digits(float(np.mean(published)), 3) if published else None,
+            "published_same_worlds": digits(float(np.mean(theirs)), 3) if theirs else None,
             "published_all_worlds": AGGREGATED[noise].get(name),
         }
     return found
@@ -221,13 +225,9 @@ def main() -> None:
                 name: {
                     "mean": digits(float(values[name].mean())),
                     "interval": spread(values[name]),
-                    "published": printed,
+                    "published": published(world, args.noise).get(name),
                 }
-                for name, printed in zip(
-                    (*METHODS, *UNPUBLISHED),
-                    (*PUBLISHED[world][args.noise], *[None] * len(UNPUBLISHED)),
-                    strict=True,
-                )
+                for name in NAMES
             }
             for world, values in results.items()
         },

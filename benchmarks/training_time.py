@@ -11,17 +11,19 @@ example: python benchmarks/training_time.py --episodes 5
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
+from unittest.mock import patch
 
 import measure
 from measure import Cost, Stopwatch, cost_of, digits, note
 
 FAMILIES = {
-    "signal": ("signal-inflow", 1000.0, "mbtl.cmdps.traffic.signal", "Signal"),
-    "eco": ("eco-green", 35.0, "mbtl.cmdps.traffic.eco", "Eco"),
-    "ring": ("ring-acc", 5.0, "mbtl.cmdps.traffic.ring", "RingAcc"),
-    "ramp": ("ramp-acc", 5.0, "mbtl.cmdps.traffic.ramp", "RampAcc"),
+    "signal": ("signal-inflow", 1000.0),
+    "eco": ("eco-green", 35.0),
+    "ring": ("ring-acc", 5.0),
+    "ramp": ("ramp-acc", 5.0),
 }
 
 
@@ -35,10 +37,8 @@ def timed(watch: Stopwatch, part: str, function: Callable[..., Any]) -> Callable
     return run
 
 
-def division(id: str, value: float, entry: tuple[str, str], episodes: int) -> dict[str, Any]:
+def division(id: str, value: float, episodes: int) -> dict[str, Any]:
     """Shares of one training's processor time."""
-    from importlib import import_module
-
     import libsumo
 
     from mbtl.cmdps import get_cmdp
@@ -47,8 +47,8 @@ def division(id: str, value: float, entry: tuple[str, str], episodes: int) -> di
     cmdp = get_cmdp(id, engine="sumo")
     trainer: Any = cmdp.trainer
     trainer = replace(trainer, episodes=episodes, processes=False, checkpoint="final")
-    env, algorithm = getattr(import_module(entry[0]), entry[1]), algorithm_class(trainer.algorithm)
     context = dict.fromkeys(cmdp.space.contexts[0], value)
+    env, algorithm = type(trainer.make_env(context)), algorithm_class(trainer.algorithm)
     replace(trainer, episodes=1).train(context, 0)  # what is loaded and compiled only once
 
     watch = Stopwatch()
@@ -58,14 +58,11 @@ def division(id: str, value: float, entry: tuple[str, str], episodes: int) -> di
         (env, "step", "environment"),
         (algorithm, "train", "learning"),
     ]
-    kept = [getattr(owner, name) for owner, name, _ in places]
-    for (owner, name, part), function in zip(places, kept, strict=True):
-        setattr(owner, name, timed(watch, part, function))
-    try:
+    with ExitStack() as stack:
+        for owner, name, part in places:
+            timer = timed(watch, part, getattr(owner, name))
+            stack.enter_context(patch.object(owner, name, timer))
         whole = cost_of(lambda: trainer.train(context, 0))
-    finally:
-        for (owner, name, _), function in zip(places, kept, strict=True):
-            setattr(owner, name, function)
     parts = {part: watch.parts.get(part, Cost()) for part in ("simulator", "learning")}
     parts["environment"] = watch.parts["environment"] - parts["simulator"]
     rest = whole - parts["simulator"] - parts["environment"] - parts["learning"]
@@ -86,9 +83,9 @@ def main() -> None:
     args = parser.parse_args()
     lines = []
     for family in args.families:
-        id, value, *entry = FAMILIES[family]
+        id, value = FAMILIES[family]
         note(f"{id} ...")
-        lines.append(division(id, value, (entry[0], entry[1]), args.episodes))
+        lines.append(division(id, value, args.episodes))
     document = {"machine": measure.machine("libsumo", "stable-baselines3", "torch"), "cases": lines}
     measure.show(document, [_line(case) for case in lines], as_json=args.json)
 

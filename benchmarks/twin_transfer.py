@@ -59,7 +59,7 @@ def main() -> None:
         begin = time.perf_counter()
         found[name] = _means(judge, policies, there, seed)
         print(f"{name}: {time.perf_counter() - begin:.0f} s", flush=True)
-        if args.out:  # each is an hour of simulation: kept as it comes
+        if args.out:  # what was simulated so far is not lost
             stored = {key.lower().replace(" ", "_"): matrix for key, matrix in found.items()}
             np.savez(args.out, sources=sources, targets=targets, **stored)
     axis = next(iter(twin.nominal or {}))

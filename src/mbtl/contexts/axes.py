@@ -27,6 +27,11 @@ class Axis(ABC):
     unit: str
 
     @property
+    def label(self) -> str:
+        """Name and unit for people, e.g. "length [m]"."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
     @abstractmethod
     def width(self) -> int:
         """Number of unit-cube columns."""

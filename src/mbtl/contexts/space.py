@@ -255,7 +255,7 @@ class ContextSpace:
         return hash((self.axes, self.n))
 
     def __repr__(self) -> str:
-        names = ", ".join(f"{a.name} [{a.unit}]" if a.unit else a.name for a in self.axes)
+        names = ", ".join(axis.label for axis in self.axes)
         return f"ContextSpace({names}; {self.n} contexts)"
 
     # ---- inside ------------------------------------------------------------------------------

@@ -85,7 +85,7 @@ def _line_map(space: ContextSpace, serving: Array, performance: Array) -> Any:
             fontsize=7, color=colour, ha="center", va="bottom",
         )  # fmt: skip
     axes.plot(x[order], performance[order], lw=0.5, color=_GREY, zorder=0)
-    axes.set_xlabel(_label(axis))
+    axes.set_xlabel(axis.label)
     axes.set_ylabel("performance")
     return figure
 
@@ -111,7 +111,7 @@ def _shares_map(space: ContextSpace, serving: Array, performance: Array) -> Any:
         dots.plot(places, np.bincount(group, performance) / counts, "o", color="black", ms=3)
         every.append(dots)
         panel.set_ylim(0.0, 1.0)
-        panel.set_xlabel(_label(axis))
+        panel.set_xlabel(axis.label)
         panel.set_xticks(places, names, rotation=90)
     limits = np.array([dots.get_ylim() for dots in every])
     for dots in every:
@@ -141,10 +141,6 @@ def _coloured(serving: Array) -> list[tuple[int, Any]]:
     """Sources that serve a context, with their colours."""
     used = sorted({int(source) for source in serving})
     return list(zip(used, _colours(len(used)), strict=True))
-
-
-def _label(axis: Axis) -> str:
-    return f"{axis.name} [{axis.unit}]" if axis.unit else axis.name
 
 
 def _band(axes: Any, curves: Array, label: str, colour: str) -> None:

@@ -19,7 +19,7 @@ from mbtl.models.gp import Fitter
 from mbtl.selectors.base import Proposal, SelectionProblem, open_candidates
 from mbtl.selectors.m_mbtl import middle
 from mbtl.selectors.mbtl import start
-from mbtl.selectors.model_based import choose, fit_posterior
+from mbtl.selectors.model_based import choose, fit_posterior, observed_best
 
 _SETTINGS = GPSettings(noise_std=1e-2, amplitude_bounds=(1e-9, 1e3))
 
@@ -78,12 +78,8 @@ class GPMBTL:
 def _incumbent(
     problem: SelectionProblem, history: History, gp: FittedGP, gap: DirectionalGap
 ) -> Array:
-    """(N,) best per target: observed rows, and what pending picks are believed to give.
-
-    A target that nobody was evaluated on counts as the nearest where somebody was, else as 0.
-    """
-    best = history.served(problem.steps)
-    best = np.where(np.isfinite(best), best, 0.0)
+    """(N,) `observed_best`, and what pending picks are believed to give."""
+    best = observed_best(problem, history)
     if history.pending:
         pending = problem.steps[list(history.pending)]
         believed = gp.predict(pending)[0][:, None] + gap.between(pending, problem.steps)

@@ -59,16 +59,21 @@ def _fallback(points: Array, y: Array, settings: GPSettings, reason: str) -> Fit
     return FittedGP(points, y, amplitude, length, noise, (note,))
 
 
-def observed_incumbent(
-    problem: SelectionProblem, history: History, gp: FittedGP, theta: float
-) -> Array:
-    """(N,) best performance per target: observed rows, and what pending picks are believed to give.
+def observed_best(problem: SelectionProblem, history: History) -> Array:
+    """(N,) best performance per target in the observed rows.
 
     A target nobody was evaluated on counts as the nearest where somebody was, else as 0.
     """
     best = history.served(problem.steps)
-    best = np.where(np.isfinite(best), best, 0.0)
+    return np.where(np.isfinite(best), best, 0.0)
+
+
+def observed_incumbent(
+    problem: SelectionProblem, history: History, gp: FittedGP, theta: float
+) -> Array:
+    """(N,) `observed_best`, and what pending picks are believed to give."""
     believed = _believed_rows(problem, history, gp, theta)
+    best = observed_best(problem, history)
     return np.asarray(np.fmax(best, believed.max(axis=0, initial=-np.inf)))
 
 

@@ -109,10 +109,8 @@ def create_study(
     if stop_value is not None and bounds is None:
         raise InvalidInput("stop_value is a performance, so it needs bounds=(low, high); got none")
     cost_budget = _real("cost_budget", cost_budget)
-    stop_gain, stop_confidence = (
-        _real("stop_gain", stop_gain),
-        _real("stop_confidence", stop_confidence),
-    )
+    stop_gain = _real("stop_gain", stop_gain)
+    stop_confidence = _real("stop_confidence", stop_confidence)
     if seed < 0 or trial < 0:
         raise InvalidInput(f"seed and trial must be >= 0, got {seed} and {trial}")
     _check_wishes(chosen, repeats, stop_gain, stop_confidence, bounds)

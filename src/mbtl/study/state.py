@@ -12,13 +12,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.errors import StorageError
 from mbtl.history import History
-from mbtl.objective import (
-    Bounds,
-    Direction,
-    generalisation_performance,
-    value,
-    value_curve,
-)
+from mbtl.objective import Bounds, Direction, value, value_curve
 from mbtl.selectors.base import SelectionProblem
 from mbtl.study.events import Event
 from mbtl.study.worker import Worker
@@ -198,8 +192,7 @@ class StudyState:
         assert self.spec is not None
         if not self.rows:
             return -np.inf
-        rows = self.history().filled(self.spec.space.steps)
-        best = generalisation_performance(rows)
+        best = self.history().served(self.spec.space.steps)
         return value(best, self.spec.space.weights, self.spec.risk)
 
     def curve(self) -> Array:
