@@ -144,10 +144,10 @@ def _signal(gradient_steps: int, **changes: Any) -> Preset:
 
 _SIGNAL = {
     "standard": _signal(
-        150,
+        75,
         episodes=30,
-        eval_episodes=2,
-        description="a third of the paper's episodes with a fifth of its gradient steps each",
+        eval_episodes=1,
+        description="a third of the paper's episodes with a tenth of its gradient steps each",
     ),
     "quick": _signal(
         100, budget=8, episodes=15, eval_episodes=1, description="a first look, final policy"
