@@ -9,6 +9,7 @@ from mbtl.models.transfer_gp import (
     TransferPrior,
     covariance,
     grid_pairs,
+    likely_noise,
     variance,
 )
 
@@ -114,6 +115,29 @@ def test_draws_have_the_posteriors_mean_and_scatter_and_share_their_luck():
     assert draws.mean(axis=0) == pytest.approx(mean[0], abs=5 * std.max() / np.sqrt(4000))
     assert draws.std(axis=0) == pytest.approx(std[0], rel=0.06)
     assert np.corrcoef(draws[:, 0], draws[:, 1])[0, 1] > 0.5
+
+
+def test_scatter_of_pairs_is_believed_where_it_is_seen():
+    pairs = grid_pairs(np.array([3, 9, 15]), EVERY)
+    smooth = np.sin(pairs[:, 0] + pairs[:, 1] / 6.0)
+    scatter = 0.4 * np.random.default_rng(0).standard_normal(len(smooth))
+    quiet, none = likely_noise(LINE, PRIOR, pairs, smooth)
+    noisy, _ = likely_noise(LINE, PRIOR, pairs, smooth + scatter)
+    assert quiet == PRIOR
+    assert noisy.noise > 10 * PRIOR.noise
+    assert not none.any()
+
+
+def test_known_noise_counts_as_far_as_it_is_seen():
+    pairs = grid_pairs(np.array([3, 9, 15]), EVERY)
+    smooth = np.sin(pairs[:, 0] + pairs[:, 1] / 6.0)
+    known = np.full(len(smooth), 0.16)
+    scatter = np.sqrt(known) * np.random.default_rng(0).standard_normal(len(smooth))
+    assert not likely_noise(LINE, PRIOR, pairs, smooth, known)[1].any()  # shared by all policies
+    prior, counted = likely_noise(LINE, PRIOR, pairs, smooth + scatter, known)
+    told = TransferGP(LINE, prior, pairs, smooth + scatter, counted)
+    mean, _ = told.predict(np.array([3, 9, 15]), EVERY, np.arange(3))
+    assert np.abs(mean.ravel() - smooth).mean() < 0.7 * np.abs(scatter).mean()
 
 
 def plateau(source):

@@ -18,7 +18,7 @@ Notation (shapes): n observed pairs, m queried pairs, N contexts, D columns.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +39,9 @@ _USUAL = 0.05
 _ROUNDS = 12
 """At most so many fits to find the factor beside a known noise."""
 _SHARES = (0.0, 0.1, 0.3, 1.0)
+_NOISIER = 50.0
 _ENOUGH = 300
-"""Observations that decide how much of the noise is independent."""
+"""Observations that decide how noisy the others are."""
 _BLOCK_ENTRIES = 1 << 20
 
 
@@ -221,23 +222,37 @@ class TransferGP:
         return np.asarray(solve_triangular(self._chol, right, lower=True, check_finite=False))
 
 
-def independent_noise(
-    places: Places, prior: TransferPrior, pairs: Pairs, y: Array, noise: Array
-) -> Array:
-    """(n,) the part of the variance `noise` that makes the observations most likely.
+def likely_noise(
+    places: Places, prior: TransferPrior, pairs: Pairs, y: Array, known: Array | None = None
+) -> tuple[TransferPrior, Array]:
+    """The noise that makes the observations most likely: that of the prior, and the known one.
 
-    Policies judged on the same episodes share most of their luck there: what scatters between
-    episodes then says little about differences between policies, and can be far too much.
+    The prior believes single pairs to scatter little, which is true of simulators that are judged
+    on the same episodes; where it is not, every scatter would pass for a good source. `known` may
+    in turn be far too much: policies judged on the same episodes share most of their luck there.
+
+    Args:
+        places: of all contexts.
+        prior: of the terms.
+        pairs: (n, 3) observed.
+        y: (n,) performance there.
+        known: (n,) variance of each y by its episodes; None for none.
+
+    Returns:
+        The prior, as it is or with much noisier pairs, and (n,) the part of `known` to count.
     """
-    if not noise.any():
-        return noise
+    known = np.zeros(len(y)) if known is None else known
     some = np.linspace(0, len(y) - 1, min(len(y), _ENOUGH)).round().astype(np.intp)
+    priors = [prior, replace(prior, noise=_NOISIER * prior.noise)]
+    beliefs = [(p, share) for p in priors for share in (_SHARES if known.any() else (0.0,))]
 
-    def likelihood(share: float) -> float:
-        part = TransferGP(places, prior, pairs[some], y[some], share * noise[some])
+    def likelihood(belief: tuple[TransferPrior, float]) -> float:
+        prior, share = belief
+        part = TransferGP(places, prior, pairs[some], y[some], share * known[some])
         return float(part.log_likelihood)
 
-    return max(_SHARES, key=likelihood) * noise
+    prior, share = max(beliefs, key=likelihood)
+    return prior, share * known
 
 
 def covariance(

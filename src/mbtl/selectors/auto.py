@@ -29,7 +29,7 @@ from mbtl.models.transfer_gp import (
     TransferGP,
     TransferPrior,
     grid_pairs,
-    independent_noise,
+    likely_noise,
 )
 from mbtl.selectors.base import (
     Proposal,
@@ -138,13 +138,13 @@ class Auto:
         pairs, y = _observed(history, targets, self.most_pairs)
         floor = _floor(y)
         y = np.maximum(y, floor)
-        prior, noise = self.prior or PRIORS["all"], np.zeros(len(y))
+        prior, known = self.prior or PRIORS["all"], None
         if self.relevance:
             weights = fit_relevance(places, columns.axis, prior, pairs, y)
             places = stretched(places, weights[columns.axis])
         if history.errors is not None:
-            scatter = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
-            noise = independent_noise(places, prior, pairs, y, scatter)
+            known = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
+        prior, noise = likely_noise(places, prior, pairs, y, known)
         told = TransferGP(places, prior, pairs, y, noise)
         waiting = np.asarray(history.pending, dtype=np.intp)
         expecting = told
