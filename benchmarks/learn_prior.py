@@ -22,9 +22,9 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.benchmark.catalogue import open_matrices
+from mbtl.benchmark.replay import replay
 from mbtl.benchmark.shipped import family_of, load_by_id
 from mbtl.benchmark.summary import trainings_to
-from mbtl.history import History
 from mbtl.models.priors import CANDIDATES
 from mbtl.models.transfer_gp import TransferPrior
 from mbtl.objective import value_curve
@@ -56,10 +56,7 @@ def small(matrix_id: str, budget: int) -> Iterator[tuple[SelectionProblem, Array
 
 def trainings(prior: TransferPrior, problem: SelectionProblem, rows: Array) -> Array:
     """(levels,) logarithms."""
-    history, selector = History(problem.n), Auto(prior=prior)
-    for _ in range(problem.budget):
-        source = selector.propose(problem, history, np.random.default_rng(0)).source
-        history = history.with_row(source, rows[source])
+    history = replay(Auto(prior=prior), problem, lambda source: rows[source]).history
     curve = value_curve(history.rows, problem.weights)
     low, high = rows.mean(axis=0) @ problem.weights, rows.max(axis=0) @ problem.weights
     reached = trainings_to(curve, low, high)

@@ -23,10 +23,9 @@ from measure import digits, note
 
 from mbtl.arrays import Array
 from mbtl.benchmark import SyntheticWorld, random_curve, sequential_oracle
+from mbtl.benchmark.replay import replay
 from mbtl.benchmark.sd_worlds import sd_worlds
-from mbtl.history import History
 from mbtl.objective import value
-from mbtl.seeds import selection_rng
 from mbtl.selectors import get_selector
 
 BUDGET, PUBLISHED_TRIALS = 50, 100
@@ -98,12 +97,10 @@ def short(world: SyntheticWorld) -> str:
 
 def play(name: str, world: SyntheticWorld, trial: int) -> float:
     """V after K picks of one selector."""
-    selector, problem, history = get_selector(name), world.problem(BUDGET), History(world.n)
-    for pick in range(BUDGET):
-        rng = selection_rng(0, trial, pick)
-        source = selector.propose(problem, history, rng).source
-        history = history.with_row(source, world.rows(trial, [source])[0])
-    return value(history.best)
+    found = replay(
+        get_selector(name), world.problem(BUDGET), lambda i: world.rows(trial, [i])[0], trial=trial
+    )
+    return value(found.history.best)
 
 
 def common_order(world: SyntheticWorld) -> list[int]:

@@ -6,7 +6,6 @@ exactly as a study would after a real training.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,12 +18,12 @@ from mbtl.benchmark.base import RowSource
 from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.oracle import Reference, reference
 from mbtl.benchmark.records import Comparison, Run
+from mbtl.benchmark.replay import replay
 from mbtl.benchmark.shipped import family_of
 from mbtl.benchmark.summary import summarise
 from mbtl.errors import InvalidInput, UnknownName, unknown_name
 from mbtl.history import History
 from mbtl.objective import value_curve
-from mbtl.seeds import selection_rng
 from mbtl.selectors.base import SelectionProblem, Selector
 from mbtl.selectors.registry import get_selector, selector_names
 
@@ -130,25 +129,19 @@ def default_selectors(matrices: Sequence[str | Path | RowSource]) -> list[str]:
 def _run(
     selector: Selector, source: RowSource, problem: SelectionProblem, key: tuple[str, int, int]
 ) -> Run:
-    """Propose, read the row, tell; K times."""
     matrix, matrix_seed, seed = key
-    history = History(n_targets=problem.n)
-    seconds = 0.0
-    for pick in range(problem.budget):
-        rng = selection_rng(seed, matrix_seed, pick)
-        start = time.perf_counter()
-        proposal = selector.propose(problem, history, rng)
-        seconds += time.perf_counter() - start
-        history = history.with_row(proposal.source, source.rows(matrix_seed, [proposal.source])[0])
+    found = replay(
+        selector, problem, lambda i: source.rows(matrix_seed, [i])[0], seed=seed, trial=matrix_seed
+    )
     return Run(
         matrix=matrix,
         matrix_seed=matrix_seed,
         selector=selector.name,
         seed=seed,
         theta=problem.theta,
-        sources=history.sources,
-        performance=value_curve(history.rows, problem.weights),
-        select_seconds=seconds,
+        sources=found.history.sources,
+        performance=value_curve(found.history.rows, problem.weights),
+        select_seconds=found.select_seconds,
     )
 
 

@@ -1,0 +1,51 @@
+"""Replay: the study a selector would run if the rows of a known matrix were its trainings."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+from mbtl.arrays import Array
+from mbtl.history import History
+from mbtl.seeds import selection_rng
+from mbtl.selectors.base import SelectionProblem, Selector
+
+
+class Replay(NamedTuple):
+    """What was trained, and how long the selector thought.
+
+    Attributes:
+        history: after K = `problem.budget` trainings.
+        select_seconds: wall time of all proposals.
+    """
+
+    history: History
+    select_seconds: float
+
+
+def replay(
+    selector: Selector,
+    problem: SelectionProblem,
+    row_of: Callable[[int], Array],
+    *,
+    seed: int = 0,
+    trial: int = 0,
+) -> Replay:
+    """Propose, look up the row, tell; K times.
+
+    Args:
+        selector: that proposes.
+        problem: with the budget K.
+        row_of: source -> (N,) performance of its policy.
+        seed: root seed of the selector's generators.
+        trial: their trial.
+    """
+    history, seconds = History(n_targets=problem.n), 0.0
+    for pick in range(problem.budget):
+        rng = selection_rng(seed, trial, pick)
+        start = time.perf_counter()
+        source = selector.propose(problem, history, rng).source
+        seconds += time.perf_counter() - start
+        history = history.with_row(source, row_of(source))
+    return Replay(history, seconds)
