@@ -32,6 +32,27 @@ def test_a_multitask_baseline_becomes_a_file_beside_the_matrices(mbtl_command, t
     assert mbtl_command("matrix", "multitask", "cartpole-length", "--factor", 0)[0] == 2
 
 
+def test_an_interrupted_multitask_baseline_keeps_its_policy(mbtl_command, tmp_path):
+    pytest.importorskip("libsumo", reason="the traffic extra is not installed")
+    pytest.importorskip("sb3_contrib", reason="the sb3 extra is not installed")
+    command = (
+        "matrix", "multitask", "ring-acc", "--preset", "quick", "--eval-episodes", 1, "--seeds", 1,
+        "--episodes",
+    )  # fmt: skip
+    code, _, err = mbtl_command(*command, 1)
+    assert code == 0, err
+    (file,) = (tmp_path / "matrices/multitask").glob("*.npz")
+    first = load_multitask("ring-acc", folder=file.parent)["trpo"]
+    file.unlink()  # as if it had been interrupted in the evaluation
+    assert mbtl_command(*command, 1)[0] == 0
+    again = load_multitask("ring-acc", folder=file.parent)["trpo"]
+    assert again.returns == pytest.approx(first.returns)
+    seconds = [found.provenance[0]["train_seconds"] for found in (first, again)]
+    assert seconds[0] == seconds[1] > 0  # trained once
+    file.unlink()
+    assert "other settings" in mbtl_command(*command, 2)[2]
+
+
 def test_both_checkpoints_of_all_hundred_sources(mbtl_command):
     """The smallest whole matrix of real training: 100 policies in four programs of 25."""
     code, _, err = mbtl_command(

@@ -84,7 +84,7 @@ def build(
     """
     if seeds < 1:
         raise InvalidInput(f"--seeds must be >= 1, got {seeds}")
-    cmdp = _problem(problem, visibility=visibility, physics=physics, engine=engine)
+    cmdp = resolve_cmdp(problem, visibility=visibility, physics=physics, engine=engine)
     if every != 1:
         cmdp = cmdp.every(every)
     keep = _checkpoints(checkpoint)
@@ -218,17 +218,6 @@ def _shown(file: Path, matrix: TransferMatrix) -> dict[str, Any]:
         soft_wrap=True,
     )
     return record
-
-
-def _problem(problem: str, *, visibility: str | None, physics: str, engine: str | None) -> CMDP:
-    if ":" in problem:
-        if visibility is not None or engine is not None or physics != "intended":
-            raise InvalidInput(
-                "--visibility, --physics and --engine are switches of our CMDPs, got one with "
-                f"{problem!r}; set it in your problem"
-            )
-        return resolve_cmdp(problem)
-    return get_cmdp(problem, visibility=visibility, physics=physics, engine=engine)
 
 
 def _checkpoints(checkpoint: str | None) -> tuple[str, ...]:

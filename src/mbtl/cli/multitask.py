@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
+import numpy as np
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -17,11 +19,14 @@ from mbtl.benchmark.provenance import here
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json
 from mbtl.cmdps import CMDP, get_cmdp
 from mbtl.errors import InvalidInput, unknown_name
+from mbtl.files import claim_folder, whole_file
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
 from mbtl.trainer import Progress as Training
 from mbtl.training import JaxTrainer, SB3Trainer, export_mlp
 
 Method = Literal["ppo", "paco", "moore"]
+_TOGETHER = 10
+"""Contexts evaluated at once in a simulator, between two signs of life."""
 
 
 def multitask(
@@ -38,8 +43,12 @@ def multitask(
     ] = 1,
     seeds: Annotated[int, typer.Option(help="Number of policies, one per seed.")] = 3,
     first_seed: Annotated[int, typer.Option(help="Seed of the first.")] = 0,
+    preset: Annotated[
+        str,
+        typer.Option(help="Recipe of one source, in simulators; `mbtl cmdps CMDP` lists them."),
+    ] = "paper",
     timesteps: Annotated[
-        int | None, typer.Option(help="Environment steps of one source; default: the paper's.")
+        int | None, typer.Option(help="Environment steps of one source; default: the preset's.")
     ] = None,
     episodes: Annotated[
         int | None, typer.Option(help="Episodes of one source, where those are counted.")
@@ -62,8 +71,9 @@ def multitask(
     for name, number in (("seeds", seeds), ("factor", factor)):
         if number < 1:
             raise InvalidInput(f"--{name} must be >= 1, got {number}")
-    job = _job(cmdp_id, method, factor, timesteps, episodes, eval_episodes, work)
-    given = {"method": method, "factor": factor if factor > 1 else None, "timesteps": timesteps,
+    job = _job(cmdp_id, method, factor, preset, timesteps, episodes, eval_episodes, work)
+    given = {"method": method, "factor": factor if factor > 1 else None,
+             "preset": preset if preset != "paper" else None, "timesteps": timesteps,
              "episodes": episodes, "eval-episodes": eval_episodes}  # fmt: skip
     words = [f"--{name} {value}" for name, value in given.items() if value is not None]
     results = []
@@ -123,41 +133,64 @@ class _InSimulator:
     trainer: SB3Trainer
     judge: Any
     name: str
+    work: Path
 
     @property
     def length(self) -> int:
         return self.trainer.episodes or self.trainer.timesteps or 0
 
     def run(self, seed: int, on_step: OnStep) -> Found:
+        space = self.cmdp.space
+        chosen = training_seed(seed, MATRIX_TRIAL, space.n)  # that of the source after the last
+        policy, seconds = self._policy(seed, chosen, on_step)
+        judged = policy if self.judge is self.trainer else export_mlp(policy)
+        rows, together = [], _TOGETHER if judged is policy else space.n  # a twin takes all at once
+        for first in range(0, space.n, together):
+            on_step(self.length, self.length, f"evaluated on {first} of {space.n} contexts")
+            contexts = space.contexts[first : first + together]
+            rows.append(self.judge.evaluate(judged, contexts, evaluation_seed(seed, MATRIX_TRIAL)))
+        returns = np.concatenate(rows)
+        record = {
+            "recipe": {**self.trainer.recipe, "contexts": "uniform, one per episode"},
+            "evaluation": self.judge.recipe,
+            "seed": seed,
+            "training_seed": chosen,
+            "train_seconds": seconds,
+        }
+        return returns.mean(axis=1), returns.std(axis=1), record
+
+    def _policy(self, seed: int, chosen: int, on_step: OnStep) -> tuple[Any, float]:
+        """Trained now or by an interrupted run, and how long that took."""
         from mbtl.training.multitask import for_all_contexts
 
         space = self.cmdp.space
-        every = for_all_contexts(self.trainer, space.contexts)
+        folder = self.work / f"multitask-{self.cmdp.id}-{self.name}-seed{seed}"
+        claim_folder(folder, {"recipe": self.trainer.recipe, "seed": seed}, "a multi-task policy")
+        done = folder / "trained.json"
+        if done.is_file():
+            seconds = json.loads(done.read_text(encoding="utf-8"))["train_seconds"]
+            return self.trainer.load(folder / "policy"), float(seconds)
 
         def on_progress(progress: Training) -> None:
             note = " ".join(f"{k} {v:.2f}" for k, v in progress.metrics.items())
             on_step(progress.step, progress.total, note)
 
         begin = time.process_time()
-        chosen = training_seed(seed, MATRIX_TRIAL, space.n)  # that of the source after the last
+        every = for_all_contexts(self.trainer, space.contexts)
         policy = every.train(space.contexts[0], chosen, on_progress)
-        trained = time.process_time()
-        judged = policy if self.judge is self.trainer else export_mlp(policy)
-        returns = self.judge.evaluate(judged, space.contexts, evaluation_seed(seed, MATRIX_TRIAL))
-        record = {
-            "recipe": {**self.trainer.recipe, "contexts": "uniform, one per episode"},
-            "evaluation": self.judge.recipe,
-            "seed": seed,
-            "training_seed": chosen,
-            "train_seconds": round(trained - begin, 1),
-        }
-        return returns.mean(axis=1), returns.std(axis=1), record
+        seconds = round(time.process_time() - begin, 1)
+        (folder / "policy").mkdir(exist_ok=True)
+        self.trainer.save(policy, folder / "policy")
+        with whole_file(done) as file:
+            file.write(json.dumps({"train_seconds": seconds}).encode())
+        return policy, seconds
 
 
 def _job(
     cmdp_id: str,
     method: str | None,
     factor: int,
+    preset: str,
     timesteps: int | None,
     episodes: int | None,
     eval_episodes: int | None,
@@ -171,11 +204,11 @@ def _job(
             raise unknown_name("method", method, known)
         if episodes is not None:
             raise InvalidInput(f"{cmdp_id!r} counts steps, got --episodes; use --timesteps")
-        steps = (usual.preset("paper").timesteps or 0) if timesteps is None else timesteps
+        steps = (usual.preset(preset).timesteps or 0) if timesteps is None else timesteps
         chosen = method or "ppo"
         return _InJax(usual, chosen, chosen + suffix, steps * factor, eval_episodes or 100, work)
     there = get_cmdp(cmdp_id, visibility="multiplier", engine="sumo")
-    trainer = there.trainer_for("paper")
+    trainer = there.trainer_for(preset)
     assert isinstance(trainer, SB3Trainer)
     own = str(trainer.algorithm).lower()
     if method not in (None, own):
@@ -187,7 +220,7 @@ def _job(
     judge: Any = trainer
     if usual.settings["engine"] != "sumo":
         judge = usual.trainer_for(None, **changes)
-    return _InSimulator(there, trainer, judge, own + suffix)
+    return _InSimulator(there, trainer, judge, own + suffix, work)
 
 
 def _one(job: _InJax | _InSimulator, seed: int, command: str, out: Path) -> dict[str, Any]:

@@ -38,27 +38,35 @@ def load_object(reference: str) -> Any:
     return found
 
 
-def resolve_cmdp(name: str, *, engine: str | None = None) -> CMDP:
+def resolve_cmdp(
+    name: str,
+    *,
+    visibility: str | None = None,
+    physics: str = "intended",
+    engine: str | None = None,
+) -> CMDP:
     """A CMDP by id, or a user's own by `module:attribute`.
 
     Args:
         name: id, or "module:attribute".
-        engine: where one of ours is simulated; see `get_cmdp`.
+        visibility: of ours, what of the context the policy sees; see `get_cmdp`.
+        physics: of ours, how contexts act on CartPole.
+        engine: where one of ours is simulated.
 
     Raises:
         UnknownName: no CMDP has this id.
-        InvalidInput: no CMDP is there, it cannot be imported, or an engine for a user's own.
+        InvalidInput: no CMDP is there, it cannot be imported, or a switch for a user's own.
     """
     if ":" not in name:
         if name.endswith(".py"):
             raise InvalidInput(
                 f"a file needs the name of the CMDP inside it, got {name!r}; write {name}:<name>"
             )
-        return get_cmdp(name, engine=engine)
-    if engine is not None:
+        return get_cmdp(name, visibility=visibility, physics=physics, engine=engine)
+    if visibility is not None or engine is not None or physics != "intended":
         raise InvalidInput(
-            f"an engine is a switch of our CMDPs, got {engine!r} with {name!r}; set it in your "
-            "problem"
+            "visibility, physics and engine are switches of our CMDPs, got "
+            f"{visibility or engine or physics!r} with {name!r}; set it in your problem"
         )
     found = load_object(name)
     if not isinstance(found, CMDP):
