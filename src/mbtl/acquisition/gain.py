@@ -18,11 +18,10 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.models.gp import squared_distances
 
 # candidate x target entries held at once, so that temporaries stay in cache: one array for the
 # optimistic gain, four for the expected one
-_BLOCK_ENTRIES = 1 << 16
+_BLOCK_ENTRIES = 1 << 18
 _EXPECTED_BLOCK_ENTRIES = 1 << 14
 
 
@@ -84,15 +83,14 @@ def expected_gain(
 
 def unit_improvement(z: Array) -> Array:
     """E[(z + standard normal)_+] = z Phi(z) + phi(z), without cancellation below zero."""
-    from scipy.special import erfc, erfcx  # kept out of `import mbtl`
+    from scipy.special import erfcx  # kept out of `import mbtl`
 
-    root2 = np.sqrt(2.0)
-    density = np.exp(-0.5 * np.square(np.clip(z, -40.0, 40.0))) / np.sqrt(2.0 * np.pi)
-    low = np.minimum(z, 0.0)
-    # for z < 0, Phi(z) = phi(z) sqrt(pi/2) erfcx(-z/sqrt 2): both terms share the factor phi(z)
-    below = density * (1.0 + low * np.sqrt(np.pi / 2.0) * erfcx(-low / root2))
-    above = z * 0.5 * erfc(-z / root2) + density
-    return np.asarray(np.where(z < 0, np.maximum(below, 0.0), above))
+    # the gain at z is z more than at -z; there Phi(-a) = phi(a) sqrt(pi/2) erfcx(a / sqrt 2), so
+    # that both terms share the factor phi(a)
+    a = np.minimum(np.abs(z), 40.0)
+    tail = 1.0 - a * np.sqrt(np.pi / 2.0) * erfcx(a / np.sqrt(2.0))
+    tail *= np.exp(-0.5 * a * a) / np.sqrt(2.0 * np.pi)
+    return np.asarray(np.maximum(tail, 0.0) + np.maximum(z, 0.0))
 
 
 def _blocked(
@@ -103,17 +101,14 @@ def _blocked(
     entries: int,
 ) -> Array:
     """Run `block(rows, gap)` over blocks of candidates; gap is (rows, N)."""
+    from scipy.spatial.distance import cdist  # kept out of `import mbtl`
+
     out = np.empty(len(candidates))
     size = max(entries // max(len(targets), 1), 1)
+    sources, ends = theta * candidates, theta * targets  # distances come scaled
     for start in range(0, len(candidates), size):
         rows = slice(start, start + size)
-        if targets.shape[1] == 1:
-            gap = candidates[rows] - targets[:, 0]
-            np.abs(gap, out=gap)
-        else:
-            gap = np.sqrt(squared_distances(candidates[rows], targets))
-        gap *= theta
-        out[rows] = block(rows, gap)
+        out[rows] = block(rows, cdist(sources[rows], ends))
     return out
 
 
