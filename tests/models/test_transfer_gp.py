@@ -128,16 +128,18 @@ def test_scatter_of_pairs_is_believed_where_it_is_seen():
     assert not none.any()
 
 
-def test_known_noise_counts_as_far_as_it_is_seen():
+@pytest.mark.parametrize("seed", range(4))
+def test_known_noise_counts_as_far_as_it_is_seen(seed):
     pairs = grid_pairs(np.array([3, 9, 15]), EVERY)
     smooth = np.sin(pairs[:, 0] + pairs[:, 1] / 6.0)
-    known = np.full(len(smooth), 0.16)
-    scatter = np.sqrt(known) * np.random.default_rng(0).standard_normal(len(smooth))
+    known = np.where(pairs[:, 1] % 2, 0.16, 0.0)
+    scatter = np.sqrt(known) * np.random.default_rng(seed).standard_normal(len(smooth))
     assert not likely_noise(LINE, PRIOR, pairs, smooth, known)[1].any()  # shared by all policies
     prior, counted = likely_noise(LINE, PRIOR, pairs, smooth + scatter, known)
+    assert counted.any()
     told = TransferGP(LINE, prior, pairs, smooth + scatter, counted)
     mean, _ = told.predict(np.array([3, 9, 15]), EVERY, np.arange(3))
-    assert np.abs(mean.ravel() - smooth).mean() < 0.7 * np.abs(scatter).mean()
+    assert np.abs(mean.ravel() - smooth).mean() < 0.8 * np.abs(scatter).mean()
 
 
 def plateau(source):

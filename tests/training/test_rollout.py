@@ -7,6 +7,8 @@ import pytest
 from training_envs import Endless, Guess, GuessDict, MaskedGuess
 
 from mbtl.errors import TrainingFailed
+from mbtl.portfolio.heads import DiscreteHead
+from mbtl.portfolio.mlp import MLPPolicy
 from mbtl.training import rollout
 from mbtl.training.rollout import ROWS, Actor, Job, play
 
@@ -43,6 +45,22 @@ def jobs(make_env, lengths, seeds):
 def test_every_job_plays_its_episodes_in_order():
     returns = play(jobs(Guess, [1, 7, 3], [0, 1]), Actor(SignPolicy()), max_envs=8)
     assert [r.tolist() for r in returns] == [[1, 1], [7, 7], [3, 3]]
+
+
+def test_a_dense_policy_alone_does_what_it_does_among_others():
+    rng = np.random.default_rng(0)
+    weights = (rng.standard_normal((16, 1)), rng.standard_normal((2, 16)))
+    biases = (rng.standard_normal(16), rng.standard_normal(2))
+    policy = MLPPolicy(
+        tuple(w.astype(np.float32) for w in weights), tuple(b.astype(np.float32) for b in biases),
+        "tanh", (1,), DiscreteHead((2,)),
+    )  # fmt: skip
+    lengths = [40 + i % 5 for i in range(40)]
+    alone, together = (
+        play(jobs(Guess, lengths, [0, 1]), Actor(policy), max_envs=n) for n in (1, 40)
+    )
+    assert [r.tolist() for r in alone] == [r.tolist() for r in together]
+    assert 0 < np.mean([r.mean() / n for r, n in zip(alone, lengths, strict=True)]) < 1
 
 
 @pytest.mark.parametrize("max_envs", [1, 2, 40, 100])

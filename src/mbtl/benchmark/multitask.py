@@ -91,6 +91,11 @@ def multitask_file(folder: Path, cmdp: str, method: str, seed: int) -> Path:
     return folder / f"{cmdp}-{method}-seed{seed}.npz"
 
 
+def read_multitask(path: Path) -> MultiTask:
+    """One file, as a method of one seed."""
+    return _stack({0: path})
+
+
 def _stack(files: Mapping[int, Path]) -> MultiTask:
     parts = [read_npz(files[seed]) for seed in sorted(files)]
     return MultiTask(

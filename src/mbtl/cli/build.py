@@ -152,7 +152,7 @@ def _one(
     )
     if workers is None:
         workers = 1 if lanes >= cmdp.space.n else len(os.sched_getaffinity(0))
-    begin = time.perf_counter()
+    begin, origin = time.perf_counter(), here()  # of the code that runs, not of later commits
     _run(building, workers, f"{matrix_id(cmdp.id, variant)} seed {seed}")
     wall = time.perf_counter() - begin
     results = []
@@ -175,7 +175,7 @@ def _one(
                 "command": f"{command} --seeds 1 --first-seed {seed}",
                 "process_seconds": round(building.seconds(), 1),
                 "wall_seconds_of_last_run": round(wall, 1),
-                **here(),
+                **origin,
             },
             name=file.name,
         )

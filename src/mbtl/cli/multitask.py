@@ -14,7 +14,7 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mbtl.arrays import Array
-from mbtl.benchmark.multitask import multitask_file, save_multitask
+from mbtl.benchmark.multitask import multitask_file, read_multitask, save_multitask
 from mbtl.benchmark.provenance import here
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json
 from mbtl.cmdps import CMDP, get_cmdp
@@ -45,7 +45,7 @@ def multitask(
     first_seed: Annotated[int, typer.Option(help="Seed of the first.")] = 0,
     preset: Annotated[
         str,
-        typer.Option(help="Recipe of one source, in simulators; `mbtl cmdps CMDP` lists them."),
+        typer.Option(help="Recipe of one source; in traffic one of those in SUMO."),
     ] = "paper",
     timesteps: Annotated[
         int | None, typer.Option(help="Environment steps of one source; default: the preset's.")
@@ -54,7 +54,7 @@ def multitask(
         int | None, typer.Option(help="Episodes of one source, where those are counted.")
     ] = None,
     eval_episodes: Annotated[
-        int | None, typer.Option(help="Episodes per context; default: the preset's.")
+        int | None, typer.Option(help="Episodes per context; default: those of the matrices.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the finished files.")] = Path(
         "matrices/multitask"
@@ -68,8 +68,10 @@ def multitask(
 
     Example: mbtl matrix multitask cartpole-length --method paco --seeds 3
     """
-    for name, number in (("seeds", seeds), ("factor", factor)):
-        if number < 1:
+    counts = {"seeds": seeds, "factor": factor, "timesteps": timesteps, "episodes": episodes,
+              "eval-episodes": eval_episodes}  # fmt: skip
+    for name, number in counts.items():
+        if number is not None and number < 1:
             raise InvalidInput(f"--{name} must be >= 1, got {number}")
     job = _job(cmdp_id, method, factor, preset, timesteps, episodes, eval_episodes, work)
     given = {"method": method, "factor": factor if factor > 1 else None,
@@ -78,12 +80,15 @@ def multitask(
     words = [f"--{name} {value}" for name, value in given.items() if value is not None]
     results = []
     for seed in range(first_seed, first_seed + seeds):
+        parts = ["mbtl matrix multitask", cmdp_id, *words, f"--seeds 1 --first-seed {seed}"]
+        command = " ".join(parts)
         file = multitask_file(out, job.cmdp.id, job.name, seed)
         if file.is_file():
+            _check_made_by(file, command)
             console.print(f"{file}: there already", markup=False)
-            continue
-        command = ["mbtl matrix multitask", cmdp_id, *words, f"--seeds 1 --first-seed {seed}"]
-        results.append(_one(job, seed, " ".join(command), out))
+        else:
+            _one(job, seed, command, out)
+        results.append(_shown(job.cmdp, file))
     if as_json:
         print_json({"baselines": results})
 
@@ -142,7 +147,7 @@ class _InSimulator:
     def run(self, seed: int, on_step: OnStep) -> Found:
         space = self.cmdp.space
         chosen = training_seed(seed, MATRIX_TRIAL, space.n)  # that of the source after the last
-        policy, seconds = self._policy(seed, chosen, on_step)
+        policy, trained = self._policy(seed, chosen, on_step)
         judged = policy if self.judge is self.trainer else export_mlp(policy)
         rows, together = [], _TOGETHER if judged is policy else space.n  # a twin takes all at once
         for first in range(0, space.n, together):
@@ -155,35 +160,36 @@ class _InSimulator:
             "evaluation": self.judge.recipe,
             "seed": seed,
             "training_seed": chosen,
-            "train_seconds": seconds,
+            **trained,
         }
         return returns.mean(axis=1), returns.std(axis=1), record
 
-    def _policy(self, seed: int, chosen: int, on_step: OnStep) -> tuple[Any, float]:
-        """Trained now or by an interrupted run, and how long that took."""
+    def _policy(self, seed: int, chosen: int, on_step: OnStep) -> tuple[Any, dict[str, Any]]:
+        """Trained now or by an interrupted run, and where and how long that was."""
         from mbtl.training.multitask import for_all_contexts
 
-        space = self.cmdp.space
-        folder = self.work / f"multitask-{self.cmdp.id}-{self.name}-seed{seed}"
-        claim_folder(folder, {"recipe": self.trainer.recipe, "seed": seed}, "a multi-task policy")
+        cmdp = self.cmdp
+        folder = self.work / f"multitask-{cmdp.id}-{self.name}-seed{seed}"
+        recipe = {k: v for k, v in self.trainer.recipe.items() if k != "eval_episodes"}
+        decides = {"version": cmdp.version, "switches": dict(cmdp.settings), "seed": seed, **recipe}
+        claim_folder(folder, decides, "a multi-task policy")
         done = folder / "trained.json"
         if done.is_file():
-            seconds = json.loads(done.read_text(encoding="utf-8"))["train_seconds"]
-            return self.trainer.load(folder / "policy"), float(seconds)
+            return self.trainer.load(folder / "policy"), json.loads(done.read_text("utf-8"))
 
         def on_progress(progress: Training) -> None:
             note = " ".join(f"{k} {v:.2f}" for k, v in progress.metrics.items())
             on_step(progress.step, progress.total, note)
 
-        begin = time.process_time()
-        every = for_all_contexts(self.trainer, space.contexts)
-        policy = every.train(space.contexts[0], chosen, on_progress)
-        seconds = round(time.process_time() - begin, 1)
+        begin, origin = time.process_time(), here()
+        every = for_all_contexts(self.trainer, cmdp.space.contexts)
+        policy = every.train(cmdp.space.contexts[0], chosen, on_progress)
+        trained = {"train_seconds": round(time.process_time() - begin, 1), **origin}
         (folder / "policy").mkdir(exist_ok=True)
         self.trainer.save(policy, folder / "policy")
         with whole_file(done) as file:
-            file.write(json.dumps({"train_seconds": seconds}).encode())
-        return policy, seconds
+            file.write(json.dumps(trained).encode())
+        return policy, trained
 
 
 def _job(
@@ -223,7 +229,7 @@ def _job(
     return _InSimulator(there, trainer, judge, own + suffix, work)
 
 
-def _one(job: _InJax | _InSimulator, seed: int, command: str, out: Path) -> dict[str, Any]:
+def _one(job: _InJax | _InSimulator, seed: int, command: str, out: Path) -> None:
     cmdp = job.cmdp
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -231,7 +237,7 @@ def _one(job: _InJax | _InSimulator, seed: int, command: str, out: Path) -> dict
         TextColumn("{task.fields[note]}", markup=False),
         TimeRemainingColumn(),
     )
-    begin = time.perf_counter()
+    begin, origin = time.perf_counter(), here()  # of the code that runs, not of later commits
     with Progress(*columns, console=console, transient=True) as bar:
         label, log = f"{cmdp.id} {job.name} seed {seed}", LongWork(console)
         task = bar.add_task(label, total=job.length, note="")
@@ -242,15 +248,27 @@ def _one(job: _InJax | _InSimulator, seed: int, command: str, out: Path) -> dict
 
         returns, std, record = job.run(seed, on_step)
     provenance = {
+        **origin,
         **record,
         "problem": cmdp.id,
         "switches": dict(cmdp.settings),
         "command": command,
         "wall_seconds_of_last_run": round(time.perf_counter() - begin, 1),
-        **here(),
     }
-    file = save_multitask(returns, std, provenance, out, cmdp.id, job.name, seed)
+    save_multitask(returns, std, provenance, out, cmdp.id, job.name, seed)
+
+
+def _check_made_by(file: Path, command: str) -> None:
+    """Options are not in the name of a file: another command's must not pass for this one's."""
+    made_by = read_multitask(file).provenance[0]["command"]
+    if made_by != command:
+        raise InvalidInput(
+            f"{file} was made by {made_by!r}, got {command!r}; choose another --out, or remove it"
+        )
+
+
+def _shown(cmdp: CMDP, file: Path) -> dict[str, Any]:
     assert cmdp.normalisation is not None
-    value = float(cmdp.normalisation.normalise(returns).mean())
+    value = float(cmdp.normalisation.normalise(read_multitask(file).returns).mean())
     console.print(f"{file}: V = {value:.4f}", markup=False, highlight=False, soft_wrap=True)
     return {"file": str(file), "performance": value}

@@ -150,7 +150,7 @@ _SIGNAL = {
         description="a third of the paper's episodes with a tenth of its gradient steps each",
     ),
     "quick": _signal(
-        100, budget=8, episodes=15, eval_episodes=1, description="a first look, final policy"
+        50, budget=8, episodes=15, eval_episodes=1, description="a first look, final policy"
     ),
     "paper": _signal(800, description="the paper's budget, final policy"),
 }

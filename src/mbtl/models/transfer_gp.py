@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,31 +155,9 @@ class TransferGP:
                 f"{y.shape}; drop what was not evaluated"
             )
         self._places, self._prior, self._pairs = places, prior, pairs
-        kernel = covariance(places, prior, pairs, pairs)
-        kernel[np.diag_indices_from(kernel)] += prior.noise
-        self._fit(kernel, y)
-        if noise is not None and noise.any():  # it is absolute and the kernel is not: fixed point
-            own = np.diagonal(kernel).copy()
-            for _ in range(_ROUNDS):
-                before = self.scale
-                kernel[np.diag_indices_from(kernel)] = own + noise / before
-                self._fit(kernel, y)
-                if abs(self.scale - before) < 0.05 * before:
-                    break
-
-    def _fit(self, kernel: Array, y: Array) -> None:
-        self._chol = np.linalg.cholesky(kernel)
-        ones = self._half(np.ones(len(y)))
-        values = self._half(y)
-        self.mean = float(ones @ values / (ones @ ones))
-        self._residual = values - self.mean * ones
-        n = len(y)
-        square = float(self._residual @ self._residual)
-        self.scale = (square + _SHRINK * _USUAL) / (n + _SHRINK)
-        log_det = 2.0 * float(np.log(np.diagonal(self._chol)).sum())
-        self.log_likelihood = -0.5 * (
-            n * np.log(2.0 * np.pi * self.scale) + log_det + square / self.scale
-        )
+        fit = _fit(covariance(places, prior, pairs, pairs), prior.noise, y, noise)
+        self._chol, self._residual = fit.chol, fit.residual
+        self.mean, self.scale, self.log_likelihood = fit.mean, fit.scale, fit.log_likelihood
 
     def predict(
         self, sources: Pairs, targets: Pairs, trainings: Pairs | None = None
@@ -200,7 +179,7 @@ class TransferGP:
 
     def predict_pairs(self, pairs: Pairs) -> tuple[Array, Array]:
         """Mean and standard deviation (m,) of J at `pairs` (m, 3), without noise; O(n^2 m)."""
-        half = self._half(covariance(self._places, self._prior, self._pairs, pairs))
+        half = _half(self._chol, covariance(self._places, self._prior, self._pairs, pairs))
         own = variance(self._prior)
         left = np.maximum(own - np.einsum("ij,ij->j", half, half), 1e-9 * own)
         return self.mean + half.T @ self._residual, np.sqrt(self.scale * left)
@@ -208,7 +187,7 @@ class TransferGP:
     def draws(self, source: int, targets: Pairs, n: int, rng: np.random.Generator) -> Array:
         """(n, T) samples of the row of one new training on `source`."""
         pairs = grid_pairs(np.array([source]), targets, np.array([NEW]))
-        half = self._half(covariance(self._places, self._prior, self._pairs, pairs))
+        half = _half(self._chol, covariance(self._places, self._prior, self._pairs, pairs))
         prior = covariance(self._places, self._prior, pairs, pairs, one_training=True)
         left = prior - half.T @ half
         left[np.diag_indices_from(left)] += 1e-6 * variance(self._prior)
@@ -216,10 +195,48 @@ class TransferGP:
         normal = rng.standard_normal((n, len(targets)))
         return np.asarray(self.mean + half.T @ self._residual + normal @ root.T)
 
-    def _half(self, right: Array) -> Array:
-        from scipy.linalg import solve_triangular  # kept out of `import mbtl`
 
-        return np.asarray(solve_triangular(self._chol, right, lower=True, check_finite=False))
+class _Fit(NamedTuple):
+    """Observations less the mean, both times the inverse Cholesky factor, and what they say."""
+
+    chol: Array
+    residual: Array
+    mean: float
+    scale: float
+    log_likelihood: float
+
+
+def _fit(kernel: Array, own: float, y: Array, noise: Array | None) -> _Fit:
+    """Mean and factor of the data, with `own` noise (relative) and a known one (absolute)."""
+    if noise is None or not noise.any():
+        return _fit_relative(kernel, own, y)
+    found = _fit_relative(kernel, own, y)
+    for _ in range(_ROUNDS):  # the known noise is absolute and the kernel is not: fixed point
+        before = found.scale
+        found = _fit_relative(kernel, own + noise / before, y)
+        if abs(found.scale - before) < 0.05 * before:
+            break
+    return found
+
+
+def _fit_relative(kernel: Array, noise: float | Array, y: Array) -> _Fit:
+    noisy = kernel.copy()
+    noisy[np.diag_indices_from(noisy)] += noise
+    chol = np.asarray(np.linalg.cholesky(noisy), np.float64)
+    ones, values = _half(chol, np.ones(len(y))), _half(chol, y)
+    mean = float(ones @ values / (ones @ ones))
+    residual = np.asarray(values - mean * ones)
+    n, square = len(y), float(residual @ residual)
+    scale = (square + _SHRINK * _USUAL) / (n + _SHRINK)
+    log_det = 2.0 * float(np.log(np.diagonal(chol)).sum())
+    likelihood = -0.5 * (n * np.log(2.0 * np.pi * scale) + log_det + square / scale)
+    return _Fit(chol, residual, mean, scale, float(likelihood))
+
+
+def _half(chol: Array, right: Array) -> Array:
+    from scipy.linalg import solve_triangular  # kept out of `import mbtl`
+
+    return np.asarray(solve_triangular(chol, right, lower=True, check_finite=False))
 
 
 def likely_noise(
@@ -230,6 +247,7 @@ def likely_noise(
     The prior believes single pairs to scatter little, which is true of simulators that are judged
     on the same episodes; where it is not, every scatter would pass for a good source. `known` may
     in turn be far too much: policies judged on the same episodes share most of their luck there.
+    Only where all of it does not explain the scatter are pairs themselves believed to be noisy.
 
     Args:
         places: of all contexts.
@@ -243,16 +261,16 @@ def likely_noise(
     """
     known = np.zeros(len(y)) if known is None else known
     some = np.linspace(0, len(y) - 1, min(len(y), _ENOUGH)).round().astype(np.intp)
-    priors = [prior, replace(prior, noise=_NOISIER * prior.noise)]
-    beliefs = [(p, share) for p in priors for share in (_SHARES if known.any() else (0.0,))]
+    kernel = covariance(places, prior, pairs[some], pairs[some])
+    quiet, noisy = prior.noise, _NOISIER * prior.noise
+    beliefs = [(quiet, share) for share in _SHARES if share == 1.0 or known.any()] + [(noisy, 1.0)]
 
-    def likelihood(belief: tuple[TransferPrior, float]) -> float:
-        prior, share = belief
-        part = TransferGP(places, prior, pairs[some], y[some], share * known[some])
-        return float(part.log_likelihood)
+    def likelihood(belief: tuple[float, float]) -> float:
+        own, share = belief
+        return _fit(kernel, own, y[some], share * known[some]).log_likelihood
 
-    prior, share = max(beliefs, key=likelihood)
-    return prior, share * known
+    own, share = max(beliefs, key=likelihood)
+    return replace(prior, noise=own), share * known
 
 
 def covariance(

@@ -2,8 +2,8 @@
 
 One environment per target plays its episodes back to back; when it has finished them, its place
 goes to the next target. A policy always sees `ROWS` observations at a time (padded when fewer are
-left), so its arithmetic, and with it every return, does not depend on the other targets; dense ones
-in numpy are exact enough for any number.
+left), so its arithmetic, and with it every return, does not depend on the other targets. Where a
+dense policy in numpy has discrete actions the best is the best in any batch: no padding there.
 
 An environment is a Gymnasium one, or a PettingZoo parallel one whose agents share the policy. What
 an episode is worth is the sum of its rewards, or `info["score"]` of its last step where that is
@@ -22,6 +22,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.portfolio.heads import DiscreteHead
 from mbtl.portfolio.mlp import MLPPolicy
 
 ROWS = 32
@@ -153,7 +154,7 @@ class Actor:
             ]
         makers = [(place, seen) for place in places for seen in place.observations]
         chosen: list[Any] = []
-        exact = isinstance(self.policy, MLPPolicy)  # its rounding shows in no action
+        exact = isinstance(self.policy, MLPPolicy) and isinstance(self.policy.head, DiscreteHead)
         for start in range(0, len(makers), ROWS):
             batch = makers[start : start + ROWS]
             padded = batch if exact else [*batch, *[batch[-1]] * (ROWS - len(batch))]
