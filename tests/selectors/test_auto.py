@@ -41,7 +41,7 @@ def test_two_rows_show_how_far_a_policy_reaches():
     problem, history = line(100), History(100)
     for source in (20, 49):
         history = history.with_row(source, reach(100, source, 100, 15))
-    assert 64 < Auto().propose(problem, history, RNG).source <= 99
+    assert 64 < Auto(cover=0).propose(problem, history, RNG).source <= 99
 
 
 def test_a_pending_pick_counts_as_trained():
@@ -99,8 +99,57 @@ def test_benchmarks_use_the_prior_that_has_not_seen_the_family(monkeypatch):
     assert held_out(Auto(), "cartpole-length-hidden").prior == unseen
     assert held_out(Auto(), "ring-acc").prior == TransferPrior()
     assert held_out(Random(), "cartpole-length") == Random()
-    own = Auto(prior=TransferPrior(luck=3.0))  # learned from nothing of ours
+    own = Auto(prior=TransferPrior(luck=3.0), cover=2)  # learned from nothing of ours
     assert held_out(own, "cartpole-length") == own
+
+
+def test_benchmarks_cover_as_often_as_was_best_on_other_families(monkeypatch):
+    monkeypatch.setattr(priors, "COVERS", {"all": 3, "ring": 5})
+    assert held_out(Auto(), "ring-acc").cover == 5
+    assert held_out(Auto(), "cartpole-length").cover == 3
+    assert held_out(Auto(cover=0), "ring-acc").cover == 0
+
+
+def first_two(problem):
+    """Small sure gains lie between and below them, nothing is known far above."""
+    history = History(problem.n)
+    for source in (10, 14):
+        history = history.with_row(source, reach(problem.n, source, 12, 3))
+    return history
+
+
+def test_every_third_pick_goes_where_nobody_is_near():
+    problem = line(60)
+    history = first_two(problem)
+    steps = problem.steps[:, 0]
+    covered = np.abs(steps[:, None] - np.array([10.0, 14.0])).min(axis=1)
+    nearer = np.maximum(covered - np.abs(steps[:, None] - steps), 0.0).sum(axis=1)
+    proposal = Auto(cover=3).propose(problem, history, RNG)
+    assert proposal.source == nearer.argmax()
+    assert "far from all sources" in proposal.reason
+    assert Auto(cover=0).propose(problem, history, RNG).reason == "largest expected gain"
+    assert Auto(cover=4).propose(problem, history, RNG).reason == "largest expected gain"
+    waiting = history.with_pending(40)
+    assert Auto(cover=4).propose(problem, waiting, RNG).source not in {*range(30, 50)}
+
+
+def test_covering_picks_heed_costs_and_the_chance_of_a_gain():
+    problem = line(60)
+    cheap = np.where(np.arange(60) == 30, 0.1, 1.0)
+    asked = replace(problem, costs=cheap, least_gain=0.01)
+    proposal = Auto(cover=3).propose(asked, first_two(problem), RNG)
+    assert proposal.source == 30
+    assert 0.0 <= proposal.chance <= 1.0
+
+
+def test_with_everything_trained_a_covering_pick_is_an_ordinary_one():
+    problem = replace(line(5, budget=5), repeats=2)
+    history = History(5)
+    for source in range(5):
+        history = history.with_row(source, np.full(5, 0.1 * source))
+    proposal = Auto(cover=3).propose(problem, history, RNG)
+    assert 0 <= proposal.source < 5
+    assert "far from all sources" not in proposal.reason
 
 
 def test_gain_per_cost_prefers_the_cheap_of_two_alike():

@@ -1,8 +1,8 @@
-"""Priors of the transfer model, and which of them shipped matrices speak for.
+"""Priors of the transfer model, and what shipped matrices speak for.
 
-Chosen on all families of matrices, and without each of them. A family is the part of an id before
-the first "-": all CartPole variations are one. What is reported on a family must use the prior that
-has not seen it.
+Chosen on families of matrices, and without each of them: the prior, and how often `auto` covers. A
+family is the part of an id before the first "-": all CartPole variations are one. What is reported
+on a family must use the choice that has not seen it.
 """
 
 from __future__ import annotations
@@ -33,16 +33,25 @@ CANDIDATES: Mapping[str, TransferPrior] = {
 targets are hard or easy whatever the source."""
 
 # begin: benchmarks/learn_prior.py --write
-CHOSEN: Mapping[str, str] = {
-    "all": "ratio",
-    "cartpole": "ratio",
-    "pendulum": "ratio",
+CHOSEN: Mapping[str, tuple[str, int]] = {
+    "all": ("ratio", 3),
+    "cartpole": ("ratio", 3),
+    "eco": ("ratio", 3),
+    "pendulum": ("ratio", 3),
+    "ring": ("ratio", 4),
 }
 # end
 
-PRIORS: Mapping[str, TransferPrior] = {f: CANDIDATES[label] for f, label in CHOSEN.items()}
+PRIORS: Mapping[str, TransferPrior] = {f: CANDIDATES[label] for f, (label, _) in CHOSEN.items()}
+COVERS: Mapping[str, int] = {f: every for f, (_, every) in CHOSEN.items()}
+"""Of how many picks of `auto` one goes where the sources leave the most uncovered."""
 
 
 def prior_without(family: str) -> TransferPrior:
     """The prior that has not seen `family`; for one that no prior has seen, that of all."""
     return PRIORS.get(family, PRIORS["all"])
+
+
+def cover_without(family: str) -> int:
+    """The number that has not seen `family`; likewise."""
+    return COVERS.get(family, COVERS["all"])

@@ -6,23 +6,26 @@ anywhere, and a little: a Gaussian far from all data would promise more than any
 Beyond some hundred contexts a part of the targets, spread over the space, stands for all of them,
 and candidates are searched: some spread over the space, then ever nearer to the best. With several
 axes the best few are judged again on more targets.
+
+Every third pick or so is none of the model's: it goes where the sources leave the most uncovered.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.acquisition import TIE, RowGain, argmax_open
+from mbtl.acquisition import TIE, RowGain, argmax_open, optimistic_gain
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
-from mbtl.models.priors import PRIORS, prior_without
+from mbtl.models.gp import squared_distances
+from mbtl.models.priors import COVERS, PRIORS, cover_without, prior_without
 from mbtl.models.relevance import Columns, fit_relevance, stretched
 from mbtl.models.transfer_gp import (
     Pairs,
@@ -64,6 +67,8 @@ class Auto:
         most_pairs: observed pairs used; with more rows, fewer targets of each.
         finalists: candidates that are judged a second time, on more targets.
         final_targets: targets of that.
+        cover: every so many-th pick goes where the sources leave the most uncovered, whatever the
+            model says; 0: none does; None: as chosen on shipped matrices.
         relevance: with several axes, learn which of them matter (predicts better, picks alike).
     """
 
@@ -73,6 +78,7 @@ class Auto:
     most_pairs: int = 1000
     finalists: int = 10
     final_targets: int = 150
+    cover: int | None = None
     relevance: bool = False
     name: str = "auto"
     predicts_chances: ClassVar[bool] = True
@@ -80,7 +86,8 @@ class Auto:
 
     def without(self, family: str) -> Auto:
         """The same with a prior that has not seen a family of matrices; for honest benchmarks."""
-        return self if self.prior else replace(self, prior=prior_without(family))
+        cover = cover_without(family) if self.cover is None else self.cover
+        return replace(self, prior=self.prior or prior_without(family), cover=cover)
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator
@@ -99,11 +106,10 @@ class Auto:
         if problem.costs is not None:  # their unit must not matter to what counts as a tie
             costs = problem.costs / problem.costs.mean()
         outlook = beliefs.row_gain(beliefs.targets)
-        candidates, gain = _search(
-            problem, np.flatnonzero(mask), self.most_candidates, outlook.expected, costs
-        )
         counted = np.flatnonzero(problem.weights > 0)
         wide = _spread(problem, counted, self.final_targets)
+        search = partial(_search, problem, np.flatnonzero(mask), self.most_candidates, costs=costs)
+        candidates, gain = search(outlook.expected)
         if not problem.is_line and len(wide) > len(beliefs.targets):
             # a few of them on several axes are a sample, with its luck; on a line they are even
             few = _finalists(gain / costs[candidates], self.most_candidates, self.finalists)
@@ -114,6 +120,10 @@ class Auto:
         source, chance = int(candidates[best]), None
         if problem.least_gain is not None:
             chance = outlook.chance(int(candidates[gain.argmax()]), problem.least_gain)
+        lonely = self._least_covered(problem, history, wide, search, costs)
+        if lonely is not None:
+            reason = "far from all sources, as every so many-th pick"
+            return Proposal(lonely, reason, outlook.said(lonely), chance=chance)
         if gain[best] <= TIE:
             source = farthest_open(problem, [*history.sources, *history.pending], mask)
             reason = "no predicted gain anywhere: far from what was tried"
@@ -127,6 +137,36 @@ class Auto:
         judged = f"gain +- {sampling:.2g}: {len(outlook.targets)} of {len(counted)} targets judged"
         notes = (judged,) if sampling else ()
         return Proposal(source, reason, outlook.said(source), notes, chance)
+
+    def _least_covered(
+        self,
+        problem: SelectionProblem,
+        history: History,
+        targets: Indices,
+        search: Callable[[Callable[[Indices], Array]], tuple[Indices, Array]],
+        costs: Array,
+    ) -> int | None:
+        """What would gain most if all trainings succeeded alike; None if it is not its turn.
+
+        The model takes what it has seen for the rule. Where luck decides it would stay for ever
+        near small sure gains, and never meet the one training that is good everywhere.
+        """
+        every = COVERS["all"] if self.cover is None else self.cover
+        taken = [*history.sources, *history.pending]
+        if not every or len(taken) % every != every - 1:
+            return None
+        steps, weights = problem.steps, problem.weights[targets]
+        there = [*taken, *history.failed]
+        covered = np.sqrt(squared_distances(steps[targets], steps[there])).min(axis=1)
+
+        def nearer(candidates: Indices) -> Array:
+            flat = np.zeros(len(candidates))
+            places = steps[candidates], steps[targets]
+            return optimistic_gain(flat, *places, -covered, weights / weights.sum(), theta=1.0)
+
+        candidates, gain = search(nearer)
+        best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
+        return int(candidates[best]) if gain[best] > TIE else None
 
     def _beliefs(self, problem: SelectionProblem, history: History) -> _Beliefs:
         """Condition the model on the rows, at some of the targets."""
