@@ -25,7 +25,9 @@ draws docs/images/calibration.png.
 
 from __future__ import annotations
 
-import argparse
+import measure  # noqa: F401  first: threads
+
+import argparse  # isort: skip
 import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
