@@ -51,7 +51,7 @@ def test_an_interrupted_multitask_baseline_keeps_its_policy(mbtl_command, tmp_pa
     assert mbtl_command(*command, 1)[0] == 0
     again = load_multitask("ring-acc", folder=file.parent)["trpo"]
     assert again.returns == pytest.approx(first.returns)
-    assert again.provenance[0]["train_seconds"] == 123.4  # not trained again
+    assert again.provenance[0]["training"]["train_seconds"] == 123.4  # not trained again
     file.unlink()
     assert "other settings (episodes)" in mbtl_command(*command, 2)[2]
 

@@ -5,6 +5,7 @@ import pytest
 
 import mbtl
 from mbtl.benchmark.compare import held_out
+from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models import priors
 from mbtl.models.transfer_gp import TransferPrior
@@ -130,7 +131,11 @@ def test_every_third_pick_goes_where_nobody_is_near():
     assert Auto(cover=0).propose(problem, history, RNG).reason == "largest expected gain"
     assert Auto(cover=4).propose(problem, history, RNG).reason == "largest expected gain"
     waiting = history.with_pending(40)
-    assert Auto(cover=4).propose(problem, waiting, RNG).source not in {*range(30, 50)}
+    assert "far from all sources" in Auto(cover=4).propose(problem, waiting, RNG).reason
+    failed = replace(history, failed=(proposal.source,))
+    assert Auto(cover=3).propose(problem, failed, RNG).reason == "largest expected gain"
+    with pytest.raises(InvalidInput, match="cover must be >= 0"):
+        Auto(cover=-1)
 
 
 def test_covering_picks_heed_costs_and_the_chance_of_a_gain():
@@ -139,7 +144,7 @@ def test_covering_picks_heed_costs_and_the_chance_of_a_gain():
     asked = replace(problem, costs=cheap, least_gain=0.01)
     proposal = Auto(cover=3).propose(asked, first_two(problem), RNG)
     assert proposal.source == 30
-    assert 0.0 <= proposal.chance <= 1.0
+    assert proposal.chance == Auto(cover=0).propose(asked, first_two(problem), RNG).chance > 0
 
 
 def test_with_everything_trained_a_covering_pick_is_an_ordinary_one():

@@ -78,16 +78,20 @@ def multitask(
              "preset": preset if preset != "paper" else None, "timesteps": timesteps,
              "episodes": episodes, "eval-episodes": eval_episodes}  # fmt: skip
     words = [f"--{name} {value}" for name, value in given.items() if value is not None]
+    command = " ".join(["mbtl matrix multitask", cmdp_id, *words, "--seeds 1 --first-seed"])
+    files = {
+        seed: multitask_file(out, job.cmdp.id, job.name, seed)
+        for seed in range(first_seed, first_seed + seeds)
+    }
+    there = {seed for seed, file in files.items() if file.is_file()}
+    for seed in there:  # before anything is trained
+        _check_made_by(files[seed], f"{command} {seed}")
     results = []
-    for seed in range(first_seed, first_seed + seeds):
-        parts = ["mbtl matrix multitask", cmdp_id, *words, f"--seeds 1 --first-seed {seed}"]
-        command = " ".join(parts)
-        file = multitask_file(out, job.cmdp.id, job.name, seed)
-        if file.is_file():
-            _check_made_by(file, command)
+    for seed, file in files.items():
+        if seed in there:
             console.print(f"{file}: there already", markup=False)
         else:
-            _one(job, seed, command, out)
+            _one(job, seed, f"{command} {seed}", out)
         results.append(_shown(job.cmdp, file))
     if as_json:
         print_json({"baselines": results})
@@ -160,12 +164,12 @@ class _InSimulator:
             "evaluation": self.judge.recipe,
             "seed": seed,
             "training_seed": chosen,
-            **trained,
+            "training": trained,
         }
         return returns.mean(axis=1), returns.std(axis=1), record
 
     def _policy(self, seed: int, chosen: int, on_step: OnStep) -> tuple[Any, dict[str, Any]]:
-        """Trained now or by an interrupted run, and where and how long that was."""
+        """Trained now or by an interrupted run, and by which code and how long that was."""
         from mbtl.training.multitask import for_all_contexts
 
         cmdp = self.cmdp

@@ -84,6 +84,10 @@ class Auto:
     predicts_chances: ClassVar[bool] = True
     retrains: ClassVar[bool] = True
 
+    def __post_init__(self) -> None:
+        if self.cover is not None and self.cover < 0:
+            raise InvalidInput(f"cover must be >= 0 (0: no pick covers), got {self.cover}")
+
     def without(self, family: str) -> Auto:
         """The same with a prior that has not seen a family of matrices; for honest benchmarks."""
         cover = cover_without(family) if self.cover is None else self.cover
@@ -152,12 +156,11 @@ class Auto:
         near small sure gains, and never meet the one training that is good everywhere.
         """
         every = COVERS["all"] if self.cover is None else self.cover
-        taken = [*history.sources, *history.pending]
-        if not every or len(taken) % every != every - 1:
+        tried = [*history.sources, *history.pending, *history.failed]
+        if not every or len(tried) % every != every - 1:
             return None
         steps, weights = problem.steps, problem.weights[targets]
-        there = [*taken, *history.failed]
-        covered = np.sqrt(squared_distances(steps[targets], steps[there])).min(axis=1)
+        covered = np.sqrt(squared_distances(steps[targets], steps[tried])).min(axis=1)
 
         def nearer(candidates: Indices) -> Array:
             flat = np.zeros(len(candidates))

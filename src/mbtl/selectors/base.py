@@ -127,7 +127,8 @@ class Proposal:
         reason: one line for people, e.g. "warm-up: worst context so far".
         acquisition: value of the acquisition at `source`; None where the rule has none.
         notes: what went differently from the plan (a fit that fell back, ...); kept in the study.
-        chance: probability that V gains `least_gain` or more from it, where the problem asks.
+        chance: probability that V gains `least_gain` or more from the most promising training,
+            which need not be this one; where the problem asks.
     """
 
     source: int
