@@ -70,6 +70,11 @@ class History:
         pending = tuple(p for p in self.pending if p != source)
         return replace(self, pending=pending, failed=(*self.failed, int(source)))
 
+    @property
+    def tried(self) -> tuple[int, ...]:
+        """All contexts that were asked for: trained, pending or failed."""
+        return (*self.sources, *self.pending, *self.failed)
+
     @cached_property
     def best(self) -> Array:
         """(N,) generalisation performance so far; -inf before the first row."""

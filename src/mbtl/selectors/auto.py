@@ -24,7 +24,6 @@ from mbtl.acquisition import TIE, RowGain, argmax_open, optimistic_gain
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
-from mbtl.models.gp import squared_distances
 from mbtl.models.priors import COVERS, PRIORS, cover_without, prior_without
 from mbtl.models.relevance import Columns, fit_relevance, stretched
 from mbtl.models.transfer_gp import (
@@ -39,6 +38,7 @@ from mbtl.selectors.base import (
     SelectionProblem,
     farthest_open,
     first_pick,
+    nearest_distance,
     open_candidates,
 )
 
@@ -48,6 +48,7 @@ _LEADERS, _AROUND = 3, 12
 """So many of the best candidates are looked around, at so many contexts each and round."""
 _MANY = 20_000
 """Contexts through which every round of the search may look."""
+_LONELY = "far from all sources, as every so many-th pick"
 _MARGIN = 0.02
 """By how much `top` lies above the best seen, as a share of the range seen."""
 
@@ -109,25 +110,26 @@ class Auto:
         costs = np.ones(problem.n)
         if problem.costs is not None:  # their unit must not matter to what counts as a tie
             costs = problem.costs / problem.costs.mean()
-        outlook = beliefs.row_gain(beliefs.targets)
         counted = np.flatnonzero(problem.weights > 0)
         wide = _spread(problem, counted, self.final_targets)
+        # a few targets on several axes are a sample, with its luck; on a line they are even
+        outlook = beliefs.row_gain(beliefs.targets if problem.is_line else wide)
         search = partial(_search, problem, np.flatnonzero(mask), self.most_candidates, costs=costs)
-        candidates, gain = search(outlook.expected)
-        if not problem.is_line and len(wide) > len(beliefs.targets):
-            # a few of them on several axes are a sample, with its luck; on a line they are even
+        lonely = self._least_covered(problem, history, wide, search, costs)
+        if lonely is not None and problem.least_gain is None:
+            return Proposal(lonely, _LONELY, outlook.said(lonely))
+        candidates, gain = search(beliefs.row_gain(beliefs.targets).expected)
+        if len(outlook.targets) > len(beliefs.targets):
             few = _finalists(gain / costs[candidates], self.most_candidates, self.finalists)
             candidates = candidates[np.union1d(few, gain.argmax())]
-            outlook = beliefs.row_gain(wide)
             gain = outlook.expected(candidates)
-        best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
-        source, chance = int(candidates[best]), None
+        chance = None
         if problem.least_gain is not None:
             chance = outlook.chance(int(candidates[gain.argmax()]), problem.least_gain)
-        lonely = self._least_covered(problem, history, wide, search, costs)
         if lonely is not None:
-            reason = "far from all sources, as every so many-th pick"
-            return Proposal(lonely, reason, outlook.said(lonely), chance=chance)
+            return Proposal(lonely, _LONELY, outlook.said(lonely), chance=chance)
+        best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
+        source = int(candidates[best])
         if gain[best] <= TIE:
             source = farthest_open(problem, [*history.sources, *history.pending], mask)
             reason = "no predicted gain anywhere: far from what was tried"
@@ -156,11 +158,10 @@ class Auto:
         near small sure gains, and never meet the one training that is good everywhere.
         """
         every = COVERS["all"] if self.cover is None else self.cover
-        tried = [*history.sources, *history.pending, *history.failed]
-        if not every or len(tried) % every != every - 1:
+        if not every or len(history.tried) % every != every - 1:
             return None
         steps, weights = problem.steps, problem.weights[targets]
-        covered = np.sqrt(squared_distances(steps[targets], steps[tried])).min(axis=1)
+        covered = nearest_distance(steps[targets], steps[list(history.tried)])
 
         def nearer(candidates: Indices) -> Array:
             flat = np.zeros(len(candidates))

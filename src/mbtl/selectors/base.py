@@ -195,12 +195,17 @@ def nearest_open(problem: SelectionProblem, point: Array, mask: NDArray[np.bool_
 
 def farthest_open(problem: SelectionProblem, taken: Sequence[int], mask: NDArray[np.bool_]) -> int:
     """Open context whose nearest taken one is farthest; the lowest index on a tie."""
-    nearest = np.full(problem.n, np.inf)
-    for index in taken:
-        away = np.sqrt(((problem.steps - problem.steps[index]) ** 2).sum(axis=1))
-        nearest = np.minimum(nearest, away)
+    nearest = nearest_distance(problem.steps, problem.steps[list(taken)])
     nearest[~mask] = -np.inf
     return int(np.flatnonzero(nearest >= nearest.max() - 1e-9)[0])
+
+
+def nearest_distance(points: Array, taken: Array) -> Array:
+    """(M, D), (k, D) in grid steps -> (M,) distance of each point to the nearest that is taken."""
+    nearest = np.full(len(points), np.inf)
+    for place in taken:  # one after the other: there may be a million points
+        nearest = np.minimum(nearest, np.sqrt(((points - place) ** 2).sum(axis=1)))
+    return nearest
 
 
 def even_targets(problem: SelectionProblem, source: int, count: int) -> tuple[int, ...]:

@@ -30,9 +30,7 @@ class Greedy:
         """Split the widest gap; raises `InvalidInput` when there is more than one axis."""
         line = problem.line
         mask = open_candidates(problem, history)
-        taken = sorted(
-            float(line[i]) for i in (*history.sources, *history.pending, *history.failed)
-        )
+        taken = sorted(float(line[i]) for i in history.tried)
         if not taken:
             return Proposal(nearest_open(problem, centre(problem), mask), "middle of the range")
         low, high = float(line.min()), float(line.max())

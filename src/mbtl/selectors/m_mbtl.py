@@ -53,10 +53,9 @@ class MMBTL:
     ) -> Proposal:
         """The middle first, then where a new centre settles; ties to the lowest index."""
         mask = open_candidates(problem, history)
-        taken = [*history.sources, *history.pending, *history.failed]
-        if not taken:
+        if not history.tried:
             return middle(problem, mask)
-        covered = _distances(problem.steps[taken], problem.steps).min(axis=0)
+        covered = _distances(problem.steps[list(history.tried)], problem.steps).min(axis=0)
         centres, costs = settle(problem, covered, problem.steps[self._starts(problem.n)])
         source = _best_open(problem, mask, centres, costs)
         cost = np.minimum(covered, _distances(problem.steps[[source]], problem.steps)[0])
