@@ -117,7 +117,7 @@ _DQN: Mapping[str, Any] = {
     "learning_starts": 100,
     "train_freq": (1, "episode"),
     "gradient_steps": 800,
-    "target_update_interval": 1,
+    "target_update_interval": 20,  # decisions, fewer than any episode has; each is a copy
     "exploration_fraction": 1.0,
     "exploration_initial_eps": 1.0,
     "exploration_final_eps": 0.0,
