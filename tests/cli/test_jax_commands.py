@@ -36,8 +36,8 @@ def test_an_interrupted_multitask_baseline_keeps_its_policy(mbtl_command, tmp_pa
     pytest.importorskip("libsumo", reason="the traffic extra is not installed")
     pytest.importorskip("sb3_contrib", reason="the sb3 extra is not installed")
     command = (
-        "matrix", "multitask", "ring-acc", "--preset", "quick", "--eval-episodes", 1, "--seeds", 1,
-        "--episodes",
+        "matrix", "multitask", "ring-acc", "--engine", "sumo", "--preset", "quick",
+        "--eval-episodes", 1, "--seeds", 1, "--episodes",
     )  # fmt: skip
     code, _, err = mbtl_command(*command, 1)
     assert code == 0, err

@@ -22,7 +22,7 @@ from mbtl.errors import InvalidInput, unknown_name
 from mbtl.files import claim_folder, whole_file
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
 from mbtl.trainer import Progress as Training
-from mbtl.training import JaxTrainer, SB3Trainer, export_mlp
+from mbtl.training import JaxTrainer, SB3Trainer, TwinTrainer
 
 Method = Literal["ppo", "paco", "moore"]
 _TOGETHER = 10
@@ -45,8 +45,12 @@ def multitask(
     first_seed: Annotated[int, typer.Option(help="Seed of the first.")] = 0,
     preset: Annotated[
         str,
-        typer.Option(help="Recipe of one source; in traffic one of those in SUMO."),
+        typer.Option(help="Recipe of one source."),
     ] = "paper",
+    engine: Annotated[
+        str | None,
+        typer.Option(help="jax, gymnasium or sumo.", show_default=False),
+    ] = None,
     timesteps: Annotated[
         int | None, typer.Option(help="Environment steps of one source; default: the preset's.")
     ] = None,
@@ -73,10 +77,12 @@ def multitask(
     for name, number in counts.items():
         if number is not None and number < 1:
             raise InvalidInput(f"--{name} must be >= 1, got {number}")
-    job = _job(cmdp_id, method, factor, preset, timesteps, episodes, eval_episodes, work)
+    cmdp = get_cmdp(cmdp_id, visibility="multiplier", engine=engine)
+    job = _job(cmdp, method, factor, preset, timesteps, episodes, eval_episodes, work)
     given = {"method": method, "factor": factor if factor > 1 else None,
-             "preset": preset if preset != "paper" else None, "timesteps": timesteps,
-             "episodes": episodes, "eval-episodes": eval_episodes}  # fmt: skip
+             "preset": preset if preset != "paper" else None, "engine": engine,
+             "timesteps": timesteps, "episodes": episodes,
+             "eval-episodes": eval_episodes}  # fmt: skip
     words = [f"--{name} {value}" for name, value in given.items() if value is not None]
     command = " ".join(["mbtl matrix multitask", cmdp_id, *words, "--seeds 1 --first-seed"])
     files = {
@@ -136,32 +142,30 @@ class _InJax:
 
 @dataclass(frozen=True)
 class _InSimulator:
-    """By Stable-Baselines3, episode by episode; evaluated where the matrices are by default."""
+    """In SUMO or in a twin of it, as the matrices are by default."""
 
     cmdp: CMDP
-    trainer: SB3Trainer
-    judge: Any
+    trainer: SB3Trainer | TwinTrainer
     name: str
     work: Path
 
     @property
     def length(self) -> int:
-        return self.trainer.episodes or self.trainer.timesteps or 0
+        return self.trainer.episodes or getattr(self.trainer, "timesteps", None) or 0
 
     def run(self, seed: int, on_step: OnStep) -> Found:
         space = self.cmdp.space
         chosen = training_seed(seed, MATRIX_TRIAL, space.n)  # that of the source after the last
         policy, trained = self._policy(seed, chosen, on_step)
-        judged = policy if self.judge is self.trainer else export_mlp(policy)
-        rows, together = [], _TOGETHER if judged is policy else space.n  # a twin takes all at once
-        for first in range(0, space.n, together):
+        rows, play = [], evaluation_seed(seed, MATRIX_TRIAL)
+        for first in range(0, space.n, _TOGETHER):
             on_step(self.length, self.length, f"evaluated on {first} of {space.n} contexts")
-            contexts = space.contexts[first : first + together]
-            rows.append(self.judge.evaluate(judged, contexts, evaluation_seed(seed, MATRIX_TRIAL)))
+            contexts = space.contexts[first : first + _TOGETHER]
+            rows.append(self.trainer.evaluate(policy, contexts, play))
         returns = np.concatenate(rows)
+        unit = "update" if isinstance(self.trainer, TwinTrainer) else "episode"
         record = {
-            "recipe": {**self.trainer.recipe, "contexts": "uniform, one per episode"},
-            "evaluation": self.judge.recipe,
+            "recipe": {**self.trainer.recipe, "contexts": f"uniform, one per {unit}"},
             "seed": seed,
             "training_seed": chosen,
             "training": trained,
@@ -170,7 +174,7 @@ class _InSimulator:
 
     def _policy(self, seed: int, chosen: int, on_step: OnStep) -> tuple[Any, dict[str, Any]]:
         """Trained now or by an interrupted run, and by which code and how long that was."""
-        from mbtl.training.multitask import for_all_contexts
+        from mbtl.training.multitask import train_on_all
 
         cmdp = self.cmdp
         folder = self.work / f"multitask-{cmdp.id}-{self.name}-seed{seed}"
@@ -186,8 +190,13 @@ class _InSimulator:
             on_step(progress.step, progress.total, note)
 
         begin, origin = time.process_time(), here()
-        every = for_all_contexts(self.trainer, cmdp.space.contexts)
-        policy = every.train(cmdp.space.contexts[0], chosen, on_progress)
+        policy = train_on_all(
+            self.trainer,
+            cmdp.space.contexts,
+            chosen,
+            on_progress,
+            partial=folder / "training.npz",
+        )
         trained = {"train_seconds": round(time.process_time() - begin, 1), **origin}
         (folder / "policy").mkdir(exist_ok=True)
         self.trainer.save(policy, folder / "policy")
@@ -197,7 +206,7 @@ class _InSimulator:
 
 
 def _job(
-    cmdp_id: str,
+    cmdp: CMDP,
     method: str | None,
     factor: int,
     preset: str,
@@ -206,31 +215,31 @@ def _job(
     eval_episodes: int | None,
     work: Path,
 ) -> _InJax | _InSimulator:
-    usual = get_cmdp(cmdp_id, visibility="multiplier")
     suffix = "" if factor == 1 else f"-x{factor}"
-    if isinstance(usual.trainer, JaxTrainer):
+    if isinstance(cmdp.trainer, JaxTrainer):
         known: tuple[Method, ...] = get_args(Method)
         if method is not None and method not in known:
             raise unknown_name("method", method, known)
         if episodes is not None:
-            raise InvalidInput(f"{cmdp_id!r} counts steps, got --episodes; use --timesteps")
-        steps = (usual.preset(preset).timesteps or 0) if timesteps is None else timesteps
+            raise InvalidInput(f"{cmdp.id!r} counts steps, got --episodes; use --timesteps")
+        steps = (cmdp.preset(preset).timesteps or 0) if timesteps is None else timesteps
         chosen = method or "ppo"
-        return _InJax(usual, chosen, chosen + suffix, steps * factor, eval_episodes or 100, work)
-    there = get_cmdp(cmdp_id, visibility="multiplier", engine="sumo")
-    trainer = there.trainer_for(preset)
-    assert isinstance(trainer, SB3Trainer)
+        return _InJax(cmdp, chosen, chosen + suffix, steps * factor, eval_episodes or 100, work)
+    trainer = cmdp.trainer_for(preset)
+    assert isinstance(trainer, SB3Trainer | TwinTrainer)
     own = str(trainer.algorithm).lower()
     if method not in (None, own):
-        raise unknown_name(f"method for {cmdp_id!r}", method, [own])
-    if timesteps is not None:
-        raise InvalidInput(f"{cmdp_id!r} counts episodes, got --timesteps; use --episodes")
+        raise unknown_name(f"method for {cmdp.id!r}", method, [own])
+    unit, wanted, unused = "episodes", episodes, timesteps
+    if getattr(trainer, "timesteps", None) is not None:
+        unit, wanted, unused = "timesteps", timesteps, episodes
+    if unused is not None:
+        raise InvalidInput(f"{cmdp.id!r} counts {unit}, got another length; use --{unit}")
     changes: dict[str, Any] = {"eval_episodes": eval_episodes} if eval_episodes else {}
-    trainer = replace(trainer, episodes=(episodes or trainer.episodes or 0) * factor, **changes)
-    judge: Any = trainer
-    if usual.settings["engine"] != "sumo":
-        judge = usual.trainer_for(None, **changes)
-    return _InSimulator(there, trainer, judge, own + suffix, work)
+    if isinstance(trainer, TwinTrainer):  # as many updates as one source has, each of more episodes
+        changes["hyperparameters"] = {**trainer.hyperparameters, "n_episodes": factor}
+    changes[unit] = (wanted or getattr(trainer, unit)) * factor
+    return _InSimulator(cmdp, replace(trainer, **changes), own + suffix, work)
 
 
 def _one(job: _InJax | _InSimulator, seed: int, command: str, out: Path) -> None:

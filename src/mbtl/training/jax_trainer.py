@@ -6,8 +6,6 @@ sent to another process anywhere.
 
 from __future__ import annotations
 
-import time
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
@@ -17,17 +15,14 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import MbtlError
-from mbtl.files import whole_file
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
 from mbtl.trainer import OnProgress, Progress
-from mbtl.training.mlp_trainer import MLPTrainer
+from mbtl.training.mlp_trainer import MLPTrainer, saved_training, saver
 
 ALGORITHMS = ("PPO", "A2C", "DQN")
 
 _COUNTS = ("timesteps", "eval_episodes", "checkpoint_episodes")
-_SAVE_SECONDS = 30.0
 
 Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
 """contexts -> (`mbtl.training.jax.Environment`, its parameters with one leading axis)."""
@@ -113,17 +108,13 @@ class JaxTrainer(MLPTrainer):
 
         env, params = self.problem(contexts)
         recipe = self._recipe()
-        saved_at = time.monotonic()
+        save = saver(partial)
 
         def on_block(block: engine.Block) -> None:
-            nonlocal saved_at
             if on_progress is not None:
                 latest = float(np.mean(block.training.latest_return))
                 on_progress(Progress(block.steps, block.total, {"episode_return": latest}))
-            if partial is not None and time.monotonic() - saved_at > _SAVE_SECONDS:
-                with whole_file(partial) as file:
-                    np.savez(file, **engine.to_arrays(block.training))  # type: ignore[arg-type]
-                saved_at = time.monotonic()
+            save(block.training)
 
         training = engine.train(
             env,
@@ -135,7 +126,7 @@ class JaxTrainer(MLPTrainer):
             checkpoint_every=self.checkpoint_every,
             checkpoint_episodes=self.checkpoint_episodes,
             only_best="final" not in keep,
-            resume=_load_training(engine.start(env, recipe, seeds, params), partial),
+            resume=saved_training(engine.start(env, recipe, seeds, params), partial),
         )
         weights = {"best": training.best, "final": training.state.weights}
         if partial is not None:
@@ -177,17 +168,3 @@ class JaxTrainer(MLPTrainer):
         import mbtl.training.jax as engine
 
         return self._changed(engine.recipe_named(self.algorithm, self.recipe_name))
-
-
-def _load_training(template: Any, partial: Path | None) -> Any:
-    """The saved training, or None where there is none that fits: then it starts anew."""
-    import mbtl.training.jax as engine
-
-    if partial is None or not partial.is_file():
-        return None
-    try:
-        # opened here: numpy leaves a file that is no archive open
-        with partial.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return engine.from_arrays(template, arrays)
-    except (MbtlError, ValueError, OSError, zipfile.BadZipFile):
-        return None

@@ -1,7 +1,7 @@
 """Multi-task training in any simulator: one environment whose context changes with every episode.
 
 The baseline of cmdp-spec, 8.3: one policy, told the context, for all contexts. Any trainer that
-takes an environment factory trains it unchanged:
+takes an environment factory trains it unchanged; a traffic twin has its own way.
 
     trainer = SB3Trainer(make_env, algorithm="PPO", episodes=500)
     policy = for_all_contexts(trainer, space.contexts).train({}, seed=0)
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -19,9 +20,36 @@ import numpy as np
 
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput
+from mbtl.trainer import OnProgress
 from mbtl.training.sb3 import SB3Trainer
+from mbtl.training.twin_trainer import TwinTrainer
 
 _SEEDS = 1 << 31
+
+
+def train_on_all(
+    trainer: SB3Trainer | TwinTrainer,
+    contexts: Sequence[Context],
+    seed: int,
+    on_progress: OnProgress | None = None,
+    *,
+    partial: Path | None = None,
+) -> Any:
+    """One policy for all contexts, by either trainer.
+
+    Args:
+        trainer: of one source.
+        contexts: of which one is drawn uniformly for every episode; for every update in a twin.
+        seed: training seed.
+        on_progress: told as by the trainer.
+        partial: file of a twin's unfinished training; see `TwinTrainer.train_on_all`.
+
+    Raises:
+        InvalidInput: there are no contexts.
+    """
+    if isinstance(trainer, TwinTrainer):
+        return trainer.train_on_all(contexts, seed, on_progress, partial=partial)
+    return for_all_contexts(trainer, contexts).train(contexts[0], seed, on_progress)
 
 
 def for_all_contexts(trainer: SB3Trainer, contexts: Sequence[Context]) -> SB3Trainer:

@@ -14,11 +14,11 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import unknown_name
+from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
 from mbtl.trainer import OnProgress, Progress
-from mbtl.training.mlp_trainer import MLPTrainer
+from mbtl.training.mlp_trainer import MLPTrainer, saved_training, saver
 
 ALGORITHMS = ("TRPO", "PPO")
 
@@ -117,8 +117,8 @@ class TwinTrainer(MLPTrainer):
                 latest = float(np.mean(block.training.latest_return))
                 on_progress(Progress(block.steps, block.total, {"score": latest}, "episodes"))
 
-        recipe = self._recipe()
         twin, params = self.problem(contexts)
+        recipe = self._recipe()
         policies: dict[str, list[MLPPolicy]] = {name: [] for name in keep}
         for some, each in _groups(twin, seeds, params):
             training = train(
@@ -135,6 +135,52 @@ class TwinTrainer(MLPTrainer):
             for name in keep:
                 policies[name] += engine.export_policies(twin, weights[name], recipe.activation)
         return policies
+
+    def train_on_all(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        on_progress: OnProgress | None = None,
+        *,
+        partial: Path | None = None,
+    ) -> MLPPolicy:
+        """Train one policy for all contexts, each update in one that is drawn uniformly.
+
+        Args:
+            contexts: of which to draw.
+            seed: training seed.
+            on_progress: told episodes, and the mean score on all contexts.
+            partial: file in which to save the training now and then, and from which to go on if it
+                is there. Removed at the end.
+
+        Raises:
+            InvalidInput: there are no contexts.
+        """
+        import mbtl.training.jax as engine
+        from mbtl.training.jax.traffic.learning import start
+        from mbtl.training.jax.traffic.multitask import train_on_all
+
+        if not contexts:
+            raise InvalidInput("multi-task training takes at least one context, got none")
+        save = saver(partial)
+
+        def on_block(block: engine.Block) -> None:
+            if on_progress is not None:
+                score = float(block.training.latest_return[0])
+                on_progress(Progress(block.steps, block.total, {"score": score}, "episodes"))
+            save(block.training)
+
+        twin, params = self.problem(contexts)
+        recipe = self._recipe()
+        template = start(twin, recipe, [seed], params[0])
+        halfway = saved_training(template, partial)
+        training = train_on_all(
+            twin, recipe, seed, params, self.episodes, on_block=on_block, resume=halfway
+        )
+        weights = training.best if self.checkpoint == "best" else training.state.weights
+        if partial is not None:
+            partial.unlink(missing_ok=True)
+        return engine.export_policies(twin, weights, recipe.activation)[0]
 
     def evaluate_many(
         self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seed: int

@@ -22,7 +22,7 @@ from mbtl.training.jax.export import import_actors
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
 from mbtl.training.jax.traffic import random
-from mbtl.training.jax.traffic.twin import Twin
+from mbtl.training.jax.traffic.twin import Moved, Seen, Twin
 
 Acting = Literal["sampled", "mean", "none"]
 """How actions follow from a policy: drawn, the most likely one, or no advice at all."""
@@ -81,16 +81,20 @@ def record(
     actor: Actor,
     seeds: jax.Array,
     params: Tree,
+    lasting: jax.Array | None = None,
 ) -> Episodes:
     """Play with sampled actions and keep everything.
 
     Args:
         twin: the dynamics; static.
         activation: between the layers of the actor; static.
-        decisions: of an episode in this context; static.
+        decisions: of an episode at most; static.
         actor: of P policies.
         seeds: (P, E) uint32, one per episode.
         params: of one context.
+        lasting: decisions of an episode in this context, where one program serves several: before
+            the first of them nobody acts. That is no delay of what comes later, and advantages run
+            from the end of an episode to its beginning. None: as many as at most.
     """
     shape = seeds.shape
     flat = seeds.reshape(-1)
@@ -98,14 +102,26 @@ def record(
     def split(x: jax.Array) -> jax.Array:
         return x.reshape(*shape, *x.shape[1:])
 
+    idle = jnp.uint32(0) if lasting is None else (decisions - lasting).astype(jnp.uint32)
+
+    def step(state: Tree, seen: Seen, action: jax.Array) -> tuple[Moved, jax.Array]:
+        applied = networks.to_environment(action, twin.action)
+        return twin.step(state, applied.reshape(-1, *action.shape[2:]), params), seen.acting
+
+    def wait(state: Tree, seen: Seen, action: jax.Array) -> tuple[Moved, jax.Array]:
+        nobody = jnp.zeros_like(seen.acting)
+        return Moved(state, nobody.astype(jnp.float32), nobody), nobody
+
     def one(state: Tree, moment: jax.Array) -> tuple[Tree, tuple[jax.Array, ...]]:
         seen = twin.observe(state, params)
         obs = split(seen.obs)
         outputs = _outputs(actor, obs, activation)
-        action = _sampled(twin, actor, outputs, flat, moment)
-        applied = networks.to_environment(action, twin.action).reshape(-1, *action.shape[2:])
-        moved = twin.step(state, applied, params)
-        row = (obs, outputs, action, *map(split, (seen.acting, moved.reward, moved.done)))
+        action = _sampled(twin, actor, outputs, flat, moment - idle)
+        if lasting is None:
+            moved, acting = step(state, seen, action)
+        else:
+            moved, acting = jax.lax.cond(moment >= idle, step, wait, state, seen, action)
+        row = (obs, outputs, action, *map(split, (acting, moved.reward, moved.done)))
         return moved.state, row
 
     moments = jnp.arange(decisions, dtype=jnp.uint32)

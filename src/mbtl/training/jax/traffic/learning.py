@@ -96,13 +96,9 @@ def train(
         InvalidInput: there are no seeds, or a number is below 1.
         TrainingFailed: weights are no longer finite.
     """
-    for name, value in (("episodes", episodes), ("checkpoint_episodes", checkpoint_episodes)):
-        if value < 1:
-            raise InvalidInput(f"{name} must be >= 1, got {value}")
+    check_counts(episodes=episodes, checkpoint_episodes=checkpoint_episodes)
     if not seeds:
         raise InvalidInput("training takes at least one seed, got none")
-    every = checkpoint_every or math.ceil(episodes / BLOCKS)
-    total, block = (math.ceil(count / recipe.n_episodes) for count in (episodes, every))
     decisions = twin.decisions(params)
     test_params = _per_episode(params, checkpoint_episodes)
     params = _per_episode(params, recipe.n_episodes)
@@ -110,15 +106,55 @@ def train(
     tests = np.array(
         [[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers] for seed in seeds], np.uint32
     )
+
+    def learn(training: Training, count: int) -> Training:
+        learnt: Training = _updates(twin, recipe, decisions, training, params, count)
+        return learnt
+
+    def judge(actor: Actor) -> jax.Array:
+        found = scores(twin, recipe.activation, "sampled", actor, tests, test_params, decisions)
+        return found.mean(axis=1)
+
     training = start(twin, recipe, seeds, params) if resume is None else resume
+    every = checkpoint_every or math.ceil(episodes / BLOCKS)
+    return in_blocks(recipe, training, (episodes, every), learn, judge, on_block)
+
+
+def check_counts(**counts: int) -> None:
+    """Raises `InvalidInput` where one is below 1."""
+    for name, value in counts.items():
+        if value < 1:
+            raise InvalidInput(f"{name} must be >= 1, got {value}")
+
+
+def in_blocks(
+    recipe: TwinRecipe,
+    training: Training,
+    lengths: tuple[int, int],
+    learn: Callable[[Training, int], Training],
+    judge: Callable[[Actor], jax.Array],
+    on_block: Callable[[Block], None] | None,
+) -> Training:
+    """Learn and be judged in turns, and keep the best weights.
+
+    Args:
+        recipe: hyper-parameters.
+        training: from which to go on.
+        lengths: episodes per policy, and those between two judgements; rounded up to whole updates.
+        learn: training and a number of updates -> training.
+        judge: P policies -> (P,) mean scores.
+        on_block: told after each judgement.
+
+    Raises:
+        TrainingFailed: weights are no longer finite.
+    """
+    total, block = (math.ceil(count / recipe.n_episodes) for count in lengths)
     done = int(training.updates)
     while done < total:
         count = min(block, total - done)
-        training = _updates(twin, recipe, decisions, training, params, count)
+        training = learn(training, count)
         weights = training.state.weights
-        actor = Actor(weights.actor, weights.log_std)
-        latest = scores(twin, recipe.activation, "sampled", actor, tests, test_params, decisions)
-        training = keep_better(training, latest.mean(axis=1))
+        training = keep_better(training, judge(Actor(weights.actor, weights.log_std)))
         done += count
         check_finite(finite_policies(weights), done * recipe.n_episodes)
         if on_block is not None:
@@ -142,15 +178,37 @@ def _updates(
     params: Tree,
     count: jax.Array,
 ) -> Training:
-    update = partial(_ALGORITHMS[type(recipe)].learn, twin.action, recipe)
-    learn = jax.vmap(update, in_axes=(0, 0, 0, None))
-
     def one(i: jax.Array, state: State) -> State:
-        seeds = random.bits(state.seed, _EPISODE, training.updates + i, recipe.n_episodes).T
-        actor = Actor(state.weights.actor, state.weights.log_std)
-        lived = record(twin, recipe.activation, decisions, actor, seeds, params)
-        weights, memory = learn(state.weights, state.memory, lived, training.updates + i)
-        return State(weights, memory, state.seed)
+        return update(twin, recipe, decisions, state, training.updates + i, params)
 
     state: Any = jax.lax.fori_loop(0, count, one, training.state)
     return training._replace(state=state, updates=training.updates + count)
+
+
+def update(
+    twin: Twin,
+    recipe: TwinRecipe,
+    decisions: int,
+    state: State,
+    number: jax.Array,
+    params: Tree,
+    lasting: jax.Array | None = None,
+) -> State:
+    """Live through `n_episodes` of each policy and learn from them; within a compiled program.
+
+    Args:
+        twin: the dynamics.
+        recipe: hyper-parameters.
+        decisions: of an episode at most.
+        state: P policies.
+        number: of the update.
+        params: of one context, or of every simulation.
+        lasting: decisions of an episode in this context; None: as many as at most.
+    """
+    learn = partial(_ALGORITHMS[type(recipe)].learn, twin.action, recipe)
+    seeds = random.bits(state.seed, _EPISODE, number, recipe.n_episodes).T
+    actor = Actor(state.weights.actor, state.weights.log_std)
+    lived = record(twin, recipe.activation, decisions, actor, seeds, params, lasting)
+    policies = jax.vmap(learn, in_axes=(0, 0, 0, None))
+    weights, memory = policies(state.weights, state.memory, lived, number)
+    return State(weights, memory, state.seed)
