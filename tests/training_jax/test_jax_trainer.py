@@ -16,7 +16,7 @@ from mbtl.errors import InvalidInput, UnknownName
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import evaluation_seed, training_seed
 from mbtl.study import create_study
-from mbtl.training import JaxTrainer, SB3Trainer, jax_trainer
+from mbtl.training import JaxTrainer, SB3Trainer, mlp_trainer
 
 SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
 CMDP = get_cmdp("cartpole-length", engine="jax")
@@ -75,7 +75,7 @@ def test_switches_of_the_cmdp_reach_the_engine():
 
 
 def test_an_interrupted_training_goes_on_to_the_same_policies(tmp_path, monkeypatch):
-    monkeypatch.setattr(jax_trainer, "_SAVE_SECONDS", 0.0)
+    monkeypatch.setattr(mlp_trainer, "_SAVE_SECONDS", 0.0)
     partial, seen = tmp_path / "partial.npz", []
 
     def stop(progress):
