@@ -74,6 +74,21 @@ def test_a_baseline_that_saw_something_else_is_no_peer(tmp_path):
         assert ("multitask" in row.ours) == bool(expected)
 
 
+def test_where_policies_see_no_context_by_default_one_for_all_that_is_told_is_a_peer(tmp_path):
+    switches = {"visibility": "hidden", "engine": "jax", "obs": "fresh"}
+    matrix = TransferMatrix.of(
+        np.full((1, N, N), 10.0), bounds=(0, 100), provenance={"switches": switches}
+    )
+    save_shipped(matrix, tmp_path, "ring-acc")
+    for changes, peers in (({}, {"trpo"}), ({"obs": "stale"}, set())):
+        record = {"switches": {**switches, "visibility": "multiplier", "engine": "sumo", **changes}}
+        save_multitask(
+            np.ones(N), np.ones(N), record, tmp_path / "multitask", "ring-acc", "trpo", 0
+        )
+        (row,) = reproduce(budget=2, folder=tmp_path)
+        assert set(row.multitask) == peers
+
+
 def test_only_cmdps_with_matrices_are_shown_and_others_refused(folder):
     assert [row.cmdp for row in reproduce(folder=folder, budget=2)] == ["cartpole-length"]
     with pytest.raises(UnknownName, match="pendulum-mass"):

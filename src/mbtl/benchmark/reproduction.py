@@ -138,7 +138,7 @@ def _reproduced(
     multitask = {
         name: matrix.bounds.normalise(found.returns) @ matrix.problem(1).weights
         for name, found in baselines.items()
-        if _same_problem(found, matrix)
+        if _same_problem(found, matrix, variant)
     }
     able = default_selectors([matrix])
     curves = {
@@ -173,16 +173,16 @@ def _reproduced(
     )
 
 
-def _same_problem(baseline: MultiTask, matrix: TransferMatrix) -> bool:
-    """Whether both were trained with the same switches, e.g. the same visibility of the context.
+def _same_problem(baseline: MultiTask, matrix: TransferMatrix, variant: str) -> bool:
+    """Whether both were trained with the same switches; where they were simulated is free.
 
-    In SUMO a policy for all contexts is told which one it is in, also where others are not.
+    By default a policy for all contexts is told which one it is in, also where others are not.
     """
     records = (baseline.provenance[0], matrix.provenance["seeds"][0])
     one, other = (record.get("switches") for record in records)
     if one is None or other is None:
         return True
-    free = {"engine", "visibility"} if one.get("engine") == "sumo" else set()
+    free = {"engine", "visibility"} if variant == DEFAULT else {"engine"}
     return {k: v for k, v in one.items() if k not in free} == {
         k: v for k, v in other.items() if k not in free
     }
