@@ -38,7 +38,9 @@ CHOSEN: Mapping[str, tuple[str, int]] = {
     "cartpole": ("ratio", 3),
     "eco": ("ratio", 3),
     "pendulum": ("ratio", 3),
+    "ramp": ("ratio", 3),
     "ring": ("ratio", 4),
+    "signal": ("ratio", 3),
 }
 # end
 
