@@ -80,13 +80,15 @@ def test_where_policies_see_no_context_by_default_one_for_all_that_is_told_is_a_
         np.full((1, N, N), 10.0), bounds=(0, 100), provenance={"switches": switches}
     )
     save_shipped(matrix, tmp_path, "ring-acc")
+    save_shipped(matrix, tmp_path, "ring-acc", "final")
     for changes, peers in (({}, {"trpo"}), ({"obs": "stale"}, set())):
         record = {"switches": {**switches, "visibility": "multiplier", "engine": "sumo", **changes}}
         save_multitask(
             np.ones(N), np.ones(N), record, tmp_path / "multitask", "ring-acc", "trpo", 0
         )
-        (row,) = reproduce(budget=2, folder=tmp_path)
-        assert set(row.multitask) == peers
+        for variant in ("default", "final"):
+            (row,) = reproduce(budget=2, variant=variant, folder=tmp_path)
+            assert set(row.multitask) == peers
 
 
 def test_only_cmdps_with_matrices_are_shown_and_others_refused(folder):

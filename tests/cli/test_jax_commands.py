@@ -47,13 +47,36 @@ def test_an_interrupted_multitask_baseline_keeps_its_policy(mbtl_command, tmp_pa
     file.unlink()  # as if it had been interrupted in the evaluation
     (trained,) = (tmp_path / "runs").glob("*/trained.json")
     record = json.loads(trained.read_text())
-    trained.write_text(json.dumps({**record, "train_seconds": 123.4}))
+    trained.write_text(json.dumps({**record, "train_seconds_of_last_run": 123.4}))
     assert mbtl_command(*command, 1)[0] == 0
     again = load_multitask("ring-acc", folder=file.parent)["trpo"]
     assert again.returns == pytest.approx(first.returns)
-    assert again.provenance[0]["training"]["train_seconds"] == 123.4  # not trained again
+    assert again.provenance[0]["training"]["train_seconds_of_last_run"] == 123.4
     file.unlink()
     assert "other settings (episodes)" in mbtl_command(*command, 2)[2]
+
+
+def test_a_multitask_policy_of_a_twin_keeps_through_an_interruption(mbtl_command, tmp_path):
+    command = (
+        "matrix", "multitask", "ring-vel", "--preset", "quick", "--episodes", 2, "--factor", 2,
+        "--eval-episodes", 1, "--seeds", 1,
+    )  # fmt: skip
+    code, _, err = mbtl_command(*command)
+    assert code == 0, err
+    (file,) = (tmp_path / "matrices/multitask").glob("ring-vel-trpo-x2-seed0.npz")
+    (first,) = load_multitask("ring-vel", folder=file.parent).values()
+    recipe = first.provenance[0]["recipe"]
+    assert (recipe["episodes"], recipe["hyperparameters"]["n_episodes"]) == (4, 2)
+    assert recipe["contexts"] == "uniform, one per update"
+    assert "there already" in mbtl_command(*command, "--engine", "jax")[2]
+    assert "in jax, got" in mbtl_command(*command, "--engine", "sumo")[2]
+    file.unlink()
+    (trained,) = (tmp_path / "runs").glob("*/trained.json")
+    written = trained.stat().st_mtime_ns
+    assert mbtl_command(*command)[0] == 0
+    assert trained.stat().st_mtime_ns == written
+    (again,) = load_multitask("ring-vel", folder=file.parent).values()
+    np.testing.assert_array_equal(again.returns, first.returns)
 
 
 def test_both_checkpoints_of_all_hundred_sources(mbtl_command):

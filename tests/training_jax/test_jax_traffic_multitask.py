@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput
+from mbtl.training import mlp_trainer
 from mbtl.training.jax.traffic import learning, multitask, trpo
 from mbtl.training.jax.traffic.episodes import Actor, record
 from mbtl.training.jax.traffic.recipes import TRPORecipe
@@ -87,6 +88,27 @@ def test_the_policy_is_told_the_context_and_an_unfinished_file_is_used_up(tmp_pa
     assert trainer.evaluate(policy, HOLDS, seed=1).shape == (3, 2)
     with pytest.raises(InvalidInput, match="at least one context"):
         train_on_all(trainer, [], 3)
+
+
+def test_an_interrupted_trainer_goes_on_to_the_same_policy(tmp_path, monkeypatch):
+    monkeypatch.setattr(mlp_trainer, "_SAVE_SECONDS", 0.0)
+    cmdp = get_cmdp("ring-vel", engine="jax", visibility="multiplier")
+    trainer = cmdp.trainer_for("quick", episodes=4)
+    heard, file = [], tmp_path / "training.npz"
+
+    def stop(progress):
+        heard.append(progress.step)
+        if len(heard) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_on_all(trainer, HOLDS[2:], 3, stop, partial=file)
+    assert file.is_file()
+    rest = train_on_all(trainer, HOLDS[2:], 3, stop, partial=file)
+    assert heard == [1, 2, 3, 3, 4]  # it went on after the second, the last that was saved
+    whole = train_on_all(trainer, HOLDS[2:], 3)
+    for a, b in zip(whole.weights, rest.weights, strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.slow

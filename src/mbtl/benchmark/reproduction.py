@@ -174,15 +174,17 @@ def _reproduced(
 
 
 def _same_problem(baseline: MultiTask, matrix: TransferMatrix, variant: str) -> bool:
-    """Whether both were trained with the same switches; where they were simulated is free.
+    """Whether both were trained with the same switches, wherever they were simulated.
 
-    By default a policy for all contexts is told which one it is in, also where others are not.
+    Where policies see no context by default, one for all contexts is told which one it is in.
     """
     records = (baseline.provenance[0], matrix.provenance["seeds"][0])
     one, other = (record.get("switches") for record in records)
     if one is None or other is None:
         return True
-    free = {"engine", "visibility"} if variant == DEFAULT else {"engine"}
+    free = {"engine"}
+    if other.get("visibility") == "hidden" and "hidden" not in variant:
+        free |= {"visibility"}
     return {k: v for k, v in one.items() if k not in free} == {
         k: v for k, v in other.items() if k not in free
     }

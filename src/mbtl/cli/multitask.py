@@ -39,7 +39,11 @@ def multitask(
         ),
     ] = None,
     factor: Annotated[
-        int, typer.Option(help="Length of the training, as a multiple of one source's.")
+        int,
+        typer.Option(
+            help="Length of the training, as a multiple of one source's; in a twin, episodes of "
+            "each of as many updates."
+        ),
     ] = 1,
     seeds: Annotated[int, typer.Option(help="Number of policies, one per seed.")] = 3,
     first_seed: Annotated[int, typer.Option(help="Seed of the first.")] = 0,
@@ -49,7 +53,7 @@ def multitask(
     ] = "paper",
     engine: Annotated[
         str | None,
-        typer.Option(help="jax, gymnasium or sumo.", show_default=False),
+        typer.Option(help="jax, gymnasium or sumo; default: that of the CMDP.", show_default=False),
     ] = None,
     timesteps: Annotated[
         int | None, typer.Option(help="Environment steps of one source; default: the preset's.")
@@ -58,7 +62,7 @@ def multitask(
         int | None, typer.Option(help="Episodes of one source, where those are counted.")
     ] = None,
     eval_episodes: Annotated[
-        int | None, typer.Option(help="Episodes per context; default: those of the matrices.")
+        int | None, typer.Option(help="Episodes per context; default: the preset's.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the finished files.")] = Path(
         "matrices/multitask"
@@ -79,6 +83,8 @@ def multitask(
             raise InvalidInput(f"--{name} must be >= 1, got {number}")
     cmdp = get_cmdp(cmdp_id, visibility="multiplier", engine=engine)
     job = _job(cmdp, method, factor, preset, timesteps, episodes, eval_episodes, work)
+    if engine == get_cmdp(cmdp_id).settings["engine"]:
+        engine = None
     given = {"method": method, "factor": factor if factor > 1 else None,
              "preset": preset if preset != "paper" else None, "engine": engine,
              "timesteps": timesteps, "episodes": episodes,
@@ -91,7 +97,7 @@ def multitask(
     }
     there = {seed for seed, file in files.items() if file.is_file()}
     for seed in there:  # before anything is trained
-        _check_made_by(files[seed], f"{command} {seed}")
+        _check_made_by(files[seed], f"{command} {seed}", cmdp)
     results = []
     for seed, file in files.items():
         if seed in there:
@@ -142,7 +148,7 @@ class _InJax:
 
 @dataclass(frozen=True)
 class _InSimulator:
-    """In SUMO or in a twin of it, as the matrices are by default."""
+    """By Stable-Baselines3, or in a twin."""
 
     cmdp: CMDP
     trainer: SB3Trainer | TwinTrainer
@@ -154,6 +160,8 @@ class _InSimulator:
         return self.trainer.episodes or getattr(self.trainer, "timesteps", None) or 0
 
     def run(self, seed: int, on_step: OnStep) -> Found:
+        from mbtl.training.multitask import recipe_on_all
+
         space = self.cmdp.space
         chosen = training_seed(seed, MATRIX_TRIAL, space.n)  # that of the source after the last
         policy, trained = self._policy(seed, chosen, on_step)
@@ -163,9 +171,8 @@ class _InSimulator:
             contexts = space.contexts[first : first + _TOGETHER]
             rows.append(self.trainer.evaluate(policy, contexts, play))
         returns = np.concatenate(rows)
-        unit = "update" if isinstance(self.trainer, TwinTrainer) else "episode"
         record = {
-            "recipe": {**self.trainer.recipe, "contexts": f"uniform, one per {unit}"},
+            "recipe": recipe_on_all(self.trainer),
             "seed": seed,
             "training_seed": chosen,
             "training": trained,
@@ -174,11 +181,11 @@ class _InSimulator:
 
     def _policy(self, seed: int, chosen: int, on_step: OnStep) -> tuple[Any, dict[str, Any]]:
         """Trained now or by an interrupted run, and by which code and how long that was."""
-        from mbtl.training.multitask import train_on_all
+        from mbtl.training.multitask import recipe_on_all, train_on_all
 
         cmdp = self.cmdp
         folder = self.work / f"multitask-{cmdp.id}-{self.name}-seed{seed}"
-        recipe = {k: v for k, v in self.trainer.recipe.items() if k != "eval_episodes"}
+        recipe = {k: v for k, v in recipe_on_all(self.trainer).items() if k != "eval_episodes"}
         decides = {"version": cmdp.version, "switches": dict(cmdp.settings), "seed": seed, **recipe}
         claim_folder(folder, decides, "a multi-task policy")
         done = folder / "trained.json"
@@ -197,7 +204,7 @@ class _InSimulator:
             on_progress,
             partial=folder / "training.npz",
         )
-        trained = {"train_seconds": round(time.process_time() - begin, 1), **origin}
+        trained = {"train_seconds_of_last_run": round(time.process_time() - begin, 1), **origin}
         (folder / "policy").mkdir(exist_ok=True)
         self.trainer.save(policy, folder / "policy")
         with whole_file(done) as file:
@@ -234,10 +241,13 @@ def _job(
     if getattr(trainer, "timesteps", None) is not None:
         unit, wanted, unused = "timesteps", timesteps, episodes
     if unused is not None:
-        raise InvalidInput(f"{cmdp.id!r} counts {unit}, got another length; use --{unit}")
+        got = "--timesteps" if unit == "episodes" else "--episodes"
+        raise InvalidInput(f"{cmdp.id!r} counts {unit}, got {got}; use --{unit}")
     changes: dict[str, Any] = {"eval_episodes": eval_episodes} if eval_episodes else {}
     if isinstance(trainer, TwinTrainer):  # as many updates as one source has, each of more episodes
-        changes["hyperparameters"] = {**trainer.hyperparameters, "n_episodes": factor}
+        own_changes = trainer.hyperparameters
+        each = factor * own_changes.get("n_episodes", 1)
+        changes["hyperparameters"] = {**own_changes, "n_episodes": each}
     changes[unit] = (wanted or getattr(trainer, unit)) * factor
     return _InSimulator(cmdp, replace(trainer, **changes), own + suffix, work)
 
@@ -271,12 +281,14 @@ def _one(job: _InJax | _InSimulator, seed: int, command: str, out: Path) -> None
     save_multitask(returns, std, provenance, out, cmdp.id, job.name, seed)
 
 
-def _check_made_by(file: Path, command: str) -> None:
+def _check_made_by(file: Path, command: str, cmdp: CMDP) -> None:
     """Options are not in the name of a file: another command's must not pass for this one's."""
-    made_by = read_multitask(file).provenance[0]["command"]
-    if made_by != command:
+    record = read_multitask(file).provenance[0]
+    place, here_now = record["switches"]["engine"], cmdp.settings["engine"]
+    if (record["command"], place) != (command, here_now):
         raise InvalidInput(
-            f"{file} was made by {made_by!r}, got {command!r}; choose another --out, or remove it"
+            f"{file} was made by {record['command']!r} in {place}, got {command!r} in {here_now}; "
+            "choose another --out, or remove it"
         )
 
 

@@ -112,14 +112,16 @@ class Auto:
             costs = problem.costs / problem.costs.mean()
         counted = np.flatnonzero(problem.weights > 0)
         wide = _spread(problem, counted, self.final_targets)
-        # a few targets on several axes are a sample, with its luck; on a line they are even
-        outlook = beliefs.row_gain(beliefs.targets if problem.is_line else wide)
+        outlook = first = beliefs.row_gain(beliefs.targets)
+        if not problem.is_line and len(wide) > len(beliefs.targets):
+            # a few targets on several axes are a sample, with its luck; on a line they are even
+            outlook = beliefs.row_gain(wide)
         search = partial(_search, problem, np.flatnonzero(mask), self.most_candidates, costs=costs)
         lonely = self._least_covered(problem, history, wide, search, costs)
         if lonely is not None and problem.least_gain is None:
             return Proposal(lonely, _LONELY, outlook.said(lonely))
-        candidates, gain = search(beliefs.row_gain(beliefs.targets).expected)
-        if len(outlook.targets) > len(beliefs.targets):
+        candidates, gain = search(first.expected)
+        if outlook is not first:
             few = _finalists(gain / costs[candidates], self.most_candidates, self.finalists)
             candidates = candidates[np.union1d(few, gain.argmax())]
             gain = outlook.expected(candidates)

@@ -52,6 +52,13 @@ def train_on_all(
     return for_all_contexts(trainer, contexts).train(contexts[0], seed, on_progress)
 
 
+def recipe_on_all(trainer: SB3Trainer | TwinTrainer) -> dict[str, Any]:
+    """What decides the policy of `train_on_all` and its returns, JSON-able."""
+    if isinstance(trainer, TwinTrainer):
+        return trainer.recipe_on_all
+    return {**trainer.recipe, "contexts": "uniform, one per episode"}
+
+
 def for_all_contexts(trainer: SB3Trainer, contexts: Sequence[Context]) -> SB3Trainer:
     """The same trainer, whose every episode is in a context drawn uniformly from `contexts`.
 

@@ -146,6 +146,9 @@ class TwinTrainer(MLPTrainer):
     ) -> MLPPolicy:
         """Train one policy for all contexts, each update in one that is drawn uniformly.
 
+        It is judged on all of them 20 times, two episodes each: of few contexts or for short
+        trainings that is most of the work.
+
         Args:
             contexts: of which to draw.
             seed: training seed.
@@ -214,6 +217,12 @@ class TwinTrainer(MLPTrainer):
             "checkpoint_episodes": self.checkpoint_episodes,
             "eval_episodes": self.eval_episodes,
         }
+
+    @property
+    def recipe_on_all(self) -> dict[str, Any]:
+        """As `recipe`, of `train_on_all`."""
+        own = {"contexts": "uniform, one per update", "checkpoint_every": "1/20"}
+        return {**self.recipe, **own, "checkpoint_episodes": "2 per context"}
 
     def _recipe(self) -> Any:
         import mbtl.training.jax  # noqa: F401  first: flags of jax

@@ -96,7 +96,7 @@ def train(
         InvalidInput: there are no seeds, or a number is below 1.
         TrainingFailed: weights are no longer finite.
     """
-    check_counts(episodes=episodes, checkpoint_episodes=checkpoint_episodes)
+    check_lengths(episodes=episodes, checkpoint_episodes=checkpoint_episodes)
     if not seeds:
         raise InvalidInput("training takes at least one seed, got none")
     decisions = twin.decisions(params)
@@ -120,7 +120,7 @@ def train(
     return in_blocks(recipe, training, (episodes, every), learn, judge, on_block)
 
 
-def check_counts(**counts: int) -> None:
+def check_lengths(**counts: int) -> None:
     """Raises `InvalidInput` where one is below 1."""
     for name, value in counts.items():
         if value < 1:

@@ -19,7 +19,7 @@ from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.loop import Block, Training
 from mbtl.training.jax.traffic import random
 from mbtl.training.jax.traffic.episodes import Actor, scores
-from mbtl.training.jax.traffic.learning import check_counts, in_blocks, start, update
+from mbtl.training.jax.traffic.learning import check_lengths, in_blocks, start, update
 from mbtl.training.jax.traffic.recipes import TwinRecipe
 from mbtl.training.jax.traffic.twin import Twin
 
@@ -59,7 +59,7 @@ def train_on_all(
         InvalidInput: a number is below 1.
         TrainingFailed: weights are no longer finite.
     """
-    check_counts(episodes=episodes, checkpoint_episodes=checkpoint_episodes)
+    check_lengths(episodes=episodes, checkpoint_episodes=checkpoint_episodes)
     lasting = [twin.decisions(one) for one in contexts]
     most = [max(d for d in lasting if d.bit_length() == own.bit_length()) for own in lasting]
     numbers = range(checkpoint_episodes)
