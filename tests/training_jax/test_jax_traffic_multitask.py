@@ -59,13 +59,12 @@ def test_contexts_are_drawn_for_every_update_and_a_training_goes_on_where_it_was
         return updated(*arguments)
 
     monkeypatch.setattr(multitask, "_updated", watched)
-    monkeypatch.setattr(multitask, "BLOCKS", 2)
     saved = []
 
     def keep(block):
         saved.append(engine.to_arrays(block.training))
 
-    options = {"checkpoint_episodes": 1}
+    options = {"checkpoints": 2, "checkpoint_episodes": 1}
     whole = multitask.train_on_all(twin, RECIPE, 7, params, 40, on_block=keep, **options)
     assert set(met) == {20, 15, 10}  # decisions of the three holds
     template = learning.start(twin, RECIPE, [7], params[0])

@@ -164,7 +164,8 @@ class _InSimulator:
 
         space = self.cmdp.space
         chosen = training_seed(seed, MATRIX_TRIAL, space.n)  # that of the source after the last
-        policy, trained = self._policy(seed, chosen, on_step)
+        recipe = recipe_on_all(self.trainer)
+        policy, trained = self._policy(recipe, seed, chosen, on_step)
         rows, play = [], evaluation_seed(seed, MATRIX_TRIAL)
         for first in range(0, space.n, _TOGETHER):
             on_step(self.length, self.length, f"evaluated on {first} of {space.n} contexts")
@@ -172,21 +173,23 @@ class _InSimulator:
             rows.append(self.trainer.evaluate(policy, contexts, play))
         returns = np.concatenate(rows)
         record = {
-            "recipe": recipe_on_all(self.trainer),
+            "recipe": recipe,
             "seed": seed,
             "training_seed": chosen,
             "training": trained,
         }
         return returns.mean(axis=1), returns.std(axis=1), record
 
-    def _policy(self, seed: int, chosen: int, on_step: OnStep) -> tuple[Any, dict[str, Any]]:
+    def _policy(
+        self, recipe: dict[str, Any], seed: int, chosen: int, on_step: OnStep
+    ) -> tuple[Any, dict[str, Any]]:
         """Trained now or by an interrupted run, and by which code and how long that was."""
-        from mbtl.training.multitask import recipe_on_all, train_on_all
+        from mbtl.training.multitask import train_on_all
 
         cmdp = self.cmdp
         folder = self.work / f"multitask-{cmdp.id}-{self.name}-seed{seed}"
-        recipe = {k: v for k, v in recipe_on_all(self.trainer).items() if k != "eval_episodes"}
         decides = {"version": cmdp.version, "switches": dict(cmdp.settings), "seed": seed, **recipe}
+        del decides["eval_episodes"]  # more of them need no other policy
         claim_folder(folder, decides, "a multi-task policy")
         done = folder / "trained.json"
         if done.is_file():

@@ -24,6 +24,8 @@ ALGORITHMS = ("TRPO", "PPO")
 
 _CPU_LANES = 25
 """Sources trained together on a CPU where contexts can be mixed: enough to fill its vectors."""
+_CHECKPOINTS, _EACH = 20, 2
+"""Evaluations of a policy for all contexts, and episodes of each on every context."""
 Acting = Literal["sampled", "mean"]
 
 Problem = Callable[[Sequence[Context]], tuple[Any, Sequence[Any]]]
@@ -178,7 +180,15 @@ class TwinTrainer(MLPTrainer):
         template = start(twin, recipe, [seed], params[0])
         halfway = saved_training(template, partial)
         training = train_on_all(
-            twin, recipe, seed, params, self.episodes, on_block=on_block, resume=halfway
+            twin,
+            recipe,
+            seed,
+            params,
+            self.episodes,
+            checkpoints=_CHECKPOINTS,
+            checkpoint_episodes=_EACH,
+            on_block=on_block,
+            resume=halfway,
         )
         weights = training.best if self.checkpoint == "best" else training.state.weights
         if partial is not None:
@@ -221,8 +231,8 @@ class TwinTrainer(MLPTrainer):
     @property
     def recipe_on_all(self) -> dict[str, Any]:
         """As `recipe`, of `train_on_all`."""
-        own = {"contexts": "uniform, one per update", "checkpoint_every": "1/20"}
-        return {**self.recipe, **own, "checkpoint_episodes": "2 per context"}
+        own = {"contexts": "uniform, one per update", "checkpoint_every": f"1/{_CHECKPOINTS}"}
+        return {**self.recipe, **own, "checkpoint_episodes": f"{_EACH} per context"}
 
     def _recipe(self) -> Any:
         import mbtl.training.jax  # noqa: F401  first: flags of jax

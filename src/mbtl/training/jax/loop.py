@@ -23,7 +23,7 @@ from mbtl.training.jax.clock import clock_at
 from mbtl.training.jax.environments import Environment, Tree
 from mbtl.training.jax.evaluation import episode_noise, own_returns
 from mbtl.training.jax.networks import Weights
-from mbtl.training.jax.recipes import Recipe
+from mbtl.training.jax.recipes import Recipe, check_lengths
 
 BLOCKS = 50
 """Evaluations per training unless told otherwise: one every 2 % of the steps."""
@@ -139,9 +139,7 @@ def train(
             cannot share the checkpoint's episodes evenly.
         TrainingFailed: weights are no longer finite.
     """
-    for name, value in (("timesteps", timesteps), ("checkpoint_episodes", checkpoint_episodes)):
-        if value < 1:
-            raise InvalidInput(f"{name} must be >= 1, got {value}")
+    check_lengths(timesteps=timesteps, checkpoint_episodes=checkpoint_episodes)
     shared_by = params.visible.shape[1] if params.visible.ndim == 3 else 1
     if checkpoint_episodes % shared_by:
         raise InvalidInput(

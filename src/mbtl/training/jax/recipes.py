@@ -16,11 +16,16 @@ _STEPS_PER_CALL = 256
 """A2C and DQN learn every few steps: as many of those as give this many steps are one update."""
 
 
+def check_lengths(**counts: int) -> None:
+    """Refuse numbers that are below 1."""
+    for name, value in counts.items():
+        if value < 1:
+            raise InvalidInput(f"{name} must be >= 1, got {value}")
+
+
 def check_counts(recipe: object, *names: str) -> None:
     """Refuse fields that are below 1."""
-    for name in names:
-        if getattr(recipe, name) < 1:
-            raise InvalidInput(f"{name} must be >= 1, got {getattr(recipe, name)}")
+    check_lengths(**{name: getattr(recipe, name) for name in names})
 
 
 def record_of(recipe: Any) -> dict[str, object]:

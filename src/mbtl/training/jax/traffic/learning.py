@@ -21,6 +21,7 @@ from mbtl.training.jax import networks
 from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.loop import Block, Training, check_finite, finite_policies, keep_better
 from mbtl.training.jax.networks import Weights
+from mbtl.training.jax.recipes import check_lengths
 from mbtl.training.jax.traffic import ppo, random, trpo
 from mbtl.training.jax.traffic.episodes import Actor, record, scores
 from mbtl.training.jax.traffic.recipes import EpisodicPPORecipe, TRPORecipe, TwinRecipe
@@ -118,13 +119,6 @@ def train(
     training = start(twin, recipe, seeds, params) if resume is None else resume
     every = checkpoint_every or math.ceil(episodes / BLOCKS)
     return in_blocks(recipe, training, (episodes, every), learn, judge, on_block)
-
-
-def check_lengths(**counts: int) -> None:
-    """Raises `InvalidInput` where one is below 1."""
-    for name, value in counts.items():
-        if value < 1:
-            raise InvalidInput(f"{name} must be >= 1, got {value}")
 
 
 def in_blocks(

@@ -17,14 +17,12 @@ import numpy as np
 from mbtl.seeds import Purpose, derive_seed
 from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.loop import Block, Training
+from mbtl.training.jax.recipes import check_lengths
 from mbtl.training.jax.traffic import random
 from mbtl.training.jax.traffic.episodes import Actor, scores
-from mbtl.training.jax.traffic.learning import check_lengths, in_blocks, start, update
+from mbtl.training.jax.traffic.learning import in_blocks, start, update
 from mbtl.training.jax.traffic.recipes import TwinRecipe
 from mbtl.training.jax.traffic.twin import Twin
-
-BLOCKS = 20
-"""Evaluations per training, each on all contexts."""
 
 _CONTEXT = 1 << 22  # stream of random numbers: the contexts of updates
 
@@ -36,8 +34,9 @@ def train_on_all(
     contexts: Sequence[Tree],
     episodes: int,
     *,
+    checkpoints: int,
+    checkpoint_episodes: int,
     on_block: Callable[[Block], None] | None = None,
-    checkpoint_episodes: int = 2,
     resume: Training | None = None,
 ) -> Training:
     """Train one policy on N contexts.
@@ -48,8 +47,9 @@ def train_on_all(
         seed: training seed of 32 bits.
         contexts: N >= 1 parameters, each of one context.
         episodes: over all contexts together, rounded up to whole updates.
-        on_block: called after each block, with episodes as steps.
+        checkpoints: evaluations, each on all contexts.
         checkpoint_episodes: per context of an evaluation, the same at every one.
+        on_block: called after each of them, with episodes as steps.
         resume: what an interrupted call had reached (given again with the same arguments).
 
     Returns:
@@ -59,7 +59,9 @@ def train_on_all(
         InvalidInput: a number is below 1.
         TrainingFailed: weights are no longer finite.
     """
-    check_lengths(episodes=episodes, checkpoint_episodes=checkpoint_episodes)
+    check_lengths(
+        episodes=episodes, checkpoints=checkpoints, checkpoint_episodes=checkpoint_episodes
+    )
     lasting = [twin.decisions(one) for one in contexts]
     most = [max(d for d in lasting if d.bit_length() == own.bit_length()) for own in lasting]
     numbers = range(checkpoint_episodes)
@@ -82,7 +84,7 @@ def train_on_all(
         return jnp.stack(found).mean(axis=0)
 
     training = start(twin, recipe, [seed], contexts[0]) if resume is None else resume
-    lengths = episodes, math.ceil(episodes / BLOCKS)
+    lengths = episodes, math.ceil(episodes / checkpoints)
     return in_blocks(recipe, training, lengths, learn, judge, on_block)
 
 
