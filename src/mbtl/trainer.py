@@ -87,7 +87,8 @@ class ManyTrainer(Protocol):
     ) -> dict[str, list[Any]]:
         """One policy per (context, seed), for each checkpoint of `keep` ("best", "final").
 
-        `partial` is a file for the state of an interrupted training, to go on from.
+        `partial` is a file for the state of an interrupted training, to go on from; the caller
+        removes it once the policies are safe.
         """
         ...
 

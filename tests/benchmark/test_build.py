@@ -35,6 +35,7 @@ class Several:
 
     def train_many(self, contexts, seeds, on_progress=None, *, keep=(), partial=None):
         self.calls.append(len(contexts))
+        partial.write_bytes(b"half of the training")
         shift = {"best": 0.0, "final": -10.0}
         return {
             k: [(c["x"] + shift[k], s) for c, s in zip(contexts, seeds, strict=True)] for k in keep
@@ -73,6 +74,7 @@ def test_both_checkpoints_come_from_one_training(tmp_path):
     assert trainer.calls == [2, 2, 1]
     np.testing.assert_allclose(one.rows("best")[0], expected())
     np.testing.assert_allclose(one.rows("final")[0], expected(-10.0))
+    assert not list((tmp_path / "work").glob("*partial*"))  # the rows are there
 
 
 def test_only_missing_pieces_are_done_again(tmp_path):

@@ -162,6 +162,12 @@ def perform(piece: Piece) -> None:
         arrays[f"{checkpoint}_std"] = returns.std(axis=2)
     arrays["seconds"] = np.array(time.perf_counter() - begin)
     write_npz(piece.path, arrays)
+    _partial(piece).unlink(missing_ok=True)
+
+
+def _partial(piece: Piece) -> Path:
+    """Of an interrupted training."""
+    return piece.path.with_suffix(".partial.npz")
 
 
 def _returns(piece: Piece) -> dict[str, Array]:
@@ -172,7 +178,7 @@ def _returns(piece: Piece) -> dict[str, Array]:
             piece.contexts,
             piece.seeds,
             keep=piece.keep,
-            partial=piece.path.with_suffix(".partial.npz"),
+            partial=_partial(piece),
         )
         return {
             checkpoint: np.stack(

@@ -200,18 +200,20 @@ class _InSimulator:
             on_step(progress.step, progress.total, note)
 
         begin, origin = time.process_time(), here()
+        partial = folder / "training.npz"
         policy = train_on_all(
             self.trainer,
             cmdp.space.contexts,
             chosen,
             on_progress,
-            partial=folder / "training.npz",
+            partial=partial,
         )
         trained = {"train_seconds_of_last_run": round(time.process_time() - begin, 1), **origin}
         (folder / "policy").mkdir(exist_ok=True)
         self.trainer.save(policy, folder / "policy")
         with whole_file(done) as file:
             file.write(json.dumps(trained).encode())
+        partial.unlink(missing_ok=True)
         return policy, trained
 
 

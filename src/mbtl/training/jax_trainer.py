@@ -18,7 +18,7 @@ from mbtl.contexts import Context
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
 from mbtl.trainer import OnProgress, Progress
-from mbtl.training.mlp_trainer import MLPTrainer, saved_training, saver
+from mbtl.training.mlp_trainer import MLPTrainer
 
 ALGORITHMS = ("PPO", "A2C", "DQN")
 
@@ -99,7 +99,7 @@ class JaxTrainer(MLPTrainer):
             on_progress: told steps of one policy, and the mean return of the latest evaluations.
             keep: "best" weights, "final" weights, or both; the best alone may need fewer steps.
             partial: file in which to save the training now and then, and from which to go on if it
-                is there. Removed at the end.
+                is there. Remove it when the policies are safe.
 
         Returns:
             P policies under each name of `keep`.
@@ -108,13 +108,13 @@ class JaxTrainer(MLPTrainer):
 
         env, params = self.problem(contexts)
         recipe = self._recipe()
-        save = saver(partial)
+        saved = engine.SavedTraining(partial)
 
         def on_block(block: engine.Block) -> None:
             if on_progress is not None:
                 latest = float(np.mean(block.training.latest_return))
                 on_progress(Progress(block.steps, block.total, {"episode_return": latest}))
-            save(block.training)
+            saved.save(block.training)
 
         training = engine.train(
             env,
@@ -126,11 +126,9 @@ class JaxTrainer(MLPTrainer):
             checkpoint_every=self.checkpoint_every,
             checkpoint_episodes=self.checkpoint_episodes,
             only_best="final" not in keep,
-            resume=saved_training(engine.start(env, recipe, seeds, params), partial),
+            resume=saved.load(lambda: engine.start(env, recipe, seeds, params)),
         )
         weights = {"best": training.best, "final": training.state.weights}
-        if partial is not None:
-            partial.unlink(missing_ok=True)
         return {k: engine.export_policies(env, weights[k], recipe.activation) for k in keep}
 
     def evaluate_many(

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import time
-import zipfile
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput, MbtlError, unknown_name
-from mbtl.files import whole_file
+from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.trainer import OnProgress, checked_returns
 
@@ -107,34 +102,3 @@ class MLPTrainer:
             if name not in known:
                 raise unknown_name(f"hyperparameter of {self.algorithm}", name, known)
         return replace(named, **self.hyperparameters)
-
-
-def saver(partial: Path | None) -> Callable[[Any], None]:
-    """A function that is told a `mbtl.training.jax.Training`, and saves it now and then."""
-    saved_at = time.monotonic()
-
-    def save(training: Any) -> None:
-        import mbtl.training.jax as engine
-
-        nonlocal saved_at
-        if partial is None or time.monotonic() - saved_at < _SAVE_SECONDS:
-            return
-        with whole_file(partial) as file:
-            np.savez(file, **engine.to_arrays(training))  # type: ignore[arg-type]
-        saved_at = time.monotonic()
-
-    return save
-
-
-def saved_training(template: Any, partial: Path | None) -> Any:
-    """What was saved, or None where there is nothing that fits: then it starts anew."""
-    import mbtl.training.jax as engine
-
-    if partial is None or not partial.is_file():
-        return None
-    try:
-        # opened here: numpy leaves a file that is no archive open
-        with partial.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return engine.from_arrays(template, arrays)
-    except (MbtlError, ValueError, OSError, zipfile.BadZipFile):
-        return None

@@ -18,7 +18,7 @@ from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
 from mbtl.trainer import OnProgress, Progress
-from mbtl.training.mlp_trainer import MLPTrainer, saved_training, saver
+from mbtl.training.mlp_trainer import MLPTrainer
 
 ALGORITHMS = ("TRPO", "PPO")
 
@@ -156,7 +156,7 @@ class TwinTrainer(MLPTrainer):
             seed: training seed.
             on_progress: told episodes, and the mean score on all contexts.
             partial: file in which to save the training now and then, and from which to go on if it
-                is there. Removed at the end.
+                is there. Remove it when the policy is safe.
 
         Raises:
             InvalidInput: there are no contexts.
@@ -167,18 +167,16 @@ class TwinTrainer(MLPTrainer):
 
         if not contexts:
             raise InvalidInput("multi-task training takes at least one context, got none")
-        save = saver(partial)
+        saved = engine.SavedTraining(partial)
 
         def on_block(block: engine.Block) -> None:
             if on_progress is not None:
                 score = float(block.training.latest_return[0])
                 on_progress(Progress(block.steps, block.total, {"score": score}, "episodes"))
-            save(block.training)
+            saved.save(block.training)
 
         twin, params = self.problem(contexts)
         recipe = self._recipe()
-        template = start(twin, recipe, [seed], params[0])
-        halfway = saved_training(template, partial)
         training = train_on_all(
             twin,
             recipe,
@@ -188,11 +186,9 @@ class TwinTrainer(MLPTrainer):
             checkpoints=_CHECKPOINTS,
             checkpoint_episodes=_EACH,
             on_block=on_block,
-            resume=halfway,
+            resume=saved.load(lambda: start(twin, recipe, [seed], params[0])),
         )
         weights = training.best if self.checkpoint == "best" else training.state.weights
-        if partial is not None:
-            partial.unlink(missing_ok=True)
         return engine.export_policies(twin, weights, recipe.activation)[0]
 
     def evaluate_many(

@@ -32,6 +32,7 @@ from mbtl.training.jax.recipes import (
     multitask_recipe,
     recipe_named,
 )
+from mbtl.training.jax.saving import SavedTraining
 
 __all__ = [
     "RECIPES",
@@ -45,6 +46,7 @@ __all__ = [
     "PPORecipe",
     "Pendulum",
     "Recipe",
+    "SavedTraining",
     "Training",
     "episode_noise",
     "evaluate",

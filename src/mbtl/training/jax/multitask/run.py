@@ -26,7 +26,7 @@ from mbtl.files import claim_folder, whole_file
 from mbtl.seeds import MATRIX_TRIAL, episode_seed, evaluation_seed, training_seed
 from mbtl.training.jax.environments import Environment, Tree
 from mbtl.training.jax.evaluation import episode_noise
-from mbtl.training.jax.loop import Block, Training, from_arrays, to_arrays
+from mbtl.training.jax.loop import Block, Training
 from mbtl.training.jax.multitask.training import (
     CHECKPOINT_EPISODES,
     evaluate_multitask,
@@ -34,10 +34,9 @@ from mbtl.training.jax.multitask.training import (
     train_multitask,
 )
 from mbtl.training.jax.recipes import MultiTaskRecipe
+from mbtl.training.jax.saving import SavedTraining
 
 CHECKPOINTS = ("best", "final")
-
-_SAVE_SECONDS = 30.0
 
 OnProgress = Callable[[int, int, int, float], None]
 """Called with (seed, steps done, steps planned, mean return over all contexts)."""
@@ -106,7 +105,9 @@ def run_multitask(
     rows: dict[str, list[tuple[Array, Array]]] = {name: [] for name in CHECKPOINTS}
     records = []
     for seed in seeds:
-        training, seconds = _trained(env, recipe, params, seed, timesteps, place, on_progress)
+        begin = time.monotonic()
+        training = _trained(env, recipe, params, seed, timesteps, place, on_progress)
+        seconds = round(time.monotonic() - begin, 1)
         noise = episode_noise(
             env, [episode_seed(evaluation_seed(seed, MATRIX_TRIAL), e) for e in range(episodes)]
         )
@@ -125,7 +126,7 @@ def run_multitask(
                 "training_seed": _seed_of(params, seed),
                 "steps": int(training.updates) * recipe.steps_per_update,
                 "checkpoint_return": float(training.best_return[0]),
-                "train_seconds": round(seconds, 1),
+                "train_seconds_of_last_run": seconds,
             }
         )
     return MultiTaskRun(
@@ -143,31 +144,24 @@ def _trained(
     timesteps: int,
     folder: Path,
     on_progress: OnProgress | None,
-) -> tuple[Training, float]:
-    """The training of one seed, from where it was, and the seconds it took altogether."""
-    file, seeds = folder / f"seed{seed}.npz", [_seed_of(params, seed)]
-    halfway, before = None, 0.0
-    if file.exists():
-        arrays = _load(file)
-        before = float(arrays["seconds"])
-        halfway = from_arrays(start_multitask(env, recipe, seeds, params), arrays)
-    begin = saved_at = time.monotonic()
-
-    def save(training: Training) -> None:
-        nonlocal saved_at
-        saved_at = time.monotonic()
-        _save(file, {**to_arrays(training), "seconds": np.array(before + saved_at - begin)})
+) -> Training:
+    """The training of one seed, from where it was."""
+    saved, seeds = SavedTraining(folder / f"seed{seed}.npz"), [_seed_of(params, seed)]
 
     def on_block(block: Block) -> None:
         if on_progress is not None:
             on_progress(seed, block.steps, block.total, float(block.training.latest_return[0]))
-        if block.steps == block.total or time.monotonic() - saved_at > _SAVE_SECONDS:
-            save(block.training)
+        saved.save(block.training, now=block.steps == block.total)
 
-    training = train_multitask(
-        env, recipe, seeds, params, timesteps, on_block=on_block, resume=halfway
+    return train_multitask(
+        env,
+        recipe,
+        seeds,
+        params,
+        timesteps,
+        on_block=on_block,
+        resume=saved.load(lambda: start_multitask(env, recipe, seeds, params)),
     )
-    return training, float(_load(file)["seconds"])
 
 
 def _seed_of(params: Tree, root: int) -> int:
