@@ -11,9 +11,10 @@ pytest.importorskip("stable_baselines3")
 from gymnasium.spaces import Box, Discrete
 from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.utils import obs_as_tensor
 
-from mbtl.errors import InvalidInput, SimulationFailed
-from mbtl.training.shared import SharedRolloutBuffer, SharedVecEnv
+from mbtl.errors import InvalidInput, SimulationFailed, UnknownName
+from mbtl.training.shared import SharedRolloutBuffer, SharedVecEnv, TeamRolloutBuffer
 from mbtl.training.slots import Slots, is_blank
 
 LIVES = {"a": (0, 2), "b": (0, 5), "c": (2, 3), "d": (3, 6)}
@@ -143,15 +144,27 @@ def test_each_agent_gets_the_action_of_its_slot():
     assert slots.team.taken == [{"a": 4, "b": 5}, {"a": 4, "b": 5}, {"c": 4, "b": 5}]
 
 
+class Look(BaseCallback):
+    """What is learnt from."""
+
+    def _on_step(self):
+        return True
+
+    def _on_rollout_end(self):
+        self.buffer = self.model.rollout_buffer
+        self.taken = len(self.buffer.observations)
+        seen = obs_as_tensor(self.model._last_obs, "cpu")
+        self.ahead = self.model.policy.predict_values(seen).detach().numpy().ravel()
+
+    def of(self, name):
+        """(agent, time) -> rows, in order."""
+        rows = {}
+        for seen, x in zip(self.buffer.observations, getattr(self.buffer, name), strict=True):
+            rows.setdefault(tuple(np.rint(seen).astype(int)), []).append(float(np.ravel(x)[0]))
+        return rows
+
+
 def test_advantages_are_those_of_lone_agents_and_free_slots_are_not_learnt_from():
-    class Look(BaseCallback):
-        def _on_step(self):
-            return True
-
-        def _on_rollout_end(self):
-            self.buffer = self.model.rollout_buffer
-            self.taken = len(self.buffer.observations)
-
     env, look = SharedVecEnv([Script], slots=3), Look()
     model = PPO(
         "MlpPolicy",
@@ -168,14 +181,73 @@ def test_advantages_are_those_of_lone_agents_and_free_slots_are_not_learnt_from(
     model.learn(6, callback=look)
     assert look.taken == sum(end - first for first, end in LIVES.values())
     assert not is_blank(look.buffer.observations).any()
-    returns = {
-        (int(car), int(t)): float(r)
-        for (car, t), r in zip(look.buffer.observations, look.buffer.returns.ravel(), strict=True)
-    }
-    assert returns[0, 0] == pytest.approx(reward_of("a", 0) + 0.5 * reward_of("a", 1), abs=1e-6)
-    assert returns[2, 2] == pytest.approx(reward_of("c", 2), abs=1e-6)
+    returns = look.of("returns")
+    assert returns[0, 0] == pytest.approx([reward_of("a", 0) + 0.5 * reward_of("a", 1)], abs=1e-6)
+    assert returns[2, 2] == pytest.approx([reward_of("c", 2)], abs=1e-6)
     model.learn(6, callback=look, reset_num_timesteps=False)  # the buffer is whole again
     assert look.taken == 11
+
+
+class OneReward(Script):
+    """All have the same reward, and the end of time ends the task."""
+
+    def step(self, actions):
+        time = self.time
+        seen, rewards, gone, over, infos = super().step(actions)
+        ended = {car: gone[car] or over[car] for car in gone}
+        shared = dict.fromkeys(rewards, 2.0**-time)
+        return seen, shared, ended, dict.fromkeys(over, False), infos
+
+
+def test_a_team_is_credited_with_what_it_earns_after_an_agent_has_left():
+    gamma, lam, look = 0.5, 0.75, Look()
+    env = SharedVecEnv([OneReward, OneReward], slots=3, credit="team")
+    model = PPO(
+        "MlpPolicy",
+        env,
+        n_steps=12,  # two simulations
+        batch_size=36,
+        n_epochs=1,
+        gamma=gamma,
+        gae_lambda=lam,
+        device="cpu",
+        seed=0,
+        rollout_buffer_class=TeamRolloutBuffer,
+        rollout_buffer_kwargs={"slots": env.slots},
+    )
+    model.learn(12, callback=look)
+    assert look.taken == 4 * sum(end - first for first, end in LIVES.values())
+    values, returns, advantages = map(look.of, ("values", "returns", "advantages"))
+    due, value = 0.0, 0.0  # after the end
+    for time in reversed(range(6)):
+        acting = [ord(car) - ord("a") for car, (first, end) in LIVES.items() if first <= time < end]
+        due = 2.0**-time + gamma * ((1.0 - lam) * value + lam * due)
+        value = np.mean([values[agent, time] for agent in acting])
+        for agent in acting:
+            assert returns[agent, time] == pytest.approx([due] * 4, abs=1e-5)
+            own = np.array(values[agent, time])
+            assert advantages[agent, time] == pytest.approx(due - own, abs=1e-5)
+
+
+def test_a_rollout_that_ends_within_a_simulation_goes_on_with_the_team():
+    look = Look()
+    env = SharedVecEnv([OneReward], slots=3, credit="team")
+    model = A2C(
+        "MlpPolicy",
+        env,
+        n_steps=4,
+        gamma=0.5,
+        gae_lambda=1.0,
+        device="cpu",
+        seed=0,
+        rollout_buffer_class=TeamRolloutBuffer,
+        rollout_buffer_kwargs={"slots": 3},
+    )
+    model.learn(4, callback=look)
+    after = look.ahead[:2].mean()  # of agents d and b; the third slot is free
+    assert look.of("returns")[3, 3] == pytest.approx([2.0**-3 + 0.5 * after], abs=1e-6)
+    assert not env.step(np.zeros(3, dtype=int))[2].any()
+    assert env.step(np.zeros(3, dtype=int))[2].all()  # the simulation ends, for all slots
 
 
 def test_more_agents_than_slots_and_teams_without_agents_are_errors():
@@ -185,6 +257,8 @@ def test_more_agents_than_slots_and_teams_without_agents_are_errors():
         SharedVecEnv([Script])
     with pytest.raises(InvalidInput, match="at least one"):
         SharedVecEnv([])
+    with pytest.raises(UnknownName, match="own, team"):
+        SharedVecEnv([Script], slots=3, credit="others")
     with pytest.raises(SimulationFailed, match="without any"):
         Slots(partial(Script, {}), 1).reset()
 

@@ -41,6 +41,7 @@ class Preset:
         checkpoint: which policy a training returns, the last or the best of its own evaluations.
         checkpoint_episodes: episodes of each such evaluation.
         acting: how a policy's actions are chosen in evaluations, "mean" or "sampled".
+        credit: whose rewards an action of a team is worth in training, "own" or "team".
         normalize_reward: rewards are brought to one scale in training.
         n_envs: environments stepped together in training.
         description: one line for people.
@@ -56,6 +57,7 @@ class Preset:
     checkpoint: Literal["final", "best"] | None = None
     checkpoint_episodes: int | None = None
     acting: Literal["mean", "sampled"] | None = None
+    credit: Literal["own", "team"] | None = None
     normalize_reward: bool | None = None
     n_envs: int | None = None
     description: str = ""

@@ -31,6 +31,10 @@ deviation of the Gaussian does not depend on the state. Its rewards are scaled b
 
 _RING_TRPO = {**_TRPO, "learning_rate": 1e-4, "batch_size": 400}
 _RAMP_TRPO = {**_TRPO, "learning_rate": 1e-3}
+_NEAR_SIGHTED = {"gamma": 0.9, "n_critic_updates": 10}
+"""For few episodes on the ramp: what an instruction does to the traffic shows within ten of them,
+and all that comes later is noise. In 60 episodes, six policies of ramp-acc of 2, 10 and 25 s came
+to 2.1 m/s on their own hold with the paper's values, and to 6.0 with these."""
 
 _IN_TWIN = Preset(
     budget=15,
@@ -53,8 +57,16 @@ _TWIN_PRESETS = {
 }
 
 
-def _in_sumo(hyperparameters: Mapping[str, Any], **changes: Any) -> Mapping[str, Preset]:
-    """Advisory autonomy by Stable-Baselines3; an episode of 500 s takes up to a second."""
+def _in_sumo(
+    hyperparameters: Mapping[str, Any], for_few: Mapping[str, Any], **changes: Any
+) -> Mapping[str, Preset]:
+    """Advisory autonomy by Stable-Baselines3; an episode of 500 s takes up to a second.
+
+    Args:
+        hyperparameters: the paper's.
+        for_few: those that differ where there are fewer episodes.
+        **changes: of all presets.
+    """
     paper = Preset(
         budget=15,
         episodes=1000,
@@ -69,6 +81,7 @@ def _in_sumo(hyperparameters: Mapping[str, Any], **changes: Any) -> Mapping[str,
     paper = replace(paper, **changes)
     standard = replace(
         paper, episodes=200, eval_episodes=5, checkpoint="final",
+        hyperparameters={**hyperparameters, **for_few},
         description="a fifth of the paper's episodes in SUMO, final policy",
     )  # fmt: skip
     quick = replace(
@@ -84,7 +97,7 @@ def _ring(name: str, actions: str) -> Family:
         horizon=400,
         bounds=(0.0, 4.5),
         theta=0.005,
-        presets=_in_sumo(_RING_TRPO, normalize_reward=True),
+        presets=_in_sumo(_RING_TRPO, {}, normalize_reward=True),
         jax=TwinFamily("mbtl.cmdps.traffic.twins:RingProblem", _TWIN_PRESETS, {"actions": actions}),
         switches=("obs",),
         simulator="sumo",
@@ -99,7 +112,7 @@ def _ramp(name: str, checkpoint: str) -> Family:
         horizon=400,
         bounds=(0.0, 8.78),
         theta=0.005,
-        presets=_in_sumo(_RAMP_TRPO, checkpoint=checkpoint),
+        presets=_in_sumo(_RAMP_TRPO, _NEAR_SIGHTED, checkpoint=checkpoint, credit="team"),
         switches=("obs",),
         simulator="sumo",
         visibility="hidden",

@@ -61,6 +61,8 @@ class SB3Trainer:
         policy: the library's policy name ("MlpPolicy", "CnnPolicy", "MultiInputPolicy") or class.
         hyperparameters: keyword arguments of the algorithm. The value "episode" stands for the
             steps of one episode in the context, the environment's attribute `episode_steps`.
+        credit: whose rewards an action of a team is worth: the agent's "own" until it leaves, or
+            those of the "team" until the episode ends; see `mbtl.training.shared`.
         normalize_reward: divide rewards by the deviation of discounted returns (`VecNormalize`).
         eval_episodes: episodes per target in `evaluate`.
         acting: "mean": deterministic actions. "sampled": as in training, drawn from the seed of the
@@ -92,6 +94,7 @@ class SB3Trainer:
     algorithm: str | type = "PPO"
     policy: str | type = "MlpPolicy"
     hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+    credit: Literal["own", "team"] = "own"
     normalize_reward: bool = False
     eval_episodes: int = 10
     acting: Literal["mean", "sampled"] = "mean"
@@ -121,6 +124,8 @@ class SB3Trainer:
             raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
         if self.acting not in ("mean", "sampled"):
             raise unknown_name("way to act", self.acting, ("mean", "sampled"))
+        if self.credit not in ("own", "team"):
+            raise unknown_name("credit", self.credit, ("own", "team"))
         if (self.timesteps is None) == (self.episodes is None):
             raise InvalidInput(
                 "a training lasts a number of timesteps or of episodes, got "
@@ -146,9 +151,8 @@ class SB3Trainer:
             envs = self._training_envs(context, stack)
             team = _is_team(envs)
             if team and _on_policy(algorithm):
-                from mbtl.training.shared import SharedRolloutBuffer
-
-                settings.setdefault("rollout_buffer_class", SharedRolloutBuffer)
+                for name, value in self._buffer(envs.slots).items():
+                    settings.setdefault(name, value)
             lengths = {name: _steps(value, envs, name) for name, value in settings.items()}
             with warnings.catch_warnings():
                 if team or lengths != settings:  # minibatches of episodes are as they come
@@ -240,6 +244,8 @@ class SB3Trainer:
             record = {"episodes": self.episodes}
         if self.normalize_reward:
             record["normalize_reward"] = True
+        if self.credit != "own":
+            record["credit"] = self.credit
         return record if self.acting == "mean" else {**record, "acting": self.acting}
 
     def _training_envs(self, context: Context, stack: ExitStack) -> Any:
@@ -260,7 +266,7 @@ class SB3Trainer:
                     "rewards of agents that come and go cannot be normalised, got "
                     "normalize_reward=True; scale them in the environment"
                 )
-            envs: Any = SharedVecEnv(makers, processes=self.processes)
+            envs: Any = SharedVecEnv(makers, processes=self.processes, credit=self.credit)
         else:
             monitored = [partial(_monitored, one) for one in makers]
             envs = SubprocVecEnv(monitored) if self.processes else DummyVecEnv(monitored)
@@ -269,6 +275,15 @@ class SB3Trainer:
             gamma = self.hyperparameters.get("gamma", 0.99)
             envs = VecNormalize(envs, norm_obs=False, norm_reward=True, gamma=gamma)
         return envs
+
+    def _buffer(self, slots: int) -> dict[str, Any]:
+        """Arguments of an on-policy algorithm that keep free slots out of learning."""
+        from mbtl.training.shared import SharedRolloutBuffer, TeamRolloutBuffer
+
+        if self.credit == "own":
+            return {"rollout_buffer_class": SharedRolloutBuffer}
+        kwargs = {"slots": slots}
+        return {"rollout_buffer_class": TeamRolloutBuffer, "rollout_buffer_kwargs": kwargs}
 
     def _best_checkpoint(
         self, context: Context, seed: int, stack: ExitStack

@@ -10,6 +10,11 @@ On-policy algorithms keep the transitions of free slots out of learning with `Sh
 not in the loss, the advantages' normalisation, the entropy or the minibatches. Without it, and in
 replay buffers, a free slot is a one-step episode with reward 0, whose observation no agent has.
 
+Where all agents have the same reward, what one does is worth what the *team* earns until the
+simulation ends, also after that agent has left: credited with its own life only, an agent that
+drives on is paid less than one that stays and sees others arrive. `SharedVecEnv(credit="team")`
+with `TeamRolloutBuffer` does that.
+
 Steps that Stable-Baselines3 counts are those of slots, taken or free. Observations must not be
 normalised by its wrapper, which would count free slots and hide them; rewards neither.
 """
@@ -18,18 +23,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from mbtl.errors import InvalidInput, missing_extra
-from mbtl.training.slots import Slots, is_blank
+from mbtl.errors import InvalidInput, missing_extra, unknown_name
+from mbtl.training.slots import Slots, SlotStep, is_blank
 
 try:
     from stable_baselines3.common.buffers import RolloutBuffer
     from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnvWrapper
 except ModuleNotFoundError as error:
     raise missing_extra("stable-baselines3", "train") from error
+
+
+Credit = Literal["own", "team"]
+"""Whose rewards an action is worth: the agent's until it leaves, or the team's until the end."""
 
 
 class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is untyped for our checker
@@ -48,6 +57,7 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
         *,
         slots: int | None = None,
         processes: bool = False,
+        credit: Credit = "own",
     ) -> None:
         """Make the simulations; none runs before `reset`.
 
@@ -56,10 +66,15 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
             slots: agents per simulation at once; missing: the environments' `most_agents`.
             processes: one process per simulation. libsumo is then used in all of them; in one
                 process only the first simulation has it.
+            credit: "own": an episode of a slot ends when its agent leaves. "team": when the
+                simulation ends.
 
         Raises:
             InvalidInput: no simulation, or no number of slots.
+            UnknownName: another credit.
         """
+        if credit not in get_args(Credit):
+            raise unknown_name("credit", credit, get_args(Credit))
         if not make_teams:
             raise InvalidInput("a shared policy needs at least one simulation, got none")
         makers = [partial(Slots, make, slots) for make in make_teams]
@@ -70,6 +85,7 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
         super().__init__(venv, *single)
         self.slots = int(venv.observation_space.shape[0])
         self.num_envs = venv.num_envs * self.slots
+        self._credit = credit
         self.reset_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
 
     def reset(self) -> Any:
@@ -88,13 +104,16 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
         return (
             self._flat(seen),
             np.concatenate([step.rewards for step in steps]),
-            np.concatenate([step.dones for step in steps]),
+            np.concatenate([self._dones(step) for step in steps]),
             [info for step in steps for info in step.infos],
         )
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Lives of agents are reported as a monitor does, but none is wrapped."""
         return [False] * len(list(self._get_indices(indices)))
+
+    def _dones(self, step: SlotStep) -> Any:
+        return step.dones if self._credit == "own" else np.full(self.slots, step.ended)
 
     def _flat(self, seen: Any) -> Any:
         return seen.reshape(self.num_envs, *seen.shape[2:])
@@ -108,6 +127,8 @@ class SharedRolloutBuffer(RolloutBuffer):  # type: ignore[misc]  # as above
     """
 
     _full_size: tuple[int, int]
+    rewards: Any
+    values: Any
 
     def reset(self) -> None:
         """Empty it, at its full size again."""
@@ -119,8 +140,54 @@ class SharedRolloutBuffer(RolloutBuffer):  # type: ignore[misc]  # as above
     def compute_returns_and_advantage(self, last_values: Any, dones: Any) -> None:
         """As the base class does; then keep the rows in which an agent acted."""
         super().compute_returns_and_advantage(last_values, dones)
+        self._drop_free_slots()
+
+    def _drop_free_slots(self) -> None:
         taken = ~is_blank(self.swap_and_flatten(self.observations))
         for name in ("observations", "actions", "values", "log_probs", "advantages", "returns"):
             setattr(self, name, self.swap_and_flatten(getattr(self, name))[taken])
         self.buffer_size, self.n_envs = int(taken.sum()), 1
         self.generator_ready = True  # the rows are flat already
+
+
+class TeamRolloutBuffer(SharedRolloutBuffer):
+    """A `SharedRolloutBuffer` for `SharedVecEnv(credit="team")`.
+
+    The team's value is the mean of the values that its agents see, its reward the mean of theirs.
+    From these come the (lambda-)returns G_t of a simulation, the same for all who acted at t, and
+    an agent's advantage G_t - V(what it saw).
+    """
+
+    def __init__(self, *args: Any, slots: int, **kwargs: Any) -> None:
+        """As the base class.
+
+        Args:
+            *args: as there.
+            slots: of one simulation.
+            **kwargs: as there.
+        """
+        self._slots = slots
+        super().__init__(*args, **kwargs)
+
+    def compute_returns_and_advantage(self, last_values: Any, dones: Any) -> None:
+        """As in the base class, of the team.
+
+        What follows a rollout that ends within a simulation is worth what the slots see that were
+        taken in its last step.
+        """
+        taken = self._by_team(~is_blank(self.observations))
+        own = self.values
+        self.rewards, self.values = self._mean(self.rewards, taken), self._mean(own, taken)
+        last = self._mean(last_values.cpu().numpy().reshape(-1), taken[-1])
+        RolloutBuffer.compute_returns_and_advantage(self, last_values.new_tensor(last), dones)
+        self.values, self.advantages = own, self.returns - own
+        self._drop_free_slots()
+
+    def _mean(self, x: Any, taken: Any) -> Any:
+        """Of each simulation over the slots taken, in all of its slots; (..., n)."""
+        mean = np.where(taken, self._by_team(x), 0.0).sum(axis=-1) / taken.sum(axis=-1)
+        return np.repeat(mean, self._slots, axis=-1).astype(np.float32)
+
+    def _by_team(self, x: Any) -> Any:
+        """(..., n) -> (..., simulations, slots)."""
+        return np.reshape(x, (*x.shape[:-1], -1, self._slots))

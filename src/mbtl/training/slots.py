@@ -44,11 +44,13 @@ class SlotStep(NamedTuple):
         infos: (n_slots,) of the agents that acted; where one has left with its last observation
             "terminal_observation", "TimeLimit.truncated", and "episode" (its return and length).
             Exactly one has "score", with the other measures, when the simulation has ended.
+        ended: the simulation has ended.
     """
 
     rewards: NDArray[np.float32]
     dones: NDArray[np.bool_]
     infos: list[dict[str, Any]]
+    ended: bool
 
 
 class Slots(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untyped for our checker
@@ -115,8 +117,9 @@ class Slots(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untyped for ou
         actions = {car: action[k] for car, k in acting.items()}
         seen, rewards, terminated, truncated, infos = self.team.step(actions)
         n = len(self.present)
-        step = SlotStep(np.zeros(n, np.float32), np.ones(n, np.bool_), [{} for _ in range(n)])
         ended = not self.team.agents  # while there is time, traffic goes on until somebody comes
+        nothing: list[dict[str, Any]] = [{} for _ in range(n)]
+        step = SlotStep(np.zeros(n, np.float32), np.ones(n, np.bool_), nothing, ended)
         for car, k in acting.items():
             step.rewards[k] = rewards[car]
             self._returns[k] += rewards[car]
