@@ -33,8 +33,7 @@ _RING_TRPO = {**_TRPO, "learning_rate": 1e-4, "batch_size": 400}
 _RAMP_TRPO = {**_TRPO, "learning_rate": 1e-3}
 _NEAR_SIGHTED = {"gamma": 0.9, "n_critic_updates": 10}
 """For few episodes on the ramp: what an instruction does to the traffic shows within ten of them,
-and all that comes later is noise. In 60 episodes, six policies of ramp-acc of 2, 10 and 25 s came
-to 2.1 m/s on their own hold with the paper's values, and to 6.0 with these."""
+and all that comes later is noise. `benchmarks/ramp_learning.py` has what it is worth."""
 
 _IN_TWIN = Preset(
     budget=15,
