@@ -8,12 +8,14 @@ import pytest
 pytest.importorskip("gymnasium")
 pytest.importorskip("stable_baselines3")
 
+import gymnasium
 from gymnasium.spaces import Box, Discrete
 from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import obs_as_tensor
 
 from mbtl.errors import InvalidInput, SimulationFailed, UnknownName
+from mbtl.training import SB3Trainer
 from mbtl.training.shared import SharedRolloutBuffer, SharedVecEnv, TeamRolloutBuffer
 from mbtl.training.slots import Slots, is_blank
 
@@ -248,6 +250,37 @@ def test_a_rollout_that_ends_within_a_simulation_goes_on_with_the_team():
     assert look.of("returns")[3, 3] == pytest.approx([2.0**-3 + 0.5 * after], abs=1e-6)
     assert not env.step(np.zeros(3, dtype=int))[2].any()
     assert env.step(np.zeros(3, dtype=int))[2].all()  # the simulation ends, for all slots
+
+
+def make_team(context):
+    team = OneReward()
+    team.most_agents, team.possible_agents = 3, list(LIVES)
+    return team
+
+
+def test_the_trainer_credits_the_team_where_it_is_told_to():
+    options = {"timesteps": 36, "algorithm": "A2C", "hyperparameters": {"n_steps": 6}}
+    own = SB3Trainer(make_team, **options)
+    team = SB3Trainer(make_team, **options, credit="team")
+    assert "credit" not in own.recipe  # as it was before there was another
+    assert team.recipe["credit"] == "team"
+    weights = [trainer.train({}, seed=0).policy.state_dict() for trainer in (own, team)]
+    assert any((weights[0][name] != weights[1][name]).any() for name in weights[0])
+
+
+@pytest.mark.parametrize(
+    ("make_env", "algorithm", "got"),
+    [
+        (make_team, "DQN", "got such environment and DQN"),
+        (lambda context: gymnasium.make("CartPole-v1"), "A2C", "got no such environment and A2C"),
+    ],
+)
+def test_team_rewards_need_a_team_and_an_algorithm_that_can_credit_them(make_env, algorithm, got):
+    trainer = SB3Trainer(make_env, timesteps=10, algorithm=algorithm, credit="team")
+    with pytest.raises(InvalidInput, match=got):
+        trainer.train({}, seed=0)
+    with pytest.raises(UnknownName, match="own, team"):
+        SB3Trainer(make_env, timesteps=10, credit="others")
 
 
 def test_more_agents_than_slots_and_teams_without_agents_are_errors():

@@ -150,9 +150,15 @@ class SB3Trainer:
             best = self._best_checkpoint(context, seed, stack)
             envs = self._training_envs(context, stack)
             team = _is_team(envs)
-            if team and _on_policy(algorithm):
-                for name, value in self._buffer(envs.slots).items():
-                    settings.setdefault(name, value)
+            on_policy = _on_policy(algorithm)
+            if self.credit == "team" and not (team and on_policy):
+                raise InvalidInput(
+                    "credit='team' needs a PettingZoo parallel environment and an on-policy "
+                    f"algorithm, got {'' if team else 'no '}such environment and "
+                    f"{algorithm.__name__}; use credit='own'"
+                )
+            if team and on_policy and "rollout_buffer_class" not in settings:
+                settings |= self._buffer(envs.slots)
             lengths = {name: _steps(value, envs, name) for name, value in settings.items()}
             with warnings.catch_warnings():
                 if team or lengths != settings:  # minibatches of episodes are as they come

@@ -67,7 +67,8 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
             processes: one process per simulation. libsumo is then used in all of them; in one
                 process only the first simulation has it.
             credit: "own": an episode of a slot ends when its agent leaves. "team": when the
-                simulation ends.
+                simulation ends; for `TeamRolloutBuffer`, as others would take the next agent of the
+                slot for the same.
 
         Raises:
             InvalidInput: no simulation, or no number of slots.
