@@ -3,7 +3,7 @@
 Stable-Baselines3 steps a fixed number of environments; each of ours is a slot (see `slots`), so an
 agent's life is an episode and every algorithm runs unchanged:
 
-    env = SharedVecEnv([partial(RampAcc, {"hold": 10.0})] * 2, processes=True)
+    env = SharedVecEnv([partial(Eco, {"green": 20.0})] * 2, processes=True)
     model = PPO("MlpPolicy", env, rollout_buffer_class=SharedRolloutBuffer)
 
 On-policy algorithms keep the transitions of free slots out of learning with `SharedRolloutBuffer`:
@@ -13,7 +13,7 @@ replay buffers, a free slot is a one-step episode with reward 0, whose observati
 Where all agents have the same reward, what one does is worth what the *team* earns until the
 simulation ends, also after that agent has left: credited with its own life only, an agent that
 drives on is paid less than one that stays and sees others arrive. `SharedVecEnv(credit="team")`
-with `TeamRolloutBuffer` does that.
+with `TeamRolloutBuffer` does that; the ramp needs it.
 
 Steps that Stable-Baselines3 counts are those of slots, taken or free. Observations must not be
 normalised by its wrapper, which would count free slots and hide them; rewards neither.
