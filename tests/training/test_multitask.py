@@ -79,7 +79,8 @@ def test_bad_sets_of_contexts_are_refused():
 def test_one_policy_serves_all_contexts_that_it_is_told():
     trainer = SB3Trainer(
         Told, algorithm="PPO", timesteps=6_000, eval_episodes=1,
-        hyperparameters={"n_steps": 200, "batch_size": 50, "learning_rate": 3e-3, "gamma": 0.0},
+        hyperparameters={"n_steps": 200, "batch_size": 50, "learning_rate": 3e-3, "gamma": 0.0,
+                         "n_epochs": 4, "ent_coef": 0.1},  # eight of eight seeds find 0
     )  # fmt: skip
     policy = for_all_contexts(trainer, CONTEXTS).train({}, seed=0)
     assert trainer.evaluate(policy, CONTEXTS, seed=1).mean() > -0.8  # untold: -1 at best

@@ -35,7 +35,7 @@ targets are hard or easy whatever the source."""
 # begin: benchmarks/learn_prior.py --write
 CHOSEN: Mapping[str, tuple[str, int]] = {
     "all": ("ratio", 3),
-    "cartpole": ("ratio", 3),
+    "cartpole": ("ratio", 4),
     "eco": ("ratio", 3),
     "pendulum": ("ratio", 3),
     "ramp": ("ratio", 3),
