@@ -155,7 +155,7 @@ class SB3Trainer:
                 raise InvalidInput(
                     "credit='team' needs a PettingZoo parallel environment and an on-policy "
                     f"algorithm, got {'' if team else 'no '}such environment and "
-                    f"{algorithm.__name__}; use credit='own'"
+                    f"{algorithm.__name__}; choose those, or credit='own'"
                 )
             if team and on_policy and "rollout_buffer_class" not in settings:
                 settings |= self._buffer(envs.slots)
