@@ -32,10 +32,10 @@ def ways(cmdp: Any, episodes: int) -> dict[str, Any]:
     }
 
 
-def unguided(trainer: Any, hold: float) -> float:
-    """Mean speed without advice [m/s]."""
+def unguided(trainer: Any) -> float:
+    """Mean speed without advice, whatever the hold [m/s]."""
     scores = []
-    env = trainer.make_env({"hold": hold})
+    env = trainer.make_env({"hold": HOLDS[-1]})
     for seed in range(trainer.eval_episodes):
         env.reset(seed=seed)
         while env.agents:
@@ -63,7 +63,7 @@ def main() -> None:
             policies = [trainer.train(context, seed) for seed in range(args.seeds)]
             found = [trainer.evaluate(p, [context], EVALUATION).mean() for p in policies]
             scores[name][hold] = [digits(float(score), 3) for score in found]
-    alone = {hold: unguided(trainers["own rewards"], hold) for hold in HOLDS}
+    alone = unguided(trainers["own rewards"])
     document = {
         "cmdp": args.cmdp,
         "episodes": args.episodes,
@@ -77,7 +77,7 @@ def main() -> None:
         rows = "".join(f"{' '.join(f'{x:.2f}' for x in by_hold[h]):>18}" for h in HOLDS)
         every = [x for found in by_hold.values() for x in found]
         lines.append(f"{name:26}{rows}{sum(every) / len(every):10.2f}")
-    lines.append(f"{'unguided':26}" + "".join(f"{alone[h]:18.2f}" for h in HOLDS))
+    lines.append(f"{'unguided':26}{alone:{18 * len(HOLDS) + 10}.2f}")
     measure.show(document, lines, as_json=args.json)
 
 

@@ -146,6 +146,10 @@ def test_each_agent_gets_the_action_of_its_slot():
     assert slots.team.taken == [{"a": 4, "b": 5}, {"a": 4, "b": 5}, {"c": 4, "b": 5}]
 
 
+def learner(algorithm, env, **options):
+    return algorithm("MlpPolicy", env, device="cpu", seed=0, **env.rollout_buffer, **options)
+
+
 class Look(BaseCallback):
     """What is learnt from."""
 
@@ -168,18 +172,8 @@ class Look(BaseCallback):
 
 def test_advantages_are_those_of_lone_agents_and_free_slots_are_not_learnt_from():
     env, look = SharedVecEnv([Script], slots=3), Look()
-    model = PPO(
-        "MlpPolicy",
-        env,
-        n_steps=6,
-        batch_size=9,
-        n_epochs=1,
-        gamma=0.5,
-        gae_lambda=1.0,
-        device="cpu",
-        seed=0,
-        rollout_buffer_class=SharedRolloutBuffer,
-    )
+    model = learner(PPO, env, n_steps=6, batch_size=9, n_epochs=1, gamma=0.5, gae_lambda=1.0)
+    assert isinstance(model.rollout_buffer, SharedRolloutBuffer)
     model.learn(6, callback=look)
     assert look.taken == sum(end - first for first, end in LIVES.values())
     assert not is_blank(look.buffer.observations).any()
@@ -204,19 +198,9 @@ class OneReward(Script):
 def test_a_team_is_credited_with_what_it_earns_after_an_agent_has_left():
     gamma, lam, look = 0.5, 0.75, Look()
     env = SharedVecEnv([OneReward, OneReward], slots=3, credit="team")
-    model = PPO(
-        "MlpPolicy",
-        env,
-        n_steps=12,  # two simulations
-        batch_size=36,
-        n_epochs=1,
-        gamma=gamma,
-        gae_lambda=lam,
-        device="cpu",
-        seed=0,
-        rollout_buffer_class=TeamRolloutBuffer,
-        rollout_buffer_kwargs={"slots": env.slots},
-    )
+    twice = {"n_steps": 12, "batch_size": 36, "n_epochs": 1}  # two simulations
+    model = learner(PPO, env, gamma=gamma, gae_lambda=lam, **twice)
+    assert isinstance(model.rollout_buffer, TeamRolloutBuffer)
     model.learn(12, callback=look)
     assert look.taken == 4 * sum(end - first for first, end in LIVES.values())
     values, returns, advantages = map(look.of, ("values", "returns", "advantages"))
@@ -234,18 +218,7 @@ def test_a_team_is_credited_with_what_it_earns_after_an_agent_has_left():
 def test_a_rollout_that_ends_within_a_simulation_goes_on_with_the_team():
     look = Look()
     env = SharedVecEnv([OneReward], slots=3, credit="team")
-    model = A2C(
-        "MlpPolicy",
-        env,
-        n_steps=4,
-        gamma=0.5,
-        gae_lambda=1.0,
-        device="cpu",
-        seed=0,
-        rollout_buffer_class=TeamRolloutBuffer,
-        rollout_buffer_kwargs={"slots": 3},
-    )
-    model.learn(4, callback=look)
+    learner(A2C, env, n_steps=4, gamma=0.5, gae_lambda=1.0).learn(4, callback=look)
     after = look.ahead[:2].mean()  # of agents d and b; the third slot is free
     assert look.of("returns")[3, 3] == pytest.approx([2.0**-3 + 0.5 * after], abs=1e-6)
     assert not env.step(np.zeros(3, dtype=int))[2].any()
@@ -328,15 +301,7 @@ def test_a_shared_policy_learns_on_the_ramp(algorithm):
     assert env.num_envs == env.slots == RampAcc.most_agents
     options = {"batch_size": env.num_envs} if algorithm is PPO else {}
     book = Book()
-    model = algorithm(
-        "MlpPolicy",
-        env,
-        n_steps=20,  # two simulations: at most 10 decisions each
-        device="cpu",
-        seed=0,
-        rollout_buffer_class=SharedRolloutBuffer,
-        **options,
-    )
+    model = learner(algorithm, env, n_steps=20, **options)  # two simulations: <= 10 decisions each
     before = [p.detach().clone() for p in model.policy.parameters()]
     model.learn(2 * 20 * env.num_envs, callback=book)
     slots = env.venv.envs[0]

@@ -158,7 +158,7 @@ class SB3Trainer:
                     f"{algorithm.__name__}; choose those, or credit='own'"
                 )
             if team and on_policy and "rollout_buffer_class" not in settings:
-                settings |= self._buffer(envs.slots)
+                settings |= envs.rollout_buffer
             lengths = {name: _steps(value, envs, name) for name, value in settings.items()}
             with warnings.catch_warnings():
                 if team or lengths != settings:  # minibatches of episodes are as they come
@@ -281,15 +281,6 @@ class SB3Trainer:
             gamma = self.hyperparameters.get("gamma", 0.99)
             envs = VecNormalize(envs, norm_obs=False, norm_reward=True, gamma=gamma)
         return envs
-
-    def _buffer(self, slots: int) -> dict[str, Any]:
-        """Arguments of an on-policy algorithm that keep free slots out of learning."""
-        from mbtl.training.shared import SharedRolloutBuffer, TeamRolloutBuffer
-
-        if self.credit == "own":
-            return {"rollout_buffer_class": SharedRolloutBuffer}
-        kwargs = {"slots": slots}
-        return {"rollout_buffer_class": TeamRolloutBuffer, "rollout_buffer_kwargs": kwargs}
 
     def _best_checkpoint(
         self, context: Context, seed: int, stack: ExitStack

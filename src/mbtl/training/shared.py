@@ -4,16 +4,16 @@ Stable-Baselines3 steps a fixed number of environments; each of ours is a slot (
 agent's life is an episode and every algorithm runs unchanged:
 
     env = SharedVecEnv([partial(Eco, {"green": 20.0})] * 2, processes=True)
-    model = PPO("MlpPolicy", env, rollout_buffer_class=SharedRolloutBuffer)
+    model = PPO("MlpPolicy", env, **env.rollout_buffer)
 
-On-policy algorithms keep the transitions of free slots out of learning with `SharedRolloutBuffer`:
+On-policy algorithms keep the transitions of free slots out of learning with that buffer:
 not in the loss, the advantages' normalisation, the entropy or the minibatches. Without it, and in
 replay buffers, a free slot is a one-step episode with reward 0, whose observation no agent has.
 
 Where all agents have the same reward, what one does is worth what the *team* earns until the
 simulation ends, also after that agent has left: credited with its own life only, an agent that
 drives on is paid less than one that stays and sees others arrive. `SharedVecEnv(credit="team")`
-with `TeamRolloutBuffer` does that; the ramp needs it.
+and its buffer do that; the ramp needs it.
 
 Steps that Stable-Baselines3 counts are those of slots, taken or free. Observations must not be
 normalised by its wrapper, which would count free slots and hide them; rewards neither.
@@ -67,8 +67,8 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
             processes: one process per simulation. libsumo is then used in all of them; in one
                 process only the first simulation has it.
             credit: "own": an episode of a slot ends when its agent leaves. "team": when the
-                simulation ends; for `TeamRolloutBuffer`, as others would take the next agent of the
-                slot for the same.
+                simulation ends; only with its `rollout_buffer`, as others would take the next agent
+                of the slot for the same.
 
         Raises:
             InvalidInput: no simulation, or no number of slots.
@@ -88,6 +88,14 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
         self.num_envs = venv.num_envs * self.slots
         self._credit = credit
         self.reset_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+
+    @property
+    def rollout_buffer(self) -> dict[str, Any]:
+        """Keyword arguments of an on-policy algorithm: the buffer that goes with these slots."""
+        if self._credit == "own":
+            return {"rollout_buffer_class": SharedRolloutBuffer}
+        kwargs = {"slots": self.slots}
+        return {"rollout_buffer_class": TeamRolloutBuffer, "rollout_buffer_kwargs": kwargs}
 
     def reset(self) -> Any:
         """(n, d) observations of all slots."""
@@ -140,15 +148,16 @@ class SharedRolloutBuffer(RolloutBuffer):  # type: ignore[misc]  # as above
 
     def compute_returns_and_advantage(self, last_values: Any, dones: Any) -> None:
         """As the base class does; then keep the rows in which an agent acted."""
-        super().compute_returns_and_advantage(last_values, dones)
-        self._drop_free_slots()
-
-    def _drop_free_slots(self) -> None:
+        self._estimate(last_values, dones)
         taken = ~is_blank(self.swap_and_flatten(self.observations))
         for name in ("observations", "actions", "values", "log_probs", "advantages", "returns"):
             setattr(self, name, self.swap_and_flatten(getattr(self, name))[taken])
         self.buffer_size, self.n_envs = int(taken.sum()), 1
         self.generator_ready = True  # the rows are flat already
+
+    def _estimate(self, last_values: Any, dones: Any) -> None:
+        """Returns and advantages of all slots."""
+        super().compute_returns_and_advantage(last_values, dones)
 
 
 class TeamRolloutBuffer(SharedRolloutBuffer):
@@ -156,7 +165,8 @@ class TeamRolloutBuffer(SharedRolloutBuffer):
 
     The team's value is the mean of the values that its agents see, its reward the mean of theirs.
     From these come the (lambda-)returns G_t of a simulation, the same for all who acted at t, and
-    an agent's advantage G_t - V(what it saw).
+    an agent's advantage G_t - V(what it saw). What follows a rollout that ends within a simulation
+    is worth what the slots see that were taken in its last step.
     """
 
     def __init__(self, *args: Any, slots: int, **kwargs: Any) -> None:
@@ -170,19 +180,13 @@ class TeamRolloutBuffer(SharedRolloutBuffer):
         self._slots = slots
         super().__init__(*args, **kwargs)
 
-    def compute_returns_and_advantage(self, last_values: Any, dones: Any) -> None:
-        """As in the base class, of the team.
-
-        What follows a rollout that ends within a simulation is worth what the slots see that were
-        taken in its last step.
-        """
+    def _estimate(self, last_values: Any, dones: Any) -> None:
         taken = self._by_team(~is_blank(self.observations))
         own = self.values
         self.rewards, self.values = self._mean(self.rewards, taken), self._mean(own, taken)
         last = self._mean(last_values.cpu().numpy().reshape(-1), taken[-1])
-        RolloutBuffer.compute_returns_and_advantage(self, last_values.new_tensor(last), dones)
+        super()._estimate(last_values.new_tensor(last), dones)
         self.values, self.advantages = own, self.returns - own
-        self._drop_free_slots()
 
     def _mean(self, x: Any, taken: Any) -> Any:
         """Of each simulation over the slots taken, in all of its slots; (..., n)."""
