@@ -14,6 +14,8 @@ CORE = [
     "errors",
     "version",
     "arrays",
+    "settings",
+    "provenance",
     "files",
     "seeds",
     "contexts",

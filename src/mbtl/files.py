@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from mbtl.errors import InvalidInput, cannot_write
+from mbtl.settings import first_difference
 
 
 @contextlib.contextmanager
@@ -55,9 +56,10 @@ def claim_folder(folder: Path, settings: Mapping[str, Any], what: str) -> None:
         there = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise cannot_write(file, error) from error
-    if there != record:
-        differing = sorted(k for k in {*there, *record} if there.get(k) != record.get(k))
+    difference = first_difference(there, record)
+    if difference:
+        name, was, now = difference
         raise InvalidInput(
-            f"{folder} holds {what} of other settings ({', '.join(differing)}); "
-            "choose another folder, or remove it"
+            f"{folder} holds {what} of other settings: {name} was {was!r}, got {now!r}; choose "
+            "another folder, or remove it"
         )

@@ -327,7 +327,7 @@ def test_a_folder_of_another_run_is_refused(tmp_path):
     # compiled in the test above
     recipe, params = recipe_of("paco"), pendulum_params()
     engine.run_multitask(PENDULUM, recipe, params, [0], 960, tmp_path, episodes=4)
-    with pytest.raises(InvalidInput, match=r"other settings \(timesteps\)"):
+    with pytest.raises(InvalidInput, match="other settings: timesteps was"):
         engine.run_multitask(PENDULUM, recipe, params, [0], 961, tmp_path, episodes=4)
     other = pendulum_params((0.5, 1.0, 3.0))
     with pytest.raises(InvalidInput, match=r"\(contexts\)"):

@@ -14,11 +14,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from mbtl.benchmark import TransferMatrix, levels, save_shipped
 from mbtl.benchmark.build import ONLY, Build
-from mbtl.benchmark.provenance import here
 from mbtl.benchmark.shipped import DEFAULT, matrix_id
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json
 from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp, resolve_cmdp
 from mbtl.errors import InvalidInput
+from mbtl.provenance import check_made_by, here
 from mbtl.trainer import ManyTrainer, Trainer, recipe_of
 
 
@@ -131,16 +131,19 @@ def _one(
         best_lanes = trainer.lanes
     names = _names(variant, checkpoints)
     files = {c: out / f"{matrix_id(cmdp.id, names[c])}-seed{seed}.npz" for c in checkpoints}
-    if all(file.is_file() for file in files.values()):
-        console.print(f"{', '.join(map(str, files.values()))}: there already", markup=False)
-        return [_shown(file, TransferMatrix.load(file)) for file in files.values()]
-    lanes = min(lanes or best_lanes, cmdp.space.n)
     settings: dict[str, Any] = {
         "problem": cmdp.id,
         "version": cmdp.version,
         "switches": dict(cmdp.settings),
         "recipe": recipe_of(trainer),
     }
+    there = {c: TransferMatrix.load(file) for c, file in files.items() if file.is_file()}
+    for c, matrix in there.items():  # before anything is trained
+        check_made_by(files[c], matrix.provenance, _of_checkpoint(settings, c))
+    if len(there) == len(files):
+        console.print(f"{', '.join(map(str, files.values()))}: there already", markup=False)
+        return [_shown(files[c], matrix) for c, matrix in there.items()]
+    lanes = min(lanes or best_lanes, cmdp.space.n)
     building = Build(
         trainer,
         cmdp.space,
@@ -158,7 +161,6 @@ def _one(
     results = []
     for checkpoint, file in files.items():
         mean, std = building.rows(checkpoint)
-        changed = {} if checkpoint == ONLY else {"checkpoint": checkpoint}
         matrix = TransferMatrix.of(
             mean[None],
             std=std[None],
@@ -167,8 +169,7 @@ def _one(
             theta=cmdp.theta,
             direction="max" if cmdp.direction == "maximize" else "min",
             provenance={
-                **settings,
-                "recipe": {**settings["recipe"], **changed},
+                **_of_checkpoint(settings, checkpoint),
                 "preset": preset,
                 "seed": seed,
                 "lanes": lanes,
@@ -182,6 +183,12 @@ def _one(
         save_shipped(matrix, out, cmdp.id, names[checkpoint], first_seed=seed)
         results.append(_shown(file, matrix))
     return results
+
+
+def _of_checkpoint(settings: Mapping[str, Any], checkpoint: str) -> dict[str, Any]:
+    """What the numbers of one checkpoint depend on, of a trainer that offers several."""
+    changed = {} if checkpoint == ONLY else {"checkpoint": checkpoint}
+    return {**settings, "recipe": {**settings["recipe"], **changed}}
 
 
 def _run(building: Build, workers: int, label: str) -> None:

@@ -17,6 +17,7 @@ from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.objective import Bounds, Direction
 from mbtl.selectors import Selector, get_selector, selector_names
+from mbtl.settings import first_difference
 from mbtl.study.events import Event
 from mbtl.study.state import StudySpec
 from mbtl.study.storage import (
@@ -333,24 +334,10 @@ def _check_same(stored: StudySpec, given: StudySpec) -> None:
     if stored.space != given.space:
         difference: tuple[str, Any, Any] | None = ("space", stored.space, given.space)
     else:
-        difference = _first_difference(stored.to_json(), given.to_json())
+        difference = first_difference(stored.to_json(), given.to_json())
     if difference:
         key, was, now = difference
         raise StudyMismatch(
             f"a stored study goes on only with the settings it was made with: {key} was {was!r}, "
             f"got {now!r}; repeat the old setting, or start afresh with --new (or another name)"
         )
-
-
-def _first_difference(
-    old: Mapping[str, Any], new: Mapping[str, Any], path: str = ""
-) -> tuple[str, Any, Any] | None:
-    """Dotted name of the first setting that differs, with both values."""
-    for key in [*new, *(key for key in old if key not in new)]:
-        was, now = old.get(key), new.get(key)
-        if was == now:
-            continue
-        if isinstance(was, Mapping) and isinstance(now, Mapping):
-            return _first_difference(was, now, f"{path}{key}.")
-        return f"{path}{key}", was, now
-    return None

@@ -15,7 +15,7 @@ from mbtl.training.jax.environments import Environment, stack_params
 from mbtl.training.jax.evaluation import episode_noise, evaluate, on_cpu
 from mbtl.training.jax.export import export_policies, import_actors
 from mbtl.training.jax.loop import Block, Training, from_arrays, start, to_arrays, train
-from mbtl.training.jax.multitask.run import MultiTaskRun, run_multitask
+from mbtl.training.jax.multitask.run import MultiTaskRun, multitask_settings, run_multitask
 from mbtl.training.jax.multitask.training import (
     evaluate_multitask,
     start_multitask,
@@ -55,6 +55,7 @@ __all__ = [
     "from_arrays",
     "import_actors",
     "multitask_recipe",
+    "multitask_settings",
     "on_cpu",
     "recipe_named",
     "run_multitask",

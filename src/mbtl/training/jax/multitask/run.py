@@ -57,6 +57,20 @@ class MultiTaskRun:
     provenance: tuple[Mapping[str, Any], ...]
 
 
+def multitask_settings(
+    env: Environment, recipe: MultiTaskRecipe, params: Tree, timesteps: int, episodes: int
+) -> dict[str, Any]:
+    """What decides the numbers of `run_multitask`, apart from its seeds; JSON-able."""
+    return {
+        "environment": repr(env),
+        "recipe": recipe.record,
+        "contexts": _digest(params),
+        "timesteps": timesteps,
+        "episodes": episodes,
+        "checkpoint_episodes": CHECKPOINT_EPISODES,
+    }
+
+
 def run_multitask(
     env: Environment,
     recipe: MultiTaskRecipe,
@@ -93,14 +107,7 @@ def run_multitask(
             f"a run needs at least one seed and episode, got {len(seeds)} and {episodes}"
         )
     place = Path(folder)
-    settings = {
-        "environment": repr(env),
-        "recipe": recipe.record,
-        "contexts": _digest(params),
-        "timesteps": timesteps,
-        "episodes": episodes,
-        "checkpoint_episodes": CHECKPOINT_EPISODES,
-    }
+    settings = multitask_settings(env, recipe, params, timesteps, episodes)
     claim_folder(place, settings, "a multi-task run")
     rows: dict[str, list[tuple[Array, Array]]] = {name: [] for name in CHECKPOINTS}
     records = []

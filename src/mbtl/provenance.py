@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import subprocess
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from mbtl.errors import InvalidInput
+from mbtl.settings import first_difference
 from mbtl.version import __version__
 
 _PACKAGES = ("numpy", "jax", "jaxlib", "optax", "gymnasium", "stable-baselines3", "torch")
@@ -24,6 +28,28 @@ def here() -> dict[str, Any]:
         "hardware": _hardware(),
         "date": datetime.now(UTC).date().isoformat(),
     }
+
+
+def check_made_by(file: Path, record: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
+    """Settings are not in the name of a file: what others made must not pass for ours.
+
+    Args:
+        file: for the message.
+        record: its provenance.
+        settings: JSON-able; all that its numbers depend on. Those not in the record, which may be
+            older, are not compared.
+
+    Raises:
+        InvalidInput: they differ.
+    """
+    now = {k: v for k, v in json.loads(json.dumps(settings)).items() if k in record}
+    difference = first_difference({k: record[k] for k in now}, now)
+    if difference:
+        name, was, got = difference
+        raise InvalidInput(
+            f"{file} was made by {record.get('command', 'another command')!r} with other settings: "
+            f"{name} was {was!r}, got {got!r}; choose another --out, or remove it"
+        )
 
 
 def _versions() -> dict[str, str]:
@@ -43,7 +69,7 @@ def _hardware() -> str:
 
 def _commit() -> str | None:
     """Of the working tree this package is imported from; None for an installed package."""
-    root = Path(__file__).parents[3]
+    root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return None
     git = ["git", "-C", str(root)]
