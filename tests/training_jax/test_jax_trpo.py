@@ -17,10 +17,11 @@ from mbtl.training.jax.environments import Box, Discrete
 from mbtl.training.jax.traffic import learning, trpo
 from mbtl.training.jax.traffic.distributions import kl
 from mbtl.training.jax.traffic.episodes import Actor, Episodes, record
-from mbtl.training.jax.traffic.recipes import TRPORecipe
+from mbtl.training.jax.traffic.recipes import TRPORecipe, twin_recipe_named
 from mbtl.training.jax.traffic.returns import Returns, advantages
 
 BOX = Box((-1.0,), (1.0,))
+RAW = {"normalize_reward": False, "center_reward": False}
 
 
 def lived(rewards, acting=None, done=None, last_acting=False):
@@ -71,7 +72,7 @@ def test_kl_of_gaussians_and_of_choices():
 
 
 def test_advantages_are_discounted_sums_less_the_value():
-    recipe = TRPORecipe(gamma=0.5, normalize_reward=False)
+    recipe = TRPORecipe(gamma=0.5, **RAW)
     advantage, target, _ = advantages(
         recipe, critic(1.0), Returns.empty(), lived([1.0, 2.0, 4.0], last_acting=True)
     )
@@ -81,7 +82,7 @@ def test_advantages_are_discounted_sums_less_the_value():
 
 
 def test_an_ended_life_is_worth_nothing_more_and_the_next_one_starts_afresh():
-    recipe = TRPORecipe(gamma=0.5, normalize_reward=False)
+    recipe = TRPORecipe(gamma=0.5, **RAW)
     _, target, _ = advantages(
         recipe,
         critic(1.0),
@@ -94,10 +95,11 @@ def test_an_ended_life_is_worth_nothing_more_and_the_next_one_starts_afresh():
 
 def test_running_statistics_are_those_of_all_decisions_together():
     rng = np.random.default_rng(1)
+    recipe = TRPORecipe(gamma=0.9, center_reward=False)
     parts = [rng.standard_normal(5), rng.standard_normal(9)]
     returns, sums = Returns.empty(), []
     for rewards in parts:
-        returns = returns.updated(0.9, lived(rewards))
+        returns = returns.updated(recipe, lived(rewards))
         total = 0.0
         for reward in rewards:
             total = 0.9 * total + reward
@@ -108,10 +110,27 @@ def test_running_statistics_are_those_of_all_decisions_together():
     assert float(returns.reward_mean) == pytest.approx(np.mean(np.concatenate(parts)), rel=1e-4)
 
 
+def test_centred_rewards_are_scaled_by_the_deviation_of_their_own_sums():
+    recipe = TRPORecipe(gamma=0.5)
+    _, target, returns = advantages(recipe, critic(0.0), Returns.empty(), lived([1.0, 2.0, 6.0]))
+    sums = np.array([-2.0, -2.0, 2.0])  # of -2, -1, 3
+    assert float(returns.reward_mean) == pytest.approx(3.0)
+    assert float(returns.variance) == pytest.approx(sums.var(), rel=1e-5)
+    np.testing.assert_allclose(target[:, 0, 0], np.array([-1.75, 0.5, 3.0]) / sums.std(), rtol=1e-5)
+
+
+def test_living_on_at_a_cost_is_worth_less_where_lives_end():
+    """Of rewards of -1, less their mean, six moments would be worth no less than two."""
+    recipe = twin_recipe_named("PPO", "fast")
+    life = lived([-1.0] * 8, done=[0, 1, 0, 0, 0, 0, 0, 1])
+    _, target, _ = advantages(recipe, critic(0.0), Returns.empty(), life)
+    assert float(target[2, 0, 0]) < 2.0 * float(target[0, 0, 0]) < 0.0
+
+
 # ---- one update ----------------------------------------------------------------------------------
 
 
-def one_update(**changes):
+def one_update(bounds=1e9, **changes):
     recipe = TRPORecipe(**changes)
     weights = networks.init_weights(0, 2, BOX, (8,))
     weights = jax.tree.map(jnp.asarray, weights)
@@ -119,8 +138,9 @@ def one_update(**changes):
     obs = jnp.asarray(rng.standard_normal((50, 1, 1, 2)), jnp.float32)
     outputs = networks.apply(weights.actor, obs)
     action = outputs + jnp.asarray(rng.standard_normal((50, 1, 1, 1)), jnp.float32)
+    action = jnp.clip(action, -bounds, bounds)
     data = lived(np.zeros(50))._replace(obs=obs, outputs=outputs, action=action)
-    data = data._replace(reward=action[..., 0])  # larger actions pay
+    data = data._replace(reward=jnp.clip(action[..., 0], -1.0, 1.0))  # larger actions pay
     memory = trpo.start(recipe, weights)
     new, _ = trpo.learn(BOX, recipe, weights, memory, data, jnp.int32(0))
     after = networks.apply(new.actor, obs)
@@ -133,6 +153,11 @@ def test_a_step_uses_the_trust_region_and_stays_in_it(max_kl):
     moved, shift = one_update(max_kl=max_kl, gae_lambda=0.0, normalize_reward=False)
     assert 0.2 * max_kl < moved <= max_kl
     assert shift > 0.0  # towards what paid
+
+
+def test_learning_sees_the_actions_that_were_applied():
+    assert one_update() == one_update(bounds=1.0, clip_actions=False)
+    assert one_update() != one_update(clip_actions=False)
 
 
 def test_a_step_that_would_not_pay_is_not_made():

@@ -47,10 +47,10 @@ class TwinTrainer(MLPTrainer):
         recipe_name: named hyper-parameters of the algorithm.
         hyperparameters: fields of the recipe that differ from the named one.
         eval_episodes: episodes per target in `evaluate`.
-        acting: "sampled" actions (as the paper evaluates), or the "mean" ones.
+        acting: in all evaluations, "sampled" actions (as the paper's), or the "mean" ones.
         checkpoint: "final" weights, or the "best" of periodic evaluations on the own context.
         checkpoint_every: episodes between those evaluations; default 2 % of `episodes`.
-        checkpoint_episodes: episodes of each, with sampled actions.
+        checkpoint_episodes: episodes of each.
 
     Raises:
         InvalidInput: a number is not positive, or `checkpoint` is neither "final" nor "best".
@@ -132,6 +132,7 @@ class TwinTrainer(MLPTrainer):
                 on_block=on_block,
                 checkpoint_every=self.checkpoint_every,
                 checkpoint_episodes=self.checkpoint_episodes,
+                acting=self.acting,
             )
             weights = {"best": training.best, "final": training.state.weights}
             for name in keep:
@@ -185,6 +186,7 @@ class TwinTrainer(MLPTrainer):
             self.episodes,
             checkpoints=_CHECKPOINTS,
             checkpoint_episodes=_EACH,
+            acting=self.acting,
             on_block=on_block,
             resume=saved.load(lambda: start(twin, recipe, [seed], params[0])),
         )

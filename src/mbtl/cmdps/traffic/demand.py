@@ -73,6 +73,7 @@ def routes(rng: np.random.Generator, n: int, seconds: int, speed_limit: float) -
     )
     kind = (
         f'<vType id="car" carFollowModel="Krauss" accel="1" decel="{DECELERATION:g}" '
-        f'length="{LENGTH:g}" minGap="2.5" sigma="0.5" tau="1" maxSpeed="25" speedFactor="1"/>'
+        f'length="{LENGTH:g}" minGap="2.5" sigma="0.5" tau="1" maxSpeed="25" '
+        f'speedFactor="1" speedDev="0"/>'
     )
     return f"<routes>{kind}{ways}{cars}</routes>"

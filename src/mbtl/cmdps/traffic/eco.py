@@ -10,7 +10,7 @@ agents come and go. Cars outside the region, and human drivers, follow IDM.
     reward        (v - 35 max(0, 1 - v) - 3 E)/15 with the agent's speed v [m/s] and its CO2 of the
                   step E [g] after the step; 0 in the step in which it leaves
     score         mean over completed cars of their mean speed in the region [m/s]: all drivers,
-                  those on the road in the warm-up left out; 0 if no car completes
+                  those in the region in the warm-up left out; 0 if no car completes
 
 The last step's info and `summary` also hold, per completed car, `co2` [g] and `stops` (below
 0.1 m/s after having been above 1), `throughput` [cars/h], `completed`, `not_inserted` (cars that
@@ -80,8 +80,9 @@ HARDEST, STRONGEST = -20.0, 10.0
 """Bounds of the action [m/s^2]; SUMO's are narrower."""
 CRAWL, CRAWL_COST, CO2_COST, REWARD_SCALE = 1.0, 35.0, 3.0, 15.0
 SPEED_SCALE, LENGTH_SCALE, TIME_SCALE = 15.0, 250.0, 100.0
-ABSENT = (45.0 / SPEED_SCALE, 30_000.0 / LENGTH_SCALE, 0.0, 0.0)
-"""What is seen of a neighbour that is not there."""
+ABSENT = (45.0 / SPEED_SCALE, LENGTH / LENGTH_SCALE, 0.0, 0.0)
+"""What is seen of a neighbour that is not there: faster than any, and a region away. The reference
+has 30 km; over 250 m that is 120, and a network of tanh sees nothing beside it."""
 
 LAYOUT = {
     "speed": slice(0, 1),  # over 15 m/s
@@ -93,7 +94,7 @@ LAYOUT = {
     "destination": slice(12, 15),  # left, straight, right: straight
     "leader": slice(15, 19),  # speed over 15 m/s, net gap over 250 m, two blinkers (off)
     "follower": slice(19, 23),
-    "left": slice(23, 31),  # leader and follower: absent, as there is one lane
+    "left": slice(23, 31),  # leader and follower: the car itself, as there is one lane
     "right": slice(31, 39),
 }
 """Where each part of an observation is. Neighbours are the nearest cars within the region."""
@@ -138,7 +139,8 @@ class Eco(TrafficTeam):
         if settings.get("visibility") == "raw":
             share = self.features["penetration"]
             self.visible = (share, 1.0, LIMIT / SPEED_SCALE, self._light.green, RED)
-        self._observation_space = self._space([-1.0] * SIZE, [ABSENT[1]] * SIZE)
+        most = max(*ABSENT, 2.0 * self._light.cycle / TIME_SCALE)
+        self._observation_space = self._space([-1.0] * SIZE, [most] * SIZE)
         self._action_space = Box(HARDEST, STRONGEST, (1,), np.float32)
         self.summary: dict[str, float] = {}
 
@@ -166,7 +168,7 @@ class Eco(TrafficTeam):
             for _ in range(WARM_UP):
                 api.simulationStep()
                 self._region.update(api)
-            self._region.ignore(api.vehicle.getIDList())
+            self._region.ignore(self._region.present)
             self._find_agents()
             self._wait(api)
             seen = self._look(api)
@@ -265,7 +267,6 @@ class Eco(TrafficTeam):
         now = (WARM_UP + self.horizon - self._left) * STEP
         changes = [seconds / TIME_SCALE for seconds in self._light.changes(now)]
         signal = (*_ONE_HOT[self._light.phase(now)], *changes)
-        rest = (*ABSENT * 4, *self.visible)
         for k, (car, road, x) in enumerate(place):
             if car not in self._controlled:
                 continue
@@ -276,8 +277,11 @@ class Eco(TrafficTeam):
             if k + 1 < len(place):
                 other, _, y = place[k + 1]
                 follower = self._neighbour(other, x - self._length[car] - y)
-            own = (self._region.present[car].speed / SPEED_SCALE, (APPROACH - x) / LENGTH_SCALE)
-            seen = (*own, *signal, *_ONE_HOT[road], *_LANE, *leader, *follower, *rest)
+            speed = self._region.present[car].speed / SPEED_SCALE
+            own = (speed, (APPROACH - x) / LENGTH_SCALE)
+            sides = (speed, 0.0, 0.0, 0.0) * 4
+            near = (*leader, *follower, *sides)
+            seen = (*own, *signal, *_ONE_HOT[road], *_LANE, *near, *self.visible)
             self._seen[car] = np.array(seen, dtype=np.float32)
         return self._seen
 

@@ -1,11 +1,11 @@
 """Who drives on the eco-driving road, and when they come (cmdp-spec, 6.1).
 
 Arrivals are Poisson on each feeder; a car is controlled with probability `penetration`. Controlled
-cars are alike. Human drivers differ: the reference draws them from 2000 calibrated samples that are
-not public, so each parameter is drawn by itself from a normal distribution with the mean and the
-standard deviation of the samples, cut at 2 standard deviations: the last whole number that keeps
-every gap positive (the cut leaves 0.88 of the standard deviation). Passenger cars have drivers of
-their own; light trucks, trucks and buses share the others.
+cars are alike. Human drivers differ: the reference draws them from 2000 calibrated samples; here
+each parameter is drawn by itself from a normal distribution with the mean and the standard
+deviation of the samples, cut at 2 standard deviations: the last whole number that keeps every gap
+positive (the cut leaves 0.88 of the standard deviation). Cars and light trucks share drivers, as
+in the reference; trucks and buses have others.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _TRUCKS = (Driver(1.30, 0.57, 0.746, 1.54), Driver(0.55, 0.14, 0.007, 0.22))
 
 FLEET = {
     "car": Kind(0.425, 5.0, *_CARS),
-    "light truck": Kind(0.472, 6.0, *_TRUCKS),
+    "light truck": Kind(0.472, 6.0, *_CARS),
     "truck": Kind(0.099, 7.1, *_TRUCKS),
     "bus": Kind(0.0035, 12.0, *_TRUCKS),
 }

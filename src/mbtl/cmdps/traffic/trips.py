@@ -67,7 +67,7 @@ class Region:
         self._uncounted: frozenset[str] = frozenset()
 
     def ignore(self, cars: Collection[str]) -> None:
-        """Leave these cars out of what counts: they came before the measurement."""
+        """Leave these cars out of what counts: they were there before the measurement."""
         self._uncounted = frozenset(cars)
 
     def update(self, api: Any) -> None:

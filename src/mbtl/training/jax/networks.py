@@ -48,10 +48,12 @@ def init_weights(
     action: Discrete | Box,
     hidden: Sequence[int],
     log_std: float = 0.0,
+    critic_gain: float = 1.0,
 ) -> Weights:
     """Orthogonal weights with the gains of Stable-Baselines3.
 
-    sqrt(2) for hidden layers, 0.01 for the last of the actor, 1 for the last of the critic.
+    sqrt(2) for hidden layers, 0.01 for the last of the actor, 1 for the last of the critic unless
+    told otherwise.
 
     Made by numpy: the same on every device, and jax 0.10 can hang in a batch of QR factorisations
     on a CPU (waiting for a task that never starts; 100 policies of 64-64 on two cores).
@@ -62,6 +64,7 @@ def init_weights(
         action: the action space.
         hidden: widths of the hidden layers, of both networks.
         log_std: initial value of `Weights.log_std`.
+        critic_gain: of the critic's last layer.
 
     Returns:
         Numpy arrays in float32.
@@ -70,7 +73,7 @@ def init_weights(
     d = len(action.low) if isinstance(action, Box) else 0
     return Weights(
         _init_network(rng, [n_inputs, *hidden, n_outputs(action)], last_gain=0.01),
-        _init_network(rng, [n_inputs, *hidden, 1], last_gain=1.0),
+        _init_network(rng, [n_inputs, *hidden, 1], last_gain=critic_gain),
         cast(jax.Array, np.full(d, log_std, dtype=np.float32)),
     )
 

@@ -117,6 +117,7 @@ class EcoTwin:
             (state.main, state.trip, state.side),
             (warm.main, warm.trip, warm.side),
         )
+        main = main._replace(counted=jnp.int32(main.x <= 0.0))
         return warm._replace(main=main, trip=trip, side=side)
 
     def observe(self, state: EcoState, params: EcoParams) -> Seen:
@@ -271,7 +272,7 @@ class EcoTwin:
         )
 
     def _counted(self, state: EcoState, leaves: jax.Array) -> Totals:
-        """With the foremost car, if it has left and came after the warm-up."""
+        """With the foremost car, if it has left and was not in the region in the warm-up."""
         totals, trip = state.totals, Trip(*(field[0] for field in state.trip))
         counts = leaves & (state.main.counted[0] > 0)
         mean = trip.distance / (jnp.maximum(trip.steps, 1) * self.dt)
@@ -302,7 +303,7 @@ class EcoTwin:
         new = Cars(
             x=jnp.stack(fronts),
             speed=jnp.full_like(car.length, road.entry_speed),
-            counted=jnp.broadcast_to(jnp.int32(state.steps >= self.warm_up), car.length.shape),
+            counted=jnp.ones_like(car.length, jnp.int32),
             **car._asdict(),
         )
         return jnp.stack(enters), new, tails

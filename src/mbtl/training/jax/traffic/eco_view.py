@@ -12,7 +12,7 @@ from mbtl.training.jax.traffic.eco_state import EcoParams, EcoState, Look, Road
 from mbtl.training.jax.traffic.signal import Light
 from mbtl.training.jax.traffic.twin import Seen
 
-_SIDES = 4  # neighbours on other lanes, of which there are none
+_SIDES = 4  # neighbours on other lanes: as there are none, the car itself
 
 
 def view(
@@ -57,7 +57,7 @@ def view(
         *map(jnp.float32, (0.0, 0.0, 1.0, 0.0)),  # the only lane, and straight on
         *neighbour(mine > 0, of(main.speed, ahead), of(tail, ahead) - x),
         *neighbour((behind > mine) & (next_x > 0.0), of(main.speed, behind), own_tail - next_x),
-        *map(jnp.float32, look.absent * _SIDES),
+        *[speed / look.speed, *map(jnp.float32, (0.0, 0.0, 0.0))] * _SIDES,
     ]
     shape = state.row.shape
     columns = [jnp.broadcast_to(column, shape).astype(jnp.float32).T for column in numbers]

@@ -46,7 +46,7 @@ class Cars(NamedTuple):
         accel: a [m/s^2].
         decel: b [m/s^2].
         controlled: int32, 0 or 1; rows of bools are moved four times slower.
-        counted: came after the warm-up, likewise.
+        counted: came into the region after the warm-up, likewise.
     """
 
     x: jax.Array

@@ -23,7 +23,7 @@ from mbtl.training.jax.loop import Block, Training, check_finite, finite_policie
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import check_lengths
 from mbtl.training.jax.traffic import ppo, random, trpo
-from mbtl.training.jax.traffic.episodes import Actor, record, scores
+from mbtl.training.jax.traffic.episodes import Acting, Actor, record, scores
 from mbtl.training.jax.traffic.recipes import EpisodicPPORecipe, TRPORecipe, TwinRecipe
 from mbtl.training.jax.traffic.twin import Twin
 
@@ -54,7 +54,9 @@ def start(twin: Twin, recipe: TwinRecipe, seeds: Sequence[int], params: Tree) ->
     """Trainings before their first update; see `train`."""
     n_inputs = twin.n_features + params.visible.shape[-1]
     each = [
-        networks.init_weights(seed, n_inputs, twin.action, recipe.hidden, recipe.log_std)
+        networks.init_weights(
+            seed, n_inputs, twin.action, recipe.hidden, recipe.log_std, recipe.critic_gain
+        )
         for seed in seeds
     ]
     weights = networks.stack(each)
@@ -75,6 +77,7 @@ def train(
     on_block: Callable[[Block], None] | None = None,
     checkpoint_every: int | None = None,
     checkpoint_episodes: int = 10,
+    acting: Acting = "sampled",
     resume: Training | None = None,
 ) -> Training:
     """Train P policies, in one context or, where the twin can mix them, each in its own.
@@ -87,7 +90,8 @@ def train(
         episodes: per policy, rounded up to whole updates.
         on_block: called after each block, with episodes as steps.
         checkpoint_every: episodes between two evaluations, rounded up; None for 2 % of `episodes`.
-        checkpoint_episodes: of an evaluation, with sampled actions, the same at every one.
+        checkpoint_episodes: of an evaluation, the same at every one.
+        acting: how actions are chosen there.
         resume: what an interrupted call had reached (given again with the same arguments).
 
     Returns:
@@ -113,7 +117,7 @@ def train(
         return learnt
 
     def judge(actor: Actor) -> jax.Array:
-        found = scores(twin, recipe.activation, "sampled", actor, tests, test_params, decisions)
+        found = scores(twin, recipe.activation, acting, actor, tests, test_params, decisions)
         return found.mean(axis=1)
 
     training = start(twin, recipe, seeds, params) if resume is None else resume

@@ -19,7 +19,7 @@ from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.loop import Block, Training
 from mbtl.training.jax.recipes import check_lengths
 from mbtl.training.jax.traffic import random
-from mbtl.training.jax.traffic.episodes import Actor, scores
+from mbtl.training.jax.traffic.episodes import Acting, Actor, scores
 from mbtl.training.jax.traffic.learning import in_blocks, start, update
 from mbtl.training.jax.traffic.recipes import TwinRecipe
 from mbtl.training.jax.traffic.twin import Twin
@@ -36,6 +36,7 @@ def train_on_all(
     *,
     checkpoints: int,
     checkpoint_episodes: int,
+    acting: Acting = "sampled",
     on_block: Callable[[Block], None] | None = None,
     resume: Training | None = None,
 ) -> Training:
@@ -49,6 +50,7 @@ def train_on_all(
         episodes: over all contexts together, rounded up to whole updates.
         checkpoints: evaluations, each on all contexts.
         checkpoint_episodes: per context of an evaluation, the same at every one.
+        acting: how actions are chosen there.
         on_block: called after each of them, with episodes as steps.
         resume: what an interrupted call had reached (given again with the same arguments).
 
@@ -78,7 +80,7 @@ def train_on_all(
 
     def judge(actor: Actor) -> jax.Array:
         found = [
-            scores(twin, recipe.activation, "sampled", actor, tests, one, decisions).mean(axis=1)
+            scores(twin, recipe.activation, acting, actor, tests, one, decisions).mean(axis=1)
             for one, decisions in zip(contexts, lasting, strict=True)
         ]
         return jnp.stack(found).mean(axis=0)

@@ -25,7 +25,13 @@ class TRPORecipe:
         accept: least ratio of the real to the expected improvement.
         critic_learning_rate: Adam's.
         critic_passes: its steps per update, each on all rows.
-        normalize_reward: centre rewards and divide them by the deviation of discounted returns.
+        critic_gain: of the critic's last layer at the start.
+        clip_actions: learn from the actions that were applied, not from the samples beyond their
+            bounds: the gradient is biased, and pulls a mean that has left the bounds back.
+        normalize_advantage: to mean 0 and standard deviation 1 per update.
+        normalize_reward: divide rewards by the deviation of discounted returns.
+        center_reward: subtract their running mean. Not where lives end by what an agent does: there
+            it pays, or costs, to live on.
         hidden: widths of the hidden layers of actor and critic.
         log_std: initial log standard deviation of a Gaussian policy.
         activation: between the layers.
@@ -45,7 +51,11 @@ class TRPORecipe:
     accept: float = 0.1
     critic_learning_rate: float = 1e-4
     critic_passes: int = 1
+    critic_gain: float = 0.01
+    clip_actions: bool = True
+    normalize_advantage: bool = False
     normalize_reward: bool = True
+    center_reward: bool = True
     hidden: tuple[int, ...] = (64, 64)
     log_std: float = 0.0
     activation: Activation = "tanh"
@@ -79,7 +89,9 @@ class EpisodicPPORecipe:
         target_kl: the update ends when a minibatch is farther than this.
         max_grad_norm: the gradient is scaled down to this norm.
         normalize_advantage: to mean 0 and standard deviation 1 per update.
-        normalize_reward: centre rewards and divide them by the deviation of discounted returns.
+        normalize_reward: divide rewards by the deviation of discounted returns.
+        center_reward: subtract their running mean; see `TRPORecipe`.
+        critic_gain: of the critic's last layer at the start.
         hidden: widths of the hidden layers of actor and critic.
         log_std: initial log standard deviation of a Gaussian policy.
         activation: between the layers.
@@ -104,6 +116,8 @@ class EpisodicPPORecipe:
     max_grad_norm: float = 1e9
     normalize_advantage: bool = False
     normalize_reward: bool = False
+    center_reward: bool = False
+    critic_gain: float = 0.01
     hidden: tuple[int, ...] = (256, 256, 256, 256)
     log_std: float = 0.0
     activation: Activation = "tanh"
@@ -143,6 +157,7 @@ TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
             max_grad_norm=0.5,
             normalize_advantage=True,
             normalize_reward=True,
+            critic_gain=1.0,
             hidden=(64, 64),
             log_std=-1.0,
         ),

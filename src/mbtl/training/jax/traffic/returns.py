@@ -24,6 +24,8 @@ class Discounting(Protocol):
     @property
     def normalize_reward(self) -> bool: ...  # noqa: D102
     @property
+    def center_reward(self) -> bool: ...  # noqa: D102
+    @property
     def activation(self) -> Activation: ...  # noqa: D102
 
 
@@ -33,7 +35,8 @@ class Returns(NamedTuple):
     Attributes:
         count: decisions seen.
         reward_mean: of the raw rewards.
-        mean: of the discounted sum of past rewards, as Stable-Baselines3's `VecNormalize` keeps it.
+        mean: of the discounted sum of past rewards, as Stable-Baselines3's `VecNormalize` keeps it;
+            of centred ones where they are centred.
         variance: of the same.
     """
 
@@ -48,27 +51,27 @@ class Returns(NamedTuple):
         zero = jnp.float32(0.0)
         return cls(zero, zero, zero, zero)
 
-    def updated(self, gamma: float, lived: Episodes) -> Returns:
+    def updated(self, recipe: Discounting, lived: Episodes) -> Returns:
         """With more episodes of one policy."""
-
-        def forward(past: jax.Array, now: tuple[jax.Array, jax.Array]) -> Any:
-            total = gamma * past + now[0]
-            return jnp.where(now[1], 0.0, total), total
-
-        _, discounted = jax.lax.scan(
-            forward, jnp.zeros_like(lived.reward[0]), (lived.reward, lived.done)
-        )
         weight = lived.acting.astype(jnp.float32)
         n = weight.sum()
-        mean = mean_of(discounted, weight)
-        variance = mean_of(jnp.square(discounted - mean), weight)
         both = jnp.maximum(self.count + n, 1.0)
         share = n / both
+        reward_mean = self.reward_mean + share * (mean_of(lived.reward, weight) - self.reward_mean)
+        centre = reward_mean if recipe.center_reward else 0.0
+        rewards = jnp.where(lived.acting, lived.reward - centre, 0.0)
+
+        def forward(past: jax.Array, now: tuple[jax.Array, jax.Array]) -> Any:
+            total = recipe.gamma * past + now[0]
+            return jnp.where(now[1], 0.0, total), total
+
+        _, discounted = jax.lax.scan(forward, jnp.zeros_like(rewards[0]), (rewards, lived.done))
+        mean = mean_of(discounted, weight)
+        variance = mean_of(jnp.square(discounted - mean), weight)
         apart = mean - self.mean
-        reward = mean_of(lived.reward, weight)
         return Returns(
             self.count + n,
-            self.reward_mean + share * (reward - self.reward_mean),
+            reward_mean,
             self.mean + share * apart,
             (1.0 - share) * self.variance
             + share * variance
@@ -85,8 +88,7 @@ def advantages(
     end of the episode cut off is worth V of what its agent saw last.
 
     Args:
-        recipe: what a return is; with `normalize_reward`, rewards are centred and divided by the
-            running deviation of discounted returns.
+        recipe: what a return is.
         critic: obs -> value.
         returns: running statistics before these episodes.
         lived: of one policy, axes (D, E, A).
@@ -94,10 +96,12 @@ def advantages(
     Returns:
         (D, E, A) advantages, (D, E, A) targets of the critic, and the statistics after.
     """
-    returns = returns.updated(recipe.gamma, lived)
+    returns = returns.updated(recipe, lived)
     reward = lived.reward
+    if recipe.center_reward:
+        reward = reward - returns.reward_mean
     if recipe.normalize_reward:
-        reward = (reward - returns.reward_mean) * jax.lax.rsqrt(returns.variance + 1e-8)
+        reward = reward * jax.lax.rsqrt(returns.variance + 1e-8)
     reward = jnp.where(lived.acting, reward, 0.0)
     value = networks.apply(critic, lived.obs, recipe.activation)[..., 0]
     last = networks.apply(critic, lived.last_obs, recipe.activation)[..., 0]

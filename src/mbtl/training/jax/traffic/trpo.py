@@ -80,11 +80,14 @@ def learn(
         number: of the update; unused, as nothing is drawn.
     """
     advantage, target, returns = advantages(recipe, weights.critic, memory.returns, lived)
-    rows = (lived.obs, lived.outputs, lived.action, advantage, target, lived.acting)
+    actions = lived.action
+    if recipe.clip_actions:
+        actions = networks.to_environment(actions, action)
+    rows = (lived.obs, lived.outputs, actions, advantage, target, lived.acting)
     batch = Batch(*(x.reshape(-1, *x.shape[3:]) for x in rows))
-    batch = batch._replace(
-        weight=batch.weight.astype(jnp.float32), advantage=standard(batch.advantage, batch.weight)
-    )
+    batch = batch._replace(weight=batch.weight.astype(jnp.float32))
+    if recipe.normalize_advantage:
+        batch = batch._replace(advantage=standard(batch.advantage, batch.weight))
     actor, log_std = _natural_step(action, recipe, weights, batch)
     critic, moments = _fit_critic(recipe, weights.critic, memory.critic, batch)
     return Weights(actor, critic, log_std), Memory(moments, returns)
