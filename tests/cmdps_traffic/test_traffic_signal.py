@@ -138,6 +138,18 @@ def test_roads_have_the_length_and_limit_of_the_context(make):
         assert lane.getMaxSpeed(name) == 5.5
 
 
+@pytest.mark.parametrize("speed", [5.0, 14.0])
+def test_the_limit_is_the_same_for_everybody(make, speed):
+    env = make({"speed": speed})
+    env.reset(seed=0)
+    for phase in FIXED_TIME * 5:
+        env.step(phase)
+    vehicle = env.simulation.api.vehicle
+    cars = vehicle.getIDList()
+    assert len(cars) > 20
+    assert {vehicle.getSpeedFactor(car) for car in cars} == {1.0}
+
+
 def test_the_observation_is_where_the_cars_are(make):
     env = make({"length": 100}, visibility="multiplier", unit={"length": 500.0})
     observation, _ = env.reset(seed=1)

@@ -1,7 +1,9 @@
 """Cars of the traffic-signal family: when they come and where they go (cmdp-spec, 5).
 
 n departure times are Weibull(2) draws, stretched linearly so that the whole numbers around the
-second smallest and the largest become 0 and the end of the episode, and rounded to seconds.
+second smallest and the largest become 0 and the end of the episode, and rounded to seconds. The
+largest lies below 3, or with 12 % of the draws of 1000 cars (27 % of 2500) below 4: then the same
+cars come within three quarters of the time, and the peak is a third higher.
 """
 
 from __future__ import annotations
