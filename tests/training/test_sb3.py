@@ -8,6 +8,7 @@ import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
 
+import gymnasium
 import numpy as np
 import pytest
 from training_envs import (
@@ -119,6 +120,21 @@ def test_progress_is_reported_to_the_end():
     assert steps == sorted(steps)
     assert (steps[-1], {report.total for report in reports}) == (1000, {1000})
     assert 5 < reports[-1].metrics["episode_return"] < 100
+
+
+class Judged(gymnasium.Wrapper):
+    """What an episode is worth is not the sum of its rewards."""
+
+    def step(self, action):
+        *outcome, info = self.env.step(action)
+        return *outcome, info | ({"score": -7.0} if outcome[2] or outcome[3] else {})
+
+
+def test_progress_tells_the_score_where_policies_are_judged_by_one():
+    reports = []
+    trainer = SB3Trainer(lambda c: Judged(cartpole(c)), timesteps=500, hyperparameters=SHORT)
+    trainer.train(POLE, 0, reports.append)
+    assert reports[-1].metrics == {"score": -7.0}
 
 
 def test_policy_carries_no_environment_or_buffer():

@@ -42,6 +42,7 @@ class Preset:
         checkpoint_episodes: episodes of each such evaluation.
         acting: how a policy's actions are chosen in evaluations, "mean" or "sampled".
         credit: whose rewards an action of a team is worth in training, "own" or "team".
+        clip_actions: learn from actions within their bounds, not from the samples.
         normalize_reward: rewards are brought to one scale in training.
         n_envs: environments stepped together in training.
         description: one line for people.
@@ -58,6 +59,7 @@ class Preset:
     checkpoint_episodes: int | None = None
     acting: Literal["mean", "sampled"] | None = None
     credit: Literal["own", "team"] | None = None
+    clip_actions: bool | None = None
     normalize_reward: bool | None = None
     n_envs: int | None = None
     description: str = ""

@@ -63,6 +63,8 @@ class SB3Trainer:
             steps of one episode in the context, the environment's attribute `episode_steps`.
         credit: whose rewards an action of a team is worth: the agent's "own" until it leaves, or
             those of the "team" until the episode ends; see `mbtl.training.shared`.
+        clip_actions: on-policy algorithms learn from actions within their bounds, not from the
+            samples beyond; see `mbtl.training.applied`.
         normalize_reward: divide rewards by the deviation of discounted returns (`VecNormalize`).
         eval_episodes: episodes per target in `evaluate`.
         acting: "mean": deterministic actions. "sampled": as in training, drawn from the seed of the
@@ -95,6 +97,7 @@ class SB3Trainer:
     policy: str | type = "MlpPolicy"
     hyperparameters: Mapping[str, Any] = field(default_factory=dict)
     credit: Literal["own", "team"] = "own"
+    clip_actions: bool = False
     normalize_reward: bool = False
     eval_episodes: int = 10
     acting: Literal["mean", "sampled"] = "mean"
@@ -164,7 +167,7 @@ class SB3Trainer:
                 if team or lengths != settings:  # minibatches of episodes are as they come
                     warnings.filterwarnings("ignore", "You have specified a mini-batch size")
                 model = algorithm(
-                    self.policy,
+                    self._policy(on_policy),
                     envs,
                     seed=seed,
                     device=self.device,
@@ -252,7 +255,21 @@ class SB3Trainer:
             record["normalize_reward"] = True
         if self.credit != "own":
             record["credit"] = self.credit
+        if self.clip_actions:
+            record["clip_actions"] = True
         return record if self.acting == "mean" else {**record, "acting": self.acting}
+
+    def _policy(self, on_policy: bool) -> str | type:
+        if not (self.clip_actions and on_policy):
+            return self.policy
+        if self.policy != "MlpPolicy":
+            raise InvalidInput(
+                f"clip_actions=True goes with policy='MlpPolicy', got {self.policy!r}; a policy of "
+                "your own can clip in its `forward`, as `mbtl.training.applied` does"
+            )
+        from mbtl.training.applied import AppliedMlpPolicy
+
+        return AppliedMlpPolicy
 
     def _training_envs(self, context: Context, stack: ExitStack) -> Any:
         from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize

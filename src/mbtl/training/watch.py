@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -14,6 +15,9 @@ from mbtl.training.rollout import Actor, Env, Job, play
 
 REPORTS = 100
 """Progress reports per training."""
+
+_RECENT = 100
+"""Episodes whose mean is reported, as in Stable-Baselines3."""
 
 
 def actor_for(policy: Any, *, sampled: bool = False) -> Actor:
@@ -84,6 +88,7 @@ class Watch:
         self._on_progress, self._best = on_progress, best
         self._interval = max(1, total // REPORTS)
         self._due, self._episodes = self._interval, 0
+        self._scores: deque[float] = deque(maxlen=_RECENT)
 
     @property
     def done(self) -> int:
@@ -94,8 +99,10 @@ class Watch:
         """Form of a Stable-Baselines3 function callback; False: enough."""
         # one step into the next episode: what ends on the last step has been learnt from by then
         enough = self._ends is not None and self._episodes >= self._total
+        infos = given.get("infos", ())
+        self._scores.extend(float(info["score"]) for info in infos if "score" in info)
         if self._ends is not None:
-            ended = sum(self._ends in info for info in given.get("infos", ()))
+            ended = sum(self._ends in info for info in infos)
             if ended:
                 self._episodes += ended
                 self._foresee()
@@ -117,7 +124,9 @@ class Watch:
             return
         metrics: dict[str, float] = {}
         episodes = self._model.ep_info_buffer
-        if episodes:
+        if self._scores:  # what policies are judged by, where that is not the return
+            metrics["score"] = float(np.mean(self._scores))
+        elif episodes:
             metrics["episode_return"] = float(np.mean([episode["r"] for episode in episodes]))
         if self._best is not None and self._best.best is not None:
             metrics["checkpoint_return"] = float(self._best.latest or 0.0)

@@ -1,0 +1,103 @@
+"""What decides whether a policy learns in a twin, one choice at a time.
+
+The ring: whether TRPO learns from the actions that were applied or from the samples beyond their
+bounds, and whether it standardises advantages. Eco-driving: whether rewards are centred, which pays
+agents for living on. Everything else is the preset's; each line differs from the first by what it
+says. Scores are mean speeds of fresh episodes on the context trained on and, in brackets, on the
+contexts of the others; for eco-driving also the sum of rewards of an agent's life.
+
+example: python benchmarks/twin_learning.py --cmdp ring-acc     # ten minutes of a core
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import measure
+from measure import digits, note
+
+WAYS: dict[str, dict[str, dict[str, Any]]] = {
+    "ring-acc": {
+        "as it is": {},
+        "samples": {"clip_actions": False},
+        "standardised": {"normalize_advantage": True},
+        "samples, standardised": {"clip_actions": False, "normalize_advantage": True},
+    },
+    "eco-inflow": {"as it is": {}, "centred rewards": {"center_reward": True}},
+}
+CONTEXTS = {"ring-acc": (2.0, 10.0, 20.0, 30.0, 40.0), "eco-inflow": (400.0, 1600.0)}
+EVALUATION = 1
+"""Seed of all evaluations."""
+
+
+def rewards_per_life(trainer: Any, policy: Any, context: Any) -> float:
+    """Sum of rewards of an agent that has left, mean over agents; by the most likely actions."""
+    import jax
+    import jax.numpy as jnp
+
+    from mbtl.training.jax import networks
+    from mbtl.training.jax.traffic.episodes import import_actor
+
+    twin, (params,) = trainer.problem([context])
+    network = jax.tree.map(lambda x: x[0], import_actor([policy]).network)
+
+    def one(_: int, carry: Any) -> Any:
+        state, rewards, lives = carry
+        seen = twin.observe(state, params)
+        outputs = networks.apply(network, seen.obs, policy.activation)
+        moved = twin.step(state, networks.mode(outputs, twin.action), params)
+        rewards += jnp.where(seen.acting, moved.reward, 0.0).sum()
+        return moved.state, rewards, lives + (moved.done & seen.acting).sum()
+
+    first = (twin.start(jnp.arange(32, dtype=jnp.uint32), params), jnp.float32(0.0), jnp.int32(0))
+    _, rewards, lives = jax.jit(lambda: jax.lax.fori_loop(0, twin.decisions(params), one, first))()
+    return float(rewards) / max(int(lives), 1)
+
+
+def main() -> None:
+    """Train, evaluate and print."""
+    parser = measure.parser(__doc__)
+    parser.add_argument("--cmdp", choices=tuple(WAYS), default="ring-acc")
+    parser.add_argument("--seeds", type=int, default=2, help="trainings per way and context")
+    args = parser.parse_args()
+    from mbtl.cmdps import get_cmdp
+
+    cmdp = get_cmdp(args.cmdp, engine="jax")
+    trainer = cmdp.trainer_for()
+    (axis,) = (axis.name for axis in cmdp.space.axes)
+    contexts = [{axis: value} for value in CONTEXTS[args.cmdp]]
+    document: dict[str, Any] = {"cmdp": args.cmdp, "episodes": trainer.episodes, "ways": {}}
+    lines = [f"{args.cmdp}, {trainer.episodes} episodes, m/s by context trained on"]
+    for name, changes in WAYS[args.cmdp].items():
+        changed = replace(
+            trainer, hyperparameters={**trainer.hyperparameters, **changes}, eval_episodes=8
+        )
+        own, others, lives = [], [], []
+        for k, context in enumerate(contexts):
+            note(f"{name}, {axis} {context[axis]:g} ...")
+            for seed in range(args.seeds):
+                policy = changed.train(context, seed)
+                scores = changed.evaluate(policy, contexts, EVALUATION).mean(axis=1)
+                own.append(float(scores[k]))
+                others.append(float((scores.sum() - scores[k]) / (len(scores) - 1)))
+                if args.cmdp.startswith("eco"):
+                    lives.append(rewards_per_life(changed, policy, context))
+        each = [digits(x, 3) for x in own]
+        found = {"own": each, "others": [digits(x, 3) for x in others], "rewards": lives}
+        document["ways"][name] = found
+        rows = " ".join(f"{x:.2f}" for x in each)
+        if lives:
+            rows += "   rewards per life " + " ".join(f"{x:.0f}" for x in lives)
+        lines.append(f"{name:22} {mean(own):6.2f} ({mean(others):.2f})   {rows}")
+    document["machine"] = measure.machine("jax")
+    measure.show(document, lines, as_json=args.json)
+
+
+def mean(numbers: list[float]) -> float:
+    """Plain mean."""
+    return sum(numbers) / len(numbers)
+
+
+if __name__ == "__main__":
+    main()
