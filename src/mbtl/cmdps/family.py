@@ -143,9 +143,8 @@ def line(
     n: int = 100,
     unit_index: int = 9,
     paper_step: str | None = None,
-    version: int = 0,
     description: str = "",
 ) -> Variant:
     """A CMDP with one axis, on the grid step, 2 step, ..., n step; see `GridAxis`."""
     varies = GridAxis(axis, unit, step, nominal, n, unit_index=unit_index, paper_step=paper_step)
-    return Variant(family, (varies,), version=version, description=description)
+    return Variant(family, (varies,), description=description)

@@ -282,27 +282,27 @@ def _hold(family: str, description: str) -> Variant:
 TRAFFIC_VARIANTS: Mapping[str, Variant] = {
     "signal-length": line(
         "signal", "length", "m", "50", 750.0, n=50, paper_step="75",
-        version=1, description="Traffic signal; the length of the approaches varies",
+        description="Traffic signal; the length of the approaches varies",
     ),
     "signal-inflow": line(
         "signal", "inflow", "cars", "50", 1000.0, n=50,
-        version=1, description="Traffic signal; the demand varies",
+        description="Traffic signal; the demand varies",
     ),
     "signal-speed": line(
         "signal", "speed", "m/s", "0.5", 14.0, n=50, paper_step="1.389",
-        version=1, description="Traffic signal; the speed limit varies",
+        description="Traffic signal; the speed limit varies",
     ),
     "eco-penetration": line(
         "eco", "penetration", "share", "0.02", 0.2, n=50,
-        version=1, description="Eco-driving; the share of controlled cars varies",
+        description="Eco-driving; the share of controlled cars varies",
     ),
     "eco-inflow": line(
         "eco", "inflow", "veh/h", "40", 400.0, n=50,
-        version=1, description="Eco-driving; the demand varies",
+        description="Eco-driving; the demand varies",
     ),
     "eco-green": line(
         "eco", "green", "s", "1", 35.0, n=50, paper_step="3.5",
-        version=1, description="Eco-driving; the green time varies",
+        description="Eco-driving; the green time varies",
     ),
     "ring-acc": _hold("ring-acc", "Ring road, accelerations advised; the hold varies"),
     "ring-vel": _hold("ring-vel", "Ring road, speeds advised; the hold varies"),
