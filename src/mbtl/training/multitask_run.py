@@ -23,7 +23,6 @@ from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
 from mbtl.trainer import Progress
 from mbtl.training.jax_trainer import JaxTrainer
-from mbtl.training.multitask import recipe_on_all, train_on_all
 from mbtl.training.sb3 import SB3Trainer
 from mbtl.training.twin_trainer import TwinTrainer
 
@@ -122,6 +121,8 @@ class InSimulator:
     @property
     def settings(self) -> dict[str, Any]:
         """What decides the numbers, apart from the seed; JSON-able."""
+        from mbtl.training.multitask import recipe_on_all
+
         return {**self.problem, "recipe": recipe_on_all(self.trainer)}
 
     def run(self, seed: int, folder: Path, on_step: OnStep) -> Found:
@@ -153,7 +154,9 @@ class InSimulator:
         self, seed: int, chosen: int, folder: Path, on_step: OnStep
     ) -> tuple[Any, dict[str, Any]]:
         """Trained now or by an interrupted run, and by which code and how long that was."""
-        decides = {**self.problem, "seed": seed, **recipe_on_all(self.trainer)}
+        from mbtl.training.multitask import train_on_all
+
+        decides = {**self.problem, "seed": seed, **self.settings["recipe"]}
         del decides["eval_episodes"]  # more of them need no other policy
         claim_folder(folder, decides, "a multi-task policy")
         done = folder / "trained.json"
