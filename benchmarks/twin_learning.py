@@ -31,8 +31,8 @@ EVALUATION = 1
 """Seed of all evaluations."""
 
 
-def rewards_per_life(trainer: Any, policy: Any, context: Any) -> float:
-    """Sum of rewards of an agent that has left, mean over agents; by the most likely actions."""
+def life(trainer: Any, policy: Any, context: Any) -> tuple[float, float]:
+    """(score, sum of rewards of an agent) of 32 episodes; without a policy nobody is controlled."""
     import jax
     import jax.numpy as jnp
 
@@ -40,19 +40,25 @@ def rewards_per_life(trainer: Any, policy: Any, context: Any) -> float:
     from mbtl.training.jax.traffic.episodes import import_actor
 
     twin, (params,) = trainer.problem([context])
-    network = jax.tree.map(lambda x: x[0], import_actor([policy]).network)
+
+    def moved_from(state: Any, obs: Any) -> Any:
+        if policy is None:
+            return twin.drive(state, params)
+        network = jax.tree.map(lambda x: x[0], import_actor([policy]).network)
+        outputs = networks.apply(network, obs, policy.activation)
+        return twin.step(state, networks.mode(outputs, twin.action), params)
 
     def one(_: int, carry: Any) -> Any:
         state, rewards, lives = carry
         seen = twin.observe(state, params)
-        outputs = networks.apply(network, seen.obs, policy.activation)
-        moved = twin.step(state, networks.mode(outputs, twin.action), params)
+        moved = moved_from(state, seen.obs)
         rewards += jnp.where(seen.acting, moved.reward, 0.0).sum()
         return moved.state, rewards, lives + (moved.done & seen.acting).sum()
 
     first = (twin.start(jnp.arange(32, dtype=jnp.uint32), params), jnp.float32(0.0), jnp.int32(0))
-    _, rewards, lives = jax.jit(lambda: jax.lax.fori_loop(0, twin.decisions(params), one, first))()
-    return float(rewards) / max(int(lives), 1)
+    played = jax.jit(lambda: jax.lax.fori_loop(0, twin.decisions(params), one, first))
+    state, rewards, lives = played()
+    return float(twin.score(state).mean()), float(rewards) / max(int(lives), 1)
 
 
 def main() -> None:
@@ -67,6 +73,7 @@ def main() -> None:
     trainer = cmdp.trainer_for()
     (axis,) = (axis.name for axis in cmdp.space.axes)
     contexts = [{axis: value} for value in CONTEXTS[args.cmdp]]
+    eco = args.cmdp.startswith("eco")
     document: dict[str, Any] = {"cmdp": args.cmdp, "episodes": trainer.episodes, "ways": {}}
     lines = [f"{args.cmdp}, {trainer.episodes} episodes, m/s by context trained on"]
     for name, changes in WAYS[args.cmdp].items():
@@ -81,8 +88,8 @@ def main() -> None:
                 scores = changed.evaluate(policy, contexts, EVALUATION).mean(axis=1)
                 own.append(float(scores[k]))
                 others.append(float((scores.sum() - scores[k]) / (len(scores) - 1)))
-                if args.cmdp.startswith("eco"):
-                    lives.append(rewards_per_life(changed, policy, context))
+                if eco:
+                    lives.append(life(changed, policy, context)[1])
         each = [digits(x, 3) for x in own]
         found = {"own": each, "others": [digits(x, 3) for x in others], "rewards": lives}
         document["ways"][name] = found
@@ -90,6 +97,12 @@ def main() -> None:
         if lives:
             rows += "   rewards per life " + " ".join(f"{x:.0f}" for x in lives)
         lines.append(f"{name:22} {mean(own):6.2f} ({mean(others):.2f})   {rows}")
+    if eco:
+        alone = [life(trainer, None, context) for context in contexts]
+        document["uncontrolled"] = alone
+        rows = " ".join(f"{score:.2f}" for score, _ in alone)
+        rows += "   rewards per life " + " ".join(f"{rewards:.0f}" for _, rewards in alone)
+        lines.append(f"{'uncontrolled':39} {rows}")
     document["machine"] = measure.machine("jax")
     measure.show(document, lines, as_json=args.json)
 
