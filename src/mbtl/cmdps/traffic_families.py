@@ -217,8 +217,7 @@ _ECO = {
 }
 
 _FAR_SIGHTED = {"gamma": 0.99, "gae_lambda": 0.97}
-"""The paper's: with the `fast` recipe's horizon of ten seconds, the cost of a stop is out of sight,
-and every policy learnt to drive as uncontrolled traffic does."""
+"""The paper's: within the `fast` recipe's horizon of ten seconds no stop is in sight."""
 
 _ECO_STANDARD = Preset(
     budget=15,

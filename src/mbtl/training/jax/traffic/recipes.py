@@ -11,7 +11,7 @@ from mbtl.training.jax.recipes import Activation, check_counts, named, record_of
 
 @dataclass(frozen=True)
 class TRPORecipe:
-    """Hyper-parameters of TRPO on whole episodes; the defaults are those of cmdp-spec, 7.4.
+    """Hyper-parameters of TRPO on whole episodes; cmdp-spec, 7.4, and the reference's code.
 
     Attributes:
         n_episodes: episodes of one policy between two updates.
