@@ -12,6 +12,7 @@ example: python benchmarks/twin_learning.py --cmdp ring-acc     # ten minutes of
 from __future__ import annotations
 
 from dataclasses import replace
+from statistics import fmean
 from typing import Any
 
 import measure
@@ -96,7 +97,7 @@ def main() -> None:
         rows = " ".join(f"{x:.2f}" for x in each)
         if lives:
             rows += "   rewards per life " + " ".join(f"{x:.0f}" for x in lives)
-        lines.append(f"{name:22} {mean(own):6.2f} ({mean(others):.2f})   {rows}")
+        lines.append(f"{name:22} {fmean(own):6.2f} ({fmean(others):.2f})   {rows}")
     if eco:
         alone = [life(trainer, None, context) for context in contexts]
         document["uncontrolled"] = alone
@@ -105,11 +106,6 @@ def main() -> None:
         lines.append(f"{'uncontrolled':39} {rows}")
     document["machine"] = measure.machine("jax")
     measure.show(document, lines, as_json=args.json)
-
-
-def mean(numbers: list[float]) -> float:
-    """Plain mean."""
-    return sum(numbers) / len(numbers)
 
 
 if __name__ == "__main__":

@@ -58,8 +58,7 @@ class Returns(NamedTuple):
         both = jnp.maximum(self.count + n, 1.0)
         share = n / both
         reward_mean = self.reward_mean + share * (mean_of(lived.reward, weight) - self.reward_mean)
-        centre = reward_mean if recipe.center_reward else 0.0
-        rewards = jnp.where(lived.acting, lived.reward - centre, 0.0)
+        rewards = jnp.where(lived.acting, _centred(recipe, lived.reward, reward_mean), 0.0)
 
         def forward(past: jax.Array, now: tuple[jax.Array, jax.Array]) -> Any:
             total = recipe.gamma * past + now[0]
@@ -97,9 +96,7 @@ def advantages(
         (D, E, A) advantages, (D, E, A) targets of the critic, and the statistics after.
     """
     returns = returns.updated(recipe, lived)
-    reward = lived.reward
-    if recipe.center_reward:
-        reward = reward - returns.reward_mean
+    reward = _centred(recipe, lived.reward, returns.reward_mean)
     if recipe.normalize_reward:
         reward = reward * jax.lax.rsqrt(returns.variance + 1e-8)
     reward = jnp.where(lived.acting, reward, 0.0)
@@ -116,3 +113,8 @@ def advantages(
 
     _, advantage = jax.lax.scan(back, jnp.zeros_like(delta[0]), (delta, alive), reverse=True)
     return advantage, advantage + value, returns
+
+
+def _centred(recipe: Discounting, reward: jax.Array, mean: jax.Array) -> jax.Array:
+    """Less their running mean, where the recipe says so."""
+    return reward - mean if recipe.center_reward else reward
