@@ -6,6 +6,7 @@ import os
 import shlex
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -98,97 +99,132 @@ def build(
     }
     given = {k: v for k, v in overrides.items() if v is not None}
     trainer = cmdp.trainer_for(preset, **given)
-    name = variant or _variant(cmdp, given)
-    command = _command(problem, preset, visibility, physics, engine, every, lanes, given)
+    best_lanes = 1
+    if isinstance(trainer, ManyTrainer):
+        keep = keep or (str(getattr(trainer, "checkpoint", "final")),)
+        best_lanes = trainer.lanes
+    job = _Job(
+        cmdp,
+        trainer,
+        checkpoints=keep or (ONLY,),
+        lanes=min(lanes or best_lanes, cmdp.space.n),
+        preset=preset or cmdp.default_preset,
+        variant=variant or _variant(cmdp, given),
+        command=_command(problem, preset, visibility, physics, engine, every, lanes, given),
+    )
+    there = {  # before anything is trained
+        seed: job.there(out, seed) for seed in range(first_seed, first_seed + seeds)
+    }
     results = []
-    for seed in range(first_seed, first_seed + seeds):
-        results += _one(
-            cmdp, trainer, seed, keep, name, command,
-            preset=preset or cmdp.default_preset, out=out, work=work, lanes=lanes, workers=workers,
-        )  # fmt: skip
+    for seed, files in there.items():
+        if files:
+            console.print(f"{', '.join(map(str, files))}: there already", markup=False)
+        else:
+            files = job.run(seed, out, work, workers)
+        results += [_shown(file, matrix) for file, matrix in files.items()]
     if as_json:
         print_json({"matrices": results})
 
 
-def _one(
-    cmdp: CMDP,
-    trainer: Trainer,
-    seed: int,
-    keep: tuple[str, ...],
-    variant: str,
-    command: str,
-    *,
-    preset: str,
-    out: Path,
-    work: Path,
-    lanes: int | None,
-    workers: int | None,
-) -> list[dict[str, Any]]:
-    """One seed: build what is missing, write its files."""
-    checkpoints, best_lanes = keep or (ONLY,), 1
-    if isinstance(trainer, ManyTrainer):
-        checkpoints = keep or (str(getattr(trainer, "checkpoint", "final")),)
-        best_lanes = trainer.lanes
-    names = _names(variant, checkpoints)
-    files = {c: out / f"{matrix_id(cmdp.id, names[c])}-seed{seed}.npz" for c in checkpoints}
-    settings: dict[str, Any] = {
-        "problem": cmdp.id,
-        "version": cmdp.version,
-        "switches": dict(cmdp.settings),
-        "recipe": recipe_of(trainer),
-    }
-    there = {c: TransferMatrix.load(file) for c, file in files.items() if file.is_file()}
-    for c, matrix in there.items():  # before anything is trained
-        check_made_by(files[c], matrix.provenance, _of_checkpoint(settings, c))
-    if len(there) == len(files):
-        console.print(f"{', '.join(map(str, files.values()))}: there already", markup=False)
-        return [_shown(files[c], matrix) for c, matrix in there.items()]
-    lanes = min(lanes or best_lanes, cmdp.space.n)
-    building = Build(
-        trainer,
-        cmdp.space,
-        seed,
-        work / f"matrix-{matrix_id(cmdp.id, variant)}-{preset}-seed{seed}",
-        settings,
-        checkpoints,
-        lanes,
-    )
-    if workers is None:
-        workers = 1 if lanes >= cmdp.space.n else len(os.sched_getaffinity(0))
-    begin, origin = time.perf_counter(), here()  # of the code that runs, not of later commits
-    _run(building, workers, f"{matrix_id(cmdp.id, variant)} seed {seed}")
-    wall = time.perf_counter() - begin
-    results = []
-    for checkpoint, file in files.items():
-        mean, std = building.rows(checkpoint)
-        matrix = TransferMatrix.of(
-            mean[None],
-            std=std[None],
-            space=cmdp.space,
-            bounds=cmdp.bounds,
-            theta=cmdp.theta,
-            direction="max" if cmdp.direction == "maximize" else "min",
-            provenance={
-                **_of_checkpoint(settings, checkpoint),
-                "preset": preset,
-                "seed": seed,
-                "lanes": lanes,
-                "command": f"{command} --seeds 1 --first-seed {seed}",
-                "process_seconds": round(building.seconds(), 1),
-                "wall_seconds_of_last_run": round(wall, 1),
-                **origin,
-            },
-            name=file.name,
+@dataclass(frozen=True)
+class _Job:
+    """What is built, for any seed.
+
+    Attributes:
+        cmdp: the problem.
+        trainer: of its policies.
+        checkpoints: policies of a training that are evaluated, each into a file of its own.
+        lanes: sources trained together.
+        preset: for the record.
+        variant: name of the set.
+        command: that builds it, but for the seed.
+    """
+
+    cmdp: CMDP
+    trainer: Trainer
+    checkpoints: tuple[str, ...]
+    lanes: int
+    preset: str
+    variant: str
+    command: str
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """JSON-able; all that the numbers depend on."""
+        return {
+            "problem": self.cmdp.id,
+            "version": self.cmdp.version,
+            "switches": dict(self.cmdp.settings),
+            "recipe": recipe_of(self.trainer),
+        }
+
+    def of_checkpoint(self, checkpoint: str) -> dict[str, Any]:
+        """`settings` of one of several."""
+        settings = self.settings
+        if checkpoint != ONLY:
+            settings["recipe"] = {**settings["recipe"], "checkpoint": checkpoint}
+        return settings
+
+    def file(self, out: Path, checkpoint: str, seed: int) -> Path:
+        """Where it is to be saved."""
+        name = _names(self.variant, self.checkpoints)[checkpoint]
+        return out / f"{matrix_id(self.cmdp.id, name)}-seed{seed}.npz"
+
+    def there(self, out: Path, seed: int) -> dict[Path, TransferMatrix]:
+        """The finished files of a seed; empty unless all are there.
+
+        Raises:
+            InvalidInput: one was made with other settings.
+        """
+        found = {}
+        for checkpoint in self.checkpoints:
+            file = self.file(out, checkpoint, seed)
+            if file.is_file():
+                found[file] = TransferMatrix.load(file)
+                check_made_by(file, found[file].provenance, self.of_checkpoint(checkpoint))
+        return found if len(found) == len(self.checkpoints) else {}
+
+    def run(
+        self, seed: int, out: Path, work: Path, workers: int | None
+    ) -> dict[Path, TransferMatrix]:
+        """Train and evaluate what is missing, and write the files of a seed."""
+        label = f"{matrix_id(self.cmdp.id, self.variant)} seed {seed}"
+        folder = f"matrix-{matrix_id(self.cmdp.id, self.variant)}-{self.preset}-seed{seed}"
+        space = self.cmdp.space
+        building = Build(
+            self.trainer, space, seed, work / folder, self.settings, self.checkpoints, self.lanes
         )
-        save_shipped(matrix, out, cmdp.id, names[checkpoint], first_seed=seed)
-        results.append(_shown(file, matrix))
-    return results
-
-
-def _of_checkpoint(settings: Mapping[str, Any], checkpoint: str) -> dict[str, Any]:
-    """What the numbers of one checkpoint depend on, of a trainer that offers several."""
-    changed = {} if checkpoint == ONLY else {"checkpoint": checkpoint}
-    return {**settings, "recipe": {**settings["recipe"], **changed}}
+        if workers is None:
+            workers = 1 if self.lanes >= space.n else len(os.sched_getaffinity(0))
+        begin, origin = time.perf_counter(), here()  # of the code that runs, not of later commits
+        _run(building, workers, label)
+        wall = time.perf_counter() - begin
+        built = {}
+        for checkpoint in self.checkpoints:
+            file = self.file(out, checkpoint, seed)
+            mean, std = building.rows(checkpoint)
+            built[file] = TransferMatrix.of(
+                mean[None],
+                std=std[None],
+                space=space,
+                bounds=self.cmdp.bounds,
+                theta=self.cmdp.theta,
+                direction="max" if self.cmdp.direction == "maximize" else "min",
+                provenance={
+                    **self.of_checkpoint(checkpoint),
+                    "preset": self.preset,
+                    "seed": seed,
+                    "lanes": self.lanes,
+                    "command": f"{self.command} --seeds 1 --first-seed {seed}",
+                    "process_seconds": round(building.seconds(), 1),
+                    "wall_seconds_of_last_run": round(wall, 1),
+                    **origin,
+                },
+                name=file.name,
+            )
+            name = _names(self.variant, self.checkpoints)[checkpoint]
+            save_shipped(built[file], out, self.cmdp.id, name, first_seed=seed)
+        return built
 
 
 def _run(building: Build, workers: int, label: str) -> None:
