@@ -30,7 +30,7 @@ def cars(speed, x=None):
     rows = {name: jnp.full(speed.shape, value) for name, value in CAR.items()}
     none = jnp.zeros(speed.shape, jnp.int32)
     x = jnp.zeros(speed.shape) if x is None else jnp.array(x, jnp.float32)[:, None]
-    return Cars(x=x, speed=speed, controlled=none, counted=none, **rows)
+    return Cars(x=x, speed=speed, controlled=none, **rows)
 
 
 def ahead(gap, speed, there=True):

@@ -117,7 +117,7 @@ class EcoTwin:
             (state.main, state.trip, state.side),
             (warm.main, warm.trip, warm.side),
         )
-        main = main._replace(counted=jnp.int32(main.x <= 0.0))
+        trip = trip._replace(counts=jnp.int32(main.x <= 0.0))
         return warm._replace(main=main, trip=trip, side=side)
 
     def observe(self, state: EcoState, params: EcoParams) -> Seen:
@@ -272,9 +272,9 @@ class EcoTwin:
         )
 
     def _counted(self, state: EcoState, leaves: jax.Array) -> Totals:
-        """With the foremost car, if it has left and was not in the region in the warm-up."""
+        """With the foremost car, if it has left and counts."""
         totals, trip = state.totals, Trip(*(field[0] for field in state.trip))
-        counts = leaves & (state.main.counted[0] > 0)
+        counts = leaves & (trip.counts > 0)
         mean = trip.distance / (jnp.maximum(trip.steps, 1) * self.dt)
         return Totals(
             totals.completed + counts,
@@ -303,7 +303,6 @@ class EcoTwin:
         new = Cars(
             x=jnp.stack(fronts),
             speed=jnp.full_like(car.length, road.entry_speed),
-            counted=jnp.ones_like(car.length, jnp.int32),
             **car._asdict(),
         )
         return jnp.stack(enters), new, tails
@@ -334,7 +333,7 @@ class EcoTwin:
 
 _EPSILON = 0.1  # metres: SUMO lets tails enter, and fronts leave, that far from a road's end
 _RESERVE = 8  # rows kept for cars from the side feeder
-_UNBORN = Trip(0, -1, 0, 0.0, 0.0, 0, 0)
+_UNBORN = Trip(0, -1, 0, 0.0, 0.0, 0, 0, 1)
 
 
 def _cut(state: EcoState, few: tuple[int, int]) -> EcoState:

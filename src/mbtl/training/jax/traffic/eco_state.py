@@ -40,6 +40,7 @@ class Trip(NamedTuple):
         co2: emitted there [g].
         stops: there.
         moving: it has been fast since its last stop; int32, 0 or 1.
+        counts: it was not in the region in the warm-up; int32, 0 or 1.
     """
 
     side: jax.Array
@@ -49,6 +50,7 @@ class Trip(NamedTuple):
     co2: jax.Array
     stops: jax.Array
     moving: jax.Array
+    counts: jax.Array
 
 
 class Totals(NamedTuple):

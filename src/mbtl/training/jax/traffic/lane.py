@@ -46,7 +46,6 @@ class Cars(NamedTuple):
         accel: a [m/s^2].
         decel: b [m/s^2].
         controlled: int32, 0 or 1; rows of bools are moved four times slower.
-        counted: came into the region after the warm-up, likewise.
     """
 
     x: jax.Array
@@ -57,10 +56,9 @@ class Cars(NamedTuple):
     accel: jax.Array
     decel: jax.Array
     controlled: jax.Array
-    counted: jax.Array
 
 
-NOBODY = Cars(EMPTY, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0, 0)
+NOBODY = Cars(EMPTY, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0)
 """Fields of an empty row."""
 
 
