@@ -159,8 +159,13 @@ class Look(BaseCallback):
     def _on_rollout_end(self):
         self.buffer = self.model.rollout_buffer
         self.taken = len(self.buffer.observations)
-        seen = obs_as_tensor(self.model._last_obs, "cpu")
-        self.ahead = self.model.policy.predict_values(seen).detach().numpy().ravel()
+        self.ahead = self.value_of(self.model._last_obs)
+        self.at_the_end = self.value_of(np.array([[0.0, 6.0]], np.float32))  # agent a's last look
+
+    def value_of(self, seen):
+        """By the critic that the rollout was judged with."""
+        values = self.model.policy.predict_values(obs_as_tensor(seen, "cpu"))
+        return values.detach().numpy().ravel()
 
     def of(self, name):
         """(agent, time) -> rows, in order."""
@@ -223,6 +228,32 @@ def test_a_rollout_that_ends_within_a_simulation_goes_on_with_the_team():
     assert look.of("returns")[3, 3] == pytest.approx([2.0**-3 + 0.5 * after], abs=1e-6)
     assert not env.step(np.zeros(3, dtype=int))[2].any()
     assert env.step(np.zeros(3, dtype=int))[2].all()  # the simulation ends, for all slots
+
+
+class CutOff(Script):
+    """Time cuts a off; b and c leave with their last decision."""
+
+    def __init__(self):
+        super().__init__({car: (0, 6) for car in "abc"})
+
+    def step(self, actions):
+        seen, rewards, gone, over, infos = super().step(actions)
+        over = {car: over[car] and car == "a" for car in over}
+        gone = {car: self.time == 6 and not over[car] for car in gone}
+        return seen, dict.fromkeys(rewards, 2.0), gone, over, infos
+
+
+@pytest.mark.parametrize(("credit", "others"), [("team", True), ("own", False)])
+def test_what_follows_the_cut_is_worth_as_much_to_a_team_that_is_smaller_by_then(credit, others):
+    look = Look()
+    env = SharedVecEnv([CutOff], slots=3, credit=credit)
+    learner(A2C, env, n_steps=6, gamma=0.5, gae_lambda=1.0).learn(6, callback=look)
+    value = float(look.at_the_end[0])
+    assert abs(value) > 1e-3
+    returns = look.of("returns")
+    assert returns[0, 5] == pytest.approx([2.0 + 0.5 * value], abs=1e-5)
+    for agent in (1, 2):
+        assert returns[agent, 5] == pytest.approx([2.0 + 0.5 * value * others], abs=1e-5)
 
 
 def make_team(context):

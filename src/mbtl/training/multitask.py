@@ -10,6 +10,7 @@ takes an environment factory trains it unchanged; a traffic twin has its own way
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -111,14 +112,14 @@ class _AnyContext:
 
     @property
     def episode_steps(self) -> int:
-        """Most decisions of an episode in any of the contexts."""
+        """Decisions of an episode in the mean over contexts, rounded up."""
         if self._episode_steps is None:
             lengths = []
             for context in self._contexts:
                 env = self._make(context)
                 lengths.append(int(env.episode_steps))
                 env.close()
-            self._episode_steps = max(lengths)
+            self._episode_steps = math.ceil(np.mean(lengths))
         return self._episode_steps
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:

@@ -114,7 +114,7 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
             self._flat(seen),
             np.concatenate([step.rewards for step in steps]),
             np.concatenate([self._dones(step) for step in steps]),
-            [info for step in steps for info in step.infos],
+            [info for step in steps for info in self._infos(step)],
         )
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
@@ -123,6 +123,23 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
 
     def _dones(self, step: SlotStep) -> Any:
         return step.dones if self._credit == "own" else np.full(self.slots, step.ended)
+
+    def _infos(self, step: SlotStep) -> list[dict[str, Any]]:
+        """An episode of the team that time cuts off goes on as its last agents see it.
+
+        Those that left within its last decision have earned their share of that, too: their slots
+        are shown, in turn, what the others see.
+        """
+        cut = "TimeLimit.truncated"
+        last = [info["terminal_observation"] for info in step.infos if info.get(cut)]
+        if self._credit == "own" or not last:
+            return step.infos
+        return [
+            info
+            if info.get(cut)
+            else {**info, "terminal_observation": last[k % len(last)], cut: True}
+            for k, info in enumerate(step.infos)
+        ]
 
     def _flat(self, seen: Any) -> Any:
         return seen.reshape(self.num_envs, *seen.shape[2:])

@@ -35,6 +35,8 @@ ACCEL, DECEL, TAU = 1.0, 1.5, 1.0
 MAX_SPEED, ROAD_LIMIT = 30.0, 13.89
 SPEED_SPREAD = 0.1
 """Standard deviation of the desired speed around the limit, a share."""
+IMPATIENCE = 0.5
+"""How readily a driver who merges makes others brake, 0..1."""
 
 Actions = Literal["acceleration", "speed"]
 Seen = Literal["fresh", "stale"]
@@ -42,7 +44,7 @@ Seen = Literal["fresh", "stale"]
 IDM = (
     f'carFollowModel="IDM" accel="{ACCEL:g}" decel="{DECEL:g}" minGap="{MIN_GAP:g}" '
     f'tau="{TAU:g}" delta="4" length="{LENGTH:g}" maxSpeed="{MAX_SPEED:g}" '
-    f'speedFactor="normc(1,{SPEED_SPREAD:g},0.2,2)"'
+    f'speedFactor="normc(1,{SPEED_SPREAD:g},0.2,2)" impatience="{IMPATIENCE:g}"'
 )
 """Attributes of every car; the speed factor is SUMO's usual spread of the desired speed."""
 

@@ -1,13 +1,13 @@
 """Highway ramp: every tenth car of the main road is advised, for the good of all (cmdp-spec, 7.3).
 
-A main road of 400 m and a ramp of 100 m share a merge section of 100 m with two lanes, which end
-as a zipper in an exit of 30 m. Decentralised: one agent per advised car on the road, one shared
-policy; a PettingZoo parallel environment whose agents come and go.
+A main road of 400 m and a ramp of 100 m share a merge section of 100 m with two lanes, one for
+each, which end as a zipper in an exit of 30 m. Decentralised: one agent per advised car on the
+road, one shared policy; a PettingZoo parallel environment whose agents come and go.
 
-    observation   distance to the zipper, speed; gap and speed of the leader; of the follower;
-                  distance to the zipper and speed of the first ramp car before it. Distances/500 m,
-                  speeds/30 m/s, clipped to 0..1 (absent: 1), mapped to -1..1; then the visible
-                  features
+    observation   distance to the zipper (behind it: 500 m), speed; distance of fronts and speed of
+                  the leader; of the follower; distance to the zipper and speed of the first ramp
+                  car before it. Distances/500 m (absent: 1), speeds/30 m/s (absent: 0), clipped to
+                  0..1, mapped to -1..1; then the visible features
     acceleration  -1..1: up to +1 and down to -1.5 m/s^2, at every simulation step of the hold
     speed         level 0..9, target 30 level/9 m/s, no faster than the road allows
     reward        mean over the hold's steps of (cars that left - 50 collided cars), same for all
@@ -36,11 +36,16 @@ MAIN, MERGE, EXIT, RAMP = 400.0, 100.0, 30.0, 100.0
 MAIN_FLOW, RAMP_FLOW = 2000.0, 300.0
 """Cars per hour, evenly spaced."""
 EVERY = 10
+"""One main-road car in so many is advised, beginning with the first that enters."""
+LANE_CHANGE_MODE = 512
+"""None of SUMO's own changes. They are sought only where cars are advised: those behind a slow one
+would fill the lane of the ramp. The reference has none either (its code; not in the paper)."""
 CAR = advisory.LENGTH + advisory.MIN_GAP
 LEVELS, TOP_SPEED = 10, 30.0
 SPEED_UP, SLOW_DOWN = 1.0, 1.5
 COLLISION = 50.0
 _REACH, _FASTEST = 500.0, 30.0
+_NOBODY = _REACH, 0.0
 _LONGEST = 40.0
 """Seconds by which the longest hold can outlast the end of the measured part."""
 
@@ -53,7 +58,8 @@ class Ramp(TrafficTeam):
 
     Attributes:
         agents: advised cars on the road, in the order in which they entered.
-        possible_agents: every car that will be advised in an episode.
+        possible_agents: the cars of the main road; those of them that are advised depends on who
+            finds room to enter.
     """
 
     FEATURES: ClassVar[Mapping[str, float]] = {"hold": 1.0}  # s
@@ -61,8 +67,7 @@ class Ramp(TrafficTeam):
     HORIZON = advisory.HORIZON
     ACTIONS: ClassVar[Actions] = "acceleration"
     metadata: ClassVar[dict[str, Any]] = {**TrafficTeam.metadata, "name": "mbtl-ramp"}
-    most_agents = math.ceil(MAIN / CAR / EVERY) + math.ceil((2 * MERGE + EXIT) / CAR)
-    """Every tenth car of the main road, and all of the merge section, where cars can overtake."""
+    most_agents = math.ceil((MAIN + MERGE + EXIT) / CAR / EVERY)
 
     def __init__(
         self,
@@ -80,7 +85,6 @@ class Ramp(TrafficTeam):
         self._observation_space = self._space([-1.0] * 8, [1.0] * 8)
         self._action_space = advisory.action_space(self.ACTIONS, LEVELS)
         self._routes, self.possible_agents = _demand()
-        self._advised = frozenset(self.possible_agents)
 
     @property
     def episode_steps(self) -> int:
@@ -97,6 +101,7 @@ class Ramp(TrafficTeam):
             self._seed(seed)
         self.simulation.start(self._routes, self._draw_seed())
         self._drivers = Drivers(self.np_random, self._noise)
+        self._main_cars, self._advised = 0, set[str]()
         self._steps, self._means, self._collided = -advisory.WARM_UP, 0.0, 0
         self._seen: dict[str, Observation] = {}
         self._steered: set[str] = set()
@@ -201,6 +206,8 @@ class Ramp(TrafficTeam):
                     vehicle.setSpeed(car, told.speed(vehicle.getSpeed(car)))
         api.simulationStep()
         self._steps += 1
+        for car in simulation.getDepartedIDList():
+            self._enrol(api, car)
         cars = vehicle.getIDList()
         steady = self._advised if self._steps > 0 else ()
         speeds = self._drivers.step(api, cars, steady)
@@ -210,6 +217,14 @@ class Ramp(TrafficTeam):
         self._collided += collided
         return float(simulation.getArrivedNumber()) - COLLISION * collided
 
+    def _enrol(self, api: Any, car: str) -> None:
+        """A car has entered."""
+        api.vehicle.setLaneChangeMode(car, LANE_CHANGE_MODE)
+        if car.startswith("main"):
+            if self._main_cars % EVERY == 0:
+                self._advised.add(car)
+            self._main_cars += 1
+
     def _look(self, api: Any) -> None:
         """Find the advised cars on the road and what each of them sees."""
         vehicle = api.vehicle
@@ -217,14 +232,15 @@ class Ramp(TrafficTeam):
         ramp_cars = [_distance(vehicle, car) for car in cars if car.startswith("ramp")]
         waiting = [(d, car) for d, car in zip(ramp_cars, _ramp_ids(cars), strict=True) if d > 0]
         first = min(waiting, default=None)
-        merging = (_REACH, _FASTEST) if first is None else (first[0], vehicle.getSpeed(first[1]))
+        merging = _NOBODY if first is None else (first[0], vehicle.getSpeed(first[1]))
         self.agents = sorted((c for c in cars if c in self._advised), key=self._order)
         for car in self.agents:
+            ahead = _distance(vehicle, car)
             raw = (
-                *(_distance(vehicle, car), vehicle.getSpeed(car)),
+                *(ahead or _REACH, vehicle.getSpeed(car)),
                 *_neighbour(vehicle, vehicle.getLeader(car, _REACH)),
                 *_neighbour(vehicle, vehicle.getFollower(car, _REACH)),
-                *merging,
+                *(merging if ahead else _NOBODY),
             )
             share = np.array(raw) / np.array([_REACH, _FASTEST] * 4)
             seen = 2.0 * np.clip(share, 0.0, 1.0) - 1.0
@@ -256,10 +272,11 @@ def _distance(vehicle: Any, car: str) -> float:
 
 
 def _neighbour(vehicle: Any, found: Any) -> tuple[float, float]:
-    """Gap and speed of a leader or follower; SUMO leaves the smallest gap out of what it gives."""
+    """Distance of fronts and speed of a leader or follower; SUMO gives the gap beyond the least."""
     if not found or not found[0]:
-        return _REACH, _FASTEST
-    return max(0.0, found[1] + advisory.MIN_GAP), float(vehicle.getSpeed(found[0]))
+        return _NOBODY
+    fronts = found[1] + advisory.MIN_GAP + advisory.LENGTH
+    return max(0.0, fronts), float(vehicle.getSpeed(found[0]))
 
 
 def _ramp() -> Path:
@@ -305,7 +322,7 @@ def _ramp() -> Path:
 
 
 def _demand() -> tuple[str, list[str]]:
-    """XML of all cars of an episode, and the ids of those that are advised."""
+    """XML of all cars of an episode, and the ids of those of the main road."""
     steps = advisory.WARM_UP + advisory.UNMEASURED + advisory.MEASURED
     seconds = steps * advisory.STEP + _LONGEST
     cars = []
@@ -318,5 +335,5 @@ def _demand() -> tuple[str, list[str]]:
         for time, road, k, speed in sorted(cars)
     )
     ways = "".join(f'<route id="{a}" edges="{a} merge exit"/>' for a in ("main", "ramp"))
-    advised = [f"main{k}" for _, road, k, _ in sorted(cars) if road == "main" and k % EVERY == 0]
-    return f'<routes><vType id="human" {advisory.IDM}/>{ways}{rows}</routes>', advised
+    main = [f"main{k}" for _, road, k, _ in sorted(cars) if road == "main"]
+    return f'<routes><vType id="human" {advisory.IDM}/>{ways}{rows}</routes>', main
