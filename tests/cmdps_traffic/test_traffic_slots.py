@@ -234,7 +234,7 @@ class CutOff(Script):
     """Time cuts a off; b and c leave with their last decision."""
 
     def __init__(self):
-        super().__init__({car: (0, 6) for car in "abc"})
+        super().__init__(dict.fromkeys("abc", (0, 6)))
 
     def step(self, actions):
         seen, rewards, gone, over, infos = super().step(actions)
