@@ -50,15 +50,15 @@ def test_an_episode_within_a_longer_program_is_the_same_and_teaches_the_same():
         assert old.size == 0 or not np.array_equal(old, a)
 
 
-def test_contexts_are_drawn_for_every_update_and_a_training_goes_on_where_it_was(monkeypatch):
+def test_contexts_are_drawn_for_every_episode_and_a_training_goes_on_where_it_was(monkeypatch):
     twin, params = ring()
-    met, updated = [], multitask._updated
+    met, lived = [], multitask._lived
 
     def watched(*arguments):
         met.append(int(arguments[-1]))
-        return updated(*arguments)
+        return lived(*arguments)
 
-    monkeypatch.setattr(multitask, "_updated", watched)
+    monkeypatch.setattr(multitask, "_lived", watched)
     saved = []
 
     def keep(block):
@@ -67,10 +67,11 @@ def test_contexts_are_drawn_for_every_update_and_a_training_goes_on_where_it_was
     options = {"checkpoints": 2, "checkpoint_episodes": 1}
     whole = multitask.train_on_all(twin, RECIPE, 7, params, 40, on_block=keep, **options)
     assert set(met) == {20, 15, 10}  # decisions of the three holds
-    template = learning.start(twin, RECIPE, [7], params[0])
+    assert all(a != b for a, b in zip(met[::2], met[1::2], strict=True))  # two in each update
+    template = learning.start(twin, RECIPE, [7], params[0], len(params))
     halfway = engine.from_arrays(template, saved[0])
     rest = multitask.train_on_all(twin, RECIPE, 7, params, 40, resume=halfway, **options)
-    assert met[20:] == met[10:20]
+    assert met[40:] == met[20:40]
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(rest), strict=True):
         np.testing.assert_array_equal(a, b)
 

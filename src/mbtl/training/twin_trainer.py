@@ -147,7 +147,7 @@ class TwinTrainer(MLPTrainer):
         *,
         partial: Path | None = None,
     ) -> MLPPolicy:
-        """Train one policy for all contexts, each update in one that is drawn uniformly.
+        """Train one policy for all contexts; each episode of an update is in another of them.
 
         It is judged on all of them 20 times, two episodes each: of few contexts or for short
         trainings that is most of the work.
@@ -188,7 +188,7 @@ class TwinTrainer(MLPTrainer):
             checkpoint_episodes=_EACH,
             acting=self.acting,
             on_block=on_block,
-            resume=saved.load(lambda: start(twin, recipe, [seed], params[0])),
+            resume=saved.load(lambda: start(twin, recipe, [seed], params[0], len(params))),
         )
         weights = training.best if self.checkpoint == "best" else training.state.weights
         return engine.export_policies(twin, weights, recipe.activation)[0]
@@ -229,7 +229,7 @@ class TwinTrainer(MLPTrainer):
     @property
     def recipe_on_all(self) -> dict[str, Any]:
         """As `recipe`, of `train_on_all`."""
-        own = {"contexts": "uniform, one per update", "checkpoint_every": f"1/{_CHECKPOINTS}"}
+        own = {"contexts": "uniform, one per episode", "checkpoint_every": f"1/{_CHECKPOINTS}"}
         return {**self.recipe, **own, "checkpoint_episodes": f"{_EACH} per context"}
 
     def _recipe(self) -> Any:

@@ -23,7 +23,7 @@ from mbtl.training.jax.loop import Block, Training, check_finite, finite_policie
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import check_lengths
 from mbtl.training.jax.traffic import ppo, random, trpo
-from mbtl.training.jax.traffic.episodes import Acting, Actor, record, scores
+from mbtl.training.jax.traffic.episodes import Acting, Actor, Episodes, record, scores
 from mbtl.training.jax.traffic.recipes import EpisodicPPORecipe, TRPORecipe, TwinRecipe
 from mbtl.training.jax.traffic.twin import Twin
 
@@ -50,8 +50,10 @@ class State(NamedTuple):
     seed: jax.Array
 
 
-def start(twin: Twin, recipe: TwinRecipe, seeds: Sequence[int], params: Tree) -> Training:
-    """Trainings before their first update; see `train`."""
+def start(
+    twin: Twin, recipe: TwinRecipe, seeds: Sequence[int], params: Tree, contexts: int = 1
+) -> Training:
+    """Trainings before their first update, each in so many contexts; see `train`."""
     n_inputs = twin.n_features + params.visible.shape[-1]
     each = [
         networks.init_weights(
@@ -60,7 +62,7 @@ def start(twin: Twin, recipe: TwinRecipe, seeds: Sequence[int], params: Tree) ->
         for seed in seeds
     ]
     weights = networks.stack(each)
-    memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))(weights)
+    memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe, contexts=contexts))(weights)
     state = State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))
     nothing = jnp.full(len(seeds), -jnp.inf, dtype=jnp.float32)
     best = jax.tree.map(jnp.copy, weights)
@@ -151,10 +153,9 @@ def in_blocks(
     while done < total:
         count = min(block, total - done)
         training = learn(training, count)
-        weights = training.state.weights
-        training = keep_better(training, judge(Actor(weights.actor, weights.log_std)))
+        training = keep_better(training, judge(actor_of(training.state)))
         done += count
-        check_finite(finite_policies(weights), done * recipe.n_episodes)
+        check_finite(finite_policies(training.state.weights), done * recipe.n_episodes)
         if on_block is not None:
             on_block(Block(done * recipe.n_episodes, total * recipe.n_episodes, training))
     return training
@@ -184,29 +185,38 @@ def _updates(
 
 
 def update(
-    twin: Twin,
-    recipe: TwinRecipe,
-    decisions: int,
-    state: State,
-    number: jax.Array,
-    params: Tree,
-    lasting: jax.Array | None = None,
+    twin: Twin, recipe: TwinRecipe, decisions: int, state: State, number: jax.Array, params: Tree
 ) -> State:
     """Live through `n_episodes` of each policy and learn from them; within a compiled program.
 
     Args:
         twin: the dynamics.
         recipe: hyper-parameters.
-        decisions: of an episode at most.
+        decisions: of an episode.
         state: P policies.
         number: of the update.
         params: of one context, or of every simulation.
-        lasting: decisions of an episode in this context; None: as many as at most.
     """
+    seeds = episode_seeds(recipe, state, number)
+    lived = record(twin, recipe.activation, decisions, actor_of(state), seeds, params)
+    return learnt(twin, recipe, state, number, lived)
+
+
+def episode_seeds(recipe: TwinRecipe, state: State, number: jax.Array) -> jax.Array:
+    """(P, `n_episodes`) seeds of the episodes of an update."""
+    return random.bits(state.seed, _EPISODE, number, recipe.n_episodes).T
+
+
+def actor_of(state: State) -> Actor:
+    """What plays."""
+    return Actor(state.weights.actor, state.weights.log_std)
+
+
+def learnt(
+    twin: Twin, recipe: TwinRecipe, state: State, number: jax.Array, lived: Episodes
+) -> State:
+    """Each policy after an update with its episodes."""
     learn = partial(_ALGORITHMS[type(recipe)].learn, twin.action, recipe)
-    seeds = random.bits(state.seed, _EPISODE, number, recipe.n_episodes).T
-    actor = Actor(state.weights.actor, state.weights.log_std)
-    lived = record(twin, recipe.activation, decisions, actor, seeds, params, lasting)
     policies = jax.vmap(learn, in_axes=(0, 0, 0, None))
     weights, memory = policies(state.weights, state.memory, lived, number)
     return State(weights, memory, state.seed)

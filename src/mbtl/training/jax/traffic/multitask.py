@@ -1,7 +1,8 @@
-"""One policy for all contexts of a twin: the episodes of each update are in one of them.
+"""One policy for all contexts of a twin: each episode of an update is in another of them.
 
-Which one is drawn uniformly, update by update, so the twin need not mix contexts. Those of episodes
-with about as many decisions share a compiled program.
+They are drawn uniformly, without repetition while there are any. Episodes are lived through one by
+one, so the twin need not mix contexts; those with about as many decisions share a compiled program.
+Rewards are brought to one scale, and centred, context by context, as each by itself would be.
 """
 
 from __future__ import annotations
@@ -13,18 +14,28 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from mbtl.seeds import Purpose, derive_seed
 from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.loop import Block, Training
-from mbtl.training.jax.recipes import check_lengths
+from mbtl.training.jax.recipes import Activation, check_lengths
 from mbtl.training.jax.traffic import random
-from mbtl.training.jax.traffic.episodes import Acting, Actor, scores
-from mbtl.training.jax.traffic.learning import in_blocks, start, update
+from mbtl.training.jax.traffic.episodes import Acting, Actor, Episodes, record, scores
+from mbtl.training.jax.traffic.learning import (
+    State,
+    actor_of,
+    episode_seeds,
+    in_blocks,
+    learnt,
+    start,
+)
 from mbtl.training.jax.traffic.recipes import TwinRecipe
 from mbtl.training.jax.traffic.twin import Twin
 
 _CONTEXT = 1 << 22  # stream of random numbers: the contexts of updates
+_BY_DECISION = ("obs", "outputs", "action", "acting", "reward", "done")
+"""Fields of `Episodes` with axes (P, D, E, ...); the others have (P, E, ...)."""
 
 
 def train_on_all(
@@ -44,7 +55,7 @@ def train_on_all(
 
     Args:
         twin: the dynamics.
-        recipe: hyper-parameters; `n_episodes` are played in the one context of an update.
+        recipe: hyper-parameters; `n_episodes` contexts are met in an update.
         seed: training seed of 32 bits.
         contexts: N >= 1 parameters, each of one context.
         episodes: over all contexts together, rounded up to whole updates.
@@ -68,14 +79,19 @@ def train_on_all(
     most = [max(d for d in lasting if d.bit_length() == own.bit_length()) for own in lasting]
     numbers = range(checkpoint_episodes)
     tests = np.array([[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers]], np.uint32)
-    total = math.ceil(episodes / recipe.n_episodes)
-    own = jnp.array([seed], jnp.uint32)
-    drawn = np.asarray(random.bits(own, _CONTEXT, jnp.uint32(0), total))[:, 0] % len(contexts)
 
     def learn(training: Training, count: int) -> Training:
-        done = int(training.updates)
-        for i in drawn[done : done + count]:
-            training = _updated(twin, recipe, most[i], training, contexts[i], jnp.int32(lasting[i]))
+        for number in range(int(training.updates), int(training.updates) + count):
+            met = _drawn(seed, number, len(contexts), recipe.n_episodes)
+            seeds = _seeds(recipe, training.state, training.updates)
+            lived = [
+                _lived(
+                    twin, recipe.activation, most[i], max(lasting), training.state, seeds[:, [k]],
+                    contexts[i], jnp.int32(lasting[i]),
+                )
+                for k, i in enumerate(met.tolist())
+            ]  # fmt: skip
+            training = _updated(twin, recipe, training, lived, jnp.asarray(met, jnp.int32))
         return training
 
     def judge(actor: Actor) -> jax.Array:
@@ -85,20 +101,55 @@ def train_on_all(
         ]
         return jnp.stack(found).mean(axis=0)
 
-    training = start(twin, recipe, [seed], contexts[0]) if resume is None else resume
+    training = resume
+    if training is None:
+        training = start(twin, recipe, [seed], contexts[0], len(contexts))
     lengths = episodes, math.ceil(episodes / checkpoints)
     return in_blocks(recipe, training, lengths, learn, judge, on_block)
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)
-def _updated(
+def _drawn(seed: int, number: int, contexts: int, count: int) -> NDArray[np.int64]:
+    """(count,) contexts of the episodes of an update."""
+    rounds = math.ceil(count / contexts)
+    own, moment = jnp.array([seed], jnp.uint32), jnp.uint32(number)
+    draw = np.asarray(random.bits(own, _CONTEXT, moment, rounds * contexts))
+    return draw.reshape(rounds, contexts).argsort(axis=1).reshape(-1)[:count]
+
+
+_seeds = jax.jit(episode_seeds, static_argnums=0)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2, 3))
+def _lived(
     twin: Twin,
-    recipe: TwinRecipe,
+    activation: Activation,
     most: int,
-    training: Training,
+    longest: int,
+    state: State,
+    seeds: jax.Array,
     params: Tree,
     lasting: jax.Array,
+) -> Episodes:
+    """Episodes of `lasting` decisions, `most` at most, as if there were `longest`."""
+    lived = record(twin, activation, most, actor_of(state), seeds, params, lasting)
+    before = longest - most
+
+    def later(x: jax.Array) -> jax.Array:
+        return jnp.pad(x, [(0, 0), (before, 0)] + [(0, 0)] * (x.ndim - 2))
+
+    return lived._replace(**{name: later(getattr(lived, name)) for name in _BY_DECISION})
+
+
+@partial(jax.jit, static_argnums=(0, 1), donate_argnums=2)
+def _updated(
+    twin: Twin, recipe: TwinRecipe, training: Training, lived: list[Episodes], met: jax.Array
 ) -> Training:
-    """One update on a context whose episodes have `lasting` decisions, `most` at most."""
-    state = update(twin, recipe, most, training.state, training.updates, params, lasting)
+    """One update with an episode of each of the contexts met."""
+
+    def joined(name: str) -> jax.Array:
+        fields = [getattr(one, name) for one in lived]
+        return jnp.concatenate(fields, axis=2 if name in _BY_DECISION else 1)
+
+    together = Episodes(*map(joined, Episodes._fields))._replace(context=met[None])
+    state = learnt(twin, recipe, training.state, training.updates, together)
     return training._replace(state=state, updates=training.updates + 1)
