@@ -36,7 +36,7 @@ def setting(acting, **changes):
     reward = jnp.where(acting, action[..., 0], 0.0)
     lived = Episodes(
         obs, outputs, action, acting, reward, acting & ~jnp.roll(acting, -1, axis=0),
-        obs[0], jnp.zeros((1, A), bool), jnp.zeros(1), jnp.zeros(1, jnp.int32),
+        obs[0], jnp.zeros((1, A), bool), jnp.zeros(1),
     )  # fmt: skip
     return recipe, weights, lived
 

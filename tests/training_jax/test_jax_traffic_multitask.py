@@ -68,7 +68,7 @@ def test_contexts_are_drawn_for_every_episode_and_a_training_goes_on_where_it_wa
     whole = multitask.train_on_all(twin, RECIPE, 7, params, 40, on_block=keep, **options)
     assert set(met) == {20, 15, 10}  # decisions of the three holds
     assert all(a != b for a, b in zip(met[::2], met[1::2], strict=True))  # two in each update
-    template = learning.start(twin, RECIPE, [7], params[0], len(params))
+    template = learning.start(twin, RECIPE, [7], params[0])
     halfway = engine.from_arrays(template, saved[0])
     rest = multitask.train_on_all(twin, RECIPE, 7, params, 40, resume=halfway, **options)
     assert met[40:] == met[20:40]

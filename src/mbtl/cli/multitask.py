@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from mbtl.benchmark.multitask import multitask_file, read_multitask, save_multitask
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json
 from mbtl.cmdps import CMDP, get_cmdp
+from mbtl.cmdps.registry import visibility_on_all
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.provenance import check_made_by, here
 from mbtl.training import JaxTrainer, SB3Trainer, TwinTrainer
@@ -45,6 +46,14 @@ def multitask(
         str | None,
         typer.Option(help="jax, gymnasium or sumo; default: that of the CMDP.", show_default=False),
     ] = None,
+    visibility: Annotated[
+        str | None,
+        typer.Option(
+            help="What of the context the policy sees; default: the multiplier, and nothing of a "
+            "hold.",
+            show_default=False,
+        ),
+    ] = None,
     timesteps: Annotated[
         int | None, typer.Option(help="Environment steps of one source; default: the preset's.")
     ] = None,
@@ -71,17 +80,20 @@ def multitask(
     for name, number in counts.items():
         if number is not None and number < 1:
             raise InvalidInput(f"--{name} must be >= 1, got {number}")
-    cmdp = get_cmdp(cmdp_id, visibility="multiplier", engine=engine)
+    usual = visibility_on_all(cmdp_id)
+    other = None if visibility in (None, usual) else visibility
+    cmdp = get_cmdp(cmdp_id, visibility=visibility or usual, engine=engine)
     job = _job(cmdp, method, factor, preset, timesteps, episodes, eval_episodes)
     if engine == get_cmdp(cmdp_id).settings["engine"]:
         engine = None
     given = {"method": method, "factor": factor if factor > 1 else None,
              "preset": preset if preset != "paper" else None, "engine": engine,
+             "visibility": other,
              "timesteps": timesteps, "episodes": episodes,
              "eval-episodes": eval_episodes}  # fmt: skip
     words = [f"--{name} {value}" for name, value in given.items() if value is not None]
     command = " ".join(["mbtl matrix multitask", cmdp_id, *words, "--seeds 1 --first-seed"])
-    name = job.method if factor == 1 else f"{job.method}-x{factor}"
+    name = "-".join(filter(None, (job.method, other, f"x{factor}" if factor > 1 else None)))
     files = {
         seed: multitask_file(out, cmdp.id, name, seed)
         for seed in range(first_seed, first_seed + seeds)

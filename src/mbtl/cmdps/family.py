@@ -53,6 +53,7 @@ class Family:
         switches: options of the environment beside visibility and time limit.
         simulator: the engine of `entry_point`, "gymnasium" or "sumo".
         visibility: what of the context the policy sees unless told otherwise.
+        visibility_on_all: likewise, of one policy for all contexts.
         check_steps: environment steps of a rollout of `mbtl check`; fewer where steps are long.
     """
 
@@ -65,6 +66,7 @@ class Family:
     switches: tuple[str, ...] = ()
     simulator: str = "gymnasium"
     visibility: str = "multiplier"
+    visibility_on_all: str = "multiplier"
     check_steps: int | None = None
 
 

@@ -33,6 +33,11 @@ def gym_id(id: str) -> str:
     return f"mbtl/{id}-v{variant.version}"
 
 
+def visibility_on_all(id: str) -> str:
+    """What of the context one policy for all contexts sees: the multiplier, but no hold (7.4)."""
+    return _entry(id)[1].visibility_on_all
+
+
 def env_factory(
     id: str,
     *,

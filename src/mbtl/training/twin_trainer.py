@@ -188,7 +188,7 @@ class TwinTrainer(MLPTrainer):
             checkpoint_episodes=_EACH,
             acting=self.acting,
             on_block=on_block,
-            resume=saved.load(lambda: start(twin, recipe, [seed], params[0], len(params))),
+            resume=saved.load(lambda: start(twin, recipe, [seed], params[0])),
         )
         weights = training.best if self.checkpoint == "best" else training.state.weights
         return engine.export_policies(twin, weights, recipe.activation)[0]

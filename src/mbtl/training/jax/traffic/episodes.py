@@ -61,7 +61,6 @@ class Episodes(NamedTuple):
         last_obs: (P, E, A, f) after the last decision.
         last_acting: (P, E, A) whose life goes on then; nobody's at a time limit that is terminal.
         score: (P, E).
-        context: (P, E) int32 number of the context, where there are several.
     """
 
     obs: jax.Array
@@ -73,7 +72,6 @@ class Episodes(NamedTuple):
     last_obs: jax.Array
     last_acting: jax.Array
     score: jax.Array
-    context: jax.Array
 
 
 def record(
@@ -132,7 +130,6 @@ def record(
     last = twin.observe(state, params)
     goes_on = last.acting & (twin.time_limit == "truncation")
     rows += [split(last.obs), split(goes_on), split(twin.score(state))]
-    rows.append(jnp.zeros(shape, jnp.int32))
     return Episodes(*rows)
 
 

@@ -50,10 +50,8 @@ class State(NamedTuple):
     seed: jax.Array
 
 
-def start(
-    twin: Twin, recipe: TwinRecipe, seeds: Sequence[int], params: Tree, contexts: int = 1
-) -> Training:
-    """Trainings before their first update, each in so many contexts; see `train`."""
+def start(twin: Twin, recipe: TwinRecipe, seeds: Sequence[int], params: Tree) -> Training:
+    """Trainings before their first update; see `train`."""
     n_inputs = twin.n_features + params.visible.shape[-1]
     each = [
         networks.init_weights(
@@ -62,7 +60,7 @@ def start(
         for seed in seeds
     ]
     weights = networks.stack(each)
-    memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe, contexts=contexts))(weights)
+    memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))(weights)
     state = State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))
     nothing = jnp.full(len(seeds), -jnp.inf, dtype=jnp.float32)
     best = jax.tree.map(jnp.copy, weights)

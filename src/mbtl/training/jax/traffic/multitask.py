@@ -2,7 +2,6 @@
 
 They are drawn uniformly, without repetition while there are any. Episodes are lived through one by
 one, so the twin need not mix contexts; those with about as many decisions share a compiled program.
-Rewards are brought to one scale, and centred, context by context, as each by itself would be.
 """
 
 from __future__ import annotations
@@ -91,7 +90,7 @@ def train_on_all(
                 )
                 for k, i in enumerate(met.tolist())
             ]  # fmt: skip
-            training = _updated(twin, recipe, training, lived, jnp.asarray(met, jnp.int32))
+            training = _updated(twin, recipe, training, lived)
         return training
 
     def judge(actor: Actor) -> jax.Array:
@@ -101,9 +100,7 @@ def train_on_all(
         ]
         return jnp.stack(found).mean(axis=0)
 
-    training = resume
-    if training is None:
-        training = start(twin, recipe, [seed], contexts[0], len(contexts))
+    training = start(twin, recipe, [seed], contexts[0]) if resume is None else resume
     lengths = episodes, math.ceil(episodes / checkpoints)
     return in_blocks(recipe, training, lengths, learn, judge, on_block)
 
@@ -141,15 +138,13 @@ def _lived(
 
 
 @partial(jax.jit, static_argnums=(0, 1), donate_argnums=2)
-def _updated(
-    twin: Twin, recipe: TwinRecipe, training: Training, lived: list[Episodes], met: jax.Array
-) -> Training:
+def _updated(twin: Twin, recipe: TwinRecipe, training: Training, lived: list[Episodes]) -> Training:
     """One update with an episode of each of the contexts met."""
 
     def joined(name: str) -> jax.Array:
         fields = [getattr(one, name) for one in lived]
         return jnp.concatenate(fields, axis=2 if name in _BY_DECISION else 1)
 
-    together = Episodes(*map(joined, Episodes._fields))._replace(context=met[None])
+    together = Episodes(*map(joined, Episodes._fields))
     state = learnt(twin, recipe, training.state, training.updates, together)
     return training._replace(state=state, updates=training.updates + 1)

@@ -61,10 +61,10 @@ class Memory(NamedTuple):
     kl_coef: jax.Array
 
 
-def start(recipe: EpisodicPPORecipe, weights: Weights, contexts: int = 1) -> Memory:
-    """Before the first update of a policy of so many contexts."""
+def start(recipe: EpisodicPPORecipe, weights: Weights) -> Memory:
+    """Before the first update."""
     moments = _optimizer(recipe).init(ravel_pytree(weights)[0])
-    return Memory(moments, Returns.empty(contexts), jnp.float32(recipe.kl_coef))
+    return Memory(moments, Returns.empty(), jnp.float32(recipe.kl_coef))
 
 
 def learn(

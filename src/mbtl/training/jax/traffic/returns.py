@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from mbtl.training.jax import networks
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
+from mbtl.training.jax.traffic.distributions import mean_of
 from mbtl.training.jax.traffic.episodes import Episodes
 
 
@@ -29,7 +30,7 @@ class Discounting(Protocol):
 
 
 class Returns(NamedTuple):
-    """Running statistics over all decisions so far, (C,): apart for each of C contexts.
+    """Running statistics over all decisions so far.
 
     Attributes:
         count: decisions seen.
@@ -45,36 +46,27 @@ class Returns(NamedTuple):
     variance: jax.Array
 
     @classmethod
-    def empty(cls, contexts: int = 1) -> Returns:
+    def empty(cls) -> Returns:
         """Nothing seen."""
-        zero = jnp.zeros(contexts)
+        zero = jnp.float32(0.0)
         return cls(zero, zero, zero, zero)
 
     def updated(self, recipe: Discounting, lived: Episodes) -> Returns:
         """With more episodes of one policy."""
         weight = lived.acting.astype(jnp.float32)
-
-        def total(x: jax.Array) -> jax.Array:
-            by_episode = (x * weight).sum(axis=(0, 2))
-            return jnp.zeros_like(self.count).at[lived.context].add(by_episode)
-
-        n = total(jnp.ones_like(weight))
-        share = n / jnp.maximum(self.count + n, 1.0)
-
-        def mean_of(x: jax.Array) -> jax.Array:
-            return total(x) / jnp.maximum(n, 1.0)
-
-        reward_mean = self.reward_mean + share * (mean_of(lived.reward) - self.reward_mean)
-        reward = _centred(recipe, lived.reward, _of_episodes(reward_mean, lived))
-        rewards = jnp.where(lived.acting, reward, 0.0)
+        n = weight.sum()
+        both = jnp.maximum(self.count + n, 1.0)
+        share = n / both
+        reward_mean = self.reward_mean + share * (mean_of(lived.reward, weight) - self.reward_mean)
+        rewards = jnp.where(lived.acting, _centred(recipe, lived.reward, reward_mean), 0.0)
 
         def forward(past: jax.Array, now: tuple[jax.Array, jax.Array]) -> Any:
-            earned = recipe.gamma * past + now[0]
-            return jnp.where(now[1], 0.0, earned), earned
+            total = recipe.gamma * past + now[0]
+            return jnp.where(now[1], 0.0, total), total
 
         _, discounted = jax.lax.scan(forward, jnp.zeros_like(rewards[0]), (rewards, lived.done))
-        mean = mean_of(discounted)
-        variance = mean_of(jnp.square(discounted - _of_episodes(mean, lived)))
+        mean = mean_of(discounted, weight)
+        variance = mean_of(jnp.square(discounted - mean), weight)
         apart = mean - self.mean
         return Returns(
             self.count + n,
@@ -104,9 +96,9 @@ def advantages(
         (D, E, A) advantages, (D, E, A) targets of the critic, and the statistics after.
     """
     returns = returns.updated(recipe, lived)
-    reward = _centred(recipe, lived.reward, _of_episodes(returns.reward_mean, lived))
+    reward = _centred(recipe, lived.reward, returns.reward_mean)
     if recipe.normalize_reward:
-        reward = reward * jax.lax.rsqrt(_of_episodes(returns.variance, lived) + 1e-8)
+        reward = reward * jax.lax.rsqrt(returns.variance + 1e-8)
     reward = jnp.where(lived.acting, reward, 0.0)
     value = networks.apply(critic, lived.obs, recipe.activation)[..., 0]
     last = networks.apply(critic, lived.last_obs, recipe.activation)[..., 0]
@@ -121,11 +113,6 @@ def advantages(
 
     _, advantage = jax.lax.scan(back, jnp.zeros_like(delta[0]), (delta, alive), reverse=True)
     return advantage, advantage + value, returns
-
-
-def _of_episodes(by_context: jax.Array, lived: Episodes) -> jax.Array:
-    """(C,) -> (E, 1), beside (D, E, A)."""
-    return by_context[lived.context][:, None]
 
 
 def _centred(recipe: Discounting, reward: jax.Array, mean: jax.Array) -> jax.Array:

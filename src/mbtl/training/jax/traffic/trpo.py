@@ -56,9 +56,9 @@ class Memory(NamedTuple):
     returns: Returns
 
 
-def start(recipe: TRPORecipe, weights: Weights, contexts: int = 1) -> Memory:
-    """Before the first update of a policy of so many contexts."""
-    return Memory(_adam(recipe).init(weights.critic), Returns.empty(contexts))
+def start(recipe: TRPORecipe, weights: Weights) -> Memory:
+    """Before the first update."""
+    return Memory(_adam(recipe).init(weights.critic), Returns.empty())
 
 
 def learn(

@@ -1,0 +1,99 @@
+"""What a policy learns from few episodes in SUMO, one choice at a time.
+
+The ramp: whose rewards an action is credited with, and how far it looks. With the paper's values,
+credited with what its own car is given until it leaves, or with what the team earns until the end,
+as in the paper; and near-sighted, as the preset `standard`. Signals: gradient steps per episode.
+All else is that preset's. Scores are those of fresh episodes in the context trained on, and in
+brackets the mean over the contexts of the others; before them the scores of nobody advised.
+
+example: python benchmarks/sumo_learning.py --cmdp ramp-acc     # a quarter of an hour of a core
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from statistics import fmean
+from typing import Any
+
+import measure
+from measure import digits, note
+
+CONTEXTS = {
+    "ramp-acc": ("hold", (2.0, 10.0, 25.0)),
+    "ramp-vel": ("hold", (2.0, 10.0, 25.0)),
+    "signal-inflow": ("inflow", (1000.0, 2000.0, 2450.0)),
+}
+GRADIENT_STEPS = 75, 200
+EVALUATION = 1
+"""Seed of all evaluations."""
+
+
+def ways(cmdp: Any, episodes: int, eval_episodes: int) -> dict[str, Any]:
+    """Trainers by name."""
+    alike: dict[str, Any] = {"episodes": episodes, "eval_episodes": eval_episodes}
+    standard = replace(cmdp.trainer_for("standard"), checkpoint="final", **alike)
+    if cmdp.family == "signal":
+        return {
+            f"{count} gradient steps": replace(
+                standard, hyperparameters={**standard.hyperparameters, "gradient_steps": count}
+            )
+            for count in GRADIENT_STEPS
+        }
+    paper = replace(cmdp.trainer_for("paper"), checkpoint="final", **alike)
+    return {
+        "own rewards": replace(paper, credit="own"),
+        "the team's": replace(paper, credit="team"),
+        "the team's, near-sighted": standard,
+    }
+
+
+def alone(trainer: Any, context: Any) -> float:
+    """Mean score of traffic without advice."""
+    scores = []
+    env = trainer.make_env(context)
+    for seed in range(trainer.eval_episodes):
+        env.reset(seed=seed)
+        while env.agents:
+            env.step({})
+        scores.append(env.score)
+    env.close()
+    return digits(fmean(scores), 3)
+
+
+def main() -> None:
+    """Train, evaluate and print."""
+    parser = measure.parser(__doc__)
+    parser.add_argument("--cmdp", choices=tuple(CONTEXTS), default="ramp-acc")
+    parser.add_argument("--episodes", type=int, default=60, help="per training")
+    parser.add_argument("--eval-episodes", type=int, default=4, help="per policy and context")
+    parser.add_argument("--seeds", type=int, default=2, help="trainings per way and context")
+    args = parser.parse_args()
+    from mbtl.cmdps import get_cmdp
+
+    cmdp = get_cmdp(args.cmdp)
+    axis, values = CONTEXTS[args.cmdp]
+    contexts = [{axis: value} for value in values]
+    trainers = ways(cmdp, args.episodes, args.eval_episodes)
+    document: dict[str, Any] = {"cmdp": args.cmdp, "episodes": args.episodes, "ways": {}}
+    lines = [f"{args.cmdp}, {args.episodes} episodes: scores by {axis} trained on"]
+    if cmdp.family == "ramp":
+        document["alone"] = alone(next(iter(trainers.values())), contexts[-1])
+        lines.append(f"{'nobody advised':26}{document['alone']:9.2f}")
+    for name, trainer in trainers.items():
+        own, others = [], []
+        for k, context in enumerate(contexts):
+            for seed in range(args.seeds):
+                note(f"{name}, {axis} {context[axis]:g}, seed {seed} ...")
+                policy = trainer.train(context, seed)
+                scores = trainer.evaluate(policy, contexts, EVALUATION).mean(axis=1)
+                own.append(digits(float(scores[k]), 3))
+                others.append(digits(float(scores.sum() - scores[k]) / (len(scores) - 1), 3))
+        document["ways"][name] = {"own": own, "others": others}
+        rows = "  ".join(f"{mine:.2f} ({rest:.2f})" for mine, rest in zip(own, others, strict=True))
+        lines.append(f"{name:26}{fmean(own):9.2f} ({fmean(others):.2f})   {rows}")
+    document["machine"] = measure.machine("libsumo", "sb3_contrib")
+    measure.show(document, lines, as_json=args.json)
+
+
+if __name__ == "__main__":
+    main()
