@@ -6,7 +6,7 @@ pytest.importorskip("libsumo")
 from mbtl.cmdps import check_cmdp
 from mbtl.cmdps.engines import EnvFactory
 from mbtl.cmdps.traffic import demand
-from mbtl.cmdps.traffic.signal import CELLS, JAM, Signal, cell_of
+from mbtl.cmdps.traffic.signal import CELLS, JAM, LOWEST, Signal, cell_of
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import ContextMismatch, InvalidInput
 
@@ -83,6 +83,7 @@ def test_a_fixed_time_signal_serves_the_nominal_demand(make):
     decisions, total, info = episode(make(), FIXED_TIME)
     assert decisions == 451
     assert total == 0.0  # rewards are differences: nobody waited before, nobody waits at the end
+    assert info["waiting"] == -info["score"]
     assert -13.5 < info["score"] < -5.7  # the range of the paper's raw waiting
     assert info["not_inserted"] == info["collisions"] == 0
 
@@ -226,20 +227,22 @@ def test_a_car_without_its_turn_leaves_by_its_lane_after_its_patience_only(make)
     assert routes["c"] == ["W_in", "S_out"]  # left of east, clockwise: south
 
 
-def test_a_jam_ends_the_episode_with_the_score_of_the_whole_one_cut_off(make):
-    # those of the other axis wait from their arrival on: far below the paper's bound, -100
+def test_a_jam_ends_the_episode_with_the_score_of_the_whole_one(make):
+    # those of the other axis wait from their arrival on
     decisions, _, whole = episode(make({"inflow": 200}, jam=-np.inf), (0,))
     assert decisions == 540
-    assert whole["score"] < -1000.0
+    assert whole["waiting"] > 1000.0
+    assert whole["score"] == LOWEST == -100.0
     assert not whole["jammed"]
     assert whole["mean_queue"] > 40.0
     decisions, _, cut = episode(make({"inflow": 200}), (0,))
     assert decisions < 540
     assert cut["jammed"]
-    assert cut["score"] == JAM == -1000.0
-    decisions, _, above = episode(make({"inflow": 200}, jam=whole["score"] - 1.0), (0,))
+    assert cut["score"] == LOWEST
+    assert 1000.0 == -JAM <= cut["waiting"] < whole["waiting"]
+    decisions, _, above = episode(make({"inflow": 200}, jam=-whole["waiting"] - 1.0), (0,))
     assert decisions == 540
-    assert above["score"] == whole["score"]
+    assert above["waiting"] == whole["waiting"]
 
 
 def test_a_jam_is_no_terminal_state_unless_the_end_of_time_is_one(make):

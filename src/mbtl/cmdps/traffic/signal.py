@@ -8,7 +8,7 @@ others straight. A green lasts 10 s, after 4 s of yellow if the phase changes.
     action        0 north-south, 1 north-south left, 2 east-west, 3 east-west left
     reward        previous minus present total W of accumulated waiting time [s] over the cars on
                   the approaches; cars that have left are dropped (the reference keeps some)
-    score         -(sum of W over all decisions) / 5400, but not below `JAM`
+    score         -(sum of W over all decisions) / 5400, but not below `LOWEST`
 """
 
 from __future__ import annotations
@@ -47,10 +47,14 @@ PATIENCE = 120
 the lane leads. On short roads cars that each want the other's lane would else stand there for ever,
 and nobody behind them could move: there is no teleport. Nothing leaves the demand."""
 
+LOWEST = -100.0
+"""Lowest score of an episode, the paper's lower bound: no jam is worse than another. The published
+values cannot hold any below it (docs/traffic.md)."""
 JAM = -1000.0
-"""Lowest score, ten times as far as the paper's bound: an episode that has reached it is a jam and
-ends. Waiting only adds up, so the score is what the whole episode would have, cut off here; but
-SUMO needs ten times as long for hundreds of cars that stand as for traffic that flows."""
+"""-(sum of W) / 5400 at which an episode ends as a jam. Waiting only adds up, so its score is that
+of the whole episode, and SUMO needs ten times as long for hundreds of cars that stand as for
+traffic that flows. Not earlier: whoever tries phases at random in dense traffic is soon at `LOWEST`
+and still has the peak to learn."""
 
 _PHASES = (("NS", False), ("NS", True), ("WE", False), ("WE", True))
 _PLACES = {"W": (-1, 0), "N": (0, 1), "E": (1, 0), "S": (0, -1)}
@@ -83,7 +87,7 @@ class Signal(TrafficEnv):
 
         Args:
             context: features that differ from the nominal ones.
-            jam: score at which an episode is given up; see `JAM`. -inf: never.
+            jam: where an episode is given up; see `JAM`. -inf: never.
             **settings: see `Traffic`.
 
         Raises:
@@ -91,7 +95,7 @@ class Signal(TrafficEnv):
             InvalidInput: a jam that every episode is.
         """
         if not jam < 0.0:
-            raise InvalidInput(f"the score of a jam is < 0, got {jam!r}; -inf: no jam ends early")
+            raise InvalidInput(f"jam takes numbers < 0, got {jam!r}; -inf: no jam ends early")
         super().__init__(context, **settings)
         self._jam = jam
         self._edges = CELLS * (self.features["length"] / self.FEATURES["length"])
@@ -140,7 +144,7 @@ class Signal(TrafficEnv):
             observation = self._observe(api)
             reward = self._account(api)
             self._left -= 1
-            jammed = self._score <= self._jam
+            jammed = -self._waiting_sum / SECONDS <= self._jam
             ended = self._time >= SECONDS or self._left == 0 or jammed
             if ended:
                 info = {**self._summary(api), "jammed": jammed}
@@ -149,11 +153,6 @@ class Signal(TrafficEnv):
         return observation, reward, *self._ends(ended), info
 
     # ---- inside ------------------------------------------------------------------------------
-
-    @property
-    def _score(self) -> float:
-        """Of the episode so far; it only falls."""
-        return max(-self._waiting_sum / SECONDS, self._jam)
 
     def _show(self, api: Any, state: str, seconds: int) -> None:
         """Let the light show `state`, no longer than the episode lasts."""
@@ -205,13 +204,16 @@ class Signal(TrafficEnv):
     def _summary(self, api: Any) -> dict[str, Any]:
         """Measures of the episode.
 
-        score: see the module; mean_queue: halted cars on the approaches at decisions;
-        mean_speed: of the cars there [m/s]; not_inserted: cars that still wait to enter, which no
-        other measure counts; missed_turns: see `PATIENCE`; collisions.
+        score: see the module; waiting: the same, positive and without a bound; mean_queue: halted
+        cars on the approaches at decisions; mean_speed: of the cars there [m/s]; not_inserted: cars
+        that still wait to enter, which no other measure counts; missed_turns: see `PATIENCE`;
+        collisions.
         """
         statistic = api.simulation.getParameter("", "stats.safety.collisions")
+        waiting = self._waiting_sum / SECONDS
         return {
-            "score": self._score,
+            "score": max(-waiting, LOWEST),
+            "waiting": waiting,
             "mean_queue": self._queue_sum / self._decisions,
             "mean_speed": self._speed_sum / self._seen if self._seen else 0.0,
             "not_inserted": len(api.simulation.getPendingVehicles()),
