@@ -2,7 +2,8 @@
 
 The ramp: whose rewards an action is credited with, and how far it looks. With the paper's values,
 credited with what its own car is given until it leaves, or with what the team earns until the end,
-as in the paper; and near-sighted, as the preset `standard`. Signals: gradient steps per episode.
+as in the paper; near-sighted, as the preset `standard`; and so from samples of the Gaussian instead
+of applied accelerations. Signals: gradient steps per episode.
 All else is that preset's. Scores are those of fresh episodes in the context trained on, and in
 brackets the mean over the contexts of the others; before them the scores of nobody advised.
 
@@ -40,11 +41,14 @@ def ways(cmdp: Any, episodes: int, eval_episodes: int) -> dict[str, Any]:
             for count in GRADIENT_STEPS
         }
     paper = replace(cmdp.trainer_for("paper"), checkpoint="final", **alike)
-    return {
+    found = {
         "own rewards": replace(paper, credit="own"),
         "the team's": replace(paper, credit="team"),
         "the team's, near-sighted": standard,
     }
+    if standard.clip_actions:
+        found["near-sighted, samples"] = replace(standard, clip_actions=False)
+    return found
 
 
 def alone(trainer: Any, context: Any) -> float:
@@ -76,7 +80,7 @@ def main() -> None:
     trainers = ways(cmdp, args.episodes, args.eval_episodes)
     document: dict[str, Any] = {"cmdp": args.cmdp, "episodes": args.episodes, "ways": {}}
     lines = [f"{args.cmdp}, {args.episodes} episodes: scores by {axis} trained on"]
-    if cmdp.family == "ramp":
+    if cmdp.family.startswith("ramp"):
         document["alone"] = alone(next(iter(trainers.values())), contexts[-1])
         lines.append(f"{'nobody advised':26}{document['alone']:9.2f}")
     for name, trainer in trainers.items():
