@@ -3,9 +3,9 @@
 The ramp: whose rewards an action is credited with, and how far it looks. With the paper's values,
 credited with what its own car is given until it leaves, or with what the team earns until the end,
 as in the paper; near-sighted, as the preset `standard`; and so from samples of the Gaussian instead
-of applied accelerations. Signals: gradient steps per episode.
-All else is that preset's. Scores are those of fresh episodes in the context trained on, and in
-brackets the mean over the contexts of the others; before them the scores of nobody advised.
+of applied accelerations. Signals: gradient steps per episode. All else is that preset's. Scores are
+those of fresh episodes in the context trained on and, in brackets, the mean over the contexts of
+the others; on the ramp after the score of nobody advised.
 
 example: python benchmarks/sumo_learning.py --cmdp ramp-acc     # a quarter of an hour of a core
 """
@@ -17,7 +17,8 @@ from statistics import fmean
 from typing import Any
 
 import measure
-from measure import digits, note
+from learning import trainings
+from measure import digits
 
 CONTEXTS = {
     "ramp-acc": ("hold", (2.0, 10.0, 25.0)),
@@ -25,8 +26,6 @@ CONTEXTS = {
     "signal-inflow": ("inflow", (1000.0, 2000.0, 2450.0)),
 }
 GRADIENT_STEPS = 75, 200
-EVALUATION = 1
-"""Seed of all evaluations."""
 
 
 def ways(cmdp: Any, episodes: int, eval_episodes: int) -> dict[str, Any]:
@@ -84,14 +83,9 @@ def main() -> None:
         document["alone"] = alone(next(iter(trainers.values())), contexts[-1])
         lines.append(f"{'nobody advised':26}{document['alone']:9.2f}")
     for name, trainer in trainers.items():
-        own, others = [], []
-        for k, context in enumerate(contexts):
-            for seed in range(args.seeds):
-                note(f"{name}, {axis} {context[axis]:g}, seed {seed} ...")
-                policy = trainer.train(context, seed)
-                scores = trainer.evaluate(policy, contexts, EVALUATION).mean(axis=1)
-                own.append(digits(float(scores[k]), 3))
-                others.append(digits(float(scores.sum() - scores[k]) / (len(scores) - 1), 3))
+        done = list(trainings(name, trainer, contexts, args.seeds))
+        own = [digits(one.own, 3) for one in done]
+        others = [digits(one.others, 3) for one in done]
         document["ways"][name] = {"own": own, "others": others}
         rows = "  ".join(f"{mine:.2f} ({rest:.2f})" for mine, rest in zip(own, others, strict=True))
         lines.append(f"{name:26}{fmean(own):9.2f} ({fmean(others):.2f})   {rows}")

@@ -17,7 +17,8 @@ from statistics import fmean
 from typing import Any
 
 import measure
-from measure import digits, note
+from learning import trainings
+from measure import digits
 
 WAYS: dict[str, dict[str, dict[str, Any]]] = {
     "ring-acc": {
@@ -40,8 +41,6 @@ WAYS: dict[str, dict[str, dict[str, Any]]] = {
     },
 }
 CONTEXTS = {"ring-acc": (2.0, 10.0, 20.0, 30.0, 40.0), "eco-inflow": (400.0, 1600.0)}
-EVALUATION = 1
-"""Seed of all evaluations."""
 
 
 def life(trainer: Any, policy: Any, context: Any) -> tuple[float, float]:
@@ -94,15 +93,11 @@ def main() -> None:
             trainer, hyperparameters={**trainer.hyperparameters, **changes}, eval_episodes=8
         )
         own, others, lives = [], [], []
-        for k, context in enumerate(contexts):
-            note(f"{name}, {axis} {context[axis]:g} ...")
-            for seed in range(args.seeds):
-                policy = changed.train(context, seed)
-                scores = changed.evaluate(policy, contexts, EVALUATION).mean(axis=1)
-                own.append(float(scores[k]))
-                others.append(float((scores.sum() - scores[k]) / (len(scores) - 1)))
-                if eco:
-                    lives.append(life(changed, policy, context)[1])
+        for done in trainings(name, changed, contexts, args.seeds):
+            own.append(done.own)
+            others.append(done.others)
+            if eco:
+                lives.append(life(changed, done.policy, done.context)[1])
         each = [digits(x, 3) for x in own]
         found = {"own": each, "others": [digits(x, 3) for x in others], "rewards": lives}
         document["ways"][name] = found

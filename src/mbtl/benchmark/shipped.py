@@ -26,6 +26,11 @@ def matrix_id(cmdp: str, variant: str = DEFAULT) -> str:
     return cmdp if variant == DEFAULT else f"{cmdp}-{variant}"
 
 
+def shipped_file(folder: Path, cmdp: str, variant: str, seed: int) -> Path:
+    """Where `save_shipped` writes the matrix of a seed."""
+    return folder / f"{matrix_id(cmdp, variant)}-seed{seed}.npz"
+
+
 def family_of(matrix: str) -> str:
     """What comes before the first "-" of an id: all CartPole variations are one family."""
     return matrix.split("-")[0]
@@ -129,7 +134,7 @@ def save_shipped(
             std=None if matrix.std is None else matrix.std[s : s + 1].astype(np.float32),
             provenance=record,
         )
-        paths.append(place / f"{matrix_id(cmdp, variant)}-seed{first_seed + s}.npz")
+        paths.append(shipped_file(place, cmdp, variant, first_seed + s))
         write_npz(paths[-1], one.arrays())
     return paths
 

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from mbtl.benchmark import TransferMatrix, levels, save_shipped
 from mbtl.benchmark.build import ONLY, Build
-from mbtl.benchmark.shipped import DEFAULT, matrix_id
+from mbtl.benchmark.shipped import DEFAULT, matrix_id, shipped_file
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json
 from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp, resolve_cmdp
 from mbtl.errors import InvalidInput
@@ -167,8 +167,7 @@ class _Job:
 
     def file(self, out: Path, checkpoint: str, seed: int) -> Path:
         """Where it is to be saved."""
-        name = _names(self.variant, self.checkpoints)[checkpoint]
-        return out / f"{matrix_id(self.cmdp.id, name)}-seed{seed}.npz"
+        return shipped_file(out, self.cmdp.id, _name(self.variant, checkpoint), seed)
 
     def there(self, out: Path, seed: int) -> dict[Path, TransferMatrix]:
         """The finished files of a seed; empty unless all are there.
@@ -188,8 +187,8 @@ class _Job:
         self, seed: int, out: Path, work: Path, workers: int | None
     ) -> dict[Path, TransferMatrix]:
         """Train and evaluate what is missing, and write the files of a seed."""
-        label = f"{matrix_id(self.cmdp.id, self.variant)} seed {seed}"
-        folder = f"matrix-{matrix_id(self.cmdp.id, self.variant)}-{self.preset}-seed{seed}"
+        name = matrix_id(self.cmdp.id, self.variant)
+        folder = f"matrix-{name}-{self.preset}-seed{seed}"
         space = self.cmdp.space
         building = Build(
             self.trainer, space, seed, work / folder, self.settings, self.checkpoints, self.lanes
@@ -197,7 +196,7 @@ class _Job:
         if workers is None:
             workers = 1 if self.lanes >= space.n else len(os.sched_getaffinity(0))
         begin, origin = time.perf_counter(), here()  # of the code that runs, not of later commits
-        _run(building, workers, label)
+        _run(building, workers, f"{name} seed {seed}")
         wall = time.perf_counter() - begin
         built = {}
         for checkpoint in self.checkpoints:
@@ -222,8 +221,8 @@ class _Job:
                 },
                 name=file.name,
             )
-            name = _names(self.variant, self.checkpoints)[checkpoint]
-            save_shipped(built[file], out, self.cmdp.id, name, first_seed=seed)
+            variant = _name(self.variant, checkpoint)
+            save_shipped(built[file], out, self.cmdp.id, variant, first_seed=seed)
         return built
 
 
@@ -297,15 +296,11 @@ def _usual(cmdp: CMDP) -> Mapping[str, Any]:
     return usual
 
 
-def _names(variant: str, checkpoints: tuple[str, ...]) -> dict[str, str]:
-    """Variant of each checkpoint: "final" is named where it stands beside, or instead of, best."""
-    names = {}
-    for checkpoint in checkpoints:
-        parts = [] if variant == DEFAULT else [variant]
-        if checkpoint == "final":
-            parts.append("final")
-        names[checkpoint] = "-".join(parts) or DEFAULT
-    return names
+def _name(variant: str, checkpoint: str) -> str:
+    """Variant of a checkpoint: "final" is named where it stands beside, or instead of, best."""
+    if checkpoint != "final":
+        return variant
+    return "final" if variant == DEFAULT else f"{variant}-final"
 
 
 def _command(

@@ -130,9 +130,11 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
         Those that left within its last decision have earned their share of that, too: their slots
         are shown, in turn, what the others see.
         """
+        if self._credit == "own" or not step.ended:
+            return step.infos
         cut = "TimeLimit.truncated"
         last = [info["terminal_observation"] for info in step.infos if info.get(cut)]
-        if self._credit == "own" or not last:
+        if not last:
             return step.infos
         return [
             info

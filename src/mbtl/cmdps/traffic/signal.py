@@ -144,7 +144,7 @@ class Signal(TrafficEnv):
             observation = self._observe(api)
             reward = self._account(api)
             self._left -= 1
-            jammed = -self._waiting_sum / SECONDS <= self._jam
+            jammed = -self._waited <= self._jam
             ended = self._time >= SECONDS or self._left == 0 or jammed
             if ended:
                 info = {**self._summary(api), "jammed": jammed}
@@ -153,6 +153,11 @@ class Signal(TrafficEnv):
         return observation, reward, *self._ends(ended), info
 
     # ---- inside ------------------------------------------------------------------------------
+
+    @property
+    def _waited(self) -> float:
+        """Waiting of the episode so far, as the score has it; it only rises."""
+        return self._waiting_sum / SECONDS
 
     def _show(self, api: Any, state: str, seconds: int) -> None:
         """Let the light show `state`, no longer than the episode lasts."""
@@ -210,10 +215,9 @@ class Signal(TrafficEnv):
         collisions.
         """
         statistic = api.simulation.getParameter("", "stats.safety.collisions")
-        waiting = self._waiting_sum / SECONDS
         return {
-            "score": max(-waiting, LOWEST),
-            "waiting": waiting,
+            "score": max(-self._waited, LOWEST),
+            "waiting": self._waited,
             "mean_queue": self._queue_sum / self._decisions,
             "mean_speed": self._speed_sum / self._seen if self._seen else 0.0,
             "not_inserted": len(api.simulation.getPendingVehicles()),
