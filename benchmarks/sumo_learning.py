@@ -3,7 +3,9 @@
 The ramp: whose rewards an action is credited with, and how far it looks. With the paper's values,
 credited with what its own car is given until it leaves, or with what the team earns until the end,
 as in the paper; near-sighted, as the preset `standard`; and so from samples of the Gaussian instead
-of applied accelerations. Signals: gradient steps per episode. All else is that preset's. Scores are
+of applied accelerations. Signals: the paper's network with a quarter of its gradient steps, the
+small one of the preset `standard`, that with observations turned by quarters (which is the preset),
+and so without a falling learning rate. All else is that preset's. Scores are
 those of fresh episodes in the context trained on and, in brackets, the mean over the contexts of
 the others; on the ramp after the score of nobody advised.
 
@@ -25,7 +27,8 @@ CONTEXTS = {
     "ramp-vel": ("hold", (2.0, 10.0, 25.0)),
     "signal-inflow": ("inflow", (1000.0, 2000.0, 2450.0)),
 }
-GRADIENT_STEPS = 75, 200
+PAPER_STEPS = 200
+"""Per episode, of the paper's network; the paper's own are 800."""
 
 
 def ways(cmdp: Any, episodes: int, eval_episodes: int) -> dict[str, Any]:
@@ -33,12 +36,17 @@ def ways(cmdp: Any, episodes: int, eval_episodes: int) -> dict[str, Any]:
     alike: dict[str, Any] = {"episodes": episodes, "eval_episodes": eval_episodes}
     standard = replace(cmdp.trainer_for("standard"), checkpoint="final", **alike)
     if cmdp.family == "signal":
-        return {
-            f"{count} gradient steps": replace(
-                standard, hyperparameters={**standard.hyperparameters, "gradient_steps": count}
-            )
-            for count in GRADIENT_STEPS
+        paper = cmdp.trainer_for("paper").hyperparameters
+        small = standard.hyperparameters
+        as_seen = {name: value for name, value in small.items() if name != "replay_buffer_class"}
+        steady = {**small, "learning_rate": paper["learning_rate"]}
+        kinds = {
+            "the paper's network": {**paper, "gradient_steps": PAPER_STEPS},
+            "a small one": as_seen,
+            "that, turned": small,
+            "turned, steady rate": steady,
         }
+        return {name: replace(standard, hyperparameters=kind) for name, kind in kinds.items()}
     paper = replace(cmdp.trainer_for("paper"), checkpoint="final", **alike)
     found = {
         "own rewards": replace(paper, credit="own"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import importlib
 import inspect
+import pkgutil
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,6 +17,8 @@ _KNOWN = {
     "stable_baselines3": ("A2C", "DDPG", "DQN", "PPO", "SAC", "TD3"),
     "sb3_contrib": ("ARS", "CrossQ", "MaskablePPO", "QRDQN", "RecurrentPPO", "TQC", "TRPO"),
 }
+FALLING = "lin_"
+"""Of a hyperparameter that falls linearly over the training, as in rl-baselines3-zoo."""
 _RESERVED = ("policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
 
 
@@ -65,11 +68,13 @@ def algorithm_class(algorithm: str | type) -> Any:
 def checked_hyperparameters(algorithm: Any, given: Mapping[str, Any] | None) -> dict[str, Any]:
     """A deep copy of the keyword arguments (the library changes `policy_kwargs` in place).
 
-    `policy_kwargs["activation_fn"]` may be the name of a class of `torch.nn`.
+    Where records and presets need plain values: `policy_kwargs["activation_fn"]` may be the name
+    of a class of `torch.nn`, a class "module:name", and a number that falls linearly to 0 "lin_"
+    and its first value.
 
     Raises:
         UnknownName: the algorithm has no such argument.
-        InvalidInput: an argument that the trainer sets itself.
+        InvalidInput: an argument that the trainer sets itself, or a name of nothing.
     """
     known = inspect.signature(algorithm.__init__).parameters
     open_ended = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in known.values())
@@ -82,7 +87,7 @@ def checked_hyperparameters(algorithm: Any, given: Mapping[str, Any] | None) -> 
         if name not in known and not open_ended:
             names = [n for n in known if n != "self" and n not in _RESERVED]
             raise unknown_name(f"hyperparameter of {algorithm.__name__}", name, names)
-    settings = copy.deepcopy(dict(given or {}))
+    settings = {name: _resolved(name, value) for name, value in (given or {}).items()}
     activation = settings.get("policy_kwargs", {}).get("activation_fn")
     if isinstance(activation, str):
         from torch import nn
@@ -91,6 +96,26 @@ def checked_hyperparameters(algorithm: Any, given: Mapping[str, Any] | None) -> 
             raise unknown_name("activation of torch.nn", activation, dir(nn))
         settings["policy_kwargs"]["activation_fn"] = getattr(nn, activation)
     return settings
+
+
+def _resolved(name: str, value: Any) -> Any:
+    if isinstance(value, str) and name.endswith("_class"):
+        try:
+            return pkgutil.resolve_name(value)
+        except (ValueError, ImportError, AttributeError) as error:
+            raise InvalidInput(f"{name} names a class, 'module:name', got {value!r}") from error
+    if isinstance(value, str) and value.startswith(FALLING):
+        from stable_baselines3.common.utils import LinearSchedule
+
+        try:
+            first = float(value.removeprefix(FALLING))
+        except ValueError:
+            raise InvalidInput(
+                f"{name} that falls is '{FALLING}' and its first value, as in '{FALLING}1e-3', got "
+                f"{value!r}"
+            ) from None
+        return LinearSchedule(first, 0.0, 1.0)
+    return copy.deepcopy(value)
 
 
 def _package(name: str) -> Any:

@@ -7,7 +7,8 @@ dense policy in numpy has discrete actions the best is the best in any batch: no
 
 An environment is a Gymnasium one, or a PettingZoo parallel one whose agents share the policy. What
 an episode is worth is the sum of its rewards, or `info["score"]` of its last step where that is
-given: in traffic, say, the score is a mean speed and the rewards only teach.
+given: in traffic, say, the score is a mean speed and the rewards only teach. An episode of which
+`info["final_score"]` tells before its end what it will be worth is not played on.
 """
 
 from __future__ import annotations
@@ -103,14 +104,15 @@ class _Place:
                 "in gymnasium.wrappers.TimeLimit"
             )
         if ended:
-            self.returns.append(float(info.get("score", self.total)))
+            score = info.get("final_score", info.get("score", self.total))
+            self.returns.append(float(score))
         return ended
 
     def _step(self, action: Any) -> tuple[bool, Mapping[str, Any]]:
         observation, reward, terminated, truncated, info = self.env.step(action)
         self.observations = [observation]
         self.total += float(reward)
-        return terminated or truncated, info
+        return terminated or truncated or "final_score" in info, info
 
     def _team_step(self, actions: Sequence[Any]) -> tuple[bool, Mapping[str, Any]]:
         agents = list(self.env.agents)

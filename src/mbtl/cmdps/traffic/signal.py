@@ -49,7 +49,8 @@ and nobody behind them could move: there is no teleport. Nothing leaves the dema
 
 LOWEST = -100.0
 """Lowest score of an episode, the paper's lower bound: no jam is worse than another. The published
-values cannot hold any below it (docs/traffic.md)."""
+values cannot hold any below it (docs/traffic.md). An episode that has come to it tells so at once,
+as `info["final_score"]`: who only evaluates need not see the rest."""
 JAM = -1000.0
 """-(sum of W) / 5400 at which an episode ends as a jam. Waiting only adds up, so its score is that
 of the whole episode, and SUMO needs ten times as long for hundreds of cars that stand as for
@@ -146,8 +147,10 @@ class Signal(TrafficEnv):
             self._left -= 1
             jammed = -self._waited <= self._jam
             ended = self._time >= SECONDS or self._left == 0 or jammed
+            if -self._waited <= LOWEST:
+                info = {"final_score": LOWEST}
             if ended:
-                info = {**self._summary(api), "jammed": jammed}
+                info |= {**self._summary(api), "jammed": jammed}
         if ended:
             self._finish()
         return observation, reward, *self._ends(ended), info
