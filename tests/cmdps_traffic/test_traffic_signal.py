@@ -245,6 +245,22 @@ def test_a_jam_ends_the_episode_with_the_score_of_the_whole_one(make):
     assert above["waiting"] == whole["waiting"]
 
 
+def test_a_score_at_the_bound_is_told_as_soon_as_it_is_known(make):
+    env = make({"inflow": 200})
+    env.reset(seed=0)
+    told, waiting, ended = [], [], False
+    while not ended:
+        _, _, terminated, truncated, info = env.step(0)
+        told.append(info.get("final_score"))
+        waiting.append(env._waited)
+        ended = terminated or truncated
+    assert told == [LOWEST if waited >= -LOWEST else None for waited in waiting]
+    assert None in told
+    assert told.count(LOWEST) > 10
+    assert info["score"] == LOWEST
+    assert "final_score" not in episode(make({"inflow": 50}), FIXED_TIME)[2]
+
+
 def test_a_jam_is_no_terminal_state_unless_the_end_of_time_is_one(make):
     for time_limit, expected in (("truncation", (False, True)), ("terminal", (True, False))):
         env = make({"inflow": 50}, jam=-1e-9, time_limit=time_limit)

@@ -70,6 +70,23 @@ def test_more_jobs_than_environments_or_rows(max_envs):
     assert [r.tolist() for r in returns] == [[n] * 3 for n in lengths]
 
 
+def test_an_episode_whose_score_is_known_is_not_played_on():
+    played = []
+
+    class Known(Guess):
+        def step(self, action):
+            played.append(self.left)
+            seen, reward, terminated, truncated, info = super().step(action)
+            info = {"score": -1.0} if terminated else {}
+            if self.left <= self.length - 3:
+                info["final_score"] = -100.0
+            return seen, reward, terminated, truncated, info
+
+    returns = play(jobs(Known, [2, 50], [0, 1]), Actor(SignPolicy()), max_envs=1)
+    assert [r.tolist() for r in returns] == [[-1.0, -1.0], [-100.0, -100.0]]
+    assert played == [2, 1, 2, 1, 50, 49, 48, 50, 49, 48]
+
+
 def test_at_most_max_envs_are_alive_and_all_are_closed():
     alive, most = set(), []
 

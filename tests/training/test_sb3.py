@@ -336,11 +336,28 @@ def test_wrong_settings_are_refused_at_once(changes, error, message):
 
 @pytest.mark.parametrize(
     ("settings", "message"),
-    [({"learning_rat": 1.0}, "Did you mean 'learning_rate'"), ({"seed": 1}, "got 'seed'")],
+    [
+        ({"learning_rat": 1.0}, "Did you mean 'learning_rate'"),
+        ({"seed": 1}, "got 'seed'"),
+        ({"learning_rate": "lin_fast"}, "'lin_1e-3', got 'lin_fast'"),
+        ({"rollout_buffer_class": "mbtl.training.shared:Nothing"}, "'module:name', got"),
+    ],
 )
 def test_wrong_hyperparameters_are_refused_before_training(settings, message):
     with pytest.raises(InvalidInput, match=message):
         ppo(hyperparameters=settings).train(POLE, 0)
+
+
+def test_a_number_that_falls_and_a_class_are_given_by_name():
+    buffer = "stable_baselines3.common.buffers:NStepReplayBuffer"
+    given = {"learning_rate": "lin_2e-3", "replay_buffer_class": buffer}
+    trainer = SB3Trainer(
+        cartpole, timesteps=200, algorithm="DQN", hyperparameters={**given, "learning_starts": 50}
+    )
+    model = trainer.train(POLE, 0)
+    assert model.replay_buffer_class.__name__ == "NStepReplayBuffer"
+    assert [model.lr_schedule(left) for left in (1.0, 0.25, 0.0)] == [2e-3, 5e-4, 0.0]
+    assert trainer.recipe["hyperparameters"] == {**given, "learning_starts": 50}
 
 
 def test_missing_library_names_the_extra(monkeypatch):
