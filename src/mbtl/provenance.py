@@ -16,7 +16,10 @@ from mbtl.errors import InvalidInput
 from mbtl.settings import first_difference
 from mbtl.version import __version__
 
-_PACKAGES = ("numpy", "jax", "jaxlib", "optax", "gymnasium", "stable-baselines3", "torch")
+_PACKAGES = (
+    *("numpy", "jax", "jaxlib", "optax", "gymnasium", "stable-baselines3", "sb3-contrib", "torch"),
+    *("eclipse-sumo", "libsumo"),
+)
 
 
 def here() -> dict[str, Any]:

@@ -148,6 +148,69 @@ def test_a_library_that_cannot_be_loaded_says_why(monkeypatch):
         software.library("libsumo")
 
 
+def unloadable(monkeypatch, *names):
+    """The named libraries are installed but lack a library of the machine."""
+    load = software.importlib.import_module
+
+    def fail(name):
+        if name in names:
+            raise ImportError(f"{name} wants libGL.so.1", name=name)
+        return load(name)
+
+    monkeypatch.setattr(software.importlib, "import_module", fail)
+
+
+def test_traci_serves_where_libsumo_cannot_be_loaded(make, monkeypatch):
+    inside = make()
+    inside.start(ROUTES, seed=3)
+    expected = speeds(inside)
+    inside.close()
+    unloadable(monkeypatch, "libsumo")
+    other = make()
+    other.start(ROUTES, seed=3)
+    assert other.running == "traci"
+    assert speeds(other) == expected
+
+
+def test_without_either_library_the_extra_is_named(make, monkeypatch):
+    unloadable(monkeypatch, "libsumo", "traci")
+    with pytest.raises(MissingExtra, match=r"libsumo.*pip install 'mbtl\[traffic\]'"):
+        make().start(ROUTES, seed=0)
+
+
+@pytest.mark.parametrize("engine", ["libsumo", "traci"])
+def test_an_old_sumo_is_refused_at_the_start_and_not_left_running(make, monkeypatch, engine):
+    simulation = make(engine=engine)
+    with monkeypatch.context() as patch:
+        patch.setattr(software, "OLDEST", (99, 0))
+        with pytest.raises(MissingExtra, match=r"99\.0 or newer, got"):
+            simulation.start(ROUTES, seed=0)
+        assert simulation.running is None
+    simulation.start(ROUTES, seed=0)
+    assert speeds(simulation)
+
+
+def test_a_window_is_sumo_gui_through_traci_and_starts_by_itself(make, monkeypatch):
+    import traci
+
+    asked = []
+    start = traci.start
+
+    def watched(command, **options):
+        asked.append(command)
+        program = command[0].replace("sumo-gui", "sumo")  # the rest is real; there is no screen
+        return start([program, *(word for word in command[1:] if word != "--start")], **options)
+
+    monkeypatch.setattr(traci, "start", watched)
+    monkeypatch.setenv("DISPLAY", ":0")
+    simulation = make(gui=True)
+    simulation.start(ROUTES, seed=3)
+    assert simulation.running == "traci"
+    assert asked[0][0].endswith("sumo-gui")
+    assert "--start" in asked[0]
+    assert speeds(simulation)
+
+
 def test_settings_are_checked(road, monkeypatch):
     with pytest.raises(UnknownName, match="libsumo"):
         Simulation(road, step_length=1.0, engine="libsum")

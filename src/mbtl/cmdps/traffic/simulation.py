@@ -15,11 +15,10 @@ import subprocess
 import tempfile
 import weakref
 from collections.abc import Callable, Iterator, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
-from mbtl.cmdps.traffic.software import check_version, library, program
+from mbtl.cmdps.traffic.software import check_version, library, loads, program
 from mbtl.errors import InvalidInput, MbtlError, SimulationFailed, missing_extra, unknown_name
 
 Engine = Literal["auto", "libsumo", "traci"]
@@ -155,10 +154,10 @@ class Simulation:
                     "use another process, or engine='auto'"
                 )
             return "libsumo"
-        if find_spec("libsumo") is not None and not busy:
+        if not busy and loads("libsumo"):
             return "libsumo"
-        if find_spec("traci") is None:
-            raise missing_extra("traci" if find_spec("libsumo") else "libsumo", "traffic")
+        if not loads("traci"):
+            raise missing_extra("traci" if busy else "libsumo", "traffic")
         return "traci"
 
     def _start_libsumo(self, seed: int) -> str:

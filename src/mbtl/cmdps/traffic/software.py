@@ -52,8 +52,17 @@ def library(name: str) -> Any:
     except ImportError as error:
         raise MissingExtra(
             f"{name} is installed but must be loadable, got: {error}; install what it names, or "
-            "use engine='traci'"
+            "use engine='auto'"
         ) from error
+
+
+def loads(name: str) -> bool:
+    """Whether `library` would give it."""
+    try:
+        library(name)
+    except MissingExtra:
+        return False
+    return True
 
 
 def check_version(version: str) -> None:
