@@ -261,8 +261,8 @@ def test_the_version_is_printed(mbtl_command):
     assert mbtl_command("--version")[:2] == (0, f"mbtl {mbtl.__version__}\n")
 
 
-@pytest.mark.parametrize("command", ["run", "cmdps", "bench", "check", "study list", "study show",
-                                     "study export", "matrix show"])  # fmt: skip
+@pytest.mark.parametrize("command", ["run", "play", "cmdps", "bench", "check", "study list",
+                                     "study show", "study export", "matrix show"])  # fmt: skip
 def test_every_command_has_help_with_an_example_and_json(mbtl_command, command):
     code, out, _ = mbtl_command(*command.split(), "--help")
     assert code == 0

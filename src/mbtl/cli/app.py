@@ -14,6 +14,7 @@ from mbtl.cli.check import check
 from mbtl.cli.cmdps import cmdps
 from mbtl.cli.common import console, interruptible, interrupts
 from mbtl.cli.matrix import matrix_app
+from mbtl.cli.play import play
 from mbtl.cli.reproduce import reproduce_command
 from mbtl.cli.run import run
 from mbtl.cli.study import study_app
@@ -29,7 +30,7 @@ app = typer.Typer(
 )
 
 
-for command in (run, cmdps, bench, check):
+for command in (run, play, cmdps, bench, check):
     app.command()(interruptible(command))
 app.command("reproduce")(interruptible(reproduce_command))
 app.add_typer(study_app, name="study")

@@ -1,0 +1,147 @@
+"""`mbtl play`: watch a policy in one context, in sumo-gui or as a film."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from mbtl.cli.common import JsonFlag, print_json, printer
+from mbtl.cmdps import cmdp_ids, get_cmdp
+from mbtl.cmdps.engines import EnvFactory
+from mbtl.errors import InvalidInput, missing_extra
+from mbtl.portfolio import Portfolio, load_portfolio
+from mbtl.portfolio.archive import MANIFEST
+from mbtl.seeds import episode_seed, evaluation_seed
+
+_RATE = 10
+"""Pictures of a film per second."""
+
+
+def play(
+    target: Annotated[
+        str,
+        typer.Argument(
+            help="Folder of a portfolio (runs/.../portfolio), whose policies choose; or the id of "
+            "a CMDP, where choices are drawn at random."
+        ),
+    ],
+    at: Annotated[
+        list[str] | None,
+        typer.Option(help="Context, NAME=VALUE; repeat for more. Default: the nominal one."),
+    ] = None,
+    episodes: Annotated[int, typer.Option(help="Episodes to play.")] = 1,
+    seed: Annotated[int, typer.Option(help="Of the episodes.")] = 0,
+    gui: Annotated[
+        bool, typer.Option("--gui", help="Show it in sumo-gui, where there is a screen.")
+    ] = False,
+    film: Annotated[
+        Path | None, typer.Option(help="Save pictures of all decisions as this GIF.")
+    ] = None,
+    json: JsonFlag = False,
+) -> None:
+    """Play episodes of a traffic CMDP in SUMO and print what they are worth.
+
+    Example: mbtl play runs/ring-acc-quick-seed0/portfolio --at hold=5 --film ring.gif
+    """
+    if episodes < 1:
+        raise InvalidInput(f"--episodes must be >= 1, got {episodes}")
+    from mbtl.training.rollout import Actor, Job, play
+    from mbtl.training.watch import actor_for
+
+    portfolio = None if target in cmdp_ids() else _portfolio(target)
+    cmdp = get_cmdp(target if portfolio is None else str(portfolio.cmdp), engine="sumo")
+    nominal = dict(cmdp.nominal or {})
+    context = {**nominal, **_parsed(at or [])}
+    shown = {"gui": gui, "render_mode": None if film is None else "rgb_array"}
+    assert isinstance(cmdp.make_env, EnvFactory)
+    make_env = replace(cmdp.make_env, options={**cmdp.make_env.options, **shown})
+    env = _Filmed(make_env(context), film is not None)
+    if portfolio is None:
+        actor, why = Actor(_AtRandom(env, seed)), "choices at random"
+    else:  # other features than the axes are nobody's business but the simulator's
+        choice = portfolio.explain({axis: context[axis] for axis in nominal})
+        sampled = getattr(cmdp.trainer, "acting", "mean") == "sampled"
+        actor, why = actor_for(portfolio.policy(choice.policy), sampled=sampled), choice.explanation
+    seeds = [episode_seed(evaluation_seed(seed, 0), episode) for episode in range(episodes)]
+    (scores,) = play([Job(lambda: env, seeds)], actor, max_envs=1)
+    if film is not None:
+        _save(env.pictures, film)
+    if json:
+        print_json({"cmdp": cmdp.id, "context": context, "policy": why, "scores": scores.tolist()})
+        return
+    out = printer()
+    place = ", ".join(f"{name} {value:g}" for name, value in context.items())
+    out.print(f"{cmdp.id} at {place}; {why}", markup=False, highlight=False)
+    out.print(f"score: {' '.join(f'{score:.4g}' for score in scores)}", highlight=False)
+    if film is not None:
+        out.print(f"{len(env.pictures)} pictures: {film}", markup=False, highlight=False)
+
+
+class _Filmed:
+    """An environment that keeps a picture of each decision."""
+
+    def __init__(self, env: Any, filming: bool) -> None:
+        self.env, self._filming = env, filming
+        self.pictures: list[Any] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.env, name)
+
+    def step(self, action: Any) -> Any:
+        moved = self.env.step(action)
+        if self._filming:
+            self.pictures.append(self.env.render())
+        return moved
+
+
+class _AtRandom:
+    """Choices drawn from the action space, whatever is seen."""
+
+    def __init__(self, env: Any, seed: int) -> None:
+        space = env.action_space
+        self._space = space("") if callable(space) else space
+        self._space.seed(seed)
+
+    def predict(self, observation: Any, deterministic: bool = True) -> tuple[Any, None]:
+        return [self._space.sample() for _ in observation], None
+
+
+def _portfolio(folder: str) -> Portfolio:
+    if not (Path(folder) / MANIFEST).is_file():
+        raise InvalidInput(
+            f"play takes the folder of a portfolio or the id of a CMDP, got {folder!r}, which is "
+            "neither; `mbtl cmdps` lists the ids"
+        )
+    portfolio = load_portfolio(folder)
+    if portfolio.cmdp not in cmdp_ids():
+        raise InvalidInput(
+            f"play takes portfolios of our own CMDPs, got one of {portfolio.cmdp!r}; step your own "
+            "environment with `load_portfolio(folder).policy_for(context)`"
+        )
+    return portfolio
+
+
+def _parsed(values: Sequence[str]) -> Mapping[str, float]:
+    found = {}
+    for text in values:
+        name, _, value = text.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise InvalidInput(f"--at is written NAME=VALUE, got {text!r}") from None
+    return found
+
+
+def _save(pictures: Sequence[Any], file: Path) -> None:
+    try:
+        from PIL import Image
+    except ModuleNotFoundError as error:
+        raise missing_extra("pillow", "plots") from error
+    first, *rest = (Image.fromarray(np.asarray(picture)) for picture in pictures)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    first.save(file, save_all=True, append_images=rest, duration=1000 // _RATE, loop=0)

@@ -1,0 +1,88 @@
+"""`mbtl run` on traffic as a user starts it, only shorter; and `mbtl play` of what it left."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("libsumo")
+pytest.importorskip("stable_baselines3")
+pytest.importorskip("jax")
+
+from mbtl.portfolio import load_portfolio
+
+TINY = ("--preset", "quick", "--budget", "1", "--eval-episodes", "1")
+
+
+@pytest.fixture
+def ring(mbtl_command, tmp_path):
+    code, out, _ = mbtl_command("run", "ring-acc", *TINY, "--episodes", "10", "--study", "a")
+    assert code == 0
+    assert "The study is finished" in out
+    return tmp_path / "a" / "portfolio"
+
+
+def test_a_ring_is_run_in_the_twin_and_its_policy_played_in_sumo(mbtl_command, ring, tmp_path):
+    portfolio = load_portfolio(ring)
+    assert np.isfinite(portfolio.returns).all()
+    assert 0.0 < portfolio.value < 1.0
+    play = ("play", ring, "--at", "hold=40")
+    code, out, _ = mbtl_command(*play, "--json", "--episodes", "2", "--film", "films/ring.gif")
+    assert code == 0
+    told = json.loads(out)
+    assert told["context"] == {"hold": 40.0}
+    assert "hold = 20 s" in told["policy"]
+    assert len(set(told["scores"])) == 2
+    assert all(0.5 < score < 4.5 for score in told["scores"])
+    from PIL import Image
+
+    with Image.open(tmp_path / "films" / "ring.gif") as film:
+        assert film.n_frames > 15  # ten decisions an episode; equal pictures are stored once
+    code, again, _ = mbtl_command(*play, "--json")
+    assert json.loads(again)["scores"] == told["scores"][:1]
+    code, other, _ = mbtl_command(*play, "--json", "--seed", "7")
+    assert json.loads(other)["scores"] != told["scores"][:1]
+
+
+def test_a_signal_is_run_in_sumo(mbtl_command, tmp_path):
+    few = (*TINY, "--episodes", "1", "--eval-targets", "2", "--study", "b")
+    code, out, _ = mbtl_command("run", "signal-inflow", *few)
+    assert code == 0
+    assert "The study is finished" in out
+    returns = load_portfolio(tmp_path / "b" / "portfolio").returns
+    assert np.isfinite(returns).any()
+    assert (returns[np.isfinite(returns)] <= 0.0).all()
+
+
+def test_eco_driving_is_run_in_the_twin(mbtl_command, tmp_path):
+    code, out, _ = mbtl_command("run", "eco-green", *TINY, "--episodes", "2", "--study", "c")
+    assert code == 0
+    assert "The study is finished" in out
+    returns = load_portfolio(tmp_path / "c" / "portfolio").returns
+    assert returns.shape == (1, 50)
+    assert (returns > 0.0).all()
+
+
+def test_without_policies_choices_are_drawn(mbtl_command):
+    code, out, _ = mbtl_command("play", "signal-inflow", "--at", "inflow=50", "--at", "length=200")
+    assert code == 0
+    assert "inflow 50, length 200; choices at random" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["cartpole-length"], "simulated in gymnasium"),
+        (["nothing"], "neither"),
+        (["ring-acc", "--at", "hold"], "NAME=VALUE"),
+        (["ring-acc", "--at", "hald=3"], "Did you mean 'hold'"),
+        (["ring-acc", "--episodes", "0"], "must be >= 1"),
+        (["ring-acc", "--gui"], "needs a screen"),
+    ],
+)
+def test_wrong_usage_costs_one_line(mbtl_command, monkeypatch, arguments, words):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    code, _, err = mbtl_command("play", *arguments)
+    assert code == 2
+    assert words in err
