@@ -5,7 +5,7 @@ Unguided traffic (nobody is advised); one fixed policy: keep a steady speed, 3 m
 (preset `quick`) or in the nominal context (`standard`), by its mean actions. Contexts are the
 nominal one and the ends of each axis. Measures of the ring beside its score, mean speed, are those
 of the wave, over the cars at each decision: the deviation of their speeds and the share that
-stands (its throughput is its speed times 22 cars / 230 m). A difference is given in its standard
+stands (its throughput is its speed times 22 cars / 250 m). A difference is given in its standard
 errors: two thirds should lie within 1, nearly all within 3. Lines share seeds, so they are not
 independent. The table is in Markdown.
 
