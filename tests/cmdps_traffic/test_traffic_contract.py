@@ -15,11 +15,12 @@ from mbtl.testing.cmdps import CMDPContract
 
 ONE = {"episodes": 1, "eval_episodes": 1, "checkpoint_episodes": 1}
 CASES = {
-    "ring-acc": ("sumo", ONE),
-    "ring-vel": ("jax", ONE),
-    "ramp-vel": ("sumo", ONE),
-    "signal-length": ("sumo", {**ONE, "hyperparameters": {"gradient_steps": 2}}),
-    "eco-inflow": ("sumo", {**ONE, "hyperparameters": {"n_epochs": 1}}),
+    ("ring-acc", "sumo"): ONE,
+    ("ring-vel", "jax"): ONE,
+    ("ramp-vel", "sumo"): ONE,
+    ("signal-length", "sumo"): {**ONE, "hyperparameters": {"gradient_steps": 2}},
+    ("eco-inflow", "sumo"): {**ONE, "hyperparameters": {"n_epochs": 1}},
+    ("eco-green", "jax"): ONE,
 }
 
 
@@ -27,16 +28,17 @@ CASES = {
 class TestTraffic(CMDPContract):
     steps = 12
 
-    @pytest.fixture(params=CASES)
+    @pytest.fixture(params=CASES, ids="-".join)
     def cmdp(self, request):
-        engine, self.smoke = CASES[request.param]
+        id, engine = request.param
+        self.smoke = CASES[request.param]
         if engine == "jax":
             pytest.importorskip("jax", reason="the jax extra is not installed")
-        return get_cmdp(request.param, engine=engine)
+        return get_cmdp(id, engine=engine)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("id", sorted(set(TRAFFIC_VARIANTS) - set(CASES)))
+@pytest.mark.parametrize("id", sorted(set(TRAFFIC_VARIANTS) - {id for id, _ in CASES}))
 def test_the_others_pass_the_check(id):
     check_cmdp(get_cmdp(id, engine="sumo")).raise_if_failed()
 

@@ -79,6 +79,34 @@ def test_unguided_traffic_is_slow_and_an_episode_ends_after_the_measured_part(ma
         env.step({})
 
 
+def test_each_car_that_collides_costs_fifty_and_is_removed(make):
+    env = make(hold=2.0)
+    env.reset(seed=0)
+    vehicle = env.simulation.api.vehicle
+    speeds = {car: vehicle.getSpeed(car) for car in vehicle.getIDList()}
+    blind = next(
+        car for car in speeds
+        if vehicle.getLeader(car, 50.0) and car not in env.agents and speeds[car] > 2.0
+    )  # fmt: skip
+    leader = vehicle.getLeader(blind, 50.0)[0]
+    for car, speed in ((blind, 13.0), (leader, 0.0)):
+        vehicle.setSpeedMode(car, 0)  # no check of safety
+        vehicle.setSpeed(car, speed)
+    collided, left, total = 0, 0, 0.0
+    there = set(vehicle.getIDList())
+    while env.agents and not collided:
+        rewards = env.step({})[1]
+        collided = env._collided
+        total = next(iter(rewards.values()))
+    gone = there - set(vehicle.getIDList())
+    assert {blind, leader} <= gone
+    assert collided >= 2
+    steps = advisory.hold_steps(2.0)
+    left = total * steps + 50.0 * collided
+    assert left == pytest.approx(round(left))
+    assert 0 <= left < 5
+
+
 def test_the_reward_counts_the_cars_that_leave(make):
     env = make(hold=20.0)
     env.reset(seed=1)

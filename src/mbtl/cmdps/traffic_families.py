@@ -179,7 +179,7 @@ _SIGNAL = {
     "standard": _signal(
         _DQN_OF_FEW,
         episodes=30,
-        eval_episodes=2,  # a draw of demand in six is much denser; the fewer, the more luck
+        eval_episodes=2,  # a draw of demand in eight is much denser; the fewer, the more luck
         description="a third of the paper's episodes with turned observations, a small network",
     ),
     "quick": _signal(

@@ -1,4 +1,4 @@
-"""Traffic CMDPs on SUMO: signal control and advisory autonomy (cmdp-spec, sections 5 and 7).
+"""Traffic CMDPs on SUMO: signals, eco-driving and advisory autonomy (cmdp-spec, sections 5 to 7).
 
 One class per family, a Gymnasium environment built from a context like the control tasks. What
 differs from them:

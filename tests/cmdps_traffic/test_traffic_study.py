@@ -1,0 +1,36 @@
+"""A simulator that dies in the middle of a study costs one training, and nothing else."""
+
+import os
+from functools import partial
+
+import pytest
+
+pytest.importorskip("libsumo")
+pytest.importorskip("stable_baselines3")
+
+from doomed import DoomedRing
+
+import mbtl
+from mbtl.cmdps import get_cmdp
+from mbtl.training import SB3Trainer
+
+
+@pytest.mark.slow
+def test_a_study_goes_on_after_a_simulator_was_killed_in_training(tmp_path):
+    cmdp = get_cmdp("ring-acc", engine="sumo")
+    make_env = partial(DoomedRing, marker=tmp_path / "died", home=os.getpid(), visibility="hidden")
+    trainer = SB3Trainer(
+        make_env, episodes=1, algorithm="PPO", eval_episodes=1, processes=True, n_eval_envs=1,
+        hyperparameters={"n_steps": 10, "batch_size": 10, "n_epochs": 1},
+    )  # fmt: skip
+    space = mbtl.ContextSpace.points(cmdp.space.axes, [{"hold": h} for h in (10.0, 20.0, 40.0)])
+    study = mbtl.create_study(
+        space, budget=3, selector="random", bounds=cmdp.bounds, storage=tmp_path / "study"
+    )
+    study.run(trainer=trainer)
+    assert (tmp_path / "died").exists()
+    (failure,) = study.state.failures
+    assert "end of a process" in failure.reason
+    again = mbtl.load_study(tmp_path / "study")
+    assert len(again.state.failures) == 1
+    assert len(again.history.sources) == 2
