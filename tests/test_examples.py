@@ -1,5 +1,6 @@
 """The examples run as they stand, and do what their text says."""
 
+import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +20,38 @@ def test_an_example_runs(path, tmp_path):
     assert done.stdout
 
 
+def test_the_traffic_light_runs_in_a_network_of_the_user(tmp_path, monkeypatch):
+    pytest.importorskip("libsumo")
+    from mbtl.cmdps.traffic import networks
+
+    spec = importlib.util.spec_from_file_location("own_light", EXAMPLES / "own_sumo_network.py")
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    places = {"m": (0, 0), "a": (200, 0), "b": (-200, 0), "c": (0, -150)}
+    nodes = "".join(f'<node id="{k}" x="{x}" y="{y}"/>' for k, (x, y) in places.items())
+    edges = "".join(
+        f'<edge id="{k}m" from="{k}" to="m"/><edge id="m{k}" from="m" to="{k}"/>' for k in "abc"
+    )
+    fork = {"nodes": f"<nodes>{nodes}</nodes>", "edges": f"<edges>{edges}</edges>"}
+    own = tmp_path / "mine.net.xml"
+    own.write_bytes(networks.network(fork, "--tls.set", "m").read_bytes())
+    monkeypatch.setattr(sys, "argv", ["own_sumo_network.py", str(own)])
+    queues = []
+    for demand in (40.0, 1500.0):
+        env = example.Light({"demand": demand})
+        seen, _ = env.reset(seed=0)
+        assert env.roads == ["am", "bm", "cm"]
+        assert seen.shape == env.observation_space.shape == (4,)
+        ended = False
+        while not ended:
+            _, _, _, ended, info = env.step(0)
+        queues.append(-info["score"])
+        env.close()
+    assert queues[1] > 1.5 * queues[0]  # the context reaches the network's first road
+
+
 def test_an_example_is_short():
+    """Without blank lines."""
     for path in EXAMPLES.glob("*.py"):
         assert sum(bool(line.strip()) for line in path.read_text().splitlines()) < 60, path.name
 
