@@ -18,6 +18,8 @@ from mbtl.benchmark.build import ONLY, Build
 from mbtl.benchmark.shipped import DEFAULT, matrix_id, shipped_file
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json
 from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp, resolve_cmdp
+from mbtl.cmdps.families import FAMILIES
+from mbtl.cmdps.family import TwinFamily
 from mbtl.errors import InvalidInput
 from mbtl.provenance import check_made_by, here
 from mbtl.trainer import ManyTrainer, Trainer, recipe_of
@@ -291,7 +293,7 @@ def _usual(cmdp: CMDP) -> Mapping[str, Any]:
     if cmdp.id not in cmdp_ids() or not set(cmdp.settings) - {"every"}:
         return {}
     usual = dict(get_cmdp(cmdp.id).settings)
-    if cmdp.family in ("cartpole", "pendulum"):
+    if not isinstance(FAMILIES[cmdp.family].jax, TwinFamily):
         del usual["engine"]  # both engines have the same physics
     return usual
 
