@@ -37,7 +37,7 @@ def test_a_ring_is_run_in_the_twin_and_its_policy_played_in_sumo(mbtl_command, r
     from PIL import Image
 
     with Image.open(tmp_path / "films" / "ring.gif") as film:
-        assert film.n_frames > 15  # ten decisions an episode; equal pictures are stored once
+        assert film.n_frames > 17  # eleven looks an episode; equal pictures are stored once
     code, again, _ = mbtl_command(*play, "--json")
     assert json.loads(again)["scores"] == told["scores"][:1]
     code, other, _ = mbtl_command(*play, "--json", "--seed", "7")
@@ -63,6 +63,21 @@ def test_eco_driving_is_run_in_the_twin(mbtl_command, tmp_path):
     assert (returns > 0.0).all()
 
 
+def test_a_jam_is_watched_to_its_end(mbtl_command, tmp_path):
+    jam = ("play", "signal-inflow", "--at", "speed=0.5", "--at", "inflow=50", "--film", "jam.gif")
+    assert mbtl_command(*jam, "--json")[0] == 0
+    from PIL import Image
+
+    with Image.open(tmp_path / "jam.gif") as film:
+        assert film.n_frames > 300
+
+
+def test_a_film_without_decisions_has_its_first_picture(mbtl_command, tmp_path):
+    nobody = ("--at", "penetration=0.0001", "--at", "inflow=40", "--film", "empty.gif")
+    assert mbtl_command("play", "eco-penetration", *nobody)[0] == 0
+    assert (tmp_path / "empty.gif").stat().st_size > 0
+
+
 def test_without_policies_choices_are_drawn(mbtl_command):
     code, out, _ = mbtl_command("play", "signal-inflow", "--at", "inflow=50", "--at", "length=200")
     assert code == 0
@@ -77,6 +92,7 @@ def test_without_policies_choices_are_drawn(mbtl_command):
         (["ring-acc", "--at", "hold"], "NAME=VALUE"),
         (["ring-acc", "--at", "hald=3"], "Did you mean 'hold'"),
         (["ring-acc", "--episodes", "0"], "must be >= 1"),
+        (["ring-acc", "--film", "ring.txt"], "end it with .gif"),
         (["ring-acc", "--gui"], "needs a screen"),
     ],
 )

@@ -160,7 +160,7 @@ def unloadable(monkeypatch, *names):
     monkeypatch.setattr(software.importlib, "import_module", fail)
 
 
-def test_traci_serves_where_libsumo_cannot_be_loaded(make, monkeypatch):
+def test_traci_serves_where_libsumo_cannot_be_loaded_and_says_so_once(make, monkeypatch, caplog):
     inside = make()
     inside.start(ROUTES, seed=3)
     expected = speeds(inside)
@@ -170,11 +170,22 @@ def test_traci_serves_where_libsumo_cannot_be_loaded(make, monkeypatch):
     other.start(ROUTES, seed=3)
     assert other.running == "traci"
     assert speeds(other) == expected
+    other.start(ROUTES, seed=4)
+    assert [record.message for record in caplog.records if "slower" in record.message] == [
+        "TraCI serves instead of libsumo, slower: libsumo is installed but must be loadable, got: "
+        "libsumo wants libGL.so.1; install what it names"
+    ]
 
 
-def test_without_either_library_the_extra_is_named(make, monkeypatch):
+def test_without_either_library_the_reason_is_told(make, monkeypatch):
     unloadable(monkeypatch, "libsumo", "traci")
-    with pytest.raises(MissingExtra, match=r"libsumo.*pip install 'mbtl\[traffic\]'"):
+    with pytest.raises(MissingExtra, match=r"libsumo wants libGL\.so\.1"):
+        make().start(ROUTES, seed=0)
+    busy = make()
+    monkeypatch.undo()
+    busy.start(ROUTES, seed=0)
+    unloadable(monkeypatch, "libsumo", "traci")
+    with pytest.raises(MissingExtra, match=r"traci wants libGL\.so\.1"):
         make().start(ROUTES, seed=0)
 
 

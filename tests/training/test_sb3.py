@@ -340,7 +340,9 @@ def test_wrong_settings_are_refused_at_once(changes, error, message):
         ({"learning_rat": 1.0}, "Did you mean 'learning_rate'"),
         ({"seed": 1}, "got 'seed'"),
         ({"learning_rate": "lin_fast"}, "'lin_1e-3', got 'lin_fast'"),
+        ({"learning_rate": "lin_nan"}, "'lin_1e-3', got 'lin_nan'"),
         ({"rollout_buffer_class": "mbtl.training.shared:Nothing"}, "'module:name', got"),
+        ({"rollout_buffer_class": "json"}, "'module:name', got 'json'"),
     ],
 )
 def test_wrong_hyperparameters_are_refused_before_training(settings, message):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -50,27 +51,32 @@ def play(
     """
     if episodes < 1:
         raise InvalidInput(f"--episodes must be >= 1, got {episodes}")
-    from mbtl.training.rollout import Actor, Job, play
+    from mbtl.training import rollout
     from mbtl.training.watch import actor_for
 
+    if film is not None:
+        _check_film(film)
     portfolio = None if target in cmdp_ids() else _portfolio(target)
-    cmdp = get_cmdp(target if portfolio is None else str(portfolio.cmdp), engine="sumo")
+    made = {} if portfolio is None else portfolio.metadata.get("settings", {})
+    switches = {**made.get("switches", {}), "engine": "sumo"}
+    cmdp = get_cmdp(target if portfolio is None else str(portfolio.cmdp), **switches)
     nominal = dict(cmdp.nominal or {})
     context = {**nominal, **_parsed(at or [])}
     shown = {"gui": gui, "render_mode": None if film is None else "rgb_array"}
     assert isinstance(cmdp.make_env, EnvFactory)
     make_env = replace(cmdp.make_env, options={**cmdp.make_env.options, **shown})
-    env = _Filmed(make_env(context), film is not None)
+    env = _Watched(make_env(context), film is not None)
     if portfolio is None:
-        actor, why = Actor(_AtRandom(env, seed)), "choices at random"
+        actor, why = rollout.Actor(_AtRandom(env, seed)), "choices at random"
     else:  # other features than the axes are nobody's business but the simulator's
         choice = portfolio.explain({axis: context[axis] for axis in nominal})
-        sampled = getattr(cmdp.trainer, "acting", "mean") == "sampled"
+        sampled = made.get("recipe", {}).get("acting") == "sampled"
         actor, why = actor_for(portfolio.policy(choice.policy), sampled=sampled), choice.explanation
     seeds = [episode_seed(evaluation_seed(seed, 0), episode) for episode in range(episodes)]
-    (scores,) = play([Job(lambda: env, seeds)], actor, max_envs=1)
+    (scores,) = rollout.play([rollout.Job(lambda: env, seeds)], actor, max_envs=1)
     if film is not None:
-        _save(env.pictures, film)
+        first, *rest = env.pictures
+        first.save(film, save_all=True, append_images=rest, duration=1000 // _RATE, loop=0)
     if json:
         print_json({"cmdp": cmdp.id, "context": context, "policy": why, "scores": scores.tolist()})
         return
@@ -82,8 +88,8 @@ def play(
         out.print(f"{len(env.pictures)} pictures: {film}", markup=False, highlight=False)
 
 
-class _Filmed:
-    """An environment that keeps a picture of each decision."""
+class _Watched:
+    """An environment whose episodes are seen to their end, and which can keep pictures of them."""
 
     def __init__(self, env: Any, filming: bool) -> None:
         self.env, self._filming = env, filming
@@ -92,11 +98,23 @@ class _Filmed:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.env, name)
 
+    def reset(self, **options: Any) -> Any:
+        started = self.env.reset(**options)
+        self._look()
+        return started
+
     def step(self, action: Any) -> Any:
-        moved = self.env.step(action)
+        *moved, info = self.env.step(action)
+        self._look()
+        info.pop("final_score", None)  # a score that is known is no reason to look away
+        return *moved, info
+
+    def _look(self) -> None:
         if self._filming:
-            self.pictures.append(self.env.render())
-        return moved
+            from PIL import Image
+
+            picture = Image.fromarray(np.asarray(self.env.render()))
+            self.pictures.append(picture.convert("P", palette=Image.Palette.ADAPTIVE))
 
 
 class _AtRandom:
@@ -137,11 +155,13 @@ def _parsed(values: Sequence[str]) -> Mapping[str, float]:
     return found
 
 
-def _save(pictures: Sequence[Any], file: Path) -> None:
+def _check_film(file: Path) -> None:
+    """Before anything is simulated."""
+    if find_spec("PIL") is None:
+        raise missing_extra("pillow", "plots")
+    if file.suffix.lower() != ".gif":
+        raise InvalidInput(f"--film is the name of a GIF, got {str(file)!r}; end it with .gif")
     try:
-        from PIL import Image
-    except ModuleNotFoundError as error:
-        raise missing_extra("pillow", "plots") from error
-    first, *rest = (Image.fromarray(np.asarray(picture)) for picture in pictures)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    first.save(file, save_all=True, append_images=rest, duration=1000 // _RATE, loop=0)
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInput(f"--film needs a folder to write to, got {error}") from error

@@ -317,7 +317,11 @@ class Study:
             load=trainer.load if trainer is not None else None,
             in_memory=dict(self.policies),
             cmdp=self.spec.problem or None,
-            metadata={"study": self.name, "selector": dict(self.spec.selector)},
+            metadata={
+                "study": self.name,
+                "selector": dict(self.spec.selector),
+                "settings": dict(self.spec.settings),
+            },
         )
 
     # ---- inside ------------------------------------------------------------------------------

@@ -5,8 +5,10 @@ from __future__ import annotations
 import copy
 import importlib
 import inspect
+import math
 import pkgutil
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from mbtl.errors import InvalidInput, missing_extra, unknown_name
@@ -17,7 +19,7 @@ _KNOWN = {
     "stable_baselines3": ("A2C", "DDPG", "DQN", "PPO", "SAC", "TD3"),
     "sb3_contrib": ("ARS", "CrossQ", "MaskablePPO", "QRDQN", "RecurrentPPO", "TQC", "TRPO"),
 }
-FALLING = "lin_"
+_FALLING = "lin_"
 """Of a hyperparameter that falls linearly over the training, as in rl-baselines3-zoo."""
 _RESERVED = ("policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
 
@@ -69,8 +71,8 @@ def checked_hyperparameters(algorithm: Any, given: Mapping[str, Any] | None) -> 
     """A deep copy of the keyword arguments (the library changes `policy_kwargs` in place).
 
     Where records and presets need plain values: `policy_kwargs["activation_fn"]` may be the name
-    of a class of `torch.nn`, a class "module:name", and a number that falls linearly to 0 "lin_"
-    and its first value.
+    of a class of `torch.nn`; an argument that is a class, "module:name"; and a number that falls
+    linearly to 0, which it reaches at the last update, "lin_" and its first value.
 
     Raises:
         UnknownName: the algorithm has no such argument.
@@ -99,23 +101,32 @@ def checked_hyperparameters(algorithm: Any, given: Mapping[str, Any] | None) -> 
 
 
 def _resolved(name: str, value: Any) -> Any:
+    """What a hyperparameter given by name stands for; any other is copied."""
     if isinstance(value, str) and name.endswith("_class"):
         try:
-            return pkgutil.resolve_name(value)
-        except (ValueError, ImportError, AttributeError) as error:
-            raise InvalidInput(f"{name} names a class, 'module:name', got {value!r}") from error
-    if isinstance(value, str) and value.startswith(FALLING):
-        from stable_baselines3.common.utils import LinearSchedule
-
+            found = pkgutil.resolve_name(value)
+        except (ValueError, ImportError, AttributeError):
+            found = None
+        if not isinstance(found, type):
+            raise InvalidInput(f"{name} names a class, 'module:name', got {value!r}")
+        return found
+    if isinstance(value, str) and value.startswith(_FALLING):
         try:
-            first = float(value.removeprefix(FALLING))
+            first = float(value.removeprefix(_FALLING))
         except ValueError:
+            first = math.nan
+        if not (math.isfinite(first) and first > 0):
             raise InvalidInput(
-                f"{name} that falls is '{FALLING}' and its first value, as in '{FALLING}1e-3', got "
-                f"{value!r}"
-            ) from None
-        return LinearSchedule(first, 0.0, 1.0)
+                f"{name} that falls is '{_FALLING}' and its first value, as in '{_FALLING}1e-3', "
+                f"got {value!r}"
+            )
+        return partial(_falling, first)
     return copy.deepcopy(value)
+
+
+def _falling(first: float, left: float) -> float:
+    """A schedule of the library; `left` is the share of the training that is still to come."""
+    return first * left
 
 
 def _package(name: str) -> Any:

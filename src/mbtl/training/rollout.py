@@ -119,7 +119,8 @@ class _Place:
         seen, rewards, _, _, infos = self.env.step(dict(zip(agents, actions, strict=True)))
         self.observations = [seen[agent] for agent in self.env.agents]
         self.total += float(sum(rewards.values()))
-        return not self.env.agents, next(iter(infos.values()), {})
+        info: Mapping[str, Any] = next(iter(infos.values()), {})
+        return not self.env.agents or "final_score" in info, info
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ class RotatedReplay(ReplayBuffer):  # type: ignore[misc]  # the library is untyp
 
     def _get_samples(self, batch_inds: Any, env: Any = None) -> Any:
         rows = super()._get_samples(batch_inds, env)
-        turns = torch.randint(_TURNS, (len(batch_inds),))
+        turns = torch.randint(_TURNS, (len(batch_inds),)).to(rows.actions.device)
         return rows._replace(
             observations=turned(rows.observations, turns),
             next_observations=turned(rows.next_observations, turns),
@@ -41,8 +41,9 @@ def turned(observations: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
     """Rows of observations, (n, d), each turned by (n,) approaches; features stay as they are."""
     n = len(observations)
     cells = observations[:, :_ROWS].reshape(n, _TURNS, _PER_APPROACH)
-    sources = (torch.arange(_TURNS)[None] - turns[:, None]) % _TURNS
-    moved = cells[torch.arange(n)[:, None], sources].reshape(n, _ROWS)
+    here = turns.device
+    sources = (torch.arange(_TURNS, device=here)[None] - turns[:, None]) % _TURNS
+    moved = cells[torch.arange(n, device=here)[:, None], sources].reshape(n, _ROWS)
     return torch.cat([moved, observations[:, _ROWS:]], dim=1)
 
 

@@ -9,21 +9,24 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import logging
 import os
 import shutil
 import subprocess
 import tempfile
 import weakref
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from mbtl.cmdps.traffic.software import check_version, library, loads, program
-from mbtl.errors import InvalidInput, MbtlError, SimulationFailed, missing_extra, unknown_name
+from mbtl.cmdps.traffic.software import check_version, library, program, why_not
+from mbtl.errors import InvalidInput, MbtlError, SimulationFailed, unknown_name
 
 Engine = Literal["auto", "libsumo", "traci"]
 ENGINES: tuple[Engine, ...] = ("auto", "libsumo", "traci")
 
+_logger = logging.getLogger(__name__)
 _labels = itertools.count()
 _holder: weakref.ref[Simulation] | None = None
 """Who runs in this process's libsumo; a forked child inherits the note but not the simulation."""
@@ -154,10 +157,12 @@ class Simulation:
                     "use another process, or engine='auto'"
                 )
             return "libsumo"
-        if not busy and loads("libsumo"):
-            return "libsumo"
-        if not loads("traci"):
-            raise missing_extra("traci" if busy else "libsumo", "traffic")
+        if not busy:
+            if why_not("libsumo") is None:
+                return "libsumo"
+            if why_not("traci") is not None:
+                library("libsumo")  # says why not
+            _tell_once(f"TraCI serves instead of libsumo, slower: {why_not('libsumo')}")
         return "traci"
 
     def _start_libsumo(self, seed: int) -> str:
@@ -203,6 +208,11 @@ def _from_sumo(error: Exception) -> bool:
 
 def _has_screen() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+@cache
+def _tell_once(message: str) -> None:
+    _logger.warning(message)
 
 
 def _nothing() -> None:

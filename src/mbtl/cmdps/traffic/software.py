@@ -51,18 +51,17 @@ def library(name: str) -> Any:
         raise missing_extra(name, "traffic") from error
     except ImportError as error:
         raise MissingExtra(
-            f"{name} is installed but must be loadable, got: {error}; install what it names, or "
-            "use engine='auto'"
+            f"{name} is installed but must be loadable, got: {error}; install what it names"
         ) from error
 
 
-def loads(name: str) -> bool:
-    """Whether `library` would give it."""
+def why_not(name: str) -> MissingExtra | None:
+    """The error that `library` would raise; None: it gives the module."""
     try:
         library(name)
-    except MissingExtra:
-        return False
-    return True
+    except MissingExtra as error:
+        return error
+    return None
 
 
 def check_version(version: str) -> None:
