@@ -158,8 +158,8 @@ _DQN_OF_FEW: Mapping[str, Any] = {
     "replay_buffer_class": "mbtl.cmdps.traffic.rotation:RotatedReplay",
     "policy_kwargs": {"net_arch": [128] * 2, "activation_fn": "Mish"},
 }
-"""For few episodes: what was seen is turned by quarters, and learnt from by a network that takes a
-fifth of the time. `benchmarks/sumo_learning.py` has what it is worth."""
+"""For few episodes: what was seen is turned by quarters, and learnt from by a small network at a
+rate that falls. `benchmarks/sumo_learning.py --cmdp signal-inflow` has what each is worth."""
 
 
 def _signal(hyperparameters: Mapping[str, Any], **changes: Any) -> Preset:
