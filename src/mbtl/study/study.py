@@ -303,25 +303,21 @@ class Study:
         """
         from mbtl.portfolio import Portfolio
 
-        rows = self.refresh().rows
+        rows, spec = self.refresh().rows, self.spec
         folders = [self.folder / r.policy if self.folder and r.policy else None for r in rows]
-        sources = [row.source for row in rows]
+        made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}
         return Portfolio(
             self.space,
-            tuple(sources),
+            tuple(row.source for row in rows),
             np.array([row.returns for row in rows]).reshape(-1, self.space.n),
             self.bounds,
             self.problem.theta,
             policy_folders=folders,
-            policy_format=str(self.spec.settings.get("policy_format", "custom")),
+            policy_format=str(spec.settings.get("policy_format", "custom")),
             load=trainer.load if trainer is not None else None,
             in_memory=dict(self.policies),
-            cmdp=self.spec.problem or None,
-            metadata={
-                "study": self.name,
-                "selector": dict(self.spec.selector),
-                "settings": dict(self.spec.settings),
-            },
+            cmdp=spec.problem or None,
+            metadata={"study": self.name, **made},
         )
 
     # ---- inside ------------------------------------------------------------------------------
