@@ -87,6 +87,28 @@ def test_an_episode_whose_score_is_known_is_not_played_on():
     assert played == [2, 1, 2, 1, 50, 49, 48, 50, 49, 48]
 
 
+def test_a_team_whose_score_is_known_is_not_played_on():
+    class Team:
+        agents = possible_agents = ("a", "b")
+
+        def reset(self, seed=None):
+            self.steps, self.agents = 0, ["a", "b"]
+            return dict.fromkeys(self.agents, np.zeros(1, np.float32)), {}
+
+        def step(self, actions):
+            self.steps += 1
+            info = {"final_score": -7.0} if self.steps == 3 else {}
+            seen = dict.fromkeys(self.agents, np.zeros(1, np.float32))
+            never = dict.fromkeys(self.agents, False)
+            return seen, dict.fromkeys(self.agents, 1.0), never, never, {"a": info, "b": info}
+
+        def close(self):
+            pass
+
+    (scores,) = play([Job(Team, [0, 1])], Actor(SignPolicy()), max_envs=1)
+    assert scores.tolist() == [-7.0, -7.0]
+
+
 def test_at_most_max_envs_are_alive_and_all_are_closed():
     alive, most = set(), []
 
