@@ -5,9 +5,9 @@ credited with what its own car is given until it leaves, or with what the team e
 as in the paper; near-sighted, as the preset `standard`; and so from samples of the Gaussian instead
 of applied accelerations. Signals: the paper's network with a quarter of its gradient steps, the
 small one of the preset `standard`, that with observations turned by quarters (which is the preset),
-and so without a falling learning rate. All else is that preset's. Scores are
-those of fresh episodes in the context trained on and, in brackets, the mean over the contexts of
-the others; on the ramp after the score of nobody advised.
+and so without a falling learning rate. All else is that preset's. Scores are those of fresh
+episodes in the context trained on and, in brackets, the mean over the contexts of the others; on
+the ramp after the score of nobody advised.
 
 example: python benchmarks/sumo_learning.py --cmdp ramp-acc     # a quarter of an hour of a core
 """
@@ -21,6 +21,7 @@ from typing import Any
 import measure
 from learning import trainings
 from measure import digits
+from traffic_checks import unguided
 
 CONTEXTS = {
     "ramp-acc": ("hold", (2.0, 10.0, 25.0)),
@@ -63,9 +64,7 @@ def alone(trainer: Any, context: Any) -> float:
     scores = []
     env = trainer.make_env(context)
     for seed in range(trainer.eval_episodes):
-        env.reset(seed=seed)
-        while env.agents:
-            env.step({})
+        unguided(env, seed)
         scores.append(env.score)
     env.close()
     return digits(fmean(scores), 3)

@@ -15,9 +15,14 @@ from typing import Any
 
 import measure
 from measure import digits, note
+from traffic_speed import PHASES
 
-PHASES = (0, 0, 0, 1, 2, 2, 2, 3)
-"""30 s for the through traffic, 10 s for the left turns, twice."""
+
+def unguided(team: Any, seed: int) -> None:
+    """An episode in which nobody is told anything."""
+    team.reset(seed=seed)
+    while team.agents:
+        team.step({})
 
 
 def ring_at_rest(seed: int) -> float:
@@ -49,9 +54,7 @@ def ramp(seed: int) -> float:
     from mbtl.cmdps.traffic.ramp import RampAcc
 
     env = RampAcc({"hold": 40.0})
-    env.reset(seed=seed)
-    while env.agents:
-        env.step({})
+    unguided(env, seed)
     return env.score
 
 
@@ -73,9 +76,7 @@ def eco(seed: int) -> float:
     from mbtl.cmdps.traffic.eco import Eco
 
     env = Eco()
-    env.reset(seed=seed)
-    while env.agents:
-        env.step({})
+    unguided(env, seed)
     return float(env.summary["score"])
 
 

@@ -92,7 +92,7 @@ def test_each_car_that_collides_costs_fifty_and_is_removed(make):
     for car, speed in ((blind, 13.0), (leader, 0.0)):
         vehicle.setSpeedMode(car, 0)  # no check of safety
         vehicle.setSpeed(car, speed)
-    collided, left, total = 0, 0, 0.0
+    collided, total = 0, 0.0
     there = set(vehicle.getIDList())
     while env.agents and not collided:
         rewards = env.step({})[1]

@@ -139,15 +139,6 @@ def test_a_missing_or_old_sumo_names_the_fix(monkeypatch):
         software.library("no_such_library_of_sumo")
 
 
-def test_a_library_that_cannot_be_loaded_says_why(monkeypatch):
-    def fail(name):
-        raise ImportError("libGL.so.1: cannot open shared object file", name="libsumo")
-
-    monkeypatch.setattr(software.importlib, "import_module", fail)
-    with pytest.raises(MissingExtra, match=r"libsumo .* libGL\.so\.1"):
-        software.library("libsumo")
-
-
 def unloadable(monkeypatch, *names):
     """The named libraries are installed but lack a library of the machine."""
     load = software.importlib.import_module
@@ -158,6 +149,12 @@ def unloadable(monkeypatch, *names):
         return load(name)
 
     monkeypatch.setattr(software.importlib, "import_module", fail)
+
+
+def test_a_library_that_cannot_be_loaded_says_why(monkeypatch):
+    unloadable(monkeypatch, "libsumo")
+    with pytest.raises(MissingExtra, match=r"libsumo .* libGL\.so\.1"):
+        software.library("libsumo")
 
 
 def test_traci_serves_where_libsumo_cannot_be_loaded_and_says_so_once(make, monkeypatch, caplog):

@@ -5,7 +5,7 @@ Both take their physics from the same environment, so no constant is derived twi
 
 from __future__ import annotations
 
-import importlib
+import pkgutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
@@ -40,9 +40,8 @@ class EnvFactory:
         Raises:
             MissingExtra: Gymnasium, or what the simulator needs, is not installed.
         """
-        module, _, name = self.entry_point.partition(":")
         try:
-            kind = getattr(importlib.import_module(module), name)
+            kind = pkgutil.resolve_name(self.entry_point)
         except ModuleNotFoundError as error:
             package = (error.name or "").partition(".")[0]
             extra = {"gymnasium": "envs", "pettingzoo": "traffic"}.get(package)
@@ -102,8 +101,7 @@ class TwinProblem:
         Raises:
             MissingExtra: jax or Gymnasium is not installed.
         """
-        module, _, name = self.problem.partition(":")
         switches = {k: v for k, v in self.make_env.options.items() if k != "horizon"}
-        record = getattr(importlib.import_module(module), name)(**self.options, **switches)
+        record = pkgutil.resolve_name(self.problem)(**self.options, **switches)
         twin, params = record(contexts)
         return twin, params

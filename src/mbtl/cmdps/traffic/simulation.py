@@ -157,12 +157,14 @@ class Simulation:
                     "use another process, or engine='auto'"
                 )
             return "libsumo"
-        if not busy:
-            if why_not("libsumo") is None:
-                return "libsumo"
-            if why_not("traci") is not None:
-                library("libsumo")  # says why not
-            _tell_once(f"TraCI serves instead of libsumo, slower: {why_not('libsumo')}")
+        if busy:
+            return "traci"
+        missing = why_not("libsumo")
+        if missing is None:
+            return "libsumo"
+        if why_not("traci") is not None:
+            raise missing
+        _tell_once(f"TraCI serves instead of libsumo, slower: {missing}")
         return "traci"
 
     def _start_libsumo(self, seed: int) -> str:
