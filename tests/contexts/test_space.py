@@ -72,6 +72,13 @@ def test_steps_off_the_grid_are_interpolated():
     assert space.encode_steps({"x": 5.5}) == pytest.approx([1.5])
 
 
+def test_a_context_is_described_with_units():
+    space = ContextSpace.grid(MIXED | {LENGTH: 2})
+    context = {"length": 0.123456, "road": "wet", "n": 3}
+    assert space.describe(context) == "length = 0.1235 m, road = wet, n = 3"
+    assert space.describe({"wind": 2.0} | context, "\n").splitlines()[0] == "wind = 2"
+
+
 def test_weights_are_normalised():
     space = ContextSpace.grid({LENGTH: 4}, weights=[1, 1, 2, 0])
     assert space.weights == pytest.approx([0.25, 0.25, 0.5, 0.0])

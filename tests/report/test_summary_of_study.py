@@ -6,7 +6,7 @@ from mbtl.report import reference_curves, summarise_study
 from mbtl.report.plots import plot_curve, plot_policy_map
 from mbtl.report.reference import ReferenceCurves
 from mbtl.report.summary import policies_enough
-from mbtl.report.text import lines, shown
+from mbtl.report.text import lines
 
 N = 20
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0, unit="m"): N})
@@ -83,10 +83,6 @@ def test_fewest_policies_for_nearly_all_the_gain():
     assert policies_enough(rows[3:], weights) == 1
     assert policies_enough(rows[:3], weights) == 3
     assert policies_enough(np.array([[0.5, 0.5], [0.5, 0.5]]), np.full(2, 0.5)) == 1
-
-
-def test_contexts_are_shown_with_their_units():
-    assert shown({"x": 0.123456}, SPACE) == "x = 0.1235 m"
 
 
 def test_reference_curves_are_omitted_and_said():

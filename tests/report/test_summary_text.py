@@ -9,7 +9,7 @@ from rich.console import Console
 import mbtl
 from mbtl.cmdps import get_cmdp
 from mbtl.report import summarise_study
-from mbtl.report.text import show_summary, shown
+from mbtl.report.text import show_summary
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,3 @@ def test_a_context_of_three_axes_takes_three_lines_of_the_table(space):
     first = next(line for line in text.splitlines() if "masspole = 0.1 kg" in line)
     assert first.split()[5] == "0.5000", "V beside the first axis"
     assert "masscart" not in first
-
-
-def test_a_context_in_a_sentence_takes_one(space):
-    assert shown(space.context(0), space) == "masspole = 0.02 kg, masscart = 0.2 kg, length = 0.2 m"

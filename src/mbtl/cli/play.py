@@ -81,8 +81,7 @@ def play(
         print_json({"cmdp": cmdp.id, "context": context, "policy": why, "scores": scores.tolist()})
         return
     out = printer()
-    place = ", ".join(f"{name} {value:g}" for name, value in context.items())
-    out.print(f"{cmdp.id} at {place}; {why}", markup=False, highlight=False)
+    out.print(f"{cmdp.id} at {cmdp.space.describe(context)}; {why}", markup=False, highlight=False)
     out.print(f"score: {' '.join(f'{score:.4g}' for score in scores)}", highlight=False)
     if film is not None:
         out.print(f"{len(env.pictures)} pictures: {film}", markup=False, highlight=False)

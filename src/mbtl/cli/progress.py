@@ -10,7 +10,6 @@ from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as Bars
 
 from mbtl.cli.common import LongWork
-from mbtl.report.text import shown
 from mbtl.study import Callback, Pick, Study
 from mbtl.trainer import Progress
 
@@ -52,7 +51,7 @@ class LiveProgress(Callback):
     def on_pick(self, study: Study, pick: Pick) -> None:
         """A bar for the new pick."""
         self._begun[pick.number] = time.monotonic()
-        label = f"pick {pick.number + 1}: {shown(pick.context, study.space)}"
+        label = f"pick {pick.number + 1}: {study.space.describe(pick.context)}"
         self._pick_bars[pick.number] = self._bars.add_task(label, total=1.0, note="training")
         self._update(study)
 
@@ -64,7 +63,7 @@ class LiveProgress(Callback):
         note = f"{progress.step:,}/{progress.total:,} {progress.unit} {' '.join(scores)}"
         self._bars.update(self._pick_bars[pick.number], completed=0.97 * share, note=note)
         self._update(study, share)
-        where = shown(pick.context, study.space)
+        where = study.space.describe(pick.context)
         self._work.say(f"pick {pick.number + 1}/{study.spec.budget}  {where}  {note}")
 
     def on_evaluation(self, study: Study, pick: Pick) -> None:
@@ -77,7 +76,7 @@ class LiveProgress(Callback):
         took = self._end(pick)
         self._console.print(
             f"pick {pick.number + 1}/{study.spec.budget}  "
-            f"{shown(pick.context, study.space):<24}  "
+            f"{study.space.describe(pick.context):<24}  "
             f"V {study.value:.4f}  {took / 60:.1f} min  {pick.reason}",
             markup=False,
             highlight=False,
@@ -89,7 +88,7 @@ class LiveProgress(Callback):
         """One line that stays."""
         self._end(pick)
         self._console.print(
-            f"pick {pick.number + 1}/{study.spec.budget}  {shown(pick.context, study.space)}  "
+            f"pick {pick.number + 1}/{study.spec.budget}  {study.space.describe(pick.context)}  "
             f"failed: {reason}",
             style="red",
             markup=False,

@@ -192,6 +192,15 @@ class ContextSpace:
             raise unknown_name("axis", axis, names)
         return list(self._columns[names.index(axis)])
 
+    def describe(self, context: Mapping[str, Value], between: str = ", ") -> str:
+        """A context for people, "length = 0.5 m"; `between` stands between its axes."""
+        units = {axis.name: axis.unit for axis in self.axes}
+        parts = []
+        for name, value in context.items():
+            number = f"{value:.4g}" if isinstance(value, float) else str(value)
+            parts.append(f"{name} = {number} {units.get(name, '')}".rstrip())
+        return between.join(parts)
+
     def index(self, context: Mapping[str, Value]) -> int:
         """Index of a context.
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
-from mbtl.contexts import Context, ContextSpace, Value
+from mbtl.contexts import Context, ContextSpace
 from mbtl.portfolio.router import Basis
 
 
@@ -59,14 +58,4 @@ def explanation(
         rest = f"policy {runner_up} does as well but was not trained nearer"
     else:
         rest = f"the next best, policy {runner_up}, is {margin:.3g} behind"
-    return f"Policy {policy}, trained on {shown(space, space.context(source))}, {how}; {rest}."
-
-
-def shown(space: ContextSpace, context: Mapping[str, Value]) -> str:
-    """A context for people: "length = 2.5 m, masspole = 0.1 kg"."""
-    parts = []
-    for axis in space.axes:
-        entry = context[axis.name]
-        number = f"{entry:.6g}" if isinstance(entry, float) else str(entry)
-        parts.append(f"{axis.name} = {number} {axis.unit}".rstrip())
-    return ", ".join(parts)
+    return f"Policy {policy}, trained on {space.describe(space.context(source))}, {how}; {rest}."

@@ -22,7 +22,7 @@ from mbtl.errors import InvalidInput, StorageError
 from mbtl.objective import Bounds, generalisation_performance, nearest_filled, value
 from mbtl.portfolio import router
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
-from mbtl.portfolio.choice import Choice, explanation, shown
+from mbtl.portfolio.choice import Choice, explanation
 from mbtl.portfolio.mlp import MLPPolicy
 from mbtl.portfolio.router import Indices
 
@@ -177,7 +177,7 @@ class Portfolio:
         if i not in self._loaded:
             folder = self.policy_folders[i]
             if folder is None:
-                source = shown(self.space, self.space.context(self.sources[i]))
+                source = self.space.describe(self.space.context(self.sources[i]))
                 raise StorageError(
                     f"policy {i} (trained on {source}) was not saved and is no longer in memory; "
                     "give the problem save and load functions and train it again"

@@ -14,7 +14,6 @@ from mbtl.contexts import Axis, Categorical, ContextSpace, Value
 from mbtl.errors import cannot_write, missing_extra
 from mbtl.report.reference import ReferenceCurves
 from mbtl.report.summary import StudySummary
-from mbtl.report.text import shown
 
 _STYLE = {"axes.spines.top": False, "axes.spines.right": False, "font.size": 9}
 _MOST_BARS = 12
@@ -80,7 +79,7 @@ def _line_map(space: ContextSpace, serving: Array, performance: Array) -> Any:
         axes.plot(x[mine], performance[mine], "s", ms=4, color=colour)
         axes.axvline(x[source], color=colour, lw=1, ls=":", zorder=0)
         axes.annotate(
-            shown(space.context(source), space).split("= ")[-1],
+            space.describe(space.context(source)).split("= ")[-1],
             (x[source], 1.0), xycoords=("data", "axes fraction"), rotation=90,
             fontsize=7, color=colour, ha="center", va="bottom",
         )  # fmt: skip
@@ -118,7 +117,7 @@ def _shares_map(space: ContextSpace, serving: Array, performance: Array) -> Any:
         dots.set_ylim(min(0.0, limits.min()), max(1.0, limits.max()))
     figure.supylabel("share of contexts; dots, right: performance", fontsize=9)
     figure.legend(
-        handles=[Patch(color=c, label=shown(space.context(i), space)) for i, c in coloured],
+        handles=[Patch(color=c, label=space.describe(space.context(i))) for i, c in coloured],
         loc="outside lower center", ncols=columns, frameon=False, fontsize=7,
     )  # fmt: skip
     return figure

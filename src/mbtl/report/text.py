@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mbtl.contexts import Context, ContextSpace
+from mbtl.contexts import ContextSpace
 from mbtl.report.summary import StudySummary
 
 
@@ -22,7 +22,7 @@ def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) ->
     for pick in summary.picks:
         table.add_row(
             "-" if pick.number is None else str(pick.number + 1),
-            Text(shown(pick.context, space, "\n")),
+            Text(space.describe(pick.context, "\n")),
             _number(pick.value),
             _number(pick.fresh_value),
             "-" if pick.seconds is None else f"{pick.seconds / 60:.1f}",
@@ -59,23 +59,13 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
         out.append(f"The tenth of the contexts served worst: {summary.worst_tenth:.4f}.")
     out.append(summary.verdict)
     if summary.next_source is not None and summary.next_gain is not None:
-        where = shown(space.context(summary.next_source), space)
+        where = space.describe(space.context(summary.next_source))
         out.append(
             f"One more training, at {where}, is predicted to add {summary.next_gain:.4f} to V."
         )
     if summary.finished:
         out.append(f"The study is finished: {summary.finished}.")
     return out
-
-
-def shown(context: Context, space: ContextSpace, between: str = ", ") -> str:
-    """A context in few characters, e.g. "length = 0.5 m"; `between` stands between its axes."""
-    units = {axis.name: axis.unit for axis in space.axes}
-    parts = []
-    for name, value in context.items():
-        number = f"{value:.4g}" if isinstance(value, float) else str(value)
-        parts.append(f"{name} = {number} {units[name]}".rstrip())
-    return between.join(parts)
 
 
 def _number(value: float | None) -> str:
