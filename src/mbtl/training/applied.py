@@ -31,5 +31,5 @@ class AppliedMlpPolicy(ActorCriticPolicy):  # type: ignore[misc]  # stable_basel
                 for bound in (self.action_space.low, self.action_space.high)
             )
             actions = actions.clamp(low, high)
-            log_prob = self.get_distribution(obs).log_prob(actions)
+            log_prob = self.action_dist.log_prob(actions)  # just set, to that of `obs`
         return actions, values, log_prob
