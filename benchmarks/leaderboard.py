@@ -8,7 +8,6 @@ matrices of the *other seeds* of the same CMDP, smoothed over sources, and picks
 What separates it from the Sequential Oracle is luck of single trainings, which nobody can foresee.
 
 Sets with several axes have a table of their own, without the selectors that need one axis (n/a).
-Coarser grids (`-every5`) are left out: they have fewer contexts than the others have trainings.
 
 `--write` puts the tables into docs/leaderboard.md.
 """

@@ -135,8 +135,7 @@ def open_matrix(name: str | Path) -> RowSource:
 def open_matrices(names: Sequence[str | Path | RowSource]) -> dict[str, RowSource]:
     """Matrices by name, in order; objects keep their own name.
 
-    "all" stands for every shipped set on the whole grid of one axis; coarser grids (`-every5`) and
-    sets with several axes have ids of their own.
+    "all" stands for every shipped set with one axis; those with several have ids of their own.
 
     Raises:
         InvalidInput: there is none, or two have the same name.
@@ -144,7 +143,7 @@ def open_matrices(names: Sequence[str | Path | RowSource]) -> dict[str, RowSourc
     opened: list[tuple[str, RowSource]] = []
     for name in names:
         if name == "all":
-            opened += _whole_lines()
+            opened += _lines()
         elif isinstance(name, (str, Path)):
             opened.append((str(name), open_matrix(name)))
         else:
@@ -161,9 +160,8 @@ def open_matrices(names: Sequence[str | Path | RowSource]) -> dict[str, RowSourc
     return dict(opened)
 
 
-def _whole_lines() -> list[tuple[str, RowSource]]:
-    whole = [known for known in shipped_matrices() if not re.search(r"-every\d+", known)]
-    opened = [(known, load_by_id(known)) for known in whole]
+def _lines() -> list[tuple[str, RowSource]]:
+    opened = [(known, load_by_id(known)) for known in shipped_matrices()]
     return [(known, matrix) for known, matrix in opened if matrix.space.d == 1]
 
 

@@ -26,8 +26,7 @@ def bench(
         list[str],
         typer.Option(
             help="A path ending in .npz, the id of a shipped matrix, `all` (every shipped one with "
-            "the whole grid of one axis), or a synthetic world such as synthetic:linear-gap; "
-            "repeat for more."
+            "one axis), or a synthetic world such as synthetic:linear-gap; repeat for more."
         ),
     ],
     selectors: Annotated[
