@@ -81,7 +81,7 @@ def test_a_film_without_decisions_has_its_first_picture(mbtl_command, tmp_path):
 def test_without_policies_choices_are_drawn(mbtl_command):
     code, out, _ = mbtl_command("play", "signal-inflow", "--at", "inflow=50", "--at", "length=200")
     assert code == 0
-    assert "inflow 50, length 200; choices at random" in out
+    assert "inflow = 50 cars, length = 200; choices at random" in out
 
 
 @pytest.mark.parametrize(
