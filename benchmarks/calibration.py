@@ -18,7 +18,7 @@ degrees of freedom; the share is the one of least NLPD on the *other* families. 
 each target over the rows seen and one deviation for all; of one row, its mean and deviation.
 
 Matrices are those of one axis with 30 contexts or more, as benchmarks/learn_prior.py takes them
-(two seeds, at most 50 contexts, no "-final" twins), every second context a target. Cases of a
+(all seeds, at most 50 contexts, no "-final" twins), every second context a target. Cases of a
 family are averaged, each counting once. `--write` puts the tables into docs/calibration.md and
 draws docs/images/calibration.png.
 """
@@ -163,7 +163,7 @@ def held_out(
 
 
 def cases(matrix: str) -> Iterator[Case]:
-    """Of the first seeds of a matrix."""
+    """Of all seeds of a matrix."""
     prior = prior_without(family_of(matrix))
     auto = Auto(prior=prior, most_targets=25, cover=0)  # what the model itself would pick
     for seed, (problem, rows) in enumerate(small(matrix, max(ROWS) + 1)):
