@@ -1,16 +1,16 @@
-"""Choose what `auto` has learned: once on all shipped families, and once without each of them.
+"""Choose the prior of `auto`: once on all shipped families, and once without each of them.
 
     .venv/bin/python benchmarks/learn_prior.py [--budget 25] [--write]
 
-First the prior of the transfer model, of the candidates in mbtl.models.priors, without any covering
-picks; then, with it, of how many picks one covers. Every candidate picks on every shipped matrix of
-one axis (of 100 contexts every second; coarser grids are left out), on all cores. What counts is
-the mean logarithm of the trainings to 90, 95 and 99 % of the way to Oracle Transfer, K + 1 where a
+Every candidate of mbtl.models.priors picks, without covering picks, on the shipped matrices of one
+axis (of 100 contexts every second; coarser grids are left out), on all cores. What counts is the
+mean logarithm of the trainings to 90, 95 and 99 % of the way to Oracle Transfer, K + 1 where a
 level is not reached. For each family the candidate that is best on the *other* families is kept,
-each family counting once; `mbtl bench` uses it there. Judges of the prior are CartPole and Pendulum
-alone: elsewhere rows are luck more than contexts. How much worse the runner-up is, with one
-standard error, is printed beside each choice. `--write` puts the result into
-src/mbtl/models/priors.py.
+each family counting once; `mbtl bench` uses it there. Judges are CartPole and Pendulum alone:
+elsewhere rows are luck more than contexts. How much worse the runner-up is, with one standard
+error, is printed beside each choice. `--write` puts the result into src/mbtl/models/priors.py.
+
+Then, on all families: of how many picks one should cover, each number against the shipped one.
 
 The likelihood was tried first, and chose worse: it rewards calibrated rows, not good picks.
 """
@@ -37,7 +37,7 @@ from mbtl.objective import value_curve
 from mbtl.selectors import SelectionProblem
 from mbtl.selectors.auto import Auto
 
-JUDGES_OF_PRIOR = ("cartpole", "pendulum")
+JUDGES = ("cartpole", "pendulum")
 COVERING = (0, 2, 3, 4, 6)
 FILE = Path(__file__).parents[1] / "src/mbtl/models/priors.py"
 
@@ -63,7 +63,7 @@ def small(matrix_id: str, budget: int) -> Iterator[tuple[SelectionProblem, Array
 
 
 def trainings(selector: Auto, problem: SelectionProblem, rows: Array) -> Array:
-    """(levels,) logarithms."""
+    """(levels,) their logarithms."""
     history = replay(selector, problem, lambda source: rows[source]).history
     curve = value_curve(history.rows, problem.weights)
     low, high = rows.mean(axis=0) @ problem.weights, rows.max(axis=0) @ problem.weights
@@ -80,7 +80,8 @@ def table(pool: Pool, stock: Stock, entrants: Mapping[str, Auto]) -> Found:
     found: dict[str, dict[str, Array]] = {}
     print(f"{'':22s}" + "".join(f"{f:>24s}" for f in stock))
     for label, selector in entrants.items():
-        runs = {f: [pool.submit(trainings, selector, *one) for one in stock[f]] for f in stock}
+        unseen = {f: selector.without(f) for f in stock}
+        runs = {f: [pool.submit(trainings, unseen[f], *one) for one in stock[f]] for f in stock}
         found[label] = {f: np.array([run.result() for run in runs[f]]) for f in stock}
         means = (np.exp(found[label][f].mean(axis=0)) for f in stock)
         cells = (" ".join(f"{v:6.2f}" for v in mean) for mean in means)
@@ -88,44 +89,27 @@ def table(pool: Pool, stock: Stock, entrants: Mapping[str, Auto]) -> Found:
     return found
 
 
-def best_on(found: Found, judges: Sequence[str]) -> tuple[str, str]:
-    """Label of the least mean over families and levels, and how far behind the next one is."""
-
-    def mean(label: str) -> float:
-        return float(np.mean([found[label][f].mean() for f in judges]))
-
-    best, second = sorted(found, key=mean)[:2]
-    behind = [(found[second][f] - found[best][f]).mean(axis=1) for f in judges]
-    error = np.sqrt(sum(d.var(ddof=1) / len(d) for d in behind)) / len(judges)
-    more = 100 * np.expm1(mean(second) - mean(best))
-    return best, f"{second!r} needs {more:.1f} % more (± {100 * error:.1f})"
+def cost(found: Found, label: str, judges: Sequence[str]) -> float:
+    """Mean logarithm over families and levels, each family counting once."""
+    return float(np.mean([found[label][f].mean() for f in judges]))
 
 
-def choices(pool: Pool, budget: int) -> list[str]:
+def against(found: Found, label: str, best: str, judges: Sequence[str]) -> str:
+    """How many more trainings than the best one, with one standard error."""
+    more = [(found[label][f] - found[best][f]).mean(axis=1) for f in judges]
+    error = np.sqrt(sum(d.var(ddof=1) / len(d) for d in more)) / len(judges)
+    percent = 100 * np.expm1(np.mean([d.mean() for d in more]))
+    return f"{label!r} needs {percent:+.1f} % (± {100 * error:.1f})"
+
+
+def choices(found: Found, families: Sequence[str]) -> list[str]:
     """Lines of the mapping CHOSEN, what they rest on printed."""
-    ids = [
-        i for i, matrix in open_matrices(["all"]).items()
-        if not i.endswith("-final") and matrix.n > budget  # twins of the defaults
-    ]  # fmt: skip
-    families = sorted({family_of(i) for i in ids})
-    stock = {f: [p for i in ids if family_of(i) == f for p in small(i, budget)] for f in families}
-    by_prior = table(
-        pool,
-        {f: stock[f] for f in JUDGES_OF_PRIOR},
-        {k: Auto(prior=prior, cover=0) for k, prior in CANDIDATES.items()},
-    )
-    by_cover: dict[str, Found] = {}
     lines = []
     for left_out in [None, *families]:
-        judges = [f for f in families if f != left_out]
-        label, next_prior = best_on(by_prior, [f for f in JUDGES_OF_PRIOR if f != left_out])
-        if label not in by_cover:
-            print(f"covering picks, prior {label!r}")
-            options = {str(n): Auto(prior=CANDIDATES[label], cover=n) for n in COVERING}
-            by_cover[label] = table(pool, stock, options)
-        every, next_cover = best_on(by_cover[label], judges)
-        print(f"without {left_out}: {label!r}, {next_prior}; {every}, {next_cover}", flush=True)
-        lines.append(f'    "{left_out or "all"}": ("{label}", {every}),')
+        judges = [f for f in JUDGES if f != left_out]
+        best, second = sorted(found, key=lambda label: cost(found, label, judges))[:2]
+        print(f"without {left_out}: {best!r}; {against(found, second, best, judges)}", flush=True)
+        lines.append(f'    "{left_out or "all"}": "{best}",')
     return lines
 
 
@@ -134,14 +118,29 @@ def main() -> None:
     parser.add_argument("--budget", type=int, default=25)
     parser.add_argument("--write", action="store_true")
     args = parser.parse_args()
+    ids = [
+        i for i, matrix in open_matrices(["all"]).items()
+        if not i.endswith("-final") and matrix.n > args.budget  # twins of the defaults
+    ]  # fmt: skip
+    families = sorted({family_of(i) for i in ids})
+    stock = {
+        f: [p for i in ids if family_of(i) == f for p in small(i, args.budget)] for f in families
+    }
     with Pool(mp_context=get_context("spawn")) as pool:
-        lines = choices(pool, args.budget)
+        judging = {f: stock[f] for f in JUDGES}
+        priors = {label: Auto(prior=prior, cover=0) for label, prior in CANDIDATES.items()}
+        lines = choices(table(pool, judging, priors), families)
+        print("covering picks, with the shipped priors that have not seen the family")
+        found = table(pool, stock, {str(n): Auto(cover=n) for n in COVERING})
+    shipped = str(Auto().cover)
+    for label in found:
+        print(against(found, label, shipped, families))
     if args.write:
         marks = ("# begin: benchmarks/learn_prior.py --write\n", "# end\n")
         head, rest = FILE.read_text(encoding="utf-8").split(marks[0])
         tail = rest.split(marks[1])[1]
         rows = "\n".join(lines)
-        body = f"CHOSEN: Mapping[str, tuple[str, int]] = {{\n{rows}\n}}\n"
+        body = f"CHOSEN: Mapping[str, str] = {{\n{rows}\n}}\n"
         FILE.write_text(f"{head}{marks[0]}{body}{marks[1]}{tail}", encoding="utf-8")
 
 

@@ -2,8 +2,9 @@
 
     .venv/bin/python benchmarks/real_studies.py [--parts noise,partial,...] [--sets a,b]
 
-Plays on shipped matrices (of 100 contexts every second; first two seeds), with the prior that has
-not seen their family. V is always that of the true rows, of the policies that the study would use.
+Plays on all seeds of shipped matrices (of 100 contexts every second), with the prior that has not
+seen their family, on all cores. V is always that of the true rows, of the policies that the study
+would use.
 "regret" is the distance to Oracle Transfer in V, as a share of that of one random policy.
 
     noise     Gaussian noise on every entry that the selector sees: told its size, or not
@@ -21,7 +22,10 @@ import measure  # noqa: F401  first: threads
 
 import argparse  # isort: skip
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor as Pool
 from dataclasses import replace
+from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
 from learn_prior import halved
@@ -44,7 +48,7 @@ Rows = Array
 def worlds(name: str, budget: int = K) -> Iterator[tuple[SelectionProblem, list[Rows]]]:
     """Problem, and the true rows of each seed, rotated so that the first is the study's own."""
     part, every = halved(name, budget)
-    for s in range(min(2, len(every))):
+    for s in range(len(every)):
         yield part, every[s:] + every[:s]
 
 
@@ -152,12 +156,26 @@ def stopping(name: str, least: float = 0.01, confidence: float = 0.9) -> Iterato
             yield np.array([31.0, np.nan, regret(rows[0], list(history.rows), history.rows)])
 
 
-def table(
-    title: str, names: list[str], columns: dict[str, Callable[[str], Iterator[float]]]
-) -> None:
-    print(f"\n{title}\n\n| regret at the end | {' | '.join(columns)} |")
-    print("|---" * (len(columns) + 1) + "|")
-    found = np.array([[np.mean(list(play(n))) for play in columns.values()] for n in names])
+Plays = dict[str, tuple[Any, ...]]
+"""By column a play of above, and what it takes beside the name of the set."""
+
+
+def played(play: Callable[..., Iterator[Any]], name: str, *how: Any) -> Array:
+    return np.mean(list(play(name, *how)), axis=0)
+
+
+def ended(name: str) -> tuple[float, float, float]:
+    """Means over seeds; of those that ended by the rule how many did so rightly, NaN if none."""
+    k, less, left = np.array(list(stopping(name))).T
+    right = float("nan") if np.isnan(less).all() else float(np.nanmean(less))
+    return float(k.mean()), right, float(left.mean())
+
+
+def table(pool: Pool, title: str, names: list[str], plays: Plays) -> None:
+    print(f"\n{title}\n\n| regret at the end | {' | '.join(plays)} |")
+    print("|---" * (len(plays) + 1) + "|")
+    runs = [[pool.submit(played, p, n, *how) for p, *how in plays.values()] for n in names]
+    found = np.array([[run.result() for run in row] for row in runs])
     for label, row in zip([*names, "mean"], [*found, found.mean(axis=0)], strict=True):
         print(f"| {label} | {' | '.join(f'{v:.3f}' for v in row)} |", flush=True)
 
@@ -168,37 +186,47 @@ def main() -> None:
     parser.add_argument("--sets", default=SETS)
     args = parser.parse_args()
     names, parts = args.sets.split(","), args.parts.split(",")
-    if "noise" in parts:
-        plays = {
-            f"sd {sd:g} {'told' if told else 'not told'}": lambda n, a=(sd, told): noise(n, *a)
-            for sd in (0.05, 0.2)
-            for told in (True, False)
-        }
-        table(f"Evaluation noise, K = {K}", names, plays)
-    if "partial" in parts:
-        plays = {
-            f"{count} {how}": lambda n, a=(count, how): partial(n, *a)
-            for count in (5, 10, 20)
-            for how in ("even", "random")
-        }
-        plays["all"] = lambda n: noise(n, 0.0, False)
-        table(f"Targets evaluated, K = {K}", names, plays)
-    if "costs" in parts:
-        plays = {"heeded": lambda n: costs(n, True), "not heeded": lambda n: costs(n, False)}
-        table("Costs 1 to 10 along the contexts, budget 30", names, plays)
-    if "repeats" in parts:
-        plays = {f"{t} per context": lambda n, t=t: repeats(n, t) for t in (1, 3)}
-        table(f"Trained again, K = {K}", names, plays)
-    if "batches" in parts:
-        plays = {f"{size} at a time": lambda n, s=size: batches(n, s) for size in (1, 2, 4, 6)}
-        table("Batches, K = 12", names, plays)
-    if "stopping" in parts:
-        print("\nStopping at a gain < 0.01 with 90 %, K = 30\n")
-        print("| | trainings | next one gained less | regret then |\n|---|---|---|---|")
-        for name in names:
-            k, less, left = np.array(list(stopping(name))).T
-            right = "-" if np.isnan(less).all() else f"{np.nanmean(less):.2f}"
-            print(f"| {name} | {k.mean():.1f} | {right} | {left.mean():.3f} |", flush=True)
+    tables: dict[str, tuple[str, Plays]] = {
+        "noise": (
+            f"Evaluation noise, K = {K}",
+            {
+                f"sd {sd:g} {'told' if told else 'not told'}": (noise, sd, told)
+                for sd in (0.05, 0.2)
+                for told in (True, False)
+            },
+        ),
+        "partial": (
+            f"Targets evaluated, K = {K}",
+            {
+                f"{count} {how}": (partial, count, how)
+                for count in (5, 10, 20)
+                for how in ("even", "random")
+            }
+            | {"all": (noise, 0.0, False)},
+        ),
+        "costs": (
+            "Costs 1 to 10 along the contexts, budget 30",
+            {"heeded": (costs, True), "not heeded": (costs, False)},
+        ),
+        "repeats": (
+            f"Trained again, K = {K}",
+            {f"{times} per context": (repeats, times) for times in (1, 3)},
+        ),
+        "batches": (
+            "Batches, K = 12",
+            {f"{size} at a time": (batches, size) for size in (1, 2, 4, 6)},
+        ),
+    }
+    with Pool(mp_context=get_context("spawn")) as pool:
+        for title, plays in (tables[part] for part in parts if part in tables):
+            table(pool, title, names, plays)
+        if "stopping" in parts:
+            print("\nStopping at a gain < 0.01 with 90 %, K = 30\n")
+            print("| | trainings | next one gained less | regret then |\n|---|---|---|---|")
+            for name, run in [(name, pool.submit(ended, name)) for name in names]:
+                k, right, left = run.result()
+                said = "-" if np.isnan(right) else f"{right:.2f}"
+                print(f"| {name} | {k:.1f} | {said} | {left:.3f} |", flush=True)
 
 
 if __name__ == "__main__":

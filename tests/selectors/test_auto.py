@@ -100,15 +100,8 @@ def test_benchmarks_use_the_prior_that_has_not_seen_the_family(monkeypatch):
     assert held_out(Auto(), "cartpole-length-hidden").prior == unseen
     assert held_out(Auto(), "ring-acc").prior == TransferPrior()
     assert held_out(Random(), "cartpole-length") == Random()
-    own = Auto(prior=TransferPrior(luck=3.0), cover=2)  # learned from nothing of ours
+    own = Auto(prior=TransferPrior(luck=3.0))  # learned from nothing of ours
     assert held_out(own, "cartpole-length") == own
-
-
-def test_benchmarks_cover_as_often_as_was_best_on_other_families(monkeypatch):
-    monkeypatch.setattr(priors, "COVERS", {"all": 3, "ring": 5})
-    assert held_out(Auto(), "ring-acc").cover == 5
-    assert held_out(Auto(), "cartpole-length").cover == 3
-    assert held_out(Auto(cover=0), "ring-acc").cover == 0
 
 
 def first_two(problem):

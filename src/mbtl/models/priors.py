@@ -1,8 +1,8 @@
 """Priors of the transfer model, and what shipped matrices speak for.
 
-Chosen on families of matrices, and without each of them: the prior, and how often `auto` covers. A
-family is the part of an id before the first "-": all CartPole variations are one. What is reported
-on a family must use the choice that has not seen it.
+Chosen on families of matrices, and without each of them. A family is the part of an id before the
+first "-": all CartPole variations are one. What is reported on a family must use the choice that
+has not seen it.
 """
 
 from __future__ import annotations
@@ -33,27 +33,20 @@ CANDIDATES: Mapping[str, TransferPrior] = {
 targets are hard or easy whatever the source."""
 
 # begin: benchmarks/learn_prior.py --write
-CHOSEN: Mapping[str, tuple[str, int]] = {
-    "all": ("ratio", 3),
-    "cartpole": ("ratio", 4),
-    "eco": ("ratio", 3),
-    "pendulum": ("ratio", 3),
-    "ramp": ("ratio", 3),
-    "ring": ("ratio", 4),
-    "signal": ("ratio", 3),
+CHOSEN: Mapping[str, str] = {
+    "all": "ratio",
+    "cartpole": "ratio",
+    "eco": "ratio",
+    "pendulum": "ratio",
+    "ramp": "ratio",
+    "ring": "ratio",
+    "signal": "ratio",
 }
 # end
 
-PRIORS: Mapping[str, TransferPrior] = {f: CANDIDATES[label] for f, (label, _) in CHOSEN.items()}
-COVERS: Mapping[str, int] = {f: every for f, (_, every) in CHOSEN.items()}
-"""Of how many picks of `auto` one goes where the sources leave the most uncovered."""
+PRIORS: Mapping[str, TransferPrior] = {f: CANDIDATES[label] for f, label in CHOSEN.items()}
 
 
 def prior_without(family: str) -> TransferPrior:
     """The prior that has not seen `family`; for one that no prior has seen, that of all."""
     return PRIORS.get(family, PRIORS["all"])
-
-
-def cover_without(family: str) -> int:
-    """The number that has not seen `family`; likewise."""
-    return COVERS.get(family, COVERS["all"])

@@ -7,7 +7,7 @@ Beyond some hundred contexts a part of the targets, spread over the space, stand
 and candidates are searched: some spread over the space, then ever nearer to the best. With several
 axes the best few are judged again on more targets.
 
-Every third pick or so is none of the model's: it goes where the sources leave the most uncovered.
+Every third pick is none of the model's: it goes where the sources leave the most uncovered.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mbtl.acquisition import TIE, RowGain, argmax_open, optimistic_gain
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
-from mbtl.models.priors import COVERS, PRIORS, cover_without, prior_without
+from mbtl.models.priors import PRIORS, prior_without
 from mbtl.models.relevance import Columns, fit_relevance, stretched
 from mbtl.models.transfer_gp import (
     Pairs,
@@ -69,7 +69,7 @@ class Auto:
         finalists: candidates that are judged a second time, on more targets.
         final_targets: targets of that.
         cover: every so many-th pick goes where the sources leave the most uncovered, whatever the
-            model says; 0: none does; None: as chosen on shipped matrices.
+            model says; 0: none does.
         relevance: with several axes, learn which of them matter (predicts better, picks alike).
     """
 
@@ -79,20 +79,19 @@ class Auto:
     most_pairs: int = 1000
     finalists: int = 10
     final_targets: int = 150
-    cover: int | None = None
+    cover: int = 3
     relevance: bool = False
     name: str = "auto"
     predicts_chances: ClassVar[bool] = True
     retrains: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if self.cover is not None and self.cover < 0:
+        if self.cover < 0:
             raise InvalidInput(f"cover must be >= 0 (0: no pick covers), got {self.cover}")
 
     def without(self, family: str) -> Auto:
         """The same with a prior that has not seen a family of matrices; for honest benchmarks."""
-        cover = cover_without(family) if self.cover is None else self.cover
-        return replace(self, prior=self.prior or prior_without(family), cover=cover)
+        return replace(self, prior=self.prior or prior_without(family))
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator
@@ -159,8 +158,7 @@ class Auto:
         The model takes what it has seen for the rule. Where luck decides it would stay for ever
         near small sure gains, and never meet the one training that is good everywhere.
         """
-        every = COVERS["all"] if self.cover is None else self.cover
-        if not every or len(history.tried) % every != every - 1:
+        if not self.cover or len(history.tried) % self.cover != self.cover - 1:
             return None
         steps, weights = problem.steps, problem.weights[targets]
         covered = nearest_distance(steps[targets], steps[list(history.tried)])
