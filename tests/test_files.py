@@ -3,7 +3,7 @@
 import pytest
 
 from mbtl.errors import InvalidInput, StorageError
-from mbtl.files import claim_folder, whole_file
+from mbtl.files import claimed_folder, whole_file
 
 
 def test_a_file_is_replaced_only_when_the_new_one_is_complete(tmp_path):
@@ -24,7 +24,27 @@ def test_a_place_that_cannot_be_written_is_a_storage_error(tmp_path):
 
 
 def test_a_claimed_folder_names_what_differs(tmp_path):
-    claim_folder(tmp_path / "a", {"seed": 1, "keep": ("best",)}, "a matrix")
-    claim_folder(tmp_path / "a", {"seed": 1, "keep": ["best"]}, "a matrix")
-    with pytest.raises(InvalidInput, match="holds a matrix of other settings: seed was 1, got 2"):
-        claim_folder(tmp_path / "a", {"seed": 2, "keep": ["best"], "lanes": 1}, "a matrix")
+    with claimed_folder(tmp_path / "a", {"seed": 1, "keep": ("best",)}, "a matrix"):
+        pass
+    with claimed_folder(tmp_path / "a", {"seed": 1, "keep": ["best"]}, "a matrix"):
+        pass
+    other = {"seed": 2, "keep": ["best"], "lanes": 1}
+    with (
+        pytest.raises(InvalidInput, match="holds a matrix of other settings: seed was 1, got 2"),
+        claimed_folder(tmp_path / "a", other, "a matrix"),
+    ):
+        pass
+
+
+def test_one_works_in_a_folder_at_a_time(tmp_path):
+    pytest.importorskip("fcntl")
+    with (
+        claimed_folder(tmp_path, {"seed": 1}, "a matrix"),
+        pytest.raises(StorageError, match="another process works in"),
+        claimed_folder(tmp_path, {"seed": 1}, "a matrix"),
+    ):
+        pass
+    with pytest.raises(KeyError), claimed_folder(tmp_path, {"seed": 1}, "a matrix"):
+        raise KeyError
+    with claimed_folder(tmp_path, {"seed": 1}, "a matrix"):
+        pass

@@ -17,6 +17,7 @@ CORE = [
     "settings",
     "provenance",
     "files",
+    "processes",
     "seeds",
     "contexts",
     "objective",

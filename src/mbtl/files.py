@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and folders that know what grows in them."""
+"""Files that appear whole or not at all, and folders that know what grows in them, and for whom."""
 
 from __future__ import annotations
 
@@ -9,8 +9,13 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
-from mbtl.errors import InvalidInput, cannot_write
+from mbtl.errors import InvalidInput, StorageError, cannot_write
 from mbtl.settings import first_difference
+
+try:
+    import fcntl
+except ModuleNotFoundError:  # not on Windows
+    fcntl = None  # type: ignore[assignment]
 
 
 @contextlib.contextmanager
@@ -34,8 +39,9 @@ def whole_file(path: Path) -> Iterator[IO[bytes]]:
             unfinished.unlink()
 
 
-def claim_folder(folder: Path, settings: Mapping[str, Any], what: str) -> None:
-    """Write down what grows in `folder`, or check that it is this.
+@contextlib.contextmanager
+def claimed_folder(folder: Path, settings: Mapping[str, Any], what: str) -> Iterator[None]:
+    """While the block runs nobody else works in `folder`, and nobody ever with other settings.
 
     Args:
         folder: made when missing.
@@ -44,7 +50,7 @@ def claim_folder(folder: Path, settings: Mapping[str, Any], what: str) -> None:
 
     Raises:
         InvalidInput: the folder was claimed with other settings.
-        StorageError: the place cannot be read or written.
+        StorageError: the place cannot be read or written, or another process works there.
     """
     record = json.loads(json.dumps(settings))
     file = folder / "settings.json"
@@ -63,3 +69,27 @@ def claim_folder(folder: Path, settings: Mapping[str, Any], what: str) -> None:
             f"{folder} holds {what} of other settings: {name} was {was!r}, got {now!r}; choose "
             "another folder, or remove it"
         )
+    with _alone(folder):
+        yield
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """A lock that ends with the process, however it ends; none where the system has no such."""
+    if fcntl is None:
+        yield
+        return
+    place = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(place)
+        raise StorageError(
+            f"another process works in {folder}; wait until it has ended, or choose another folder"
+        ) from error
+    except OSError:  # a file system without locks
+        pass
+    try:
+        yield
+    finally:
+        os.close(place)

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,8 @@ from mbtl.arrays import Array
 from mbtl.benchmark.npz import read_npz, write_npz
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StorageError, StudyError
-from mbtl.files import claim_folder
+from mbtl.files import claimed_folder
+from mbtl.processes import worker_pool
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
 from mbtl.trainer import ManyTrainer, Trainer, checked_returns
 
@@ -110,23 +110,23 @@ class Build:
 
         Raises:
             InvalidInput: the folder holds another matrix, or `workers` < 1.
-            StorageError: the folder cannot be written.
+            StorageError: the folder cannot be written, or another process builds in it.
             StudyError: a worker process died.
             TrainingFailed: a training failed; what was done before is kept.
         """
         if workers < 1:
             raise InvalidInput(f"workers must be >= 1, got {workers}")
         grows = {"seed": self.seed, "lanes": self.lanes, "keep": self.keep}
-        claim_folder(self.folder, {**self.settings, **grows}, "a transfer matrix")
-        pieces = self.pieces()
-        todo = [piece for piece in pieces if not piece.path.is_file()]
-        done = sum(len(p.sources) for p in pieces) - sum(len(p.sources) for p in todo)
-        if on_piece is not None:
-            on_piece(done, self.space.n)
-        for piece in _perform_all(todo, workers):
-            done += len(piece.sources)
+        with claimed_folder(self.folder, {**self.settings, **grows}, "a transfer matrix"):
+            pieces = self.pieces()
+            todo = [piece for piece in pieces if not piece.path.is_file()]
+            done = self.space.n - sum(len(piece.sources) for piece in todo)
             if on_piece is not None:
                 on_piece(done, self.space.n)
+            for piece in _perform_all(todo, workers):
+                done += len(piece.sources)
+                if on_piece is not None:
+                    on_piece(done, self.space.n)
 
     def rows(self, checkpoint: str) -> tuple[Array, Array]:
         """(N, N) mean return and (N, N) standard deviation over episodes, axes (source, target).
@@ -203,7 +203,7 @@ def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Piece]:
             perform(piece)
             yield piece
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with worker_pool(workers) as pool:
         futures = {pool.submit(perform, piece): piece for piece in pieces}
         try:
             for future in as_completed(futures):

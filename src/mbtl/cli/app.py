@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import sys
 from typing import Annotated
 
@@ -56,7 +57,9 @@ def program() -> None:
     """What the installed command runs: `main`, and after an interrupt in jax an end without ado.
 
     XLA's threads go on computing then, and the interpreter, taken down around them, crashes.
+    A batch system's SIGTERM is an interrupt, too.
     """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         main()
     except SystemExit:

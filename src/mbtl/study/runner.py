@@ -12,11 +12,11 @@ from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, StudyError, TrainingFailed
+from mbtl.processes import worker_pool
 from mbtl.seeds import evaluation_seed
 from mbtl.study.callbacks import Callback
 from mbtl.study.fresh import can_report, report_fresh_returns
@@ -63,8 +63,7 @@ def run(
     try:
         with ExitStack() as stack:
             if parallel > 1 and executor is None:
-                pool = ProcessPoolExecutor(parallel, mp_context=get_context("spawn"))
-                executor = stack.enter_context(pool)
+                executor = stack.enter_context(worker_pool(parallel))
             pooled = executor if parallel > 1 else None
             work = _Work(study, trainer, pooled, on_failure == "stop", callbacks)
             while batch := _next_batch(study, parallel):

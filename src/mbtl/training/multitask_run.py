@@ -18,7 +18,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.files import claim_folder, whole_file
+from mbtl.files import claimed_folder, whole_file
 from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
 from mbtl.trainer import Progress
@@ -68,7 +68,7 @@ class InJax:
 
         Raises:
             InvalidInput: the folder holds something else.
-            StorageError: it cannot be written.
+            StorageError: it cannot be written, or another process works there.
             TrainingFailed: weights are no longer finite.
         """
         import mbtl.training.jax as engine
@@ -130,11 +130,14 @@ class InSimulator:
 
         Raises:
             InvalidInput: the folder holds something else.
-            StorageError: it cannot be written.
+            StorageError: it cannot be written, or another process works there.
             TrainingFailed: the training failed.
         """
         chosen = training_seed(seed, MATRIX_TRIAL, len(self.contexts))  # the source after the last
-        policy, trained = self._policy(seed, chosen, folder, on_step)
+        decides = {**self.problem, "seed": seed, **self.settings["recipe"]}
+        del decides["eval_episodes"]  # more of them need no other policy
+        with claimed_folder(folder, decides, "a multi-task policy"):
+            policy, trained = self._policy(chosen, folder, on_step)
         rows, play = [], evaluation_seed(seed, MATRIX_TRIAL)
         for first in range(0, len(self.contexts), _TOGETHER):
             done = f"evaluated on {first} of {len(self.contexts)} contexts"
@@ -150,15 +153,10 @@ class InSimulator:
         }
         return returns.mean(axis=1), returns.std(axis=1), record
 
-    def _policy(
-        self, seed: int, chosen: int, folder: Path, on_step: OnStep
-    ) -> tuple[Any, dict[str, Any]]:
+    def _policy(self, chosen: int, folder: Path, on_step: OnStep) -> tuple[Any, dict[str, Any]]:
         """Trained now or by an interrupted run, and by which code and how long that was."""
         from mbtl.training.multitask import train_on_all
 
-        decides = {**self.problem, "seed": seed, **self.settings["recipe"]}
-        del decides["eval_episodes"]  # more of them need no other policy
-        claim_folder(folder, decides, "a multi-task policy")
         done = folder / "trained.json"
         if done.is_file():
             return self.trainer.load(folder / "policy"), json.loads(done.read_text("utf-8"))

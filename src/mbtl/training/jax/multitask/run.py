@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.files import claim_folder, whole_file
+from mbtl.files import claimed_folder, whole_file
 from mbtl.seeds import MATRIX_TRIAL, episode_seed, evaluation_seed, training_seed
 from mbtl.training.jax.environments import Environment, Tree
 from mbtl.training.jax.evaluation import episode_noise
@@ -99,7 +99,7 @@ def run_multitask(
 
     Raises:
         InvalidInput: the folder holds something else, or a number is below 1.
-        StorageError: the place cannot be written.
+        StorageError: the place cannot be written, or another process works there.
         TrainingFailed: weights are no longer finite.
     """
     if not seeds or episodes < 1:
@@ -108,34 +108,34 @@ def run_multitask(
         )
     place = Path(folder)
     settings = multitask_settings(env, recipe, params, timesteps, episodes)
-    claim_folder(place, settings, "a multi-task run")
     rows: dict[str, list[tuple[Array, Array]]] = {name: [] for name in CHECKPOINTS}
     records = []
-    for seed in seeds:
-        begin = time.monotonic()
-        training = _trained(env, recipe, params, seed, timesteps, place, on_progress)
-        seconds = round(time.monotonic() - begin, 1)
-        noise = episode_noise(
-            env, [episode_seed(evaluation_seed(seed, MATRIX_TRIAL), e) for e in range(episodes)]
-        )
-        for name, weights in (("best", training.best), ("final", training.state.weights)):
-            file = place / f"seed{seed}-{name}.npz"
-            if not file.exists():
-                found = evaluate_multitask(env, recipe, weights, params, noise)[0]
-                _save(file, {"returns": found.mean(axis=1), "std": found.std(axis=1)})
-            row = _load(file)
-            rows[name].append((row["returns"], row["std"]))
-        records.append(
-            {
-                **settings,
-                "trainer": "mbtl-jax-multitask",
-                "seed": seed,
-                "training_seed": _seed_of(params, seed),
-                "steps": int(training.updates) * recipe.steps_per_update,
-                "checkpoint_return": float(training.best_return[0]),
-                "train_seconds_of_last_run": seconds,
-            }
-        )
+    with claimed_folder(place, settings, "a multi-task run"):
+        for seed in seeds:
+            begin = time.monotonic()
+            training = _trained(env, recipe, params, seed, timesteps, place, on_progress)
+            seconds = round(time.monotonic() - begin, 1)
+            noise = episode_noise(
+                env, [episode_seed(evaluation_seed(seed, MATRIX_TRIAL), e) for e in range(episodes)]
+            )
+            for name, weights in (("best", training.best), ("final", training.state.weights)):
+                file = place / f"seed{seed}-{name}.npz"
+                if not file.exists():
+                    found = evaluate_multitask(env, recipe, weights, params, noise)[0]
+                    _save(file, {"returns": found.mean(axis=1), "std": found.std(axis=1)})
+                row = _load(file)
+                rows[name].append((row["returns"], row["std"]))
+            records.append(
+                {
+                    **settings,
+                    "trainer": "mbtl-jax-multitask",
+                    "seed": seed,
+                    "training_seed": _seed_of(params, seed),
+                    "steps": int(training.updates) * recipe.steps_per_update,
+                    "checkpoint_return": float(training.best_return[0]),
+                    "train_seconds_of_last_run": seconds,
+                }
+            )
     return MultiTaskRun(
         {name: np.stack([mean for mean, _ in rows[name]]) for name in CHECKPOINTS},
         {name: np.stack([std for _, std in rows[name]]) for name in CHECKPOINTS},
