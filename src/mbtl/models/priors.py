@@ -37,7 +37,7 @@ CHOSEN: Mapping[str, str] = {
     "all": "ratio",
     "cartpole": "ratio",
     "eco": "ratio",
-    "pendulum": "ratio",
+    "pendulum": "ratio, short",
     "ramp": "ratio",
     "ring": "ratio",
     "signal": "ratio",
