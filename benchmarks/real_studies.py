@@ -101,15 +101,13 @@ def costs(name: str, heeded: bool) -> Iterator[float]:
         price = np.linspace(1.0, 10.0, problem.n)
         told = replace(problem, costs=price, cost_budget=30.0)
         history = History(problem.n)
-        while True:
+        while price[history.open_mask(problem.n)].min() <= 30.0 - history.spent:
             open_to = told if heeded else problem
             source = auto(name).propose(open_to, history, np.random.default_rng(0)).source
             if history.spent + price[source] > 30.0:
                 break
             spent = history.spent + price[source]
             history = replace(history.with_row(source, rows[0][source]), spent=spent)
-            if 30.0 - spent < price.min() or len(history) == 40:
-                break
         yield regret(rows[0], list(history.rows), history.rows)
 
 
