@@ -79,7 +79,7 @@ def _line_map(space: ContextSpace, serving: Array, performance: Array) -> Any:
         axes.plot(x[mine], performance[mine], "s", ms=4, color=colour)
         axes.axvline(x[source], color=colour, lw=1, ls=":", zorder=0)
         axes.annotate(
-            space.describe(space.context(source)).split("= ")[-1],
+            f"{x[source]:.6g} {axis.unit}".rstrip(),
             (x[source], 1.0), xycoords=("data", "axes fraction"), rotation=90,
             fontsize=7, color=colour, ha="center", va="bottom",
         )  # fmt: skip
