@@ -34,8 +34,19 @@ def test_numbers_of_a_known_study():
     assert summary.best_single_value == pytest.approx(row(9).mean())
     assert summary.serving == tuple([0] * 5 + [9] * 7 + [14] * 5 + [19] * 3)
     assert summary.next_source in set(range(N)) - {0, 9, 14, 19}
-    assert 0 < summary.next_gain < 0.1
+    assert 0 <= summary.next_gain <= 0.9 - summary.value  # no more than the best ever seen
     assert summary.finished is None
+
+
+def test_one_more_training_is_predicted_beyond_a_spent_budget_until_no_context_is_left():
+    study = study_of(2, costs=np.ones(N), cost_budget=2.0)
+    assert study.is_finished
+    assert summarise_study(study).next_source not in (None, 9, 19)
+    study = mbtl.create_study(SPACE, budget=N, bounds=(0.0, 1.0), selector="random", problem="toy")
+    for source in range(N):
+        study.tell(source, row(source))
+    summary = summarise_study(study)
+    assert (summary.next_source, summary.next_gain) == (None, None)
 
 
 def test_a_study_without_rows_has_a_summary():

@@ -13,8 +13,9 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
+from mbtl.history import History
 from mbtl.objective import value, worst_share_mean
-from mbtl.selectors.mbtl_ei import predicted_gain
+from mbtl.selectors import Auto, Exhausted, Proposal, SelectionProblem
 from mbtl.study import Study
 from mbtl.study.fresh import fresh_curve, fresh_performance
 
@@ -69,9 +70,9 @@ class StudySummary:
         best_single: source of the best single policy.
         best_single_value: its own V, on the selecting episodes.
         policies_enough: fewest policies that reach 99 % of the way from it to V.
-        next_source: where one more training is predicted to gain most; None if none is left, or
-            where V is not the mean.
-        next_gain: that gain, performance.
+        next_source: where one more training is predicted to gain most, by the model of `auto`
+            whatever the selector; None if none is left.
+        next_gain: that gain in V, performance; None if nothing can be said.
         serving: (N,) source whose policy serves each context.
     """
 
@@ -157,8 +158,7 @@ def summarise_study(study: Study) -> StudySummary:
     singles = worst_share_mean(rows, weights, risk)
     best_single = int(singles.argmax())
     served = rows.max(axis=0) if measured is None else measured[-1]
-    # the formula is that of the mean
-    coming = None if risk < 1.0 else predicted_gain(study.problem, replace(history, rows=rows))
+    coming = _one_more(study.problem, history)
     return StudySummary(
         **common,
         episodes=state.rows[-1].episodes,
@@ -172,6 +172,15 @@ def summarise_study(study: Study) -> StudySummary:
         next_gain=None if coming is None else coming.acquisition,
         serving=tuple(history.sources[i] for i in study.portfolio().assignment),
     )
+
+
+def _one_more(problem: SelectionProblem, history: History) -> Proposal | None:
+    """What `auto` would train if there were budget for one more; None if no context is left."""
+    try:
+        asked = replace(problem, cost_budget=None, least_gain=None)
+        return Auto(cover=0).propose(asked, history, np.random.default_rng(0))
+    except Exhausted:
+        return None
 
 
 def policies_enough(
