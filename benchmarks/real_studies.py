@@ -97,17 +97,15 @@ def partial(name: str, count: int, how: str) -> Iterator[float]:
 
 
 def costs(name: str, heeded: bool) -> Iterator[float]:
+    """Not heeded: all that can be paid for costs the same."""
     for problem, rows in worlds(name, 40):
         price = np.linspace(1.0, 10.0, problem.n)
-        told = replace(problem, costs=price, cost_budget=30.0)
-        history = History(problem.n)
-        while price[history.open_mask(problem.n)].min() <= 30.0 - history.spent:
-            open_to = told if heeded else problem
-            source = auto(name).propose(open_to, history, np.random.default_rng(0)).source
-            if history.spent + price[source] > 30.0:
-                break
-            spent = history.spent + price[source]
-            history = replace(history.with_row(source, rows[0][source]), spent=spent)
+        history, left = History(problem.n), 30.0
+        while price[history.open_mask(problem.n)].min() <= left:
+            told = price if heeded else np.where(price <= left, 1.0, 2.0)
+            asked = replace(problem, costs=told, cost_budget=left if heeded else 1.0)
+            source = auto(name).propose(asked, history, np.random.default_rng(0)).source
+            history, left = history.with_row(source, rows[0][source]), left - price[source]
         yield regret(rows[0], list(history.rows), history.rows)
 
 

@@ -36,7 +36,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.benchmark.oracle import random_weights
 from mbtl.cmdps import get_cmdp
-from mbtl.files import claim_folder, whole_file
+from mbtl.files import claimed_folder, whole_file
 from mbtl.objective import marginal_gain
 from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seed, evaluation_seed, training_seed
 
@@ -89,18 +89,16 @@ class Laboratory:
         values = np.asarray(self.cmdp.space.values(axis), dtype=float)
         self._at = lambda share: {axis: float(np.interp(share * 99.0, np.arange(100), values))}
         self.targets = np.linspace(0.0, 1.0, TARGETS)
-        claim_folder(
-            self.folder,
-            {
-                "recipe": self.trainer.recipe,
-                "sets": {job.name: job.sets.tolist() for job in JOBS},
-                "contexts": CONTEXTS,
-                "targets": TARGETS,
-                "episodes": EPISODES,
-                "checkpoints": CHECKPOINTS,
-            },
-            "rows of richer sources",
-        )
+        settings = {
+            "recipe": self.trainer.recipe,
+            "sets": {job.name: job.sets.tolist() for job in JOBS},
+            "contexts": CONTEXTS,
+            "targets": TARGETS,
+            "episodes": EPISODES,
+            "checkpoints": CHECKPOINTS,
+        }
+        with claimed_folder(self.folder, settings, "rows of richer sources"):
+            pass  # of these settings
 
     def has(self, job: Job, seed: int) -> bool:
         """Whether the job is done."""

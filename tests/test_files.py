@@ -37,7 +37,6 @@ def test_a_claimed_folder_names_what_differs(tmp_path):
 
 
 def test_one_works_in_a_folder_at_a_time(tmp_path):
-    pytest.importorskip("fcntl")
     with (
         claimed_folder(tmp_path, {"seed": 1}, "a matrix"),
         pytest.raises(StorageError, match="another process works in"),

@@ -9,13 +9,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
+from filelock import FileLock, Timeout
+
 from mbtl.errors import InvalidInput, StorageError, cannot_write
 from mbtl.settings import first_difference
-
-try:
-    import fcntl
-except ModuleNotFoundError:  # not on Windows
-    fcntl = None  # type: ignore[assignment]
 
 
 @contextlib.contextmanager
@@ -52,10 +49,26 @@ def claimed_folder(folder: Path, settings: Mapping[str, Any], what: str) -> Iter
         InvalidInput: the folder was claimed with other settings.
         StorageError: the place cannot be read or written, or another process works there.
     """
-    record = json.loads(json.dumps(settings))
-    file = folder / "settings.json"
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / ".lock", blocking=False)  # ends with the process, however it ends
+        lock.acquire()
+    except Timeout as error:
+        raise StorageError(
+            f"another process works in {folder}; wait until it has ended, or choose another folder"
+        ) from error
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+    try:
+        _check_claim(folder, json.loads(json.dumps(settings)), what)
+        yield
+    finally:
+        lock.release()
+
+
+def _check_claim(folder: Path, record: dict[str, Any], what: str) -> None:
+    file = folder / "settings.json"
+    try:
         if not file.exists():
             with whole_file(file) as writing:
                 writing.write((json.dumps(record, indent=2) + "\n").encode())
@@ -69,27 +82,3 @@ def claimed_folder(folder: Path, settings: Mapping[str, Any], what: str) -> Iter
             f"{folder} holds {what} of other settings: {name} was {was!r}, got {now!r}; choose "
             "another folder, or remove it"
         )
-    with _alone(folder):
-        yield
-
-
-@contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """A lock that ends with the process, however it ends; none where the system has no such."""
-    if fcntl is None:
-        yield
-        return
-    place = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(place)
-        raise StorageError(
-            f"another process works in {folder}; wait until it has ended, or choose another folder"
-        ) from error
-    except OSError:  # a file system without locks
-        pass
-    try:
-        yield
-    finally:
-        os.close(place)

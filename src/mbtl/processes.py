@@ -1,38 +1,95 @@
-"""Worker processes: an interrupt ends them, instead of waiting for work that nobody wants now."""
+"""Worker processes that end when nobody wants their work: at an interrupt, or with their master."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
-from collections.abc import Iterator
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
-from multiprocessing import active_children, get_context
+from multiprocessing import current_process, parent_process
+from multiprocessing.context import SpawnContext, SpawnProcess
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+GRACE = 5.0
+"""Seconds in which a worker that is to end may close its simulators; then it is killed."""
+
+_KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # not on Windows
 
 
-@contextmanager
+@contextlib.contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool of fresh processes for the block; whatever ends it but an interrupt waits for them."""
-    others = active_children()
-    context = get_context("spawn")
+    """A pool of fresh processes for the block.
+
+    An interrupt, and the end of a generator that holds the block, ends them with all they have
+    started; any other end waits for the work under way.
+    """
+    context = _Context()
     with ProcessPoolExecutor(workers, context, initializer=_obey) as pool:
         try:
             yield pool
-        except (KeyboardInterrupt, GeneratorExit):  # the latter: of a caller's loop over results
-            for child in active_children():
-                if child not in others:
-                    child.terminate()
+        except (KeyboardInterrupt, GeneratorExit):
+            pool.shutdown(wait=False, cancel_futures=True)
+            _end(context.made)
             raise
 
 
+class _Context(SpawnContext):
+    """Remembers the processes it made."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.made: list[SpawnProcess] = []
+
+    def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]
+        self.made.append(SpawnProcess(*args, **kwargs))
+        return self.made[-1]
+
+
+def _end(workers: Sequence[SpawnProcess]) -> None:
+    for worker in workers:
+        worker.terminate()
+    latest = time.monotonic() + GRACE
+    for worker in workers:
+        worker.join(max(0.0, latest - time.monotonic()))
+    for worker in workers:
+        _tell_group(worker, _KILL)
+
+
 def _obey() -> None:
-    """In a worker: Ctrl-C, which a terminal sends to all, is its master's; its end is its own."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _end)
+    """In a worker, first of all.
+
+    It leaves its master's process group, to which a terminal sends Ctrl-C, for one of its own, in
+    which are the simulators that it starts.
+    """
+    if hasattr(os, "setpgid"):
+        os.setpgid(0, 0)
+    signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_end_with_master, daemon=True).start()
 
 
-def _end(*_: object) -> None:
-    """Quietly, with the simulators that this process has started."""
-    for child in active_children():
-        child.terminate()
-    os._exit(1)
+def _leave(*_: object) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough
+    sys.stderr = open(os.devnull, "w")  # noqa: SIM115  closed pipes and the like concern nobody now
+    raise SystemExit(1)
+
+
+def _end_with_master() -> None:
+    master, worker = parent_process(), current_process()
+    assert master is not None
+    master.join()
+    _tell_group(worker, signal.SIGTERM)
+    time.sleep(GRACE)
+    _tell_group(worker, _KILL)
+
+
+def _tell_group(worker: BaseProcess, number: int) -> None:
+    """A worker, and what it has started and not ended."""
+    if worker.pid is None:
+        return
+    with contextlib.suppress(ProcessLookupError):
+        (os.killpg if hasattr(os, "killpg") else os.kill)(worker.pid, number)

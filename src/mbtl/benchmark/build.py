@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -197,22 +198,24 @@ def _returns(piece: Piece) -> dict[str, Array]:
 
 
 def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Piece]:
-    """Do all pieces; yields each when its file is there."""
+    """Do all pieces; yields each when its file is there. After a failure none is begun."""
     if workers == 1 or len(pieces) <= 1:
         for piece in pieces:
             perform(piece)
             yield piece
         return
+    todo = iter(pieces)
     with worker_pool(workers) as pool:
-        futures = {pool.submit(perform, piece): piece for piece in pieces}
+        running = {pool.submit(perform, piece): piece for piece in islice(todo, workers)}
         try:
-            for future in as_completed(futures):
-                future.result()
-                yield futures[future]
+            while running:
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    piece = running.pop(future)
+                    future.result()
+                    running |= {pool.submit(perform, coming): coming for coming in islice(todo, 1)}
+                    yield piece
         except BrokenExecutor as error:
             raise StudyError(
                 "a worker process died (killed, or out of memory); what was done is kept: run "
                 "again, with fewer workers if memory is short"
             ) from error
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)

@@ -57,9 +57,12 @@ def program() -> None:
     """What the installed command runs: `main`, and after an interrupt in jax an end without ado.
 
     XLA's threads go on computing then, and the interpreter, taken down around them, crashes.
-    A batch system's SIGTERM is an interrupt, too.
+    A batch system's SIGTERM is an interrupt, too, and so is the end of the terminal.
     """
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+            signal.signal(number, signal.default_int_handler)
     try:
         main()
     except SystemExit:

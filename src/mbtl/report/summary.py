@@ -177,7 +177,7 @@ def summarise_study(study: Study) -> StudySummary:
 def _one_more(problem: SelectionProblem, history: History) -> Proposal | None:
     """What `auto` would train if there were budget for one more; None if no context is left."""
     try:
-        asked = replace(problem, cost_budget=None, least_gain=None)
+        asked = replace(problem, costs=None, cost_budget=None, least_gain=None)
         return Auto(cover=0).propose(asked, history, np.random.default_rng(0))
     except Exhausted:
         return None

@@ -10,6 +10,9 @@ from rich.text import Text
 from mbtl.contexts import ContextSpace
 from mbtl.report.summary import StudySummary
 
+_NOTHING = 5e-5
+"""A gain that prints as 0."""
+
 
 def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) -> None:
     """Print the summary: the picks, V, the verdict, what one more pick would bring."""
@@ -62,6 +65,8 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
         where = space.describe(space.context(summary.next_source))
         out.append(
             f"One more training, at {where}, is predicted to add {summary.next_gain:.4f} to V."
+            if summary.next_gain > _NOTHING
+            else "One more training is predicted to add nothing to V."
         )
     if summary.finished:
         out.append(f"The study is finished: {summary.finished}.")
