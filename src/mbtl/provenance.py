@@ -8,6 +8,7 @@ import platform
 import subprocess
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -23,12 +24,17 @@ _PACKAGES = (
 
 
 def here() -> dict[str, Any]:
-    """JSON-able record of versions, commit, hardware kind and day; no names of machines."""
+    """JSON-able record of versions, commit, processor and day; no names of machines.
+
+    The processor matters: the same seed trains another policy on another one, as sums are rounded
+    differently there.
+    """
     return {
         "mbtl": __version__,
         "commit": _commit(),
         "versions": {"python": platform.python_version(), **_versions()},
         "hardware": _hardware(),
+        "processor": _processor(),
         "date": datetime.now(UTC).date().isoformat(),
     }
 
@@ -70,6 +76,22 @@ def _hardware() -> str:
     return f"{platform.machine()}, {cores} cores"
 
 
+@cache
+def _processor() -> str:
+    """Its model as the system tells it, e.g. "AMD EPYC, family 25, model 17, stepping 1"."""
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return platform.processor() or platform.machine()
+    first = (line.partition(":") for line in text.partition("\n\n")[0].splitlines())
+    facts = {name.strip(): value.strip() for name, _, value in first}
+    known = [("model name", "{}"), ("cpu family", "family {}"), ("model", "model {}")]
+    known.append(("stepping", "stepping {}"))
+    said = [form.format(facts[name]) for name, form in known if name in facts]
+    return ", ".join(said) or platform.processor() or platform.machine()
+
+
+@cache
 def _commit() -> str | None:
     """Of the working tree this package is imported from; None for an installed package."""
     root = Path(__file__).parents[2]

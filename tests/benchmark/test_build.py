@@ -1,11 +1,14 @@
 """Building matrices: the same rows as a study's, in pieces, resumed, in one process or several."""
 
+import json
+
 import numpy as np
 import pytest
 
 from mbtl.benchmark.build import ONLY, Build
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed
+from mbtl.provenance import here
 from mbtl.seeds import evaluation_seed, training_seed
 from mbtl.trainer import FunctionTrainer
 
@@ -60,9 +63,10 @@ def test_rows_of_a_plain_trainer(tmp_path, workers):
     one = building(tmp_path, FunctionTrainer(train, evaluate))
     seen = []
     one.run(workers, lambda done, total: seen.append((done, total)))
-    mean, std = one.rows(ONLY)
-    np.testing.assert_allclose(mean, expected())
-    np.testing.assert_allclose(std, 1.0)
+    episodes = one.returns(ONLY)
+    np.testing.assert_allclose(episodes.mean(axis=2), expected())
+    np.testing.assert_allclose(episodes.std(axis=2), 1.0)
+    assert [set(origin) for origin in one.origins()] == [set(here())]
     assert seen == [(k, 5) for k in range(6)]
     assert one.seconds() > 0
 
@@ -72,8 +76,8 @@ def test_both_checkpoints_come_from_one_training(tmp_path):
     one = building(tmp_path, trainer, keep=("best", "final"), lanes=2)
     one.run()
     assert trainer.calls == [2, 2, 1]
-    np.testing.assert_allclose(one.rows("best")[0], expected())
-    np.testing.assert_allclose(one.rows("final")[0], expected(-10.0))
+    np.testing.assert_allclose(one.returns("best").mean(axis=2), expected())
+    np.testing.assert_allclose(one.returns("final").mean(axis=2), expected(-10.0))
     assert not list((tmp_path / "work").glob("*partial*"))  # the rows are there
 
 
@@ -86,10 +90,28 @@ def test_only_missing_pieces_are_done_again(tmp_path):
     pieces[2].unlink()
     one = building(tmp_path, again, **options)
     with pytest.raises(StorageError, match="1 are missing"):
-        one.rows("best")
+        one.returns("best")
     one.run()
     assert again.calls == [1]
-    np.testing.assert_allclose(one.rows("best")[0], expected())
+    np.testing.assert_allclose(one.returns("best").mean(axis=2), expected())
+
+
+def test_policies_are_kept_so_that_evaluating_again_trains_nothing(tmp_path):
+    def save(policy, folder):
+        (folder / "policy.json").write_text(json.dumps(policy))
+
+    def load(folder):
+        return tuple(json.loads((folder / "policy.json").read_text()))
+
+    def must_not(context, seed):
+        raise AssertionError("trained again")
+
+    building(tmp_path, FunctionTrainer(train, evaluate, save, load)).run()
+    for piece in (tmp_path / "work").glob("sources-*.npz"):
+        piece.unlink()
+    again = building(tmp_path, FunctionTrainer(must_not, evaluate, save, load))
+    again.run()
+    np.testing.assert_allclose(again.returns(ONLY).mean(axis=2), expected())
 
 
 def test_a_failure_keeps_what_was_done(tmp_path):

@@ -1,13 +1,16 @@
 """Building a transfer matrix: train every source, run each policy on every target.
 
 Work is done in pieces of a few sources. A piece is one file that appears whole or not at all, so
-an interrupted build goes on where it was, in any number of processes.
+an interrupted build goes on where it was, in any number of processes. Policies are kept beside the
+pieces, where their trainer can save them: whoever removes the pieces and builds again evaluates
+again and trains nothing.
 
 Notation (shapes): N contexts, P sources of a piece, E episodes.
 """
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
@@ -19,11 +22,13 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.benchmark.npz import read_npz, write_npz
+from mbtl.benchmark.entries import Floats
+from mbtl.benchmark.npz import read_npz, read_text, text_array, write_npz
 from mbtl.contexts import Context, ContextSpace
-from mbtl.errors import InvalidInput, StorageError, StudyError
+from mbtl.errors import InvalidInput, StorageError, StudyError, cannot_write
 from mbtl.files import claimed_folder
 from mbtl.processes import worker_pool
+from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
 from mbtl.trainer import ManyTrainer, Trainer, checked_returns
 
@@ -44,6 +49,7 @@ class Piece:
         evaluation: seed of all evaluations.
         keep: checkpoints to evaluate.
         path: where its rows go.
+        policies: folder of the policies kept.
     """
 
     trainer: Trainer
@@ -54,6 +60,11 @@ class Piece:
     evaluation: int
     keep: tuple[str, ...]
     path: Path
+    policies: Path
+
+    def policy_folder(self, checkpoint: str, source: int) -> Path:
+        """Where the policy of a source is kept."""
+        return self.policies / checkpoint / f"source-{source:05d}"
 
 
 @dataclass(frozen=True)
@@ -98,6 +109,7 @@ class Build:
                 evaluation_seed(self.seed, MATRIX_TRIAL),
                 self.keep,
                 self.folder / f"sources-{first:05d}.npz",
+                self.folder / "policies",
             )
             for first in range(0, self.space.n, self.lanes)
         ]
@@ -129,19 +141,23 @@ class Build:
                 if on_piece is not None:
                     on_piece(done, self.space.n)
 
-    def rows(self, checkpoint: str) -> tuple[Array, Array]:
-        """(N, N) mean return and (N, N) standard deviation over episodes, axes (source, target).
+    def returns(self, checkpoint: str) -> Floats:
+        """(N, N, E) return of every episode, axes (source, target, episode).
 
         Raises:
             StorageError: pieces are missing.
         """
-        found = [read_npz(piece.path) for piece in self._finished()]
-        mean = np.concatenate([arrays[f"{checkpoint}_mean"] for arrays in found])
-        return mean, np.concatenate([arrays[f"{checkpoint}_std"] for arrays in found])
+        key = f"{checkpoint}_returns"
+        return np.concatenate([read_npz(piece.path)[key] for piece in self._finished()])
 
     def seconds(self) -> float:
         """Wall time of all pieces together, seconds of one process."""
         return float(sum(read_npz(piece.path)["seconds"] for piece in self._finished()))
+
+    def origins(self) -> list[dict[str, Any]]:
+        """The distinct places where its pieces were computed (`mbtl.provenance.here`)."""
+        found = [read_text(read_npz(piece.path)["origin"], "origin") for piece in self._finished()]
+        return [one for i, one in enumerate(found) if one not in found[:i]]
 
     def _finished(self) -> list[Piece]:
         pieces = self.pieces()
@@ -155,15 +171,23 @@ class Build:
 
 
 def perform(piece: Piece) -> None:
-    """Train and evaluate the sources of one piece, and write its file."""
+    """Train the sources of one piece unless their policies are kept, evaluate, write its file."""
     begin = time.perf_counter()
-    arrays: dict[str, Any] = {}
-    for checkpoint, returns in _returns(piece).items():
-        arrays[f"{checkpoint}_mean"] = returns.mean(axis=2)
-        arrays[f"{checkpoint}_std"] = returns.std(axis=2)
+    policies = _kept(piece) or _train(piece)
+    trained = time.perf_counter()
+    arrays: dict[str, Any] = {
+        f"{checkpoint}_returns": _evaluate(piece, some).astype(np.float32)
+        for checkpoint, some in policies.items()
+    }
     arrays["seconds"] = np.array(time.perf_counter() - begin)
+    arrays["train_seconds"] = np.array(trained - begin)
+    arrays["origin"] = text_array(here())
     write_npz(piece.path, arrays)
     _partial(piece).unlink(missing_ok=True)
+
+
+Policies = Mapping[str, Sequence[Any]]
+"""Checkpoint -> the P policies of a piece."""
 
 
 def _partial(piece: Piece) -> Path:
@@ -171,30 +195,59 @@ def _partial(piece: Piece) -> Path:
     return piece.path.with_suffix(".partial.npz")
 
 
-def _returns(piece: Piece) -> dict[str, Array]:
-    """(P, N, E) returns of each checkpoint."""
-    trainer, targets = piece.trainer, list(piece.targets)
+def _train(piece: Piece) -> Policies:
+    trainer = piece.trainer
     if isinstance(trainer, ManyTrainer):
-        policies = trainer.train_many(
+        policies: Policies = trainer.train_many(
             piece.contexts,
             piece.seeds,
             keep=piece.keep,
             partial=_partial(piece),
         )
-        return {
-            checkpoint: np.stack(
-                [
-                    checked_returns(row, len(targets))
-                    for row in trainer.evaluate_many(some, targets, piece.evaluation)
-                ]
-            )
-            for checkpoint, some in policies.items()
-        }
-    rows = [
-        trainer.evaluate(trainer.train(dict(context), seed), targets, piece.evaluation)
-        for context, seed in zip(piece.contexts, piece.seeds, strict=True)
-    ]
-    return {ONLY: np.stack([checked_returns(row, len(targets)) for row in rows])}
+    else:
+        pairs = zip(piece.contexts, piece.seeds, strict=True)
+        policies = {ONLY: [trainer.train(dict(context), seed) for context, seed in pairs]}
+    for checkpoint, some in policies.items():
+        for source, policy in zip(piece.sources, some, strict=True):
+            _keep(trainer, policy, piece.policy_folder(checkpoint, source))
+    return policies
+
+
+def _keep(trainer: Any, policy: Any, place: Path) -> None:
+    """Save a policy into a folder that appears whole; trainers that cannot save keep none."""
+    save = getattr(trainer, "save", None)
+    if save is None:
+        return
+    partial = place.with_name(f".{place.name}.partial")
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        if save(policy, partial):
+            shutil.rmtree(place, ignore_errors=True)
+            partial.rename(place)
+        else:
+            partial.rmdir()
+    except OSError as error:
+        raise cannot_write(place, error) from error
+
+
+def _kept(piece: Piece) -> Policies | None:
+    """The policies of a piece, if all were kept."""
+    folders = {c: [piece.policy_folder(c, s) for s in piece.sources] for c in piece.keep}
+    if not all(folder.is_dir() for some in folders.values() for folder in some):
+        return None
+    load = piece.trainer.load
+    return {checkpoint: [load(place) for place in some] for checkpoint, some in folders.items()}
+
+
+def _evaluate(piece: Piece, policies: Sequence[Any]) -> Array:
+    """(P, N, E) returns."""
+    trainer, targets = piece.trainer, list(piece.targets)
+    if isinstance(trainer, ManyTrainer):
+        rows: Any = trainer.evaluate_many(policies, targets, piece.evaluation)
+    else:
+        rows = [trainer.evaluate(policy, targets, piece.evaluation) for policy in policies]
+    return np.stack([checked_returns(row, len(targets)) for row in rows])
 
 
 def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Piece]:

@@ -203,7 +203,8 @@ class _Job:
         built = {}
         for checkpoint in self.checkpoints:
             file = self.file(out, checkpoint, seed)
-            mean, std = building.rows(checkpoint)
+            episodes = building.returns(checkpoint)
+            mean, std = episodes.mean(axis=2), episodes.std(axis=2)
             built[file] = TransferMatrix.of(
                 mean[None],
                 std=std[None],
