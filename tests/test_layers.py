@@ -21,6 +21,7 @@ CORE = [
     "seeds",
     "contexts",
     "objective",
+    "routing",
     "trainer",
     "history",
     "models",
