@@ -41,7 +41,7 @@ def last_route(rows: Array, sources: Sequence[int], steps: Array) -> Indices:
 
 def routed(values: Array, routes: Indices) -> Array:
     """What the serving policies have: (k, N) values and (m, N) routes, m <= k -> (m, N)."""
-    return np.take_along_axis(values, routes, axis=0)
+    return np.asarray(np.take_along_axis(values, routes, axis=0))
 
 
 def rank(values: Array, distance: Array, sources: Indices) -> Indices:
