@@ -65,4 +65,5 @@ def _growing(rows: Array, sources: Sequence[int], steps: Array) -> Iterator[Indi
 
 
 def _scores(values: Array) -> Array:
-    return np.round(np.where(np.isfinite(values), values, -np.inf), TIE_DECIMALS)
+    known = np.where(np.isfinite(values), values, -np.inf)
+    return np.asarray(np.round(known, TIE_DECIMALS), dtype=np.float64)
