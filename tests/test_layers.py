@@ -17,6 +17,7 @@ CORE = [
     "settings",
     "provenance",
     "files",
+    "loading",
     "processes",
     "seeds",
     "contexts",

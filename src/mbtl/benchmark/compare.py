@@ -178,6 +178,8 @@ def _selector(given: str | Selector) -> Selector:
     try:
         return get_selector(given)
     except UnknownName:
+        if ":" in str(given):  # of a user's own, whose names are not ours
+            raise
         raise unknown_name("selector", str(given), [*selector_names(), ORACLE]) from None
 
 
