@@ -32,7 +32,7 @@ Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
 class JaxTrainer(MLPTrainer):
     """Trains policies with the jax engine (`mbtl.trainer.Trainer`), one or many at once.
 
-        trainer = get_cmdp("cartpole-length", engine="jax").trainer_for("paper")
+        trainer = get_cmdp("cartpole-length", engine="jax").trainer_for("full")
         policy = trainer.train({"length": 0.5}, seed=0)
         returns = trainer.evaluate(policy, space.contexts, seed=1)      # (n_targets, 100)
 
