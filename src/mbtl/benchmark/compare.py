@@ -102,7 +102,8 @@ def compare(
                 curves[name][label].append(known.random if label == RANDOM else mean)
     steps.next("")
     stacked = {m: {e: np.array(v) for e, v in by.items()} for m, by in curves.items()}
-    return Comparison(tuple(runs), summarise(stacked, references))
+    caveats = {name: getattr(source, "caveat", None) for name, source in sources.items()}
+    return Comparison(tuple(runs), summarise(stacked, references, caveats))
 
 
 def held_out(selector: Selector, matrix: str) -> Selector:

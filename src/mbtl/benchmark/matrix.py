@@ -285,6 +285,11 @@ class TransferMatrix:
         return self.bounds.normalise(reported[seed, np.asarray(sources, dtype=np.intp)])
 
     @property
+    def records(self) -> list[Mapping[str, Any]]:
+        """The provenance of each seed."""
+        return list(self.provenance.get("seeds", [self.provenance] * self.n_seeds))
+
+    @property
     def measures_apart(self) -> bool:
         """Whether there are episodes for the report that selectors do not see."""
         return self.fresh_returns is not None

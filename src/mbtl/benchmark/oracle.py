@@ -13,7 +13,8 @@ Notation (shapes): N contexts, K trainings.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from mbtl.benchmark.base import (
     measured_curve,
     ranked_blocks,
 )
+from mbtl.benchmark.references import reference_levels
 from mbtl.errors import InvalidInput
 from mbtl.objective import value
 
@@ -55,11 +57,13 @@ class Reference:
         levels: Independent, Oracle Transfer, grand mean.
         random: (K,) expectation of V over uniformly random orders, exact.
         oracle: the Sequential Oracle.
+        rows: V of the reference rows by name (`mbtl.benchmark.references`).
     """
 
     levels: Levels
     random: Array
     oracle: OracleRun
+    rows: Mapping[str, float] = field(default_factory=dict)
 
 
 def reference(source: RowSource, seed: int, budget: int) -> Reference:
@@ -68,6 +72,7 @@ def reference(source: RowSource, seed: int, budget: int) -> Reference:
         levels(source, seed),
         random_curve(source, seed, budget),
         sequential_oracle(source, seed, budget),
+        reference_levels(source, seed),
     )
 
 

@@ -141,7 +141,7 @@ def save_shipped(
         InvalidInput: the provenance lists another number of seeds.
         StorageError: the place cannot be written.
     """
-    records = matrix.provenance.get("seeds", [matrix.provenance] * matrix.n_seeds)
+    records = matrix.records
     if len(records) != matrix.n_seeds:
         raise InvalidInput(
             f"provenance must have one record per seed ({matrix.n_seeds}), got {len(records)}"

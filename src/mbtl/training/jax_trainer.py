@@ -145,6 +145,14 @@ class JaxTrainer(MLPTrainer):
             env, actors, params, engine.episode_noise(env, seeds), activation=activation
         )
 
+    def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
+        """See `mbtl.trainer.ReferenceTrainer`."""
+        import mbtl.training.jax as engine
+
+        env, params = self.problem(contexts)
+        seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
+        return engine.reference_returns(env, params, seeds)
+
     @property
     def recipe(self) -> dict[str, Any]:
         """What decides the policies and their returns, JSON-able; not the place or speed."""
