@@ -78,6 +78,15 @@ class World:
         """(m, N) performance."""
         return np.stack([self._row(seed, int(source)) for source in np.atleast_1d(sources)])
 
+    def fresh_rows(self, seed: int, sources: ArrayLike) -> Array:
+        """The same rows."""
+        return self.rows(seed, sources)
+
+    @property
+    def measures_apart(self) -> bool:
+        """Whether selection and report use other episodes."""
+        return False
+
     def _row(self, seed: int, source: int) -> Array:
         far, level = np.zeros(self.n), np.full(self.n, 0.9)
         for name, column in self._blocks.items():
