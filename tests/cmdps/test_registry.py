@@ -60,7 +60,9 @@ def test_grids_and_constants_of_traffic(id):
     assert cmdp.space.axes[0].unit == physical
     assert (cmdp.unit, cmdp.nominal) == ({axis: unit}, {axis: nominal})
     assert (cmdp.bounds, cmdp.theta) == (bounds, theta)
-    assert cmdp.settings["visibility"] == ("multiplier" if id.startswith("eco") else "hidden")
+    shown = id in ("eco-penetration", "eco-green")  # the reference hides the rest
+    assert cmdp.settings["visibility"] == ("multiplier" if shown else "hidden")
+    assert cmdp.version == (1 if id.startswith(("ring", "ramp")) or id == "eco-inflow" else 0)
 
 
 def test_the_seventeen_ids():

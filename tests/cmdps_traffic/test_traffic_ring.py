@@ -142,6 +142,26 @@ def test_hurrying_is_safe_and_a_collision_would_end_the_episode(make):
     assert info["score"] == 0.0  # the measured part had not begun
 
 
+def test_after_a_collision_the_cars_stand_for_the_rest_of_the_measured_part(make, monkeypatch):
+    for part, steps in (("WARM_UP", 200), ("UNMEASURED", 100), ("MEASURED", 1_000)):
+        monkeypatch.setattr(advisory, part, steps)
+    env = make(RingAcc, hold=1.0)
+    env.reset(seed=0)
+    for _ in range(60):
+        env.drive()
+    env.simulation.api.vehicle.setSpeedMode("car0", 0)  # without any check of SUMO's
+    env.simulation.api.vehicle.setMinGap("car0", 2.0)
+    lived, terminated = 600, False
+    while not terminated:
+        so_far = env.score
+        *_, terminated, _, info = env.step([1.0])
+        lived += 10
+    assert info["collided"]
+    assert lived < 1_100
+    share = (lived - 100) / 1_000
+    assert info["score"] == pytest.approx(so_far * share, rel=0.05)
+
+
 @pytest.mark.slow
 def test_a_simulator_that_is_killed_ends_the_episode_and_the_next_one_works(make):
     env = make(engine="traci", horizon=2)

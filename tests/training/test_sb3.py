@@ -67,6 +67,25 @@ def trained():
 # ---- training ------------------------------------------------------------------------------------
 
 
+def test_exploration_does_not_draw_the_numbers_of_the_environment():
+    shown, chosen = [], []
+
+    class Coins(Guess):
+        def _next(self):
+            shown.append(int(self.np_random.integers(2)))
+            return np.zeros(1, np.float32)
+
+        def step(self, action):
+            chosen.append(int(action))
+            self.left -= 1
+            return self._next(), 0.0, False, self.left == 0, {}
+
+    settings = {"learning_starts": 100, "buffer_size": 100}  # nothing but exploration
+    trainer = SB3Trainer(Coins, timesteps=40, algorithm="DQN", hyperparameters=settings)
+    trainer.train({"length": 100}, seed=3)
+    assert 5 < (np.array(shown[:-1]) == chosen).sum() < 35
+
+
 def test_training_learns():
     trainer = ppo(Guess, timesteps=3000, hyperparameters={**SHORT, "learning_rate": 0.003})
     returns = trainer.evaluate(trainer.train({"length": 20}, 0), [{"length": 20}], 1)

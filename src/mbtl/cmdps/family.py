@@ -108,7 +108,8 @@ class Variant:
         family: name of the family.
         axes: the features that vary, the last one fastest.
         theta: slope of the linear gap where it is not the family's, performance per grid step.
-        version: raised when results could change.
+        version: raised when what a policy is worth, or sees, could change.
+        visibility: what of the context the policy sees where it is not the family's.
         description: one line for people.
     """
 
@@ -116,6 +117,7 @@ class Variant:
     axes: tuple[GridAxis, ...]
     theta: float | None = None
     version: int = 0
+    visibility: str | None = None
     description: str = ""
 
     @property
@@ -145,8 +147,11 @@ def line(
     n: int = 100,
     unit_index: int = 9,
     paper_step: str | None = None,
-    description: str = "",
+    **record: Any,
 ) -> Variant:
-    """A CMDP with one axis, on the grid step, 2 step, ..., n step; see `GridAxis`."""
+    """A CMDP with one axis, on the grid step, 2 step, ..., n step.
+
+    The arguments are those of `GridAxis`; `record` has further fields of `Variant`.
+    """
     varies = GridAxis(axis, unit, step, nominal, n, unit_index=unit_index, paper_step=paper_step)
-    return Variant(family, (varies,), description=description)
+    return Variant(family, (varies,), **record)

@@ -48,7 +48,8 @@ def env_factory(
 ) -> EnvFactory:
     """The environment factory of a CMDP; arguments as in `get_cmdp`."""
     variant, family = _entry(id)
-    visibility = family.visibility if visibility is None else visibility
+    if visibility is None:
+        visibility = family.visibility if variant.visibility is None else variant.visibility
     switches = {"physics": physics, "obs": obs}
     for kind, name in {
         "visibility": visibility, "time limit": time_limit, **switches
@@ -81,7 +82,8 @@ def get_cmdp(
         physics: "intended": contexts act as the paper says. "reference": as in the released code,
             whose CartPole freezes derived masses (spec, section 1); Pendulum is the same in both.
         visibility: what of the context the policy sees: "hidden", "multiplier" or "raw"; None: the
-            family's default: "multiplier", in ring, ramp and signal "hidden" (spec, 3 and 11).
+            CMDP's default: "multiplier"; in ring, ramp, signal and eco-inflow "hidden", as in the
+            reference (spec, 3, 6.2 and 11).
         grid: "code": contexts of the released scripts. "paper": of the paper's text. The same for
             CartPole and Pendulum.
         time_limit: how the horizon is reported, "truncation" or "terminal" (the reference).

@@ -20,7 +20,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, missing_extra, unknown_name
-from mbtl.seeds import Purpose, derive_seed, episode_seed
+from mbtl.seeds import Purpose, action_seed, derive_seed, episode_seed
 from mbtl.trainer import OnProgress, checked_returns
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
 from mbtl.training.isolation import isolated
@@ -176,6 +176,8 @@ class SB3Trainer:
                     tensorboard_log=self._log_folder(),
                     **lengths,
                 )
+            # explores with other numbers than those that the environments draw
+            model.action_space.seed(action_seed(seed))
             if self.tensorboard is None:
                 log_nowhere(model)
             ends = None if self.episodes is None else "score" if team else "episode"
