@@ -145,7 +145,7 @@ def test_a_new_row_makes_an_old_report_void():
     study.tell(study.ask(), np.zeros(15))
     study.record_fresh_returns(np.zeros((1, 15)))
     study.tell(study.ask(), np.zeros(15))
-    assert study.state.fresh_returns is None
+    assert study.state.fresh is None
 
 
 def test_a_report_that_fails_does_not_hide_the_study(tmp_path):

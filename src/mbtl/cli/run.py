@@ -224,7 +224,7 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
         notes.append(note)
         try:
             files["curve"] = str(plot_curve(summary, folder / "curve.png", curves))
-            serving = portfolio.performance[portfolio.assignment, np.arange(study.space.n)]
+            serving = portfolio.routing.served
             files["policy map"] = str(
                 plot_policy_map(summary, study.space, serving, folder / "policy-map.png")
             )

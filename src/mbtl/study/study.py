@@ -18,6 +18,7 @@ from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.history import History
 from mbtl.objective import Bounds
+from mbtl.routing import Routing
 from mbtl.seeds import training_seed
 from mbtl.selectors import SelectionProblem, Selector
 from mbtl.study import asking
@@ -124,9 +125,11 @@ class Study:
         rows = checked_returns(returns, len(evaluated))
         arrays = {name: np.full(self.space.n, np.nan) for name in ("returns", "std")}
         arrays["returns"][evaluated] = rows.mean(axis=1)
-        arrays["std"][evaluated] = rows.std(axis=1)
+        if rows.shape[1] > 1:
+            arrays["std"][evaluated] = rows.std(axis=1, ddof=1)
         data = {
             "source": source,
+            "ddof": 1,
             "episodes": rows.shape[1],
             "seconds": seconds,
             "policy": policy,
@@ -171,13 +174,22 @@ class Study:
         """Give a pick back untrained; the next `ask` hands it out again."""
         self._settle("released", pick, {})
 
-    def record_fresh_returns(self, returns: Array) -> None:
-        """Record (k, N) returns on fresh evaluation seeds; NaN where a policy serves nobody.
+    def record_fresh_returns(
+        self, returns: Array, *, value_errors: Array | None = None, episodes: int | None = None
+    ) -> None:
+        """Record returns on fresh evaluation seeds.
+
+        Args:
+            returns: (k, N) means; NaN where a policy serves nobody.
+            value_errors: (k,) standard errors of V after each training, raw units; None: unknown.
+            episodes: behind each mean; None: unknown.
 
         Raises:
             StudyError: rows were told since; the report would not fit them.
         """
         returns = np.asarray(returns, dtype=np.float64)
+        errors = None if value_errors is None else [float(error) for error in value_errors]
+        data = {"value_errors": errors, "episodes": episodes}
 
         def reported(state: StudyState) -> Event:
             expected = (len(state.rows), self.space.n)
@@ -186,7 +198,7 @@ class Study:
                     f"fresh returns must have shape {expected}, a row per policy told, got "
                     f"{returns.shape}; evaluate again"
                 )
-            return Event("reported", {}, {"returns": returns})
+            return Event("reported", data, {"returns": returns})
 
         self._commit(reported)
 
@@ -269,15 +281,25 @@ class Study:
 
     @property
     def value(self) -> float:
-        """V of the told rows, performance; -inf before the first. Biased upwards by noise.
+        """V of the policies as they are routed, performance; -inf before the first row.
 
-        Where a policy was not evaluated, it counts as on the nearest context where it was.
+        By the rows that routed them: noise is shrunk, and what was not evaluated is predicted by
+        the transfer model. How sure that is: `study.routing.value`.
         """
         return self._state.value()
 
     @property
+    def routing(self) -> Routing:
+        """Who serves which context after every training, what that is worth, and how sure.
+
+        Raises:
+            StudyError: no row was told.
+        """
+        return self._state.routing()
+
+    @property
     def curve(self) -> Array:
-        """(k,) V after each row, performance, on the episodes that selected."""
+        """(k,) V after each row, performance, by the rows that routed the policies."""
         return self._state.curve()
 
     @property
@@ -312,6 +334,9 @@ class Study:
             np.array([row.returns for row in rows]).reshape(-1, self.space.n),
             self.bounds,
             self.problem.theta,
+            deviations=np.array([row.std for row in rows]).reshape(-1, self.space.n),
+            episodes=tuple(row.episodes for row in rows),
+            risk=spec.risk,
             policy_folders=folders,
             policy_format=str(spec.settings.get("policy_format", "custom")),
             load=trainer.load if trainer is not None else None,
