@@ -111,6 +111,59 @@ def test_two_checkpoints_are_two_files_whose_command_builds_both(mbtl_command, p
         assert matrix.measures_apart
 
 
+def test_policies_are_evaluated_again_with_other_episodes_but_not_of_another_training(
+    mbtl_command, problem
+):
+    (problem / "kept.py").write_text(KEPT)
+    build = ("matrix", "build", "kept.py:kept", "--seeds", 1, "--workers", 1, "--preset", "full")
+    again = (*build, "--evaluate-again", "--eval-episodes", 4)
+    code, _, err = mbtl_command(*again)
+    assert code == 2
+    assert "no policies were kept" in err
+    assert mbtl_command(*build)[0] == 0
+    assert load_matrix("cartpole-length", folder=problem / "matrices").episodes == (1, 1)
+    assert mbtl_command(*again)[0] == 0
+    assert load_matrix("cartpole-length", folder=problem / "matrices").episodes == (2, 2)
+    assert len((problem / "trained.txt").read_text().split()) == 4
+    code, _, err = mbtl_command(*again, "--timesteps", 7)
+    assert code == 2
+    assert "recipe.timesteps was 5, got 7" in err
+
+
+KEPT = """
+import json
+from dataclasses import dataclass
+import numpy as np
+from mbtl.cmdps import CMDP, Preset
+from own import mine, train
+
+@dataclass(frozen=True)
+class Kept:
+    timesteps: int = 5
+    eval_episodes: int = 2
+    policy_format = "custom"
+
+    @property
+    def recipe(self):
+        return {"timesteps": self.timesteps, "eval_episodes": self.eval_episodes}
+
+    def train(self, context, seed, on_progress=None):
+        return train(context, seed)
+
+    def evaluate(self, policy, contexts, seed):
+        return np.zeros((len(contexts), self.eval_episodes))
+
+    def save(self, policy, folder):
+        (folder / "policy.json").write_text(json.dumps(policy))
+        return True
+
+    def load(self, folder):
+        return json.loads((folder / "policy.json").read_text())
+
+kept = CMDP("cartpole-length", mine.space, Kept(), bounds=(-9.0, 0.0), presets={"full": Preset(4)})
+"""
+
+
 TWO = """
 from dataclasses import dataclass
 import numpy as np
