@@ -66,6 +66,16 @@ def claimed_folder(folder: Path, settings: Mapping[str, Any], what: str) -> Iter
         lock.release()
 
 
+def is_claimed_for(folder: Path, settings: Mapping[str, Any]) -> bool:
+    """Whether what grows in `folder` has these settings."""
+    file = folder / "settings.json"
+    try:
+        there = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return first_difference(there, json.loads(json.dumps(settings))) is None
+
+
 def _check_claim(folder: Path, record: dict[str, Any], what: str) -> None:
     file = folder / "settings.json"
     try:

@@ -99,6 +99,18 @@ class ManyTrainer(Protocol):
         ...
 
 
+@runtime_checkable
+class ReferenceTrainer(Protocol):
+    """A trainer that knows what its system gives without any policy of ours."""
+
+    def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
+        """(n_targets, n_episodes) returns by name, in the episodes of `evaluate` with this seed.
+
+        "random_actions", and "unguided", the system without a controller, where there is one.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class FunctionTrainer:
     """A trainer from plain functions: `train(context, seed)`, `evaluate(policy, contexts, seed)`.

@@ -66,7 +66,7 @@ def test_rows_of_a_plain_trainer(tmp_path, workers):
     episodes = one.returns(ONLY)
     np.testing.assert_allclose(episodes.mean(axis=2), expected())
     np.testing.assert_allclose(episodes.std(axis=2), 1.0)
-    assert [set(origin) for origin in one.origins()] == [set(here())]
+    assert one.origins() == [{**here(), "sources": 5}]
     assert seen == [(k, 5) for k in range(6)]
     assert one.seconds() > 0
 

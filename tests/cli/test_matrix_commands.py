@@ -52,7 +52,10 @@ def test_a_users_problem_becomes_matrix_files(mbtl_command, problem):
     assert (matrix.theta, matrix.bounds.high) == (0.1, 100.0)
     record = matrix.provenance["seeds"][1]
     assert record["command"] == "mbtl matrix build own.py:mine --seeds 1 --first-seed 1"
-    assert record["versions"]["numpy"] == np.__version__
+    (origin,) = record["origins"]
+    assert (origin["versions"]["numpy"], origin["sources"]) == (np.__version__, 4)
+    assert matrix.episodes == (1,)
+    assert matrix.std is None
     assert record["recipe"] == {"trainer": "FunctionTrainer"}
     assert record["problem"] == "cartpole-length"
 
@@ -69,6 +72,67 @@ def test_an_interrupted_build_goes_on(mbtl_command, problem):
     assert code == 0
     assert "there already" in err
     assert len((problem / "trained.txt").read_text().split()) == 4
+
+
+RENAMED = """
+from mbtl.cmdps import CMDP, Preset
+from own import mine
+renamed = CMDP("cartpole-length", mine.space, mine.trainer, bounds=(0.0, 100.0),
+               presets={"full": Preset(4, formerly="paper")})
+"""
+
+
+def test_a_build_goes_on_where_it_was_begun_under_a_former_name_of_its_preset(
+    mbtl_command, problem
+):
+    (problem / "renamed.py").write_text(RENAMED)
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    runs = problem / "runs"
+    (begun,) = runs.iterdir()
+    begun.rename(runs / "matrix-cartpole-length-paper-seed0")
+    command = ("matrix", "build", "renamed.py:renamed", "--workers", 1, "--seeds", 1)
+    code, _, err = mbtl_command(*command, "--out", "again")
+    assert code == 0, err
+    assert len((problem / "trained.txt").read_text().split()) == 4
+    assert [one.name for one in runs.iterdir()] == ["matrix-cartpole-length-paper-seed0"]
+
+
+def test_two_checkpoints_are_two_files_whose_command_builds_both(mbtl_command, problem):
+    (problem / "two.py").write_text(TWO)
+    code, _, err = mbtl_command(
+        "matrix", "build", "two.py:two", "--seeds", 1, "--workers", 1, "--checkpoint", "both"
+    )
+    assert code == 0, err
+    for variant, checkpoint in (("default", "best"), ("final", "final")):
+        matrix = load_matrix("cartpole-length", variant, folder=problem / "matrices")
+        record = matrix.provenance["seeds"][0]
+        assert "--checkpoint both" in record["command"]
+        assert record["recipe"]["checkpoint"] == checkpoint
+        assert matrix.measures_apart
+
+
+TWO = """
+from dataclasses import dataclass
+import numpy as np
+from mbtl.cmdps import CMDP
+from own import mine
+
+@dataclass(frozen=True)
+class Both:
+    checkpoint: str = "best"
+    lanes = 4
+    policy_format = "custom"
+    recipe = {"trainer": "both", "checkpoint": "best"}
+
+    def train_many(self, contexts, seeds, on_progress=None, *, keep=(), partial=None):
+        return {k: [c["length"] for c in contexts] for k in keep}
+
+    def evaluate_many(self, policies, contexts, seed):
+        gaps = np.subtract.outer(policies, [c["length"] for c in contexts])
+        return np.stack([-abs(gaps), -abs(gaps) - 1.0], axis=2)
+
+two = CMDP("cartpole-length", mine.space, Both(), bounds=(-9.0, 0.0))
+"""
 
 
 def test_a_log_hears_of_a_long_build_now_and_then(mbtl_command, problem, monkeypatch):

@@ -175,6 +175,18 @@ def test_presets_and_overrides_shape_the_trainer():
     assert cmdp.preset("paper").budget == 15
 
 
+def test_a_preset_called_paper_is_the_papers_recipe_in_every_engine():
+    cmdp = get_cmdp("cartpole-length", engine="jax")
+    assert cmdp.default_preset == "full"
+    full, paper = cmdp.trainer_for("full"), cmdp.trainer_for("paper")
+    assert (full.recipe_name, paper.recipe_name) == ("fast", "sb3")
+    assert (full.hyperparameters, paper.hyperparameters) == ({"gamma": 0.99}, {})
+    steps_and_episodes = [(t.timesteps, t.eval_episodes, t.checkpoint) for t in (full, paper)]
+    assert set(steps_and_episodes) == {(5_000_000, 100, "best")}
+    ring = get_cmdp("ring-acc", engine="jax").trainer_for("paper")
+    assert (ring.recipe_name, ring.episodes, ring.hyperparameters) == ("paper", 1000, {})
+
+
 def test_hyperparameters_add_to_the_recipe_unless_the_algorithm_changes():
     cmdp = get_cmdp("pendulum-length", engine="gymnasium")
     quick = cmdp.trainer_for("quick").hyperparameters

@@ -93,6 +93,11 @@ class Build:
         if self.lanes < 1:
             raise InvalidInput(f"lanes must be >= 1, got {self.lanes}")
 
+    @property
+    def claim(self) -> dict[str, Any]:
+        """JSON-able; what a folder must have been begun with to go on."""
+        return {**self.settings, "seed": self.seed, "lanes": self.lanes, "keep": self.keep}
+
     def pieces(self) -> list[Piece]:
         """All of the matrix, done or not."""
         contexts = self.space.contexts
@@ -129,8 +134,7 @@ class Build:
         """
         if workers < 1:
             raise InvalidInput(f"workers must be >= 1, got {workers}")
-        grows = {"seed": self.seed, "lanes": self.lanes, "keep": self.keep}
-        with claimed_folder(self.folder, {**self.settings, **grows}, "a transfer matrix"):
+        with claimed_folder(self.folder, self.claim, "a transfer matrix"):
             pieces = self.pieces()
             todo = [piece for piece in pieces if not piece.path.is_file()]
             done = self.space.n - sum(len(piece.sources) for piece in todo)
@@ -145,21 +149,33 @@ class Build:
         """(N, N, E) return of every episode, axes (source, target, episode).
 
         Raises:
-            StorageError: pieces are missing.
+            StorageError: pieces are missing, or were written by an older version.
         """
-        key = f"{checkpoint}_returns"
-        return np.concatenate([read_npz(piece.path)[key] for piece in self._finished()])
+        return np.concatenate(self._entries(f"{checkpoint}_returns"))
 
-    def seconds(self) -> float:
-        """Wall time of all pieces together, seconds of one process."""
-        return float(sum(read_npz(piece.path)["seconds"] for piece in self._finished()))
+    def seconds(self, key: str = "seconds") -> float:
+        """Wall time of all pieces together, seconds of one process; of the training alone by
+        "train_seconds".
+        """
+        return float(sum(self._entries(key)))
 
     def origins(self) -> list[dict[str, Any]]:
-        """The distinct places where its pieces were computed (`mbtl.provenance.here`)."""
-        found = [read_text(read_npz(piece.path)["origin"], "origin") for piece in self._finished()]
-        return [one for i, one in enumerate(found) if one not in found[:i]]
+        """The distinct places where its pieces were computed (`mbtl.provenance.here`).
 
-    def _finished(self) -> list[Piece]:
+        Each with the number of sources computed there, as "sources".
+        """
+        found: list[dict[str, Any]] = []
+        for piece, entry in zip(self.pieces(), self._entries("origin"), strict=True):
+            origin = read_text(entry, "origin")
+            same = [one for one in found if {**one, "sources": None} == {**origin, "sources": None}]
+            if same:
+                same[0]["sources"] += len(piece.sources)
+            else:
+                found.append({**origin, "sources": len(piece.sources)})
+        return found
+
+    def _entries(self, key: str) -> list[Any]:
+        """An entry of every piece, in order."""
         pieces = self.pieces()
         missing = sum(not piece.path.is_file() for piece in pieces)
         if missing:
@@ -167,7 +183,16 @@ class Build:
                 f"the matrix in {self.folder} needs {len(pieces)} pieces, {missing} are missing; "
                 "run the same command again"
             )
-        return pieces
+        entries = []
+        for piece in pieces:
+            arrays = read_npz(piece.path)
+            if key not in arrays:
+                raise StorageError(
+                    f"{piece.path} was written by an older version, which kept no episodes; remove "
+                    "the pieces of this folder and run the same command again"
+                )
+            entries.append(arrays[key])
+        return entries
 
 
 def perform(piece: Piece) -> None:

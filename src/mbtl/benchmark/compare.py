@@ -1,7 +1,8 @@
 """Compare selectors on transfer matrices: every matrix seed x selector x selector seed.
 
 A training costs nothing here: the row of a pick is read from the matrix and told to the selector,
-exactly as a study would after a real training.
+exactly as a study would after a real training. Where a matrix has two halves of its evaluation
+episodes, selectors and routes see one and every V is of the other.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import cast
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.benchmark.base import RowSource
+from mbtl.benchmark.base import RowSource, measured_curve
 from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.oracle import Reference, reference
 from mbtl.benchmark.records import Comparison, Run
@@ -23,7 +24,6 @@ from mbtl.benchmark.shipped import family_of
 from mbtl.benchmark.summary import summarise
 from mbtl.errors import InvalidInput, UnknownName, unknown_name
 from mbtl.history import History
-from mbtl.objective import value_curve
 from mbtl.selectors.base import SelectionProblem, Selector
 from mbtl.selectors.registry import get_selector, selector_names
 
@@ -102,7 +102,8 @@ def compare(
                 curves[name][label].append(known.random if label == RANDOM else mean)
     steps.next("")
     stacked = {m: {e: np.array(v) for e, v in by.items()} for m, by in curves.items()}
-    return Comparison(tuple(runs), summarise(stacked, references))
+    caveats = {name: getattr(source, "caveat", None) for name, source in sources.items()}
+    return Comparison(tuple(runs), summarise(stacked, references, caveats))
 
 
 def held_out(selector: Selector, matrix: str) -> Selector:
@@ -140,7 +141,7 @@ def _run(
         seed=seed,
         theta=problem.theta,
         sources=found.history.sources,
-        performance=value_curve(found.history.rows, problem.weights),
+        performance=measured_curve(source, matrix_seed, found.history.sources),
         select_seconds=found.select_seconds,
     )
 
@@ -178,6 +179,8 @@ def _selector(given: str | Selector) -> Selector:
     try:
         return get_selector(given)
     except UnknownName:
+        if ":" in str(given):  # of a user's own, whose names are not ours
+            raise
         raise unknown_name("selector", str(given), [*selector_names(), ORACLE]) from None
 
 

@@ -32,7 +32,8 @@ def bench(
     selectors: Annotated[
         str | None,
         typer.Option(
-            help="Comma-separated names; `oracle` is the Sequential Oracle. "
+            help="Comma-separated names, or file.py:Selector of your own; `oracle` is the "
+            "Sequential Oracle. "
             "Default: every selector that can run on the matrices."
         ),
     ] = None,

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shlex
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +19,9 @@ from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp, resolve_cmdp
 from mbtl.cmdps.families import FAMILIES
 from mbtl.cmdps.family import TwinFamily
 from mbtl.errors import InvalidInput
-from mbtl.provenance import check_made_by, here
+from mbtl.files import is_claimed_for
+from mbtl.processes import usable_cores
+from mbtl.provenance import check_made_by
 from mbtl.trainer import ManyTrainer, Trainer, recipe_of
 
 
@@ -81,7 +81,7 @@ def build(
 
     Interrupt it at any time; the same command goes on where it was.
 
-    Example: mbtl matrix build pendulum-length --seeds 3 --tier paper
+    Example: mbtl matrix build pendulum-length --seeds 3 --preset full
 
     The files are read by `mbtl bench --matrix FILE` and `mbtl matrix show FILE`.
     """
@@ -112,7 +112,23 @@ def build(
         lanes=min(lanes or best_lanes, cmdp.space.n),
         preset=preset or cmdp.default_preset,
         variant=variant or _variant(cmdp, given),
-        command=_command(problem, preset, visibility, physics, engine, every, lanes, given),
+        command=_command(
+            problem,
+            {
+                "preset": preset,
+                "visibility": visibility,
+                "physics": None if physics == "intended" else physics,
+                "engine": engine,
+                "every": None if every == 1 else every,
+                "lanes": lanes,
+                "timesteps": timesteps,
+                "episodes": episodes,
+                "eval-episodes": eval_episodes,
+                "algorithm": algorithm,
+                "recipe": recipe,
+                "checkpoint": checkpoint,
+            },
+        ),
     )
     there = {  # before anything is trained
         seed: job.there(out, seed) for seed in range(first_seed, first_seed + seeds)
@@ -182,33 +198,33 @@ class _Job:
             file = self.file(out, checkpoint, seed)
             if file.is_file():
                 found[file] = TransferMatrix.load(file)
-                check_made_by(file, found[file].provenance, self.of_checkpoint(checkpoint))
+                self._check(file, found[file].provenance, checkpoint)
         return found if len(found) == len(self.checkpoints) else {}
+
+    def _check(self, file: Path, record: Mapping[str, Any], checkpoint: str) -> None:
+        try:
+            check_made_by(file, record, self.of_checkpoint(checkpoint))
+        except InvalidInput as error:
+            for name, preset in self.cmdp.presets.items():
+                if preset.formerly == record.get("preset") == self.preset:
+                    raise InvalidInput(f"{error} (its preset is called {name!r} now)") from error
+            raise
 
     def run(
         self, seed: int, out: Path, work: Path, workers: int | None
     ) -> dict[Path, TransferMatrix]:
         """Train and evaluate what is missing, and write the files of a seed."""
         name = matrix_id(self.cmdp.id, self.variant)
-        folder = f"matrix-{name}-{self.preset}-seed{seed}"
-        space = self.cmdp.space
-        building = Build(
-            self.trainer, space, seed, work / folder, self.settings, self.checkpoints, self.lanes
-        )
+        building = self._building(work, name, seed)
         if workers is None:
-            workers = 1 if self.lanes >= space.n else len(os.sched_getaffinity(0))
-        begin, origin = time.perf_counter(), here()  # of the code that runs, not of later commits
+            workers = 1 if self.lanes >= self.cmdp.space.n else usable_cores()
         _run(building, workers, f"{name} seed {seed}")
-        wall = time.perf_counter() - begin
         built = {}
         for checkpoint in self.checkpoints:
             file = self.file(out, checkpoint, seed)
-            episodes = building.returns(checkpoint)
-            mean, std = episodes.mean(axis=2), episodes.std(axis=2)
-            built[file] = TransferMatrix.of(
-                mean[None],
-                std=std[None],
-                space=space,
+            built[file] = TransferMatrix.of_episodes(
+                building.returns(checkpoint)[None],
+                space=self.cmdp.space,
                 bounds=self.cmdp.bounds,
                 theta=self.cmdp.theta,
                 direction="max" if self.cmdp.direction == "maximize" else "min",
@@ -219,14 +235,32 @@ class _Job:
                     "lanes": self.lanes,
                     "command": f"{self.command} --seeds 1 --first-seed {seed}",
                     "process_seconds": round(building.seconds(), 1),
-                    "wall_seconds_of_last_run": round(wall, 1),
-                    **origin,
+                    "train_seconds": round(building.seconds("train_seconds"), 1),
+                    "nominal": None if self.cmdp.nominal is None else dict(self.cmdp.nominal),
+                    "origins": building.origins(),
                 },
                 name=file.name,
             )
             variant = _name(self.variant, checkpoint)
             save_shipped(built[file], out, self.cmdp.id, variant, first_seed=seed)
         return built
+
+    def _building(self, work: Path, name: str, seed: int) -> Build:
+        """In the folder of the preset's name, or of its former one if it was begun there."""
+        now, before = self.preset, self.cmdp.preset(self.preset).formerly
+        builds = [
+            Build(
+                self.trainer,
+                self.cmdp.space,
+                seed,
+                work / f"matrix-{name}-{preset}-seed{seed}",
+                self.settings,
+                self.checkpoints,
+                self.lanes,
+            )
+            for preset in (now, before)
+        ]
+        return next((one for one in builds if is_claimed_for(one.folder, one.claim)), builds[0])
 
 
 def _run(building: Build, workers: int, label: str) -> None:
@@ -306,28 +340,10 @@ def _name(variant: str, checkpoint: str) -> str:
     return "final" if variant == DEFAULT else f"{variant}-final"
 
 
-def _command(
-    problem: str,
-    preset: str | None,
-    visibility: str | None,
-    physics: str,
-    engine: str | None,
-    every: int,
-    lanes: int | None,
-    given: Mapping[str, Any],
-) -> str:
+def _command(problem: str, options: Mapping[str, Any]) -> str:
     """The command that builds the same again; folders and processes do not matter to it."""
-    options: dict[str, Any] = {
-        "preset": preset,
-        "visibility": visibility,
-        "physics": None if physics == "intended" else physics,
-        "engine": engine,
-        "every": None if every == 1 else every,
-        "lanes": lanes,
-        **{("recipe" if k == "recipe_name" else k): v for k, v in given.items()},
-    }
     words = ["mbtl", "matrix", "build", problem]
     for name, value in options.items():
         if value is not None:
-            words += [f"--{name.replace('_', '-')}", str(value)]
+            words += [f"--{name}", str(value)]
     return shlex.join(words)

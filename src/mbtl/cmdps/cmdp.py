@@ -46,6 +46,7 @@ class Preset:
         normalize_reward: rewards are brought to one scale in training.
         n_envs: environments stepped together in training.
         description: one line for people.
+        formerly: what this recipe was called when work that may still be about was begun.
     """
 
     budget: int
@@ -63,11 +64,12 @@ class Preset:
     normalize_reward: bool | None = None
     n_envs: int | None = None
     description: str = ""
+    formerly: str = ""
 
     def options(self) -> dict[str, Any]:
         """What the recipe asks of the trainer; settings it leaves alone are absent."""
         chosen = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        del chosen["budget"], chosen["description"]
+        del chosen["budget"], chosen["description"], chosen["formerly"]
         return {name: value for name, value in chosen.items() if value is not None}
 
 

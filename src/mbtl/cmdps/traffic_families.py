@@ -43,7 +43,7 @@ _IN_TWIN = Preset(
     algorithm="TRPO",
     checkpoint="best",
     checkpoint_episodes=10,
-    description="the paper's episodes, best-of-evaluations policy",
+    description="the paper's recipe and episodes, best-of-evaluations policy",
 )
 _TWIN_PRESETS = {
     "paper": _IN_TWIN,

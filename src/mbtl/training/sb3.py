@@ -24,6 +24,7 @@ from mbtl.seeds import Purpose, action_seed, derive_seed, episode_seed
 from mbtl.trainer import OnProgress, checked_returns
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
 from mbtl.training.isolation import isolated
+from mbtl.training.references import reference_rows
 from mbtl.training.rollout import Job, play
 from mbtl.training.sb3_files import load_sb3, save_sb3
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere
@@ -210,6 +211,12 @@ class SB3Trainer:
             rows = play(jobs, actor, max_envs=self.n_eval_envs or EVALUATION_ENVS)
         returns = np.reshape(rows, (len(jobs), self.eval_episodes))
         return checked_returns(returns, len(jobs))
+
+    def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
+        """See `mbtl.trainer.ReferenceTrainer`; `mbtl.training.references` has what is unguided."""
+        seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
+        envs = self.n_eval_envs or EVALUATION_ENVS
+        return reference_rows(self.make_env, contexts, seeds, max_envs=envs)
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Write the library's zip, and a numpy copy where there is one; no replay buffer."""

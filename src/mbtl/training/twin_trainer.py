@@ -29,6 +29,12 @@ _CHECKPOINTS, _EACH = 20, 2
 """Evaluations of a policy for all contexts, and episodes of each on every context."""
 Acting = Literal["sampled", "mean"]
 
+_REFERENCES: Mapping[str, Literal["random", "none"]] = {
+    "random_actions": "random",
+    "unguided": "none",
+}
+"""How agents act in the rows without a policy."""
+
 Problem = Callable[[Sequence[Context]], tuple[Any, Sequence[Any]]]
 """contexts -> (`mbtl.training.jax.traffic.twin.Twin`, the parameters of each)."""
 
@@ -219,6 +225,26 @@ class TwinTrainer(MLPTrainer):
             for one in params
         ]
         return np.stack(rows, axis=1).astype(np.float64)
+
+    def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
+        """See `mbtl.trainer.ReferenceTrainer`."""
+        import jax.numpy as jnp
+
+        from mbtl.training.jax.traffic.episodes import Actor, scores
+
+        twin, params = self.problem(contexts)
+        nobody = Actor((), jnp.zeros((1, 1)))
+        seeds = [[episode_seed(seed, episode) for episode in range(self.eval_episodes)]]
+        same = np.array(seeds, dtype=np.uint32)
+        return {
+            name: np.stack(
+                [
+                    np.asarray(scores(twin, "tanh", how, nobody, same, one, twin.decisions(one)))[0]
+                    for one in params
+                ]
+            ).astype(np.float64)
+            for name, how in _REFERENCES.items()
+        }
 
     @property
     def recipe(self) -> dict[str, Any]:

@@ -32,6 +32,7 @@ from mbtl.training.jax.recipes import (
     multitask_recipe,
     recipe_named,
 )
+from mbtl.training.jax.references import reference_returns
 from mbtl.training.jax.saving import SavedTraining
 
 __all__ = [
@@ -58,6 +59,7 @@ __all__ = [
     "multitask_settings",
     "on_cpu",
     "recipe_named",
+    "reference_returns",
     "run_multitask",
     "stack_params",
     "start",
