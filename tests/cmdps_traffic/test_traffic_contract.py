@@ -1,5 +1,7 @@
 """The contract of CMDPs, for one of each traffic family in each of its engines."""
 
+import pkgutil
+
 import pytest
 
 pytest.importorskip("libsumo", reason="the traffic extra is not installed")
@@ -43,6 +45,13 @@ class TestTraffic(CMDPContract):
 )
 def test_the_others_pass_the_check(id):
     check_cmdp(get_cmdp(id, engine="sumo")).raise_if_failed()
+
+
+@pytest.mark.parametrize("id", TRAFFIC_VARIANTS)
+def test_a_class_shows_of_its_context_what_the_cmdp_shows(id):
+    cmdp = get_cmdp(id)
+    kind = pkgutil.resolve_name(cmdp.make_env.entry_point)
+    assert len(kind(cmdp.nominal).visible) == len(cmdp.make_env(cmdp.nominal).visible)
 
 
 @pytest.mark.parametrize("id", ["ring-vel", "ramp-acc", "signal-length", "eco-green"])

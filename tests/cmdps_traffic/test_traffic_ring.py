@@ -95,7 +95,7 @@ def test_the_reward_is_the_mean_speed_of_the_advised_car(make):
 
 
 def test_the_observation_is_scaled_to_minus_one_to_one(make):
-    env = make(start="uniform", noise=0.0)
+    env = make(start="uniform", noise=0.0, visibility="multiplier")
     observation, _ = env.reset(seed=0)
     v, u, distance = (observation[:3].astype(float) + 1) / 2 * [10, 10, 300]
     assert (v, u) == pytest.approx((4.33, 4.33), abs=0.03)

@@ -8,7 +8,7 @@ from decimal import Decimal
 from typing import Any
 
 from mbtl.cmdps.cmdp import Preset
-from mbtl.contexts import Context, ContextSpace, Linear
+from mbtl.contexts import Axis, Context, ContextSpace, Linear
 
 
 @dataclass(frozen=True)
@@ -129,12 +129,14 @@ class Variant:
         """The context at multiplier 1."""
         return {axis.name: axis.values(grid)[axis.unit_index] for axis in self.axes}
 
+    def levels(self, grid: str) -> dict[Axis, list[float]]:
+        """The axes, and the grid values of each."""
+        each = [(axis, axis.values(grid)) for axis in self.axes]
+        return {Linear(a.name, values[0], values[-1], a.unit): values for a, values in each}
+
     def space(self, grid: str) -> ContextSpace:
         """All contexts."""
-        levels = {axis: axis.values(grid) for axis in self.axes}
-        return ContextSpace.grid(
-            {Linear(a.name, values[0], values[-1], a.unit): values for a, values in levels.items()}
-        )
+        return ContextSpace.grid(self.levels(grid))
 
 
 def line(

@@ -63,6 +63,7 @@ class Ramp(TrafficTeam):
     """
 
     FEATURES: ClassVar[Mapping[str, float]] = {"hold": 1.0}  # s
+    HIDDEN = frozenset(FEATURES)
     STEP = advisory.STEP
     HORIZON = advisory.HORIZON
     ACTIONS: ClassVar[Actions] = "acceleration"

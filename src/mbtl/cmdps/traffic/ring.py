@@ -55,6 +55,7 @@ class Ring(TrafficEnv):
     """
 
     FEATURES: ClassVar[Mapping[str, float]] = {"hold": 1.0}  # s
+    HIDDEN = frozenset(FEATURES)
     STEP = advisory.STEP
     HORIZON = advisory.HORIZON
     ACTIONS: ClassVar[Actions] = "acceleration"
