@@ -7,11 +7,8 @@ import pytest
 
 pytest.importorskip("libsumo")
 
-from mbtl.cmdps import check_cmdp
-from mbtl.cmdps.engines import EnvFactory
 from mbtl.cmdps.traffic import advisory
 from mbtl.cmdps.traffic.ring import CARS, Ring, RingAcc, RingVel
-from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import ContextMismatch, InvalidInput, SimulationFailed, UnknownName
 
 
@@ -142,7 +139,7 @@ def test_hurrying_is_safe_and_a_collision_would_end_the_episode(make):
     assert info["score"] == 0.0  # the measured part had not begun
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_simulator_that_is_killed_ends_the_episode_and_the_next_one_works(make):
     env = make(engine="traci", horizon=2)
     env.reset(seed=0)
@@ -174,12 +171,3 @@ def test_other_levels_are_refused(make, level):
     env.reset(seed=0)
     with pytest.raises(InvalidInput, match="0 to 9"):
         env.step(level)
-
-
-@pytest.mark.slow
-def test_the_contract():
-    # one of the two interleaved simulations goes through TraCI, so short holds
-    factory = EnvFactory("mbtl.cmdps.traffic.ring:RingVel", {"unit": {"hold": 1.0}})
-    space = ContextSpace.grid({Linear("hold", 1.0, 2.0, "s"): [1.0, 2.0]})
-    report = check_cmdp(factory, space, nominal={"hold": 1.0}, steps=2)
-    assert [c for c in report.checks if c.outcome == "failed"] == []
