@@ -16,7 +16,7 @@ from mbtl.errors import TrainingFailed
 from mbtl.training import SB3Trainer
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_study_goes_on_after_a_simulator_was_killed_in_training(tmp_path):
     cmdp = get_cmdp("ring-acc", engine="sumo")
     make_env = partial(DoomedRing, marker=tmp_path / "died", home=os.getpid(), visibility="hidden")
