@@ -1,5 +1,7 @@
 """The engine as a trainer: one policy or many, the same on resume, in a study and in a matrix."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 

@@ -8,9 +8,9 @@ from mbtl.seeds import selection_rng
 from mbtl.selectors.base import (
     Exhausted,
     Selector,
-    even_targets,
     open_candidates,
 )
+from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
 from mbtl.study.pick import StudyFinished
 from mbtl.study.state import StudySpec, StudyState
@@ -113,7 +113,7 @@ def _proposal(state: StudyState, selector: Selector) -> Event:
         "worker": this_worker().to_json(),
     }
     if spec.eval_targets is not None:
-        data["targets"] = list(even_targets(problem, source, spec.eval_targets))
+        data["targets"] = list(spread_targets(problem, source, spec.eval_targets))
     return Event("asked", data)
 
 
