@@ -42,6 +42,8 @@ class StudySpec:
         eval_targets: targets that each policy is evaluated on; None for all.
         stop_gain: gain in V that one more training should be worth; None: never ends for that.
         stop_confidence: how probable it must be that the gain is smaller.
+        stop_left: gain in V that all trainings left together should be worth; None: never asked.
+        best_return: no policy can return more (less, if minimised); None: not known.
     """
 
     space: ContextSpace
@@ -62,6 +64,8 @@ class StudySpec:
     eval_targets: int | None = None
     stop_gain: float | None = None
     stop_confidence: float = 0.9
+    stop_left: float | None = None
+    best_return: float | None = None
 
     def selection_problem(self) -> SelectionProblem:
         """What the selector may know before any training."""
@@ -74,6 +78,7 @@ class StudySpec:
             cost_budget=self.cost_budget,
             risk=self.risk,
             least_gain=self.stop_gain,
+            least_left=self.stop_left,
         )
 
     def to_json(self) -> dict[str, Any]:
