@@ -9,7 +9,7 @@ Notation (shapes): k policies, N listed contexts.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -213,7 +213,7 @@ class Portfolio:
         record = {
             "cmdp": self.cmdp,
             "space": self.space.to_json(),
-            "bounds": {"low": bounds.low, "high": bounds.high, "direction": bounds.direction},
+            "bounds": {k: v for k, v in asdict(bounds).items() if v is not None},
             "theta": self.theta,
             "sources": list(self.sources),
             "policy_format": self.policy_format,

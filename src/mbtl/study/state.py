@@ -41,6 +41,7 @@ class StudySpec:
         eval_targets: targets that each policy is evaluated on; None for all.
         stop_gain: gain in V that one more training should be worth; None: never ends for that.
         stop_confidence: how probable it must be that the gain is smaller.
+        floor: return below which none is worse in performance; None: nothing is clipped.
     """
 
     space: ContextSpace
@@ -61,6 +62,7 @@ class StudySpec:
     eval_targets: int | None = None
     stop_gain: float | None = None
     stop_confidence: float = 0.9
+    floor: float | None = None
 
     def selection_problem(self) -> SelectionProblem:
         """What the selector may know before any training."""
@@ -228,7 +230,7 @@ class StudyState:
         """The given bounds, or the range of all returns told so far (unit range before any)."""
         assert self.spec is not None
         if self.spec.bounds is not None:
-            return Bounds(*self.spec.bounds, self.spec.direction)
+            return Bounds(*self.spec.bounds, self.spec.direction, self.spec.floor)
         if not self.rows:
             return Bounds(0.0, 1.0, self.spec.direction)
         return Bounds.of([row.returns for row in self.rows], self.spec.direction)
