@@ -12,7 +12,9 @@ import mbtl.training.jax as engine  # noqa: F401  isort: skip  # before jax: it 
 import jax
 import jax.numpy as jnp
 
+from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic.twins import RingProblem
+from mbtl.seeds import episode_seed
 from mbtl.training.jax.traffic import random
 from mbtl.training.jax.traffic.episodes import Actor, scores
 from mbtl.training.jax.traffic.idm import IDM, follow, obey
@@ -164,3 +166,12 @@ def test_noise_is_standard_normal_and_uncorrelated():
 def test_streams_differ():
     seeds, now = jnp.arange(3, dtype=jnp.uint32), jnp.uint32(0)
     assert not np.array_equal(random.bits(seeds, 0, now, 4), random.bits(seeds, 1, now, 4))
+
+
+def test_rows_without_a_policy_are_those_of_nobody_and_of_anybody():
+    trainer = get_cmdp("ring-acc", engine="jax").trainer_for(eval_episodes=4)
+    rows = trainer.reference_rows([{"hold": 40.0}], seed=1)
+    seeds = [episode_seed(1, episode) for episode in range(4)]
+    assert rows["unguided"][0] == pytest.approx(unguided(*ring(40.0), seeds))
+    assert rows["random_actions"].shape == (1, 4)
+    assert rows["random_actions"].mean() < rows["unguided"].mean()
