@@ -12,7 +12,9 @@ import mbtl.training.jax as engine  # noqa: F401  isort: skip  # before jax: it 
 import jax
 import jax.numpy as jnp
 
+from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic.twins import RingProblem
+from mbtl.seeds import episode_seed
 from mbtl.training.jax.traffic import episodes, learning, random
 from mbtl.training.jax.traffic import ring as ring_module
 from mbtl.training.jax.traffic.episodes import Actor, scores
@@ -192,3 +194,12 @@ def test_nothing_in_an_episode_is_drawn_twice():
     parts = [drawn(stream, 4000, 22) for stream in streams]
     together = np.concatenate([drawn(ring_module._NOISE, 5000, 22), *parts])
     assert len(np.unique(together)) == len(together)
+
+
+def test_rows_without_a_policy_are_those_of_nobody_and_of_anybody():
+    trainer = get_cmdp("ring-acc", engine="jax").trainer_for(eval_episodes=4)
+    rows = trainer.reference_rows([{"hold": 40.0}], seed=1)
+    seeds = [episode_seed(1, episode) for episode in range(4)]
+    assert rows["unguided"][0] == pytest.approx(unguided(*ring(40.0), seeds))
+    assert rows["random_actions"].shape == (1, 4)
+    assert rows["random_actions"].mean() < rows["unguided"].mean()

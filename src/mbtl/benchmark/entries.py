@@ -6,6 +6,7 @@ Every error names the entry; `TransferMatrix.load` puts the file before it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -104,14 +105,21 @@ def checked_direction(direction: str) -> Direction:
     return DIRECTIONS[direction]
 
 
-def checked_bounds(bounds: ArrayLike | None, returns: Floats, direction: Direction) -> Bounds:
+def checked_bounds(
+    bounds: ArrayLike | Bounds | None,
+    returns: Floats,
+    direction: Direction,
+    floor: float | None = None,
+) -> Bounds:
     """Bounds from a pair, or the smallest and largest return over all seeds."""
+    if isinstance(bounds, Bounds):
+        return bounds
     if bounds is None:
-        return Bounds.of(returns, direction)
+        return replace(Bounds.of(returns, direction), floor=floor)
     pair = np.asarray(bounds)
     if pair.shape != (2,) or pair.dtype.kind not in "fiu":
         raise InvalidInput(f"bounds must be two numbers (low, high), got {bounds!r}")
-    return Bounds(float(pair[0]), float(pair[1]), direction)
+    return Bounds(float(pair[0]), float(pair[1]), direction, floor)
 
 
 def space_of(contexts: ArrayLike | None, axes: Sequence[str] | None, n: int) -> ContextSpace:
@@ -167,11 +175,12 @@ def keywords(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         words["axes"] = [str(name) for name in np.atleast_1d(arrays["axes"])]
     if "direction" in arrays:
         words["direction"] = str(arrays["direction"].reshape(-1)[0])
-    if "theta" in arrays:
-        theta = arrays["theta"]
-        if theta.size != 1 or theta.dtype.kind not in "fiu":
-            raise InvalidInput(f"theta must be one number, got {theta!r}")
-        words["theta"] = float(theta.reshape(-1)[0])
+    for key in ("theta", "floor"):
+        if key in arrays:
+            number = arrays[key]
+            if number.size != 1 or number.dtype.kind not in "fiu":
+                raise InvalidInput(f"{key} must be one number, got {number!r}")
+            words[key] = float(number.reshape(-1)[0])
     if "space" in arrays:
         words["space"] = _stored_space(arrays["space"])
     if "provenance" in arrays:

@@ -104,7 +104,7 @@ class TransferMatrix:
         contexts: ArrayLike | None = None,
         axes: Sequence[str] | None = None,
         space: ContextSpace | None = None,
-        bounds: ArrayLike | None = None,
+        bounds: ArrayLike | Bounds | None = None,
         theta: float | None = None,
         direction: str = "max",
         std: Floats | None = None,
@@ -112,6 +112,7 @@ class TransferMatrix:
         fresh_returns: ArrayLike | None = None,
         episodes: Sequence[int] | None = None,
         references: Mapping[str, ArrayLike] | None = None,
+        floor: float | None = None,
         name: str = "matrix",
     ) -> TransferMatrix:
         """Build a matrix from arrays; the keywords are the keys of a `.npz` file.
@@ -121,8 +122,8 @@ class TransferMatrix:
             contexts: (N, d) context values; one axis of indices 0..N-1 when missing.
             axes: d axis names.
             space: the context space itself, instead of `contexts` and `axes`.
-            bounds: (2,) returns that become performance 0 and 1 (1 and 0 when minimised); the
-                smallest and largest return over all seeds when missing.
+            bounds: (2,) returns that become performance 0 and 1 (1 and 0 when minimised), or
+                `Bounds`; the smallest and largest return over all seeds when missing.
             theta: performance per grid step; 0.005 for N <= 100, else 0.5 / (N - 1), when missing.
             direction: "max" or "min", which returns are good.
             std: (S, N, N) standard deviation over episodes, with n - 1.
@@ -130,6 +131,7 @@ class TransferMatrix:
             fresh_returns: (S, N, N) raw returns of other episodes, which are those reported.
             episodes: (H,) episodes behind `returns` and `fresh_returns`.
             references: (S, H, N) returns without these policies, by name.
+            floor: return below which none is worse in performance; what is stored stays.
             name: what results call it.
 
         Raises:
@@ -141,7 +143,7 @@ class TransferMatrix:
             name=name,
             returns=array,
             space=space_of(contexts, axes, n) if space is None else space,
-            bounds=checked_bounds(bounds, array, checked_direction(direction)),
+            bounds=checked_bounds(bounds, array, checked_direction(direction), floor),
             theta=default_theta(n) if theta is None else float(theta),
             std=std,
             provenance=dict(provenance or {}),
@@ -231,6 +233,8 @@ class TransferMatrix:
         }
         if not any(isinstance(axis, Categorical) for axis in self.space.axes):
             entries["contexts"] = self.contexts
+        if self.bounds.floor is not None:
+            entries["floor"] = np.array(self.bounds.floor)
         for key in ("std", "fresh_returns"):
             if getattr(self, key) is not None:
                 entries[key] = getattr(self, key)
@@ -283,6 +287,11 @@ class TransferMatrix:
         """(m, N) performance of the same policies on the other episodes, if there are any."""
         reported = self.returns if self.fresh_returns is None else self.fresh_returns
         return self.bounds.normalise(reported[seed, np.asarray(sources, dtype=np.intp)])
+
+    @property
+    def normalisation(self) -> Bounds:
+        """`bounds`, by the name that a CMDP has for them."""
+        return self.bounds
 
     @property
     def records(self) -> list[Mapping[str, Any]]:

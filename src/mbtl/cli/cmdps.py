@@ -52,6 +52,7 @@ def _record(cmdp: Any) -> dict[str, Any]:
         "horizon": cmdp.horizon,
         "bounds": cmdp.bounds,
         "direction": cmdp.direction,
+        "floor": cmdp.floor,
         "theta": cmdp.theta,
         "settings": dict(cmdp.settings),
         "default_preset": cmdp.default_preset,
@@ -109,6 +110,7 @@ def _show(record: dict[str, Any]) -> None:
         ("nominal", _values(record["nominal"])),
         ("horizon", _or_dash(record["horizon"])),
         ("returns for performance 0..1", _bounds(record)),
+        ("no return counts as worse than", _or_dash(record["floor"])),
         ("theta, performance per grid step", _or_dash(record["theta"])),
         ("settings", _values(record["settings"])),
     ):

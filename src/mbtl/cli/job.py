@@ -103,7 +103,7 @@ class Job:
                 building.returns(checkpoint)[None],
                 references={name: row[None] for name, row in building.references().items()},
                 space=self.cmdp.space,
-                bounds=self.cmdp.bounds,
+                bounds=self.cmdp.normalisation,
                 theta=self.cmdp.theta,
                 direction="max" if self.cmdp.direction == "maximize" else "min",
                 provenance={

@@ -136,6 +136,8 @@ def _facts(source: RowSource) -> dict[str, Any]:
     return {
         "bounds": [bounds.low, bounds.high],
         "direction": bounds.direction,
+        "floor": bounds.floor,
+        "scale": str(bounds),
         "episodes": None if source.episodes is None else list(source.episodes),
         "measures_apart": source.measures_apart,
         "caveat": source.caveat,
@@ -146,8 +148,7 @@ def _sentences(facts: dict[str, Any]) -> list[str]:
     """The same for people."""
     if not facts:
         return []
-    low, high = facts["bounds"] if facts["direction"] == "maximize" else facts["bounds"][::-1]
-    lines = [f"Performance 0 is a return of {low:g}, 1 of {high:g}; nothing is clipped."]
+    lines = [f"{facts['scale'][0].upper()}{facts['scale'][1:]}."]
     if facts["measures_apart"] and facts["episodes"]:
         chose, shown = facts["episodes"]
         lines.append(

@@ -146,7 +146,7 @@ def run(
         cmdp.space,
         budget=cmdp.preset(preset).budget if budget is None else budget,
         selector=selector,
-        bounds=cmdp.bounds,
+        bounds=cmdp.normalisation,
         direction=cmdp.direction,
         theta=cmdp.theta,
         seed=seed,

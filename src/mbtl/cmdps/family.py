@@ -55,6 +55,7 @@ class Family:
         visibility: what of the context the policy sees unless told otherwise.
         visibility_on_all: likewise, of one policy for all contexts.
         check_steps: environment steps of a rollout of `mbtl check`; fewer where steps are long.
+        floor: return below which none is worse in performance.
     """
 
     entry_point: str
@@ -68,6 +69,7 @@ class Family:
     visibility: str = "multiplier"
     visibility_on_all: str = "multiplier"
     check_steps: int | None = None
+    floor: float | None = None
 
 
 @dataclass(frozen=True)

@@ -117,6 +117,7 @@ def get_cmdp(
         variant.space(grid),
         trainer,
         bounds=family.bounds,
+        floor=family.floor,
         theta=family.theta if variant.theta is None else variant.theta,
         version=variant.version,
         make_env=make_env,

@@ -10,7 +10,7 @@ Notation (shapes): k policies, N listed contexts.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -246,7 +246,7 @@ class Portfolio:
         record = {
             "cmdp": self.cmdp,
             "space": self.space.to_json(),
-            "bounds": {"low": bounds.low, "high": bounds.high, "direction": bounds.direction},
+            "bounds": {k: v for k, v in asdict(bounds).items() if v is not None},
             "theta": self.theta,
             "sources": list(self.sources),
             "episodes": list(self.episodes),

@@ -44,6 +44,7 @@ class StudySpec:
         stop_confidence: how probable it must be that the gain is smaller.
         stop_left: gain in V that all trainings left together should be worth; None: never asked.
         best_return: no policy can return more (less, if minimised); None: not known.
+        floor: return below which none is worse in performance; None: nothing is clipped.
     """
 
     space: ContextSpace
@@ -66,6 +67,7 @@ class StudySpec:
     stop_confidence: float = 0.9
     stop_left: float | None = None
     best_return: float | None = None
+    floor: float | None = None
 
     def selection_problem(self) -> SelectionProblem:
         """What the selector may know before any training."""
@@ -290,7 +292,7 @@ class StudyState:
         """The given bounds, or the range of all returns told so far (unit range before any)."""
         assert self.spec is not None
         if self.spec.bounds is not None:
-            return Bounds(*self.spec.bounds, self.spec.direction)
+            return Bounds(*self.spec.bounds, self.spec.direction, self.spec.floor)
         if not self.rows:
             return Bounds(0.0, 1.0, self.spec.direction)
         return Bounds.of([row.returns for row in self.rows], self.spec.direction)
