@@ -66,14 +66,13 @@ def claimed_folder(folder: Path, settings: Mapping[str, Any], what: str) -> Iter
         lock.release()
 
 
-def is_claimed_for(folder: Path, settings: Mapping[str, Any]) -> bool:
-    """Whether what grows in `folder` has these settings."""
-    file = folder / "settings.json"
+def claim_of(folder: Path) -> dict[str, Any] | None:
+    """Settings with which `folder` was claimed; None if it was not."""
     try:
-        there = json.loads(file.read_text(encoding="utf-8"))
+        claim = json.loads((folder / "settings.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return False
-    return first_difference(there, json.loads(json.dumps(settings))) is None
+        return None
+    return claim if isinstance(claim, dict) else None
 
 
 def _check_claim(folder: Path, record: dict[str, Any], what: str) -> None:

@@ -168,11 +168,15 @@ class Routing:
         """What all rows together say."""
         return self.after().beliefs
 
+    @cached_property
+    def believed(self) -> Array:
+        """(k, N) performance: what was measured, its noise shrunk, or what is predicted."""
+        return self.beliefs.on(np.arange(self.space.n))[0]
+
     @property
     def served(self) -> Array:
         """(N,) performance that is believed of the policies that serve now."""
-        every = np.arange(self.space.n)
-        return np.asarray(self.beliefs.on(every)[0][self.route, every])
+        return np.asarray(self.believed[self.route, np.arange(self.space.n)])
 
     def after(self, k: int | None = None) -> _After:
         """What holds after k trainings; None: after all."""

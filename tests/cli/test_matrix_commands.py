@@ -111,6 +111,59 @@ def test_two_checkpoints_are_two_files_whose_command_builds_both(mbtl_command, p
         assert matrix.measures_apart
 
 
+def test_policies_are_evaluated_again_with_other_episodes_but_not_of_another_training(
+    mbtl_command, problem
+):
+    (problem / "kept.py").write_text(KEPT)
+    build = ("matrix", "build", "kept.py:kept", "--seeds", 1, "--workers", 1, "--preset", "full")
+    again = (*build, "--evaluate-again", "--eval-episodes", 4)
+    code, _, err = mbtl_command(*again)
+    assert code == 2
+    assert "no policies were kept" in err
+    assert mbtl_command(*build)[0] == 0
+    assert load_matrix("cartpole-length", folder=problem / "matrices").episodes == (1, 1)
+    assert mbtl_command(*again)[0] == 0
+    assert load_matrix("cartpole-length", folder=problem / "matrices").episodes == (2, 2)
+    assert len((problem / "trained.txt").read_text().split()) == 4
+    code, _, err = mbtl_command(*again, "--timesteps", 7)
+    assert code == 2
+    assert "recipe.timesteps was 5, got 7" in err
+
+
+KEPT = """
+import json
+from dataclasses import dataclass
+import numpy as np
+from mbtl.cmdps import CMDP, Preset
+from own import mine, train
+
+@dataclass(frozen=True)
+class Kept:
+    timesteps: int = 5
+    eval_episodes: int = 2
+    policy_format = "custom"
+
+    @property
+    def recipe(self):
+        return {"timesteps": self.timesteps, "eval_episodes": self.eval_episodes}
+
+    def train(self, context, seed, on_progress=None):
+        return train(context, seed)
+
+    def evaluate(self, policy, contexts, seed):
+        return np.zeros((len(contexts), self.eval_episodes))
+
+    def save(self, policy, folder):
+        (folder / "policy.json").write_text(json.dumps(policy))
+        return True
+
+    def load(self, folder):
+        return json.loads((folder / "policy.json").read_text())
+
+kept = CMDP("cartpole-length", mine.space, Kept(), bounds=(-9.0, 0.0), presets={"full": Preset(4)})
+"""
+
+
 TWO = """
 from dataclasses import dataclass
 import numpy as np
@@ -176,6 +229,48 @@ def test_an_unfinished_file_is_no_matrix(mbtl_command, problem):
     names = {path.name for path in (problem / "matrices").iterdir()}
     assert names == {"cartpole-length-seed0.npz"}
     assert isinstance(TransferMatrix.load(problem / "matrices" / names.pop()), TransferMatrix)
+
+
+def test_show_and_list_say_of_what_the_numbers_are(mbtl_command, problem):
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    code, out, _ = mbtl_command("matrix", "show", "matrices/cartpole-length-seed0.npz")
+    assert code == 0
+    assert "Performance 0 is a return of 0, 1 of 100" in out
+    assert "same evaluation episodes" in " ".join(out.split())
+    code, out, _ = mbtl_command("matrix", "list", "--folder", "matrices", "--json")
+    (one,) = json.loads(out)["matrices"]
+    assert (one["matrix"], one["measures_apart"], one["episodes"]) == (
+        "cartpole-length",
+        False,
+        [1],
+    )
+
+
+def test_reference_rows_are_added_to_a_file_that_has_none(mbtl_command, problem):
+    (problem / "guided.py").write_text(GUIDED)
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    file = "matrices/cartpole-length-seed0.npz"
+    code, _, err = mbtl_command("matrix", "references", file, "--problem", "guided.py:guided")
+    assert code == 0, err
+    assert "unguided 0.3000" in err
+    matrix = TransferMatrix.load(problem / file)
+    assert matrix.references["unguided"].tolist() == [[[30.0] * 4]]
+
+
+GUIDED = """
+from dataclasses import dataclass
+import numpy as np
+from mbtl.cmdps import CMDP
+from mbtl.trainer import FunctionTrainer
+from own import mine, train, evaluate
+
+@dataclass(frozen=True)
+class Guided(FunctionTrainer):
+    def reference_rows(self, contexts, seed):
+        return {"unguided": np.full((len(contexts), 3), 30.0)}
+
+guided = CMDP("cartpole-length", mine.space, Guided(train, evaluate), bounds=(0.0, 100.0))
+"""
 
 
 def test_a_coarser_grid_is_a_set_of_its_own(mbtl_command, problem):

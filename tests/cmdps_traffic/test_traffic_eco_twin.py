@@ -101,7 +101,12 @@ def injected(cars, rows):
 
 @pytest.mark.parametrize(
     "context",
-    [{}, {"penetration": 1.0}, {"inflow": 1200.0, "green": 20.0}, {"green": 3.0}],
+    [
+        {},
+        pytest.param({"penetration": 1.0}, marks=pytest.mark.long),
+        pytest.param({"inflow": 1200.0, "green": 20.0}, marks=pytest.mark.long),
+        pytest.param({"green": 3.0}, marks=pytest.mark.long),
+    ],
     ids=str,
 )
 def test_with_the_same_cars_every_step_is_as_in_sumo(context, monkeypatch):
@@ -161,6 +166,7 @@ def unguided(twin, seeds, params):
     return twin.measures(state)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("context", [{}, {"inflow": 1600.0}, {"green": 5.0}], ids=str)
 def test_unguided_traffic_is_distributed_as_in_sumo(context):
     env = eco.Eco(context)

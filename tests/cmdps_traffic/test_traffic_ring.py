@@ -7,11 +7,8 @@ import pytest
 
 pytest.importorskip("libsumo")
 
-from mbtl.cmdps import check_cmdp
-from mbtl.cmdps.engines import EnvFactory
 from mbtl.cmdps.traffic import advisory
 from mbtl.cmdps.traffic.ring import CARS, Ring, RingAcc, RingVel
-from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import ContextMismatch, InvalidInput, SimulationFailed, UnknownName
 
 
@@ -162,7 +159,7 @@ def test_after_a_collision_the_cars_stand_for_the_rest_of_the_measured_part(make
     assert info["score"] == pytest.approx(so_far * share, rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_simulator_that_is_killed_ends_the_episode_and_the_next_one_works(make):
     env = make(engine="traci", horizon=2)
     env.reset(seed=0)
@@ -194,12 +191,3 @@ def test_other_levels_are_refused(make, level):
     env.reset(seed=0)
     with pytest.raises(InvalidInput, match="0 to 9"):
         env.step(level)
-
-
-@pytest.mark.slow
-def test_the_contract():
-    # one of the two interleaved simulations goes through TraCI, so short holds
-    factory = EnvFactory("mbtl.cmdps.traffic.ring:RingVel", {"unit": {"hold": 1.0}})
-    space = ContextSpace.grid({Linear("hold", 1.0, 2.0, "s"): [1.0, 2.0]})
-    report = check_cmdp(factory, space, nominal={"hold": 1.0}, steps=2)
-    assert [c for c in report.checks if c.outcome == "failed"] == []

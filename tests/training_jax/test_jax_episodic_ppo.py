@@ -112,7 +112,7 @@ def test_minibatches_must_fill_the_rows():
         EpisodicPPORecipe(rows=100, minibatches=40)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_contexts_of_eco_driving_are_trained_together():
     from mbtl.cmdps import get_cmdp
 

@@ -226,7 +226,7 @@ def test_episodes_record_what_was_done():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_learns_to_calm_the_ring():
     trainer = get_cmdp("ring-acc", engine="jax").trainer_for(
         "quick", episodes=60, hyperparameters={"n_episodes": 4}

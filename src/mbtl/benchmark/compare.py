@@ -25,7 +25,7 @@ from mbtl.benchmark.summary import summarise
 from mbtl.errors import InvalidInput, UnknownName, unknown_name
 from mbtl.history import History
 from mbtl.selectors.base import SelectionProblem, Selector
-from mbtl.selectors.registry import get_selector, selector_names
+from mbtl.selectors.registry import get_selector, is_registered, selector_names
 
 ORACLE = "oracle"
 RANDOM = "random"
@@ -64,13 +64,14 @@ def compare(
         matrices: paths ending in .npz, ids of shipped matrices, "all", synthetic ids, or matrices.
         budget: K, from 1 to the smallest N.
         seeds: selector seeds 0..seeds-1 for each matrix seed; deterministic selectors run once. A
-            selector says so with an attribute `deterministic`; without it only `random` is not.
+            selector of your own says that it is with an attribute `deterministic`.
         on_step: called before each piece of work, for a progress display.
 
     Raises:
         UnknownName: a matrix or selector has no such name.
         InvalidInput: a matrix is unusable, the budget or number of seeds is out of range, a name
-            comes twice, or a selector refuses a matrix (greedy and equidistant need one axis).
+            comes twice, or a selector refuses a matrix (greedy and equidistant need one axis), or
+            proposes a context again.
     """
     if seeds < 1:
         raise InvalidInput(f"seeds must be at least 1, got {seeds}")
@@ -93,7 +94,7 @@ def compare(
                 if selector is None:
                     group = [_oracle_run(known, name, s, problems[name].theta)]
                 else:
-                    group, fair = [], held_out(selector, name)
+                    group, fair = [], held_out(selector, getattr(source, "cmdp", ""))
                     for seed in range(1 if is_deterministic(selector) else seeds):
                         steps.next(f"{name}, seed {s}: {label}")
                         group.append(_run(fair, source, problems[name], (name, s, seed)))
@@ -106,18 +107,20 @@ def compare(
     return Comparison(tuple(runs), summarise(stacked, references, caveats))
 
 
-def held_out(selector: Selector, matrix: str) -> Selector:
-    """The selector as it would be had it never seen the family of a matrix.
+def held_out(selector: Selector, cmdp: str) -> Selector:
+    """The selector as it would be had it never seen the family of a CMDP.
 
-    One that has learned from matrices has a method `without(family)`; see `family_of`.
+    One that has learned from matrices has a method `without(family)`; see `family_of`. A matrix is
+    of the CMDP that its provenance names, whether it is opened by file or by id.
     """
     without = getattr(selector, "without", None)
-    return selector if without is None else cast(Selector, without(family_of(matrix)))
+    return selector if without is None else cast(Selector, without(family_of(cmdp)))
 
 
 def is_deterministic(selector: Selector) -> bool:
-    """Whether a selector ignores its generator: its attribute `deterministic`, or not `random`."""
-    return bool(getattr(selector, "deterministic", selector.name != RANDOM))
+    """Whether a selector ignores its generator: so it says, or it is one of ours but `random`."""
+    ours = is_registered(selector) and selector.name != RANDOM
+    return bool(getattr(selector, "deterministic", ours))
 
 
 def default_selectors(matrices: Sequence[str | Path | RowSource]) -> list[str]:

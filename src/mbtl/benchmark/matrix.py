@@ -290,6 +290,11 @@ class TransferMatrix:
         return list(self.provenance.get("seeds", [self.provenance] * self.n_seeds))
 
     @property
+    def cmdp(self) -> str:
+        """Id of its CMDP, as its provenance tells; empty if it does not."""
+        return str(self.records[0].get("problem", ""))
+
+    @property
     def measures_apart(self) -> bool:
         """Whether there are episodes for the report that selectors do not see."""
         return self.fresh_returns is not None

@@ -208,17 +208,6 @@ def nearest_distance(points: Array, taken: Array) -> Array:
     return nearest
 
 
-def even_targets(problem: SelectionProblem, source: int, count: int) -> tuple[int, ...]:
-    """`count` targets evenly spaced in the list of contexts, the nearest one moved to the source.
-
-    The same targets for every policy, but for one: policies can then be compared. Targets chosen by
-    expected gain were measured to be worse (docs/studies.md).
-    """
-    every = np.linspace(0, problem.n - 1, count).round().astype(np.intp)
-    every[np.abs(every - source).argmin()] = source
-    return tuple(every.tolist())
-
-
 def first_pick(problem: SelectionProblem, history: History, mask: NDArray[np.bool_]) -> Proposal:
     """Before any row is known: the middle, then far from what is under way or failed."""
     taken = [*history.pending, *history.failed]

@@ -41,6 +41,11 @@ def selector_names() -> list[str]:
     return list(_FACTORIES)
 
 
+def is_registered(selector: Selector) -> bool:
+    """Whether it is one of ours, with whatever settings."""
+    return type(selector) in _FACTORIES.values()
+
+
 def get_selector(selector: str | Selector) -> Selector:
     """A selector by registered name or by where a user's own is, or the given selector itself.
 

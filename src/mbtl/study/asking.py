@@ -8,9 +8,9 @@ from mbtl.seeds import selection_rng
 from mbtl.selectors.base import (
     Exhausted,
     Selector,
-    even_targets,
     open_candidates,
 )
+from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
 from mbtl.study.pick import StudyFinished
 from mbtl.study.state import StudySpec, StudyState
@@ -77,8 +77,12 @@ def _early_stop(state: StudyState) -> str | None:
     """The level or the cost budget that was reached; picks given back are not trained then."""
     spec = state.spec
     assert spec is not None
-    if spec.stop_value is not None and (now := state.value()) >= spec.stop_value:
-        return f"V = {now:.4f} reaches the level {spec.stop_value:g}"
+    if spec.stop_value is not None and state.rows:
+        now = state.routing().value
+        least = now.at_least(spec.stop_confidence)
+        if least >= spec.stop_value:
+            sure = f" ({least:.4f} or more, surely)" if now.error else ""
+            return f"V = {now.value:.4f}{sure} reaches the level {spec.stop_value:g}"
     if spec.cost_budget is not None and state.cost >= spec.cost_budget:
         return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
     most = np.inf if spec.cost_budget is None else spec.cost_budget * (1.0 + 1e-9)
@@ -109,7 +113,7 @@ def _proposal(state: StudyState, selector: Selector) -> Event:
         "worker": this_worker().to_json(),
     }
     if spec.eval_targets is not None:
-        data["targets"] = list(even_targets(problem, source, spec.eval_targets))
+        data["targets"] = list(spread_targets(problem, source, spec.eval_targets))
     return Event("asked", data)
 
 
