@@ -76,29 +76,6 @@ def test_a_run_stopped_in_evaluation_does_not_train_again(tmp_path):
     assert np.array_equal(study.curve, calm.curve)
 
 
-@pytest.mark.parametrize(
-    ("broken", "reason"),
-    [
-        (lambda p, c, s: np.full(len(c), np.nan), "15 NaN or infinite"),
-        (lambda p, c, s: np.full(len(c), np.inf), "15 NaN or infinite"),
-        (lambda p, c, s: np.zeros(len(c) - 1), "shape"),
-        (lambda p, c, s: 1 / 0, "ZeroDivisionError"),
-    ],
-)
-def test_a_failed_evaluation_is_recorded_and_the_study_goes_on(tmp_path, broken, reason):
-    calls = []
-
-    def evaluate(policy, contexts, seed):
-        return (broken if len(calls) == 2 else quick_problem.evaluate)(policy, contexts, seed)
-
-    study = study_at(tmp_path).run(trainer=counting(calls, evaluate_fn=evaluate))
-    assert study.is_finished
-    assert len(study.state.rows) == 4
-    (failure,) = study.state.failures
-    assert reason in failure.reason
-    assert failure.source not in [row.source for row in study.state.rows]
-
-
 def test_on_failure_stop_raises_and_keeps_what_was_told(tmp_path):
     calls = []
 

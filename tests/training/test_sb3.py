@@ -35,6 +35,7 @@ from mbtl.errors import (
 )
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import Purpose, episode_seed, evaluation_seed
+from mbtl.study.rehearsal import rehearse
 from mbtl.trainer import Trainer
 from mbtl.training import SB3Trainer, load_sb3
 from mbtl.training.rollout import Actor, Job, play
@@ -522,3 +523,11 @@ def test_the_end_of_a_simulators_process_is_a_failed_training():
     )
     with pytest.raises(SimulationFailed, match="end of a process"):
         trainer.train({}, seed=0)
+
+
+def test_an_untrained_policy_shows_that_evaluation_works_and_leaves_the_training_alone(trained):
+    trainer = ppo()
+    assert rehearse(trainer, POLES[:2], 5) is None
+    assert same(weights(trainer.train(POLE, 0)), weights(trained))
+    trouble = rehearse(ppo(hyperparameters={"learning_rat": 1.0}), POLES[:2], 5)
+    assert isinstance(trouble.error, InvalidInput)

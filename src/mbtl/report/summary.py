@@ -38,10 +38,12 @@ class PickSummary:
         source: context index.
         context: the context.
         reason: why the selector chose it.
-        status: "told", "failed: ..." or "open".
+        status: "told", "failed: ...", "open", or "open: ..." for a policy that could not be
+            evaluated.
         value: V after this row, by the rows that routed the policies; None unless told.
         fresh_value: the same on fresh episodes; None where not measured.
         seconds: wall time of training and evaluation; None when unknown.
+        traceback: of a failure, where it came from; empty where that is not known.
     """
 
     number: int | None
@@ -52,6 +54,7 @@ class PickSummary:
     value: float | None
     fresh_value: float | None
     seconds: float | None
+    traceback: str = ""
 
 
 @dataclass(frozen=True)
@@ -256,11 +259,16 @@ def _picks(study: Study, curve: Array, fresh: Array | None) -> tuple[PickSummary
             value=None,
             fresh_value=None,
             seconds=None,
+            traceback=f.traceback,
         )
         for f in state.failures
     ]
-    held = [
-        PickSummary(n, p.source, space.context(p.source), p.reason, "open", None, None, None)
-        for n, p in state.open_picks.items()
-    ]
+    held = []
+    for n, p in state.open_picks.items():
+        cause = state.deferred.get(n)
+        status, trace = (
+            ("open", "") if cause is None else (f"open: {cause.reason}", cause.traceback)
+        )
+        context = space.context(p.source)
+        held.append(PickSummary(n, p.source, context, p.reason, status, None, None, None, trace))
     return (*told, *sorted([*failed, *held], key=lambda pick: pick.number or 0))

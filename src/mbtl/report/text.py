@@ -36,6 +36,18 @@ def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) ->
         screen.print(line, markup=False, highlight=False)
 
 
+def show_causes(screen: Console, summary: StudySummary, space: ContextSpace) -> None:
+    """Print where each failure came from, once for all picks that failed the same way."""
+    places: dict[str, list[str]] = {}
+    for pick in summary.picks:
+        if pick.traceback and pick.number is not None:
+            where = f"pick {pick.number + 1} ({space.describe(pick.context)})"
+            places.setdefault(pick.traceback, []).append(where)
+    for trace, picks in places.items():
+        screen.print(f"\n{', '.join(picks)}:", markup=False, highlight=False)
+        screen.print(trace.rstrip(), markup=False, highlight=False, soft_wrap=True)
+
+
 def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     """The sentences under the table."""
     worst, best = summary.bounds

@@ -144,11 +144,24 @@ class ToldRow:
 
 @dataclass(frozen=True)
 class Failure:
-    """A pick that gave nothing, and why."""
+    """A pick that gave nothing, and why.
+
+    Attributes:
+        source: context index.
+        pick: 0-based number of the pick.
+        reason: the error in one line.
+        traceback: where it came from; empty where nobody said.
+    """
 
     source: int
     pick: int
     reason: str
+    traceback: str = ""
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any]) -> Failure:
+        """As logged; older logs have no traceback."""
+        return cls(data["source"], data["pick"], data["reason"], data.get("traceback", ""))
 
 
 @dataclass(frozen=True)
@@ -179,6 +192,8 @@ class StudyState:
     open_picks: dict[int, PickRecord] = field(default_factory=dict)
     rows: list[ToldRow] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
+    deferred: dict[int, Failure] = field(default_factory=dict)
+    """Number of an open pick -> why its policy, which is trained, was not evaluated so far."""
     fresh: FreshReturns | None = None
     stopped: str | None = None
     _history: History | None = field(default=None, repr=False)
@@ -336,7 +351,7 @@ class StudyState:
 
     def _told(self, event: Event) -> None:
         data = event.data
-        self.open_picks.pop(data["pick"], None)
+        self._close(data["pick"])
         self.fresh = None  # a new policy may serve targets that were not reported
         self.stopped = None  # nor was the prediction made with this row
         self.rows.append(
@@ -354,10 +369,22 @@ class StudyState:
         )
 
     def _failed(self, event: Event) -> None:
-        data = event.data
-        self.open_picks.pop(data["pick"], None)
-        self.failures.append(Failure(data["source"], data["pick"], data["reason"]))
+        self._close(event.data["pick"])
+        self.failures.append(Failure.of(event.data))
         self.stopped = None  # the prediction believed that this pick would give something
+
+    def _deferred(self, event: Event) -> None:
+        self.deferred[event.data["pick"]] = Failure.of(event.data)
+
+    def _reopened(self, event: Event) -> None:
+        number = event.data["pick"]
+        self.failures = [failure for failure in self.failures if failure.pick != number]
+        self.open_picks[number] = replace(self.picks[number], worker=None)
+
+    def _close(self, number: int | None) -> None:
+        if number is not None:
+            self.open_picks.pop(number, None)
+            self.deferred.pop(number, None)
 
     def _stopped(self, event: Event) -> None:
         self.stopped = event.data["reason"]

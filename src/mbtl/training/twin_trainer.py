@@ -209,6 +209,16 @@ class TwinTrainer(MLPTrainer):
         weights = training.best if self.checkpoint == "best" else training.state.weights
         return engine.export_policies(twin, weights, recipe.activation)[0]
 
+    def untrained(self, context: Context) -> MLPPolicy:
+        """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
+        import mbtl.training.jax as engine
+        from mbtl.training.jax.traffic.learning import start
+
+        twin, params = self.problem([context])
+        recipe = self._recipe()
+        weights = start(twin, recipe, [0], params[0]).state.weights
+        return engine.export_policies(twin, weights, recipe.activation)[0]
+
     def evaluate_many(
         self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seed: int
     ) -> Array:
