@@ -147,10 +147,11 @@ class SB3Trainer:
             TrainingFailed: the weights or the actions became NaN.
             InvalidInput: a hyperparameter that the algorithm does not have.
         """
+        algorithm = self._algorithm()  # before torch is needed
         with ExitStack() as stack:
             stack.enter_context(isolated(self.threads))
             best = self._best_checkpoint(context, seed, stack)
-            model, team = self._model(context, seed, stack)
+            model, team = self._model(algorithm, context, seed, stack)
             ends = None if self.episodes is None else "score" if team else "episode"
             watch = Watch(model, self._length, on_progress, best, ends=ends)
             steps = _FOREVER if self.timesteps is None else self.timesteps
@@ -164,10 +165,11 @@ class SB3Trainer:
     def untrained(self, context: Context) -> Any:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
         one = replace(self, n_envs=1, processes=False, tensorboard=None)
+        algorithm = self._algorithm()  # before torch is needed
         with ExitStack() as stack, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what the library says of fewer environments
             stack.enter_context(isolated(self.threads))
-            return lightened(one._model(context, 0, stack)[0])
+            return lightened(one._model(algorithm, context, 0, stack)[0])
 
     def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
         """What episodes are worth (see `mbtl.training.rollout`), (n_targets, eval_episodes).
@@ -247,10 +249,16 @@ class SB3Trainer:
             record["clip_actions"] = True
         return record if self.acting == "mean" else {**record, "acting": self.acting}
 
-    def _model(self, context: Context, seed: int, stack: ExitStack) -> tuple[Any, bool]:
-        """The library's model before its training, and whether it is of a team."""
+    def _algorithm(self) -> tuple[Any, dict[str, Any]]:
+        """The library's class and its keyword arguments."""
         algorithm = algorithm_class(self.algorithm)
-        settings = checked_hyperparameters(algorithm, self.hyperparameters)
+        return algorithm, checked_hyperparameters(algorithm, self.hyperparameters)
+
+    def _model(
+        self, kind: tuple[Any, dict[str, Any]], context: Context, seed: int, stack: ExitStack
+    ) -> tuple[Any, bool]:
+        """The library's model before its training, and whether it is of a team."""
+        algorithm, settings = kind
         envs = self._training_envs(context, stack)
         team = _is_team(envs)
         on_policy = _on_policy(algorithm)
