@@ -21,7 +21,7 @@ from mbtl.objective import Bounds
 from mbtl.routing import Routing
 from mbtl.seeds import training_seed
 from mbtl.selectors import SelectionProblem, Selector
-from mbtl.study import answers, asking
+from mbtl.study import asking, telling
 from mbtl.study.events import Event, Kind
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.state import PickRecord, StudySpec, StudyState
@@ -117,12 +117,12 @@ class Study:
                 again, or record it with `fail`.
             StudyError: the pick was answered before.
         """
-        source = answers.source_of(self.space, pick)
+        source = telling.source_of(self.space, pick)
         if cost is not None and not (np.isfinite(cost) and cost >= 0):
             raise InvalidInput(f"cost must be finite and >= 0, got {cost!r}")
         usual = 1.0 if self.spec.costs is None else self.spec.costs[source]
         if targets is None:
-            targets = answers.asked_targets(self.refresh(), pick, source)
+            targets = telling.asked_targets(self.refresh(), pick, source)
         evaluated = checked_targets(targets, self.space.n)
         rows = checked_returns(returns, len(evaluated))
         arrays = {name: np.full(self.space.n, np.nan) for name in ("returns", "std")}
@@ -141,7 +141,7 @@ class Study:
         def told(state: StudyState) -> Event:
             nonlocal place
             place = len(state.rows)
-            number = answers.answered(state, pick, source)
+            number = telling.answered(state, pick, source)
             expected = 0.0 if number is None else usual
             spent = expected if cost is None else float(cost)
             return Event("told", {**data, "pick": number, "cost": spent}, arrays)
@@ -175,7 +175,7 @@ class Study:
         Raises:
             StudyError: that pick did not fail, or its source was told since.
         """
-        self._commit(lambda state: answers.reopening(state, pick))
+        self._commit(lambda state: telling.reopening(state, pick))
 
     def extend(self, budget: int) -> None:
         """Raise the budget to `budget` trainings in all, for a few more picks.
@@ -399,7 +399,7 @@ class Study:
 
     def _settle(self, kind: Kind, pick: Pick, data: dict[str, Any]) -> None:
         def settled(state: StudyState) -> Event:
-            return Event(kind, {"pick": answers.open_number(state, pick), **data})
+            return Event(kind, {"pick": telling.open_number(state, pick), **data})
 
         self._commit(settled)
 
