@@ -16,6 +16,7 @@ CORE = [
     "arrays",
     "settings",
     "provenance",
+    "untrusted",
     "files",
     "processes",
     "seeds",
