@@ -21,7 +21,6 @@ from mbtl.benchmark.entries import (
     DIRECTIONS,
     Floats,
     checked_bounds,
-    checked_direction,
     checked_returns,
     keywords,
     space_of,
@@ -29,7 +28,7 @@ from mbtl.benchmark.entries import (
 from mbtl.benchmark.npz import read_npz, text_array, write_npz
 from mbtl.contexts import Axis, Categorical, ContextSpace
 from mbtl.errors import InvalidInput
-from mbtl.objective import Bounds
+from mbtl.objective import Bounds, direction_named
 from mbtl.selectors.base import SelectionProblem, default_theta
 
 
@@ -100,7 +99,7 @@ class TransferMatrix:
             bounds: (2,) returns that become performance 0 and 1 (1 and 0 when minimised); the
                 smallest and largest return over all seeds when missing.
             theta: performance per grid step; 0.005 for N <= 100, else 0.5 / (N - 1), when missing.
-            direction: "max" or "min", which returns are good.
+            direction: "max" or "min" (or the long names), which returns are good.
             std: (S, N, N) standard deviation over episodes.
             provenance: how it was made.
             name: what results call it.
@@ -114,7 +113,7 @@ class TransferMatrix:
             name=name,
             returns=array,
             space=space_of(contexts, axes, n) if space is None else space,
-            bounds=checked_bounds(bounds, array, checked_direction(direction)),
+            bounds=checked_bounds(bounds, array, direction_named(direction)),
             theta=default_theta(n) if theta is None else float(theta),
             std=std,
             provenance=dict(provenance or {}),

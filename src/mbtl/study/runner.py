@@ -24,6 +24,7 @@ from mbtl.study.job import Job, Outcome, perform
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.study import Study
 from mbtl.trainer import Trainer
+from mbtl.untrusted import inside
 
 _logger = logging.getLogger(__name__)
 
@@ -217,7 +218,8 @@ class _Work:
 
     def _job(self, pick: Pick) -> Job:
         study, spec = self.study, self.study.spec
-        folder = study.folder / _policy_path(study, pick) if study.folder else None
+        place = _policy_path(study, pick).as_posix()
+        folder = inside(study.folder, place, "a study") if study.folder else None
         seed = evaluation_seed(spec.seed, spec.trial)
         targets = range(study.space.n) if pick.targets is None else pick.targets
         contexts = [study.space.context(target) for target in targets]

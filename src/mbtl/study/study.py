@@ -20,12 +20,14 @@ from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.seeds import training_seed
 from mbtl.selectors import SelectionProblem, Selector
-from mbtl.study import asking
+from mbtl.study import asking, telling
+from mbtl.study.checks import check_event
 from mbtl.study.events import Event, Kind
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.state import PickRecord, StudySpec, StudyState
 from mbtl.study.storage import Conflict, EventLog
 from mbtl.trainer import Trainer, checked_returns, checked_targets
+from mbtl.untrusted import inside
 
 if TYPE_CHECKING:
     from mbtl.portfolio import Portfolio
@@ -112,7 +114,9 @@ class Study:
         Raises:
             TrainingFailed: returns of wrong shape, NaN or infinite. Nothing is recorded; tell
                 again, or record it with `fail`.
-            StudyError: the pick was answered before.
+            InvalidInput: `policy` leads out of the study's folder, or another fact is not what it
+                should be. Nothing is recorded.
+            StudyError: the pick was answered before, or is another study's.
         """
         source = self._source(pick)
         if cost is not None and not (np.isfinite(cost) and cost >= 0):
@@ -136,7 +140,7 @@ class Study:
         def told(state: StudyState) -> Event:
             nonlocal place
             place = len(state.rows)
-            number = self._answered(state, pick, source)
+            number = telling.answered(state, pick, source)
             expected = 0.0 if number is None else usual
             spent = expected if cost is None else float(cost)
             return Event("told", {**data, "pick": number, "cost": spent}, arrays)
@@ -295,16 +299,24 @@ class Study:
         """Numbers of open picks that nobody works on: given back, or their process is gone."""
         return asking.orphans(self._state)
 
-    def portfolio(self, trainer: Trainer | None = None) -> Portfolio:
+    def portfolio(self, trainer: Trainer | None = None, *, trust: bool = False) -> Portfolio:
         """The trained policies with their router.
 
         Args:
-            trainer: reads saved policies of a format of its own ("custom").
+            trainer: reads the saved policies, all of them: give the one that wrote them.
+            trust: without a trainer, also read files that can execute code; set it if the study
+                is your own, or of somebody you trust.
+
+        Raises:
+            StorageError: a policy's folder is not inside the study's, or is reached by a link.
         """
         from mbtl.portfolio import Portfolio
 
         rows, spec = self.refresh().rows, self.spec
-        folders = [self.folder / r.policy if self.folder and r.policy else None for r in rows]
+        folders = [
+            inside(self.folder, r.policy, "a study") if self.folder and r.policy else None
+            for r in rows
+        ]
         made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}
         return Portfolio(
             self.space,
@@ -318,6 +330,7 @@ class Study:
             in_memory=dict(self.policies),
             cmdp=spec.problem or None,
             metadata={"study": self.name, **made},
+            trust=trust,
         )
 
     # ---- inside ------------------------------------------------------------------------------
@@ -357,38 +370,18 @@ class Study:
             raise InvalidInput(f"context indices run from 0 to {self.space.n - 1}, got {pick}")
         return int(pick)
 
-    def _answered(self, state: StudyState, pick: Any, source: int) -> int | None:
-        """Number of the open pick that this row answers; None for a row nobody asked for."""
-        if isinstance(pick, Pick):
-            return self._open_number(state, pick)
-        for number, record in state.open_picks.items():
-            if record.source == source:
-                return number
-        told = sum(row.source == source for row in state.rows)
-        if told >= self.spec.repeats:
-            raise StudyError(
-                f"context {source} was told before; a study keeps one row per source, or as many "
-                f"as create_study(repeats=...) allows, here {self.spec.repeats}"
-            )
-        return None
-
     def _settle(self, kind: Kind, pick: Pick, data: dict[str, Any]) -> None:
         def settled(state: StudyState) -> Event:
-            return Event(kind, {"pick": self._open_number(state, pick), **data})
+            return Event(kind, {"pick": telling.open_number(state, pick), **data})
 
         self._commit(settled)
-
-    @staticmethod
-    def _open_number(state: StudyState, pick: Pick) -> int:
-        if pick.number not in state.open_picks:
-            raise StudyError(f"pick {pick.number} is not open: it was answered before, or given up")
-        return pick.number
 
     def _commit(self, decide: Callable[[StudyState], Event]) -> Event:
         """Append what `decide` makes of the newest state; decide anew if somebody was faster."""
         while True:
             state = self.refresh()
             event = decide(state)
+            check_event(event, state)
             try:
                 self._log.append(event, after=state.seq)
             except Conflict:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 from mbtl.errors import MbtlError
 from mbtl.files import whole_file
 from mbtl.training.jax.loop import Training, from_arrays, to_arrays
+from mbtl.untrusted import read_arrays
 
 _SECONDS = 30.0
 """Between two savings, which cost a copy of all weights from the device."""
@@ -48,8 +48,7 @@ class SavedTraining:
         if self._path is None or not self._path.is_file():
             return None
         try:
-            # opened here: numpy leaves a file that is no archive open
-            with self._path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-                return from_arrays(template(), arrays)
-        except (MbtlError, ValueError, OSError, zipfile.BadZipFile):
+            with self._path.open("rb") as file:
+                return from_arrays(template(), read_arrays(file))
+        except (MbtlError, ValueError, OSError):
             return None
