@@ -15,8 +15,10 @@ from mbtl.history import History, standard_errors
 from mbtl.objective import Bounds, Direction
 from mbtl.routing import Routing
 from mbtl.selectors.base import SelectionProblem
+from mbtl.study.checks import check_event, check_spec
 from mbtl.study.events import Event
 from mbtl.study.worker import Worker
+from mbtl.untrusted import MALFORMED
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,9 @@ class StudySpec:
         values["space"] = ContextSpace.from_json(record["space"])
         for name in ("bounds", "costs"):
             values[name] = tuple(record[name]) if record.get(name) else None
-        return cls(**values)
+        spec = cls(**values)
+        check_spec(spec)
+        return spec
 
 
 @dataclass(frozen=True)
@@ -215,8 +219,15 @@ class StudyState:
             raise StorageError(
                 f"event {event.seq} ({event.kind}) is out of place; the log is damaged"
             )
+        try:
+            check_event(event, self)
+            getattr(self, f"_{event.kind}")(event)
+        except MALFORMED as error:
+            raise StorageError(
+                f"event {event.seq} ({event.kind}) of the study is damaged or not ours: {error}; "
+                "restore a copy of the study"
+            ) from error
         self._history = None
-        getattr(self, f"_{event.kind}")(event)
         self.seq = event.seq
 
     def history(self) -> History:

@@ -22,11 +22,13 @@ from mbtl.routing import Routing
 from mbtl.seeds import training_seed
 from mbtl.selectors import SelectionProblem, Selector
 from mbtl.study import asking, telling
+from mbtl.study.checks import check_event
 from mbtl.study.events import Event, Kind
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.state import PickRecord, StudySpec, StudyState
 from mbtl.study.storage import Conflict, EventLog
 from mbtl.trainer import Trainer, checked_returns, checked_targets
+from mbtl.untrusted import inside
 
 if TYPE_CHECKING:
     from mbtl.portfolio import Portfolio
@@ -115,7 +117,9 @@ class Study:
         Raises:
             TrainingFailed: returns of wrong shape, NaN or infinite. Nothing is recorded; tell
                 again, or record it with `fail`.
-            StudyError: the pick was answered before.
+            InvalidInput: `policy` leads out of the study's folder, or another fact is not what it
+                should be. Nothing is recorded.
+            StudyError: the pick was answered before, or is another study's.
         """
         source = telling.source_of(self.space, pick)
         if cost is not None and not (np.isfinite(cost) and cost >= 0):
@@ -353,16 +357,24 @@ class Study:
         """Numbers of open picks that nobody works on: given back, or their process is gone."""
         return asking.orphans(self._state)
 
-    def portfolio(self, trainer: Trainer | None = None) -> Portfolio:
+    def portfolio(self, trainer: Trainer | None = None, *, trust: bool = False) -> Portfolio:
         """The trained policies with their router.
 
         Args:
-            trainer: reads saved policies of a format of its own ("custom").
+            trainer: reads the saved policies, all of them: give the one that wrote them.
+            trust: without a trainer, also read files that can execute code; set it if the study
+                is your own, or of somebody you trust.
+
+        Raises:
+            StorageError: a policy's folder is not inside the study's, or is reached by a link.
         """
         from mbtl.portfolio import Portfolio
 
         rows, spec = self.refresh().rows, self.spec
-        folders = [self.folder / r.policy if self.folder and r.policy else None for r in rows]
+        folders = [
+            inside(self.folder, r.policy, "a study") if self.folder and r.policy else None
+            for r in rows
+        ]
         made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}
         return Portfolio(
             self.space,
@@ -379,6 +391,7 @@ class Study:
             in_memory=dict(self.policies),
             cmdp=spec.problem or None,
             metadata={"study": self.name, **made},
+            trust=trust,
         )
 
     # ---- inside ------------------------------------------------------------------------------
@@ -408,6 +421,7 @@ class Study:
         while True:
             state = self.refresh()
             event = decide(state)
+            check_event(event, state)
             try:
                 self._log.append(event, after=state.seq)
             except Conflict:
