@@ -25,6 +25,10 @@ from mbtl.study.runner import check_options
 from mbtl.trainer import Trainer, recipe_of
 
 
+NOTHING_LEFT = 0.005
+"""Gain in V of all trainings left together that is not worth one of them."""
+
+
 def run(
     problem: Annotated[
         str,
@@ -75,6 +79,12 @@ def run(
     stop_confidence: Annotated[
         float, typer.Option(help="How probable that has to be, as the selector predicts it.")
     ] = 0.9,
+    whole_budget: Annotated[
+        bool,
+        typer.Option(
+            "--all", help="Spend the whole budget, also where nothing seems left to gain."
+        ),
+    ] = False,
     repeats: Annotated[
         int, typer.Option(help="Trainings allowed on one context, where another try may pay.")
     ] = 1,
@@ -153,6 +163,8 @@ def run(
         stop_value=stop_value,
         stop_gain=stop_gain,
         stop_confidence=stop_confidence,
+        stop_left=None if whole_budget or cmdp.bounds is None else NOTHING_LEFT,
+        best_return=cmdp.best_return,
         repeats=repeats,
         eval_targets=eval_targets,
         costs=None if costs is None else _numbers(costs),

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import operator
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, overload
 
@@ -52,6 +52,8 @@ def create_study(
     eval_targets: int | None = None,
     stop_gain: float | None = None,
     stop_confidence: float = 0.9,
+    stop_left: float | None = None,
+    best_return: float | None = None,
     storage: str | Path | None = None,
     name: str = "study",
     problem: str = "",
@@ -83,7 +85,10 @@ def create_study(
             (`Pick.targets`); None for all.
         stop_gain: end when one more training gains less than this in V ...
         stop_confidence: ... with at least this probability, as the selector predicts it after
-            three rows or more.
+            three rows or more. V counts as what it surely is, with this probability.
+        stop_left: end when nothing is left to gain: V is so near to what `best_return` is worth, or
+            the selector predicts that all trainings left together gain less than this in V.
+        best_return: the largest return there is (smallest, if minimised), if you know it.
         storage: path of an SQLite file or an SQLAlchemy URL; None keeps the study in memory.
         name: name of the study within its storage.
         problem: id of the problem, to refuse a study of another one.
@@ -109,7 +114,7 @@ def create_study(
     floor = None
     if isinstance(bounds, Bounds):
         direction, floor = bounds.direction, bounds.floor
-    pair = _pair("bounds", None if bounds is None else tuple(bounds))
+    pair = _pair("bounds", bounds)
     if pair is not None:
         Bounds(*pair, direction, floor)
     stop_value = _finite("stop_value", stop_value)
@@ -125,6 +130,8 @@ def create_study(
     if seed < 0 or trial < 0:
         raise InvalidInput(f"seed and trial must be >= 0, got {seed} and {trial}")
     _check_wishes(chosen, repeats, stop_gain, stop_confidence, bounds)
+    if stop_left is not None and bounds is None:
+        raise InvalidInput("stop_left is in performance, so it needs bounds=(low, high); got none")
     spec = StudySpec(
         space,
         budget,
@@ -144,7 +151,9 @@ def create_study(
         _target_count(eval_targets, space.n),
         stop_gain,
         stop_confidence,
-        floor=floor,
+        _real("stop_left", stop_left),
+        _finite("best_return", best_return),
+        floor,
     )
     check_spec(spec)
     log: EventLog = MemoryLog() if storage is None else SqlLog(storage, name, create=True)
@@ -341,7 +350,7 @@ def _float(name: str, number: Any) -> float:
         raise InvalidInput(f"{name} must be a number, got {number!r}") from None
 
 
-def _pair(name: str, pair: tuple[float, ...] | None) -> tuple[float, float] | None:
+def _pair(name: str, pair: Iterable[float] | None) -> tuple[float, float] | None:
     if pair is None:
         return None
     try:
