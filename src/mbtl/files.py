@@ -36,6 +36,32 @@ def whole_file(path: Path) -> Iterator[IO[bytes]]:
             unfinished.unlink()
 
 
+def sync_folder(folder: Path) -> None:
+    """Return when a folder and all below it is on the disk, so that a rename cannot outrun it.
+
+    Raises:
+        OSError: the system could not write it.
+    """
+    for place, _, names in os.walk(folder):
+        for name in names:
+            _sync(Path(place, name))
+        sync_entries(Path(place))
+
+
+def sync_entries(folder: Path) -> None:
+    """Return when the names in a folder are on the disk, where the system can promise that."""
+    with contextlib.suppress(OSError):  # not every system opens folders
+        _sync(folder)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 @contextlib.contextmanager
 def claimed_folder(folder: Path, settings: Mapping[str, Any], what: str) -> Iterator[None]:
     """While the block runs nobody else works in `folder`, and nobody ever with other settings.

@@ -46,8 +46,8 @@ def open_number(state: StudyState, pick: Pick) -> int:
     asked = state.open_picks[pick.number].source
     if pick.source != asked:
         raise StudyError(
-            f"pick {pick.number + 1} of this study trains on context {asked}, got a pick of context "
-            f"{pick.source}; tell the study that gave it, or give the context instead"
+            f"pick {pick.number + 1} of this study trains on context {asked}, got a pick of "
+            f"context {pick.source}; tell the study that gave it, or give the context instead"
         )
     return pick.number
 
