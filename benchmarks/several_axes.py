@@ -32,7 +32,8 @@ from mbtl.benchmark import compare
 from mbtl.contexts import Axis, Categorical, ContextSpace, Integer, Linear, Log
 from mbtl.models.priors import PRIORS
 from mbtl.models.relevance import Columns, fit_relevance, stretched
-from mbtl.models.transfer_gp import TransferGP, grid_pairs
+from mbtl.models.transfer_gp import TransferGP
+from mbtl.models.transfer_kernel import grid_pairs
 from mbtl.selectors import Auto, SelectionProblem
 
 SELECTORS = ("random", "kmeans", "mbtl", "m-mbtl", "sd-mbtl")

@@ -154,18 +154,28 @@ def worst_share_mean(best: Array, weights: Array | None, risk: float) -> Array:
     Raises:
         InvalidInput: `risk` is not in (0, 1].
     """
+    counted = worst_share_weights(best, weights, risk)
+    return np.asarray(np.sum(np.where(counted > 0, best, 0.0) * counted, axis=-1))
+
+
+def worst_share_weights(best: Array, weights: Array | None, risk: float) -> Array:
+    """How much each target counts in `worst_share_mean`; (..., N) -> (..., N), sum 1.
+
+    Raises:
+        InvalidInput: `risk` is not in (0, 1].
+    """
     if not 0.0 < risk <= 1.0:
         raise InvalidInput(f"risk is the share of the worst targets, in (0, 1], got {risk!r}")
     n = best.shape[-1]
-    if risk == 1.0:
-        return np.asarray(best.mean(axis=-1) if weights is None else best @ weights)
     shares = np.full(n, 1.0 / n) if weights is None else weights
+    if risk == 1.0:
+        return np.broadcast_to(shares, best.shape)
     order = np.argsort(best, axis=-1, kind="stable")
-    ascending = np.take_along_axis(best, order, axis=-1)
     sorted_shares = shares[order]
     before = np.cumsum(sorted_shares, axis=-1) - sorted_shares
-    counted = np.clip(risk - before, 0.0, sorted_shares)
-    return np.asarray(np.sum(np.where(counted > 0, ascending, 0.0) * counted, axis=-1) / risk)
+    counted = np.empty(best.shape)
+    np.put_along_axis(counted, order, np.clip(risk - before, 0.0, sorted_shares) / risk, axis=-1)
+    return counted
 
 
 def value_curve(rows: Array, weights: Array | None = None, risk: float = 1.0) -> Array:

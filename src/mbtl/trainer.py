@@ -68,6 +68,15 @@ class Trainer(Protocol):
 
 
 @runtime_checkable
+class RehearsingTrainer(Trainer, Protocol):
+    """A trainer that can show, before anything is trained, that evaluation works."""
+
+    def untrained(self, context: Context) -> Any:
+        """A policy as `train` gives it, but not trained: in seconds, whatever its returns."""
+        ...
+
+
+@runtime_checkable
 class ManyTrainer(Protocol):
     """A trainer that trains and evaluates many policies at once, e.g. in one compiled program."""
 

@@ -79,7 +79,8 @@ def test_unguided_traffic_is_slow_and_an_episode_ends_after_the_measured_part(ma
         env.step({})
 
 
-def test_each_car_that_collides_costs_fifty_and_is_removed(make):
+def test_each_car_that_collides_costs_fifty_and_stands_wherever_it_is(make, monkeypatch):
+    monkeypatch.setattr(advisory, "UNMEASURED", 0)
     env = make(hold=2.0)
     env.reset(seed=0)
     vehicle = env.simulation.api.vehicle
@@ -105,6 +106,11 @@ def test_each_car_that_collides_costs_fifty_and_is_removed(make):
     left = total * steps + 50.0 * collided
     assert left == pytest.approx(round(left))
     assert 0 <= left < 5
+    seen, drivers, before = [], env._drivers.step, env._means
+    monkeypatch.setattr(env._drivers, "step", lambda *a: seen.append(drivers(*a)) or seen[-1])
+    env.step({})
+    expected = sum(sum(speeds) / (len(speeds) + collided) for speeds in seen)
+    assert env._means - before == pytest.approx(expected)
 
 
 def test_the_reward_counts_the_cars_that_leave(make):

@@ -2,16 +2,8 @@ import numpy as np
 import pytest
 
 from mbtl.errors import InvalidInput
-from mbtl.models.transfer_gp import (
-    NEW,
-    Places,
-    TransferGP,
-    TransferPrior,
-    covariance,
-    grid_pairs,
-    likely_noise,
-    variance,
-)
+from mbtl.models.transfer_gp import TransferGP, likely_noise
+from mbtl.models.transfer_kernel import NEW, Places, TransferPrior, covariance, grid_pairs, variance
 
 N = 20
 STEPS = np.arange(float(N))[:, None]

@@ -8,7 +8,7 @@ from mbtl.benchmark.compare import held_out
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models import priors
-from mbtl.models.transfer_gp import TransferPrior
+from mbtl.models.transfer_kernel import TransferPrior
 from mbtl.selectors import Auto, Exhausted, Random, SelectionProblem
 from mbtl.selectors.auto import _nearest, _search
 from mbtl.selectors.base import even_targets

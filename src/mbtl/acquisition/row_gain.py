@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from mbtl.acquisition.gain import unit_improvement
 from mbtl.arrays import Array
-from mbtl.models.transfer_gp import NEW, TransferGP
+from mbtl.models.transfer_gp import TransferGP
+from mbtl.models.transfer_kernel import NEW
 from mbtl.objective import worst_share_mean
 
 _DRAWS = 4000

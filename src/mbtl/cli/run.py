@@ -5,6 +5,7 @@ Train what the selector picks, evaluate everywhere, save the portfolio.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,12 +16,15 @@ from mbtl.arrays import Array
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.cli.progress import LiveProgress
 from mbtl.cmdps import CMDP, resolve_cmdp
-from mbtl.errors import InvalidInput, MissingExtra, StorageError
+from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
 from mbtl.report import reference_curves, summarise_study
 from mbtl.report.plots import plot_curve, plot_policy_map
 from mbtl.report.text import show_summary
 from mbtl.selectors import get_selector
+from mbtl.settings import first_difference
 from mbtl.study import Callback, Study, create_study
+from mbtl.study.runner import check_options
+from mbtl.study.storage import SqlLog
 from mbtl.trainer import Trainer, recipe_of
 
 
@@ -95,6 +99,16 @@ def run(
     stop_on_failure: Annotated[
         bool, typer.Option("--stop-on-failure", help="End at the first failed training.")
     ] = False,
+    stop_after_failures: Annotated[
+        int, typer.Option(help="End after so many failed trainings in a row.")
+    ] = 3,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Train again where trainings failed.")
+    ] = False,
+    no_rehearsal: Annotated[
+        bool,
+        typer.Option("--no-rehearsal", help="Skip the trial evaluation before the first training."),
+    ] = False,
     tensorboard: Annotated[
         Path | None, typer.Option(help="Folder for TensorBoard: V per pick and training scalars.")
     ] = None,
@@ -109,6 +123,7 @@ def run(
     The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million
     steps each, 100 episodes per context). The paper's rule: --selector mbtl.
     """
+    check_options(parallel, stop_after_failures=stop_after_failures)
     cmdp = resolve_cmdp(problem, engine=engine)
     get_selector(selector)  # a mistyped name must not set a study aside
     if timesteps is not None and cmdp.preset(preset).episodes is not None:
@@ -123,7 +138,12 @@ def run(
         "tensorboard": tensorboard,
     }
     trainer = cmdp.trainer_for(preset, **{k: v for k, v in overrides.items() if v is not None})
-    folder = study or Path("runs") / f"{cmdp.id}-{preset or cmdp.default_preset}-seed{seed}"
+    settings = _settings(cmdp, preset, trainer)
+    folder = study or Path("runs") / f"{cmdp.id}-{settings['preset']}-seed{seed}"
+    former = cmdp.preset(preset).formerly
+    begun = Path("runs") / f"{cmdp.id}-{former}-seed{seed}"
+    if former and study is None and not folder.exists() and _is_there(begun, settings, former):
+        folder, settings = begun, {**settings, "preset": former}  # before the preset was renamed
     if new:
         _set_aside(folder)
     if folder.exists() and not (folder / "study.db").exists() and any(folder.iterdir()):
@@ -149,7 +169,7 @@ def run(
         storage=folder / "study.db",
         name=folder.resolve().name,
         problem=cmdp.id,
-        settings=_settings(cmdp, preset, trainer),
+        settings=settings,
         load_if_exists=True,
     )
     _announce(running, folder)
@@ -163,9 +183,19 @@ def run(
             trainer=trainer,
             parallel=parallel,
             on_failure="stop" if stop_on_failure else "continue",
+            stop_after_failures=stop_after_failures,
+            retry_failed=retry_failed,
+            rehearse=not no_rehearsal,
             callbacks=callbacks,
         )
     _finish(running, trainer, folder, as_json=as_json)
+    if running.state.deferred:
+        count = len(running.state.deferred)
+        raise TrainingFailed(
+            f"{count} {'policy is' if count == 1 else 'policies are'} trained and could not be "
+            "evaluated (`mbtl study show` says why); mend the cause, then run the same command "
+            "again: nothing is trained twice"
+        )
 
 
 def _numbers(file: Path) -> Array:
@@ -190,6 +220,15 @@ def _settings(cmdp: CMDP, preset: str | None, trainer: Trainer) -> dict[str, Any
     }
 
 
+def _is_there(folder: Path, settings: Mapping[str, Any], preset: str) -> bool:
+    """Whether a study of these settings was begun in `folder` under another name of its preset."""
+    place = folder / "study.db"
+    if not place.is_file():
+        return False
+    begun = Study(SqlLog(place, folder.resolve().name), get_selector("random"), folder=folder)
+    return first_difference(begun.spec.settings, {**settings, "preset": preset}) is None
+
+
 def _announce(study: Study, folder: Path) -> None:
     done, budget = len(study.state.rows), study.spec.budget
     going_on = (
@@ -208,6 +247,12 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
     summary = summarise_study(study)
     files: dict[str, str] = {}
     notes: list[str] = []
+    if study.state.failures:
+        count = len(study.state.failures)
+        notes.append(
+            f"{count} {'training' if count == 1 else 'trainings'} failed: `mbtl study show "
+            f"{folder}` says why, --retry-failed trains there again"
+        )
     if study.state.rows:
         portfolio = study.portfolio(trainer)
         if portfolio.policies_missing:
@@ -224,7 +269,7 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
         notes.append(note)
         try:
             files["curve"] = str(plot_curve(summary, folder / "curve.png", curves))
-            serving = portfolio.performance[portfolio.assignment, np.arange(study.space.n)]
+            serving = portfolio.routing.served
             files["policy map"] = str(
                 plot_policy_map(summary, study.space, serving, folder / "policy-map.png")
             )

@@ -290,7 +290,7 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
 
 
 def _hold(family: str, description: str) -> Variant:
-    return line(family, "hold", "s", "1", 1.0, n=40, description=description)
+    return line(family, "hold", "s", "1", 1.0, n=40, version=1, description=description)
 
 
 TRAFFIC_VARIANTS: Mapping[str, Variant] = {
@@ -311,7 +311,7 @@ TRAFFIC_VARIANTS: Mapping[str, Variant] = {
         description="Eco-driving; the share of controlled cars varies",
     ),
     "eco-inflow": line(
-        "eco", "inflow", "veh/h", "40", 400.0, n=50,
+        "eco", "inflow", "veh/h", "40", 400.0, n=50, version=1, visibility="hidden",
         description="Eco-driving; the demand varies",
     ),
     "eco-green": line(

@@ -26,13 +26,8 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.priors import PRIORS, prior_without
 from mbtl.models.relevance import Columns, fit_relevance, stretched
-from mbtl.models.transfer_gp import (
-    Pairs,
-    TransferGP,
-    TransferPrior,
-    grid_pairs,
-    likely_noise,
-)
+from mbtl.models.transfer_gp import TransferGP, likely_noise
+from mbtl.models.transfer_kernel import Pairs, TransferPrior, grid_pairs
 from mbtl.selectors.base import (
     Proposal,
     SelectionProblem,

@@ -77,8 +77,12 @@ def _early_stop(state: StudyState) -> str | None:
     """The level or the cost budget that was reached; picks given back are not trained then."""
     spec = state.spec
     assert spec is not None
-    if spec.stop_value is not None and (now := state.value()) >= spec.stop_value:
-        return f"V = {now:.4f} reaches the level {spec.stop_value:g}"
+    if spec.stop_value is not None and state.rows:
+        now = state.routing().value
+        least = now.at_least(spec.stop_confidence)
+        if least >= spec.stop_value:
+            sure = f" ({least:.4f} or more, surely)" if now.error else ""
+            return f"V = {now.value:.4f}{sure} reaches the level {spec.stop_value:g}"
     if spec.cost_budget is not None and state.cost >= spec.cost_budget:
         return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
     most = np.inf if spec.cost_budget is None else spec.cost_budget * (1.0 + 1e-9)

@@ -131,6 +131,15 @@ class JaxTrainer(MLPTrainer):
         weights = {"best": training.best, "final": training.state.weights}
         return {k: engine.export_policies(env, weights[k], recipe.activation) for k in keep}
 
+    def untrained(self, context: Context) -> MLPPolicy:
+        """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
+        import mbtl.training.jax as engine
+
+        env, params = self.problem([context])
+        recipe = self._recipe()
+        weights = engine.start(env, recipe, [0], params).state.weights
+        return engine.export_policies(env, weights, recipe.activation)[0]
+
     def evaluate_many(
         self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seed: int
     ) -> Array:

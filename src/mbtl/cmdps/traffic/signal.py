@@ -71,6 +71,7 @@ class Signal(TrafficEnv):
         "inflow": 1000.0,  # cars per episode
         "speed": 14.0,  # m/s, limit on the roads
     }
+    HIDDEN = frozenset(FEATURES)
     STEP = 1.0
     HORIZON = SECONDS // GREEN
     WINDOW = Window(-110.0, -110.0, 110.0, 110.0)
