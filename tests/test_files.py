@@ -47,3 +47,13 @@ def test_one_works_in_a_folder_at_a_time(tmp_path):
         raise KeyError
     with claimed_folder(tmp_path, {"seed": 1}, "a matrix"):
         pass
+
+
+@pytest.mark.parametrize("text", ["", "[" * 9999, "[1]", "\udcff"])
+def test_a_damaged_claim_gets_a_sentence(tmp_path, text):
+    (tmp_path / "settings.json").write_bytes(text.encode(errors="surrogateescape"))
+    with (
+        pytest.raises(StorageError, match=r"settings\.json must say with which settings"),
+        claimed_folder(tmp_path, {"seed": 1}, "a matrix"),
+    ):
+        pass

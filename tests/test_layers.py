@@ -17,6 +17,7 @@ CORE = [
     "settings",
     "processes",
     "provenance",
+    "untrusted",
     "files",
     "loading",
     "seeds",

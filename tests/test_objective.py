@@ -1,9 +1,12 @@
 import numpy as np
 import pytest
 
+from mbtl import ContextSpace, Linear, TransferMatrix, create_study
+from mbtl.cmdps import CMDP
 from mbtl.errors import InvalidInput
 from mbtl.objective import (
     Bounds,
+    direction_named,
     generalisation_gap,
     generalisation_performance,
     k_star,
@@ -96,3 +99,17 @@ def test_impossible_bounds_are_refused(make):
 def test_direction_must_be_known():
     with pytest.raises(InvalidInput, match="'up'"):
         Bounds(0, 1, "up")
+
+
+@pytest.mark.parametrize("short", ["max", "min"])
+def test_a_direction_has_a_short_name_everywhere(short):
+    long = {"max": "maximize", "min": "minimize"}[short]
+    assert direction_named(short) == direction_named(long) == long
+    assert Bounds(0, 1, short) == Bounds(0, 1, long)
+    for name in (short, long):
+        assert TransferMatrix.of(np.eye(2)[None], direction=name).bounds.direction == long
+        space = ContextSpace.grid({Linear("x", 0, 1): 2})
+        assert create_study(space, budget=1, direction=name).spec.direction == long
+        assert CMDP("own", space, None, bounds=(0, 1), direction=name).direction == long
+    with pytest.raises(InvalidInput, match="'maximize' or 'minimize'"):
+        direction_named("up")

@@ -13,6 +13,7 @@ from filelock import FileLock, Timeout
 
 from mbtl.errors import InvalidInput, StorageError, cannot_write
 from mbtl.settings import first_difference
+from mbtl.untrusted import read_json
 
 
 @contextlib.contextmanager
@@ -34,6 +35,32 @@ def whole_file(path: Path) -> Iterator[IO[bytes]]:
     finally:
         with contextlib.suppress(OSError):
             unfinished.unlink()
+
+
+def sync_folder(folder: Path) -> None:
+    """Return when a folder and all below it is on the disk, so that a rename cannot outrun it.
+
+    Raises:
+        OSError: the system could not write it.
+    """
+    for place, _, names in os.walk(folder):
+        for name in names:
+            _sync(Path(place, name))
+        sync_entries(Path(place))
+
+
+def sync_entries(folder: Path) -> None:
+    """Return when the names in a folder are on the disk, where the system can promise that."""
+    with contextlib.suppress(OSError):  # not every system opens folders
+        _sync(folder)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 @contextlib.contextmanager
@@ -81,9 +108,16 @@ def _check_claim(folder: Path, record: dict[str, Any], what: str) -> None:
         if not file.exists():
             with whole_file(file) as writing:
                 writing.write((json.dumps(record, indent=2) + "\n").encode())
-        there = json.loads(file.read_text(encoding="utf-8"))
+        there = read_json(file.read_text(encoding="utf-8"))
+        if not isinstance(there, dict):
+            raise ValueError(f"a JSON {type(there).__name__}")
     except OSError as error:
         raise cannot_write(file, error) from error
+    except ValueError as error:
+        raise StorageError(
+            f"{file} must say with which settings the folder grew, got {error}; choose another "
+            "folder, or remove it"
+        ) from error
     difference = first_difference(there, record)
     if difference:
         name, was, now = difference

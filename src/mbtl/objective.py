@@ -25,6 +25,23 @@ from mbtl.errors import InvalidInput
 Direction = Literal["maximize", "minimize"]
 
 
+_DIRECTIONS: dict[str, Direction] = {"max": "maximize", "min": "minimize"}
+
+
+def direction_named(text: str) -> Direction:
+    """The direction behind a name: "maximize" or "max", "minimize" or "min".
+
+    Raises:
+        InvalidInput: anything else.
+    """
+    for short, long in _DIRECTIONS.items():
+        if text in (short, long):
+            return long
+    raise InvalidInput(
+        f"direction must be 'maximize' or 'minimize' ('max' or 'min' for short), got {text!r}"
+    )
+
+
 @dataclass(frozen=True)
 class Bounds:
     """Affine normalisation of returns: performance 0 at the worst bound, 1 at the best.
@@ -35,7 +52,8 @@ class Bounds:
     Attributes:
         low: smaller return.
         high: larger return.
-        direction: "maximize" (`high` is best) or "minimize" (`low` is best).
+        direction: "maximize" (`high` is best) or "minimize" (`low` is best); "max" and "min" will
+            do, and are kept as the long names.
         floor: return below which none is worse (above which, if minimised); None: nothing is
             clipped.
     """
@@ -46,11 +64,8 @@ class Bounds:
     floor: float | None = None
 
     def __post_init__(self) -> None:
-        if self.direction not in ("maximize", "minimize"):
-            raise InvalidInput(
-                f"direction must be 'maximize' or 'minimize', got {self.direction!r}"
-            )
-        if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low < self.high):
+        object.__setattr__(self, "direction", direction_named(self.direction))
+        if not (self.low < self.high and np.isfinite(self.high - self.low)):
             raise InvalidInput(
                 f"bounds must be finite with low < high, got ({self.low}, {self.high})"
             )

@@ -139,7 +139,7 @@ def test_an_agent_that_leaves_is_terminated_and_a_new_one_waits_for_its_turn(mak
 
 
 def test_the_observation_shows_the_cars_around(make):
-    env = make(noise=0.0)
+    env = make(noise=0.0, visibility="multiplier")
     observations, _ = env.reset(seed=0)
     vehicle = env.simulation.api.vehicle
     for car, observation in observations.items():

@@ -1,3 +1,6 @@
+from decimal import Decimal
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -40,7 +43,21 @@ def test_axis_survives_json(axis):
         (Linear("length", 0.0, 1.0), float("nan"), "nan"),
         (Linear("length", 0.0, 1.0), "long", "numbers"),
         (Integer("lanes", 1, 5), 2.5, "whole numbers"),
+        (Linear("length", 0.0, 1.0), "0.5", "finite numbers, got '0.5'"),
+        (Linear("length", 0.0, 1.0), None, "finite numbers, got None"),
+        (Linear("length", 0.0, 1.0), float("-inf"), "finite numbers, got -inf"),
+        (Linear("length", 0.0, 1.0), 1j, "finite numbers"),
+        (Linear("length", 0.0, 1.0), [0.5], "finite numbers"),
+        (Linear("length", 0.0, 1.0), 10**400, "finite numbers"),
+        (Log("rate", 1e-6, 1e3), 9e-7, r"\[1e-06, 1000\].*9e-07"),
+        (Log("rate", 1e-6, 1e3), 0.0, r"got 0\.0"),
+        (Log("rate", 1e-6, 1e3), -1e-7, r"got -1e-07"),
+        (Log("rate", 1e-6, 1e3), 1000.001, r"got 1000\.001"),
+        (Integer("id", 0, 10**10), 10**10 + 5, r"10000000005"),
+        (Integer("lanes", 1, 5), float("nan"), "numbers, got nan"),
         (Categorical("c", ("a", "b")), "d", "one of"),
+        (Categorical("c", ("a", "b")), ["a"], "one of"),
+        (Categorical("c", ("a", 1)), np.array([1, 1]), "one of"),
     ],
 )
 def test_a_value_off_the_axis_is_refused(axis, value, rule):
@@ -54,6 +71,13 @@ def test_a_value_off_the_axis_is_refused(axis, value, rule):
         lambda: Linear("x", 1.0, 1.0),
         lambda: Linear("", 0.0, 1.0),
         lambda: Linear("x", 0.0, float("inf")),
+        lambda: Linear("x", -1e308, 1e308),
+        lambda: Linear("x", "0", 1),
+        lambda: Linear("x", 0, 1, unit=3),
+        lambda: Log("x", 1e-300, 1e300),
+        lambda: Categorical("x", "ab"),
+        lambda: Categorical("x", (1.0, float("nan"))),
+        lambda: Categorical("x", ("a", ["b"])),
         lambda: Log("x", 0.0, 1.0),
         lambda: Categorical("x", ("a",)),
         lambda: Categorical("x", ("a", "a")),
@@ -64,6 +88,23 @@ def test_a_value_off_the_axis_is_refused(axis, value, rule):
 def test_an_impossible_axis_is_refused(make):
     with pytest.raises(InvalidInput):
         make()
+
+
+@pytest.mark.parametrize("axis", [a for a, _, _ in AXES], ids=lambda a: a.name)
+def test_rounding_at_the_ends_is_forgiven(axis):
+    ends = [axis.low * (1 - 1e-13), axis.high * (1 + 1e-13)]
+    assert axis.encode(ends)[:, 0] == pytest.approx([0.0, 1.0], abs=1e-12)
+
+
+def test_values_are_kept_as_pythons_own_and_whole_ones_as_whole():
+    values = [np.float64(2.0), 3, np.int32(4), np.array(5), Fraction(1), Decimal(2)]
+    for axis, kind in ((Linear("x", 0, 9), float), (Integer("n", 0, 9), int)):
+        own = axis.own(values)
+        assert own == [2, 3, 4, 5, 1, 2]
+        assert {type(value) for value in own} <= {kind, int}
+    assert type(Integer("n", 0, 9).own([3.0])[0]) is int
+    level = Categorical("c", (np.int64(1), "a")).own([np.float64(1.0), np.str_("a")])
+    assert [type(value) for value in level] == [int, str]
 
 
 def test_log_axis_spreads_evenly_in_ratio():

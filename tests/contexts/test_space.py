@@ -1,11 +1,15 @@
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from damage import damaged, refusals
 from mbtl.contexts import Categorical, ContextSpace, Integer, Linear, Log
 from mbtl.contexts.space import factorial_shape
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
+from mbtl.untrusted import MALFORMED
 
 LENGTH = Linear("length", 0.05, 5.0, unit="m")
 MIXED = {
@@ -111,6 +115,16 @@ def test_sample_is_seeded_distinct_and_inside():
         (lambda: ContextSpace.points([LENGTH], []), InvalidInput, "got none"),
         (lambda: ContextSpace.grid({LENGTH: [1.0, 1.0]}), InvalidInput, "strictly increasing"),
         (lambda: ContextSpace.grid({LENGTH: 2}, weights=[1, -1]), InvalidInput, ">= 0"),
+        (
+            lambda: ContextSpace.grid({LENGTH: 2}, weights=["a", "b"]),
+            InvalidInput,
+            "finite numbers",
+        ),
+        (lambda: ContextSpace.grid({LENGTH: 2}, weights=[1, np.nan]), InvalidInput, ">= 0"),
+        (lambda: ContextSpace.grid({LENGTH: 2}, weights=[0, 0]), InvalidInput, "positive sum"),
+        (lambda: ContextSpace.grid({LENGTH: 2.5}), InvalidInput, "or the values, got 2.5"),
+        (lambda: ContextSpace.grid({LENGTH: ["0.1", "0.2"]}), ContextMismatch, "got '0.1'"),
+        (lambda: ContextSpace.points([LENGTH], [{"length": 1.0, "w": 2}]), UnknownName, "'w'"),
         (lambda: ContextSpace.grid({}), InvalidInput, "one or more axes"),
         (
             lambda: ContextSpace.sample([Integer("n", 1, 3)], 4, seed=0),
@@ -138,3 +152,40 @@ def test_factorial_shape_recognises_grids_only():
     assert factorial_shape(grid) == (2, 3)
     assert factorial_shape(grid[:-1]) is None
     assert factorial_shape(grid[::-1]) is None
+
+
+def test_contexts_of_whole_numbers_given_as_others_are_whole():
+    space = ContextSpace.points(
+        [Integer("n", 1, 9), LENGTH], [{"n": 3.0, "length": np.float32(0.5)}, {"n": 4, "length": 1}]
+    )
+    assert space.contexts == [{"n": 3, "length": 0.5}, {"n": 4, "length": 1}]
+    assert [type(c["n"]) for c in space.contexts] == [int, int]
+    assert space.index({"n": np.int64(3), "length": np.float32(0.5)}) == 0
+    assert ContextSpace.from_json(json.loads(json.dumps(space.to_json()))) == space
+
+
+def test_any_damage_to_a_stored_space_gets_a_sentence_from_whoever_reads_it():
+    whole = [ContextSpace.grid(MIXED, weights=np.arange(60)).to_json(),
+             ContextSpace.sample([LENGTH, *MIXED], 5, seed=0).to_json()]  # fmt: skip
+
+    def attempt(seed):
+        try:
+            space = ContextSpace.from_json(damaged(whole[seed % 2], seed))
+        except MALFORMED as error:
+            raise InvalidInput(str(error)) from error
+        for context in space.contexts[:3]:
+            space.index(context), space.encode_steps(context), space.describe(context)
+
+    assert refusals(attempt, 300) > 150
+
+
+def test_any_context_gets_coordinates_or_a_sentence():
+    space = ContextSpace.grid(MIXED)
+
+    def attempt(seed):
+        context = damaged(space.context(seed % space.n), seed)
+        context = np.array(context) if seed % 17 == 0 else context
+        assert np.isfinite(space.encode_steps(context)).all()
+        assert np.isfinite(space.encode(context)).all()
+
+    assert refusals(attempt, 300) > 150

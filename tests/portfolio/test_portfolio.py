@@ -315,7 +315,7 @@ def test_save_that_fails_half_way_leaves_the_old_portfolio(tmp_path, monkeypatch
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("mbtl.portfolio.archive.os.fsync", full)
+    monkeypatch.setattr("mbtl.files.os.fsync", full)
     with pytest.raises(StorageError, match="No space left on device"):
         make(sources=(1, 3)).save(folder, overwrite=True)
     assert load_portfolio(folder).sources == (0, 4)

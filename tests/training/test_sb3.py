@@ -500,10 +500,11 @@ def test_portfolio_without_a_numpy_copy_reads_the_zip_or_names_the_extra(tmp_pat
     trainer = ppo(GuessBits, timesteps=64)
     trainer.save(trainer.train({}, 0), tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.zip", "sb3.json"]
-    assert load_policy(tmp_path, "sb3", None).predict(np.zeros(1))[0].shape == (2,)
+    loaded = load_policy(tmp_path, "sb3", None, trust=True)
+    assert loaded.predict(np.zeros(1))[0].shape == (2,)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     with pytest.raises(MissingExtra, match="train"):
-        load_policy(tmp_path, "sb3", None)
+        load_policy(tmp_path, "sb3", None, trust=True)
 
 
 def test_describing_a_trainer_imports_no_rl_library():

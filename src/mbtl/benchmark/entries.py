@@ -18,6 +18,7 @@ from mbtl.contexts import ContextSpace, Integer, Linear
 from mbtl.contexts.space import factorial_shape
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds, Direction
+from mbtl.untrusted import MALFORMED
 
 Floats = NDArray[np.floating[Any]]
 DIRECTIONS: dict[str, Direction] = {"max": "maximize", "min": "minimize"}
@@ -98,13 +99,6 @@ def halves(returns: Floats) -> tuple[list[Array], tuple[int, ...]]:
     return means, tuple(part.shape[-1] for part in parts)
 
 
-def checked_direction(direction: str) -> Direction:
-    """The long name of "max" or "min"."""
-    if direction not in DIRECTIONS:
-        raise InvalidInput(f"direction must be 'max' or 'min', got {direction!r}")
-    return DIRECTIONS[direction]
-
-
 def checked_bounds(
     bounds: ArrayLike | Bounds | None,
     returns: Floats,
@@ -174,7 +168,7 @@ def keywords(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     if "axes" in arrays:
         words["axes"] = [str(name) for name in np.atleast_1d(arrays["axes"])]
     if "direction" in arrays:
-        words["direction"] = str(arrays["direction"].reshape(-1)[0])
+        words["direction"] = ", ".join(map(str, arrays["direction"].ravel().tolist()))
     for key in ("theta", "floor"):
         if key in arrays:
             number = arrays[key]
@@ -192,7 +186,7 @@ def _stored_space(entry: NDArray[Any]) -> ContextSpace:
     record = read_text(entry, "space")
     try:
         return ContextSpace.from_json(record)
-    except (KeyError, TypeError, AttributeError) as error:
+    except MALFORMED as error:
         raise InvalidInput(
             f"`space` must be the record that ContextSpace.to_json gives, got one that breaks at "
             f"{error}; leave it out to use `contexts`"

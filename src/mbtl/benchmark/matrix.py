@@ -25,7 +25,6 @@ from mbtl.benchmark.entries import (
     REFERENCE,
     Floats,
     checked_bounds,
-    checked_direction,
     checked_episodes,
     checked_like,
     checked_references,
@@ -37,7 +36,7 @@ from mbtl.benchmark.entries import (
 from mbtl.benchmark.npz import read_npz, text_array, write_npz
 from mbtl.contexts import Axis, Categorical, ContextSpace
 from mbtl.errors import InvalidInput
-from mbtl.objective import Bounds
+from mbtl.objective import Bounds, direction_named
 from mbtl.selectors.base import SelectionProblem, default_theta
 
 
@@ -125,7 +124,7 @@ class TransferMatrix:
             bounds: (2,) returns that become performance 0 and 1 (1 and 0 when minimised), or
                 `Bounds`; the smallest and largest return over all seeds when missing.
             theta: performance per grid step; 0.005 for N <= 100, else 0.5 / (N - 1), when missing.
-            direction: "max" or "min", which returns are good.
+            direction: "max" or "min" (or the long names), which returns are good.
             std: (S, N, N) standard deviation over episodes, with n - 1.
             provenance: how it was made.
             fresh_returns: (S, N, N) raw returns of other episodes, which are those reported.
@@ -143,7 +142,7 @@ class TransferMatrix:
             name=name,
             returns=array,
             space=space_of(contexts, axes, n) if space is None else space,
-            bounds=checked_bounds(bounds, array, checked_direction(direction), floor),
+            bounds=checked_bounds(bounds, array, direction_named(direction), floor),
             theta=default_theta(n) if theta is None else float(theta),
             std=std,
             provenance=dict(provenance or {}),

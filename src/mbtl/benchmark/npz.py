@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,8 +12,10 @@ from numpy.typing import NDArray
 
 from mbtl.errors import InvalidInput
 from mbtl.files import whole_file
+from mbtl.untrusted import read_arrays, read_json
 
-_UNREADABLE = (ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error)
+LONGEST_TEXT = 50_000_000
+"""Characters of a record; a longer one is no record of ours."""
 
 
 def read_npz(path: Path) -> dict[str, NDArray[Any]]:
@@ -27,23 +27,15 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
     """
     try:
         with path.open("rb") as file:
-            loaded = np.load(file, allow_pickle=False)
-            if not isinstance(loaded, np.lib.npyio.NpzFile):
-                raise InvalidInput(
-                    f"{path} must be an .npz file, got a single array; write it with "
-                    "numpy.savez(path, returns=...)"
-                )
-            return {key: loaded[key] for key in loaded.files}
+            return read_arrays(file)
     except FileNotFoundError:
         raise InvalidInput(f"there is no file {path}; give the path of an .npz file") from None
     except OSError as error:
         raise InvalidInput(f"{path} cannot be read ({error.strerror or error})") from error
-    except InvalidInput:
-        raise
-    except _UNREADABLE as error:
+    except ValueError as error:
         raise InvalidInput(
-            f"{path} must be an .npz file of plain numbers (no pickled objects), got something "
-            "else or a damaged file; write it with numpy.savez"
+            f"{path} must be an .npz file of plain numbers (no pickled objects), got {error}; "
+            "write it with numpy.savez(path, returns=...)"
         ) from error
 
 
@@ -70,10 +62,11 @@ def read_text(array: NDArray[Any], key: str) -> dict[str, Any]:
     """The record that `text_array` stored under `key`.
 
     Raises:
-        InvalidInput: the entry is not a JSON object.
+        InvalidInput: the entry is not a JSON object, or one of absurd length.
     """
     try:
-        record = json.loads(str(array[()]))
+        fits = array.dtype.kind == "U" and array.dtype.itemsize <= 4 * LONGEST_TEXT
+        record = read_json(str(array[()])) if fits and array.size == 1 else None
     except (ValueError, IndexError):
         record = None
     if not isinstance(record, dict):

@@ -12,9 +12,9 @@ import numpy as np
 import typer
 
 from mbtl.cli.common import JsonFlag, print_json, printer
-from mbtl.cmdps import cmdp_ids, get_cmdp
+from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp
 from mbtl.cmdps.engines import EnvFactory
-from mbtl.errors import InvalidInput, missing_extra
+from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import MANIFEST
 from mbtl.seeds import action_seed, episode_seed, evaluation_seed
@@ -43,6 +43,10 @@ def play(
     film: Annotated[
         Path | None, typer.Option(help="Save pictures of all decisions as this GIF.")
     ] = None,
+    trust: Annotated[
+        bool,
+        typer.Option("--trust", help="Read policies that can run code, of a maker you trust."),
+    ] = False,
     json: JsonFlag = False,
 ) -> None:
     """Play episodes of a traffic CMDP in SUMO and print what they are worth.
@@ -56,20 +60,20 @@ def play(
 
     if film is not None:
         _check_film(film)
-    portfolio = None if target in cmdp_ids() else _portfolio(target)
-    made = {} if portfolio is None else portfolio.metadata.get("settings", {})
-    switches = {**made.get("switches", {}), "engine": "sumo"}
-    cmdp = get_cmdp(target if portfolio is None else str(portfolio.cmdp), **switches)
-    context = {**(cmdp.nominal or {}), **_parsed(at or [])}
+    portfolio = None if target in cmdp_ids() else _portfolio(target, trust)
+    made = {} if portfolio is None else _record(portfolio.metadata, "settings")
+    cmdp = _cmdp(target if portfolio is None else str(portfolio.cmdp), _record(made, "switches"))
+    nominal = dict(cmdp.nominal or {})
+    context = {**nominal, **_parsed(at or [])}
     shown = {"gui": gui, "render_mode": None if film is None else "rgb_array"}
     assert isinstance(cmdp.make_env, EnvFactory)
     make_env = replace(cmdp.make_env, options={**cmdp.make_env.options, **shown})
     env = _Watched(make_env(context), film is not None)
     if portfolio is None:
         actor, why = rollout.Actor(_AtRandom(env, seed)), "choices at random"
-    else:
-        choice = portfolio.explain(context)
-        sampled = made.get("recipe", {}).get("acting") == "sampled"
+    else:  # other features than the axes are nobody's business but the simulator's
+        choice = portfolio.explain({axis: context[axis] for axis in nominal})
+        sampled = _record(made, "recipe").get("acting") == "sampled"
         actor, why = actor_for(portfolio.policy(choice.policy), sampled=sampled), choice.explanation
     seeds = [episode_seed(evaluation_seed(seed, 0), episode) for episode in range(episodes)]
     (scores,) = rollout.play([rollout.Job(lambda: env, seeds)], actor, max_envs=1)
@@ -127,13 +131,29 @@ class _AtRandom:
         return [self._space.sample() for _ in observation], None
 
 
-def _portfolio(folder: str) -> Portfolio:
+def _record(record: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """A part of what a study noted; a portfolio may come from elsewhere and hold anything there."""
+    part = record.get(key)
+    return part if isinstance(part, dict) else {}
+
+
+def _cmdp(name: str, switches: Mapping[str, Any]) -> CMDP:
+    """A CMDP in SUMO, with the switches of the study that a portfolio is of."""
+    try:
+        return get_cmdp(name, **{**switches, "engine": "sumo"})
+    except TypeError as error:
+        raise StorageError(
+            f"a portfolio must name switches of {name!r}, got {dict(switches)!r}; save it again"
+        ) from error
+
+
+def _portfolio(folder: str, trust: bool) -> Portfolio:
     if not (Path(folder) / MANIFEST).is_file():
         raise InvalidInput(
             f"play takes the folder of a portfolio or the id of a CMDP, got {folder!r}, which is "
             "neither; `mbtl cmdps` lists the ids"
         )
-    portfolio = load_portfolio(folder)
+    portfolio = load_portfolio(folder, trust=trust)
     if portfolio.cmdp not in cmdp_ids():
         raise InvalidInput(
             f"play takes portfolios of our own CMDPs, got one of {portfolio.cmdp!r}; step your own "

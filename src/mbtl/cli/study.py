@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich import box
@@ -11,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, console, print_json, printer
-from mbtl.errors import InvalidInput, MbtlError, cannot_write
+from mbtl.errors import InvalidInput, MbtlError, cannot_write, unknown_name
 from mbtl.report import summarise_study
 from mbtl.report.text import show_causes, show_summary
 from mbtl.selectors import get_selector
@@ -20,40 +23,30 @@ from mbtl.study import SqlLog, Study, study_names
 study_app = typer.Typer(help="List, show and export studies.", no_args_is_help=True)
 
 _Study = Annotated[
-    Path, typer.Argument(metavar="STUDY", help="Folder of the study, e.g. runs/NAME.")
+    Path, typer.Argument(metavar="STUDY", help="Folder of the study, e.g. runs/NAME, or its file.")
+]
+_Name = Annotated[
+    str | None, typer.Option(help="Name of the study, where its database holds several.")
 ]
 
 
 @study_app.command("list")
 def list_studies(
-    folder: Annotated[Path, typer.Argument(help="Folder that holds study folders.")] = Path("runs"),
+    folder: Annotated[
+        Path, typer.Argument(help="Folder that holds study folders, or one database.")
+    ] = Path("runs"),
     as_json: JsonFlag = False,
 ) -> None:
     """List the studies below a folder.
 
     Example: mbtl study list runs
     """
-    rows = []
-    for database in sorted(folder.glob("**/study.db")):
-        try:
-            study = _open(database)
-        except MbtlError as error:
-            console.print(f"{database.parent}: {error}", style="red", markup=False, soft_wrap=True)
-            continue
-        state = study.state
-        rows.append(
-            {
-                "study": str(database.parent),
-                "problem": study.spec.problem,
-                "selector": study.spec.selector["name"],
-                "told": len(state.rows),
-                "failed": len(state.failures),
-                "open": len(state.open_picks),
-                "budget": study.spec.budget,
-                "value": study.value if state.rows else None,
-                "finished": study.is_finished,
-            }
-        )
+    rows: list[dict[str, Any]] = []
+    for database in [folder] if folder.is_file() else sorted(folder.glob("**/study.db")):
+        with _reported(database):
+            for name in study_names(database):
+                with _reported(database):
+                    rows.append(_row(database, name))
     if as_json:
         print_json(rows)
         return
@@ -67,18 +60,20 @@ def list_studies(
         condition = "finished" if row["finished"] else f"{row['open']} open" if row["open"] else ""
         value = "-" if row["value"] is None else f"{row['value']:.4f}"
         told = f"{row['told']}/{row['budget']}"
-        cells = (row["study"], row["selector"], told, str(row["failed"]), value, condition)
+        alone = sum(other["study"] == row["study"] for other in rows) == 1
+        place = row["study"] if alone else f"{row['study']} --name {shlex.quote(row['name'])}"
+        cells = (place, row["selector"], told, str(row["failed"]), value, condition)
         table.add_row(*map(Text, cells))
     printer().print(table)
 
 
 @study_app.command("show")
-def show(study: _Study, as_json: JsonFlag = False) -> None:
+def show(study: _Study, name: _Name = None, as_json: JsonFlag = False) -> None:
     """Show the picks of a study, V, what one more training should bring, and why picks failed.
 
     Example: mbtl study show runs/cartpole-length-quick-seed0
     """
-    opened = _open(study)
+    opened = _open(study, name)
     summary = summarise_study(opened)
     if as_json:
         print_json(summary.to_json())
@@ -91,6 +86,7 @@ def show(study: _Study, as_json: JsonFlag = False) -> None:
 def export(
     study: _Study,
     out: Annotated[Path, typer.Argument(help="File to write, ending in .json or .csv.")],
+    name: _Name = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Write the rows of a study: one line per (source, target), or the summary and rows as JSON.
@@ -104,7 +100,7 @@ def export(
 
     if out.suffix not in (".json", ".csv"):
         raise InvalidInput(f"an export ends in .json or .csv, got {out.name!r}")
-    opened = _open(study)
+    opened = _open(study, name)
     state, space = opened.state, opened.space
     names = [axis.name for axis in space.axes]
     try:
@@ -144,8 +140,41 @@ def export(
         printer().print(Text(f"wrote {len(state.rows)} transfer rows to {out}"))
 
 
-def _open(path: Path) -> Study:
+@contextmanager
+def _reported(database: Path) -> Iterator[None]:
+    """A study that cannot be read does not hide the others."""
+    try:
+        yield
+    except MbtlError as error:
+        console.print(f"{database.parent}: {error}", style="red", markup=False, soft_wrap=True)
+
+
+def _row(database: Path, name: str) -> dict[str, Any]:
+    study = _open(database, name)
+    state = study.state
+    return {
+        "study": str(database.parent if database.name == "study.db" else database),
+        "name": name,
+        "problem": study.spec.problem,
+        "selector": study.spec.selector["name"],
+        "told": len(state.rows),
+        "failed": len(state.failures),
+        "open": len(state.open_picks),
+        "budget": study.spec.budget,
+        "value": study.value if state.rows else None,
+        "finished": study.is_finished,
+    }
+
+
+def _open(path: Path, name: str | None) -> Study:
     """A study for reading only: with any selector, so that one of the user's own opens too."""
     place = path / "study.db" if path.is_dir() else path
-    name = next(iter(study_names(place)), "study")
-    return Study(SqlLog(place, name), get_selector("random"), folder=place.parent, name=name)
+    names = study_names(place)
+    if name is None and len(names) > 1:
+        raise InvalidInput(
+            f"{path} holds {len(names)} studies ({', '.join(names)}); choose one with --name"
+        )
+    if name is not None and name not in names:
+        raise unknown_name("study", name, names)
+    chosen = name or next(iter(names), "study")
+    return Study(SqlLog(place, chosen), get_selector("random"), folder=place.parent, name=chosen)

@@ -17,7 +17,7 @@ from typing import Any, Literal, cast
 
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
-from mbtl.objective import Bounds, Direction
+from mbtl.objective import Bounds, Direction, direction_named
 from mbtl.trainer import FunctionTrainer, Trainer
 
 DEFAULT_BUDGET = 10
@@ -308,8 +308,7 @@ class CMDP:
         return cast(Trainer, changed)
 
     def _check_numbers(self) -> None:
-        if self.direction not in ("maximize", "minimize"):
-            raise InvalidInput(f"direction is 'maximize' or 'minimize', got {self.direction!r}")
+        object.__setattr__(self, "direction", direction_named(self.direction))
         if self.bounds is not None:
             if len(self.bounds) != 2:
                 raise InvalidInput(f"bounds are two returns (low, high), got {self.bounds!r}")

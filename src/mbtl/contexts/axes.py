@@ -6,10 +6,13 @@ one-hot over sqrt(2), so that two different levels are at distance exactly 1.
 
 from __future__ import annotations
 
+import contextlib
 import math
+import numbers
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -18,6 +21,9 @@ from mbtl.arrays import Array
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
 
 Value = float | int | str
+
+_ROUNDING = 1e-9
+"""Share of an axis that a value may lie outside, as sums and powers are rounded."""
 
 
 class Axis(ABC):
@@ -35,6 +41,14 @@ class Axis(ABC):
     @abstractmethod
     def width(self) -> int:
         """Number of unit-cube columns."""
+
+    @abstractmethod
+    def own(self, values: Sequence[Any]) -> list[Value]:
+        """The values as contexts of this axis hold them: Python's own, whole ones as `int`.
+
+        Raises:
+            ContextMismatch: a value is of another kind than the axis.
+        """
 
     @abstractmethod
     def encode(self, values: Sequence[Value]) -> Array:
@@ -67,12 +81,14 @@ class _Numeric(Axis):
     unit: str = ""
 
     def __post_init__(self) -> None:
-        _check_name(self.name)
-        for bound in ("low", "high"):  # numpy numbers cannot be stored
-            value = getattr(self, bound)
-            if isinstance(value, np.generic):
-                object.__setattr__(self, bound, value.item())
-        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+        _check_names(self.name, self.unit)
+        for bound in ("low", "high"):
+            given = getattr(self, bound)
+            number = _number(given)
+            if number is None:
+                raise InvalidInput(f"axis {self.name!r} needs numbers as bounds, got {given!r}")
+            object.__setattr__(self, bound, number)
+        if not (self.low < self.high and math.isfinite(self.high - self.low)):
             raise InvalidInput(
                 f"axis {self.name!r} needs finite bounds with low < high, "
                 f"got ({self.low}, {self.high})"
@@ -83,13 +99,32 @@ class _Numeric(Axis):
         """One column."""
         return 1
 
+    def own(self, values: Sequence[Any]) -> list[Value]:
+        """Finite numbers; see `Axis.own`."""
+        with contextlib.suppress(ValueError):  # the usual case at once; ragged lists are no arrays
+            array = np.asarray(values)
+            if array.ndim == 1 and array.dtype.kind in "fiu" and np.isfinite(array).all():
+                return list(
+                    (array.astype(np.float64) if array.dtype.kind == "f" else array).tolist()
+                )
+        return [self._own(value) for value in values]
+
+    def _own(self, value: Any) -> float | int:
+        number = _number(value)
+        if number is None:
+            raise ContextMismatch(f"axis {self.name!r} takes finite numbers, got {value!r}")
+        return number
+
+    @property
+    def _limits(self) -> tuple[float, float]:
+        """Low and high, with room for rounding."""
+        slack = _ROUNDING * (self.high - self.low)
+        return self.low - slack, self.high + slack
+
     def _checked(self, values: Sequence[Value]) -> Array:
-        try:
-            array = np.asarray(values, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ContextMismatch(f"axis {self.name!r} takes numbers, got {values!r}") from None
-        slack = 1e-9 * (self.high - self.low)
-        bad = ~((array >= self.low - slack) & (array <= self.high + slack))
+        array = np.asarray(self.own(values), dtype=np.float64)
+        low, high = self._limits
+        bad = ~((array >= low) & (array <= high))
         if bad.any():
             span = f"[{self.low:g}, {self.high:g}] {self.unit}".rstrip()
             raise ContextMismatch(
@@ -129,6 +164,16 @@ class Log(_Numeric):
         super().__post_init__()
         if self.low <= 0:
             raise InvalidInput(f"log axis {self.name!r} needs low > 0, got {self.low}; use Linear")
+        if not math.isfinite(self.high / self.low):
+            raise InvalidInput(
+                f"log axis {self.name!r} needs bounds whose ratio is a number, got ({self.low}, "
+                f"{self.high})"
+            )
+
+    @property
+    def _limits(self) -> tuple[float, float]:
+        slack = max((self.high / self.low) ** _ROUNDING, 1.0 + 1e-12)
+        return self.low / slack, self.high * slack
 
     def encode(self, values: Sequence[Value]) -> Array:
         """Unit column, proportional to the logarithm of the value."""
@@ -154,16 +199,23 @@ class Integer(_Numeric):
                 f"axis {self.name!r} needs whole bounds, got ({self.low}, {self.high}); use Linear"
             )
 
+    @property
+    def _limits(self) -> tuple[float, float]:
+        return self.low - _ROUNDING, self.high + _ROUNDING
+
+    def own(self, values: Sequence[Any]) -> list[Value]:
+        """Whole numbers; see `Axis.own`."""
+        return [self._whole(value) for value in super().own(values)]
+
+    def _whole(self, value: Any) -> int:
+        whole: int = round(value)
+        if abs(value - whole) <= _ROUNDING:
+            return whole
+        raise ContextMismatch(f"axis {self.name!r} takes whole numbers, got {value!r}; use Linear")
+
     def encode(self, values: Sequence[Value]) -> Array:
         """Unit column; raises `ContextMismatch` also for a number that is not whole."""
-        array = self._checked(values)
-        whole = np.round(array)
-        if np.any(np.abs(array - whole) > 1e-9):
-            off = float(array[np.abs(array - whole) > 1e-9][0])
-            raise ContextMismatch(
-                f"axis {self.name!r} takes whole numbers, got {off!r}; use Linear"
-            )
-        return ((whole - self.low) / (self.high - self.low))[:, None]
+        return ((self._checked(values) - self.low) / (self.high - self.low))[:, None]
 
     def decode(self, unit: Array) -> list[Value]:
         """The nearest whole numbers."""
@@ -189,11 +241,15 @@ class Categorical(Axis):
     unit: str = ""
 
     def __post_init__(self) -> None:
-        _check_name(self.name)
-        object.__setattr__(self, "choices", tuple(self.choices))
-        if len(self.choices) < 2 or len(set(self.choices)) != len(self.choices):
+        _check_names(self.name, self.unit)
+        given = self.choices
+        choices = () if isinstance(given, str) else tuple(_python(choice) for choice in given)
+        object.__setattr__(self, "choices", choices)
+        if not all(isinstance(c, str) or _number(c) is not None for c in choices):
+            raise InvalidInput(f"axis {self.name!r} takes texts and numbers, got {choices!r}")
+        if len(choices) < 2 or len(set(choices)) != len(choices):
             raise InvalidInput(
-                f"axis {self.name!r} needs two or more distinct choices, got {self.choices!r}"
+                f"axis {self.name!r} needs two or more distinct choices, got {given!r}"
             )
 
     @property
@@ -201,14 +257,18 @@ class Categorical(Axis):
         """One column per level."""
         return len(self.choices)
 
+    def own(self, values: Sequence[Any]) -> list[Value]:
+        """The choices that equal the values; see `Axis.own`."""
+        return [self._own(_python(value)) for value in values]
+
+    def _own(self, value: Any) -> Value:
+        if not isinstance(value, np.ndarray) and value in self.choices:
+            return self.choices[self.choices.index(value)]
+        raise ContextMismatch(f"axis {self.name!r} takes one of {self.choices!r}, got {value!r}")
+
     def encode(self, values: Sequence[Value]) -> Array:
         """One-hot rows over sqrt(2); see `Axis.encode`."""
-        for value in values:
-            if value not in self.choices:
-                raise ContextMismatch(
-                    f"axis {self.name!r} takes one of {self.choices!r}, got {value!r}"
-                )
-        levels = [self.choices.index(value) for value in values]
+        levels = [self.choices.index(value) for value in self.own(values)]
         return np.asarray(np.eye(self.width)[levels] / math.sqrt(2.0))
 
     def decode(self, unit: Array) -> list[Value]:
@@ -240,6 +300,26 @@ def axis_from_json(record: Mapping[str, Any]) -> Axis:
     return _NUMERIC[kind](record["name"], record["low"], record["high"], record["unit"])
 
 
-def _check_name(name: str) -> None:
-    if not (isinstance(name, str) and name):
-        raise InvalidInput(f"an axis needs a non-empty name, got {name!r}")
+def _check_names(name: str, unit: str) -> None:
+    if not (isinstance(name, str) and name and isinstance(unit, str)):
+        raise InvalidInput(
+            f"an axis needs a non-empty name, and its unit as text, got {name!r} and {unit!r}"
+        )
+
+
+def _python(value: Any) -> Any:
+    """A number of numpy as Python's own, so that it can be stored."""
+    if isinstance(value, (np.generic, np.ndarray)) and np.ndim(value) == 0:
+        return value.item()
+    return value
+
+
+def _number(value: Any) -> float | int | None:
+    """A finite number as Python's own; None for anything else, texts included."""
+    value = _python(value)
+    if not isinstance(value, (numbers.Real, Decimal)):
+        return None
+    with contextlib.suppress(OverflowError):
+        if math.isfinite(float(value)):
+            return int(value) if isinstance(value, int) else float(value)
+    return None

@@ -48,7 +48,7 @@ class ContextSpace:
             )
         self.axes = tuple(axes)
         self.shape = shape
-        self._columns = [[_plain(value) for value in column] for column in columns]
+        self._columns = [a.own(c) for a, c in zip(self.axes, columns, strict=True)]
         self.unit = np.hstack([a.encode(c) for a, c in zip(self.axes, self._columns, strict=True)])
         self._check_distinct()
         self.steps = self._grid_steps() if shape else self._scaled_steps()
@@ -254,7 +254,10 @@ class ContextSpace:
         axes = [axis_from_json(a) for a in record["axes"]]
         weights = record.get("weights")
         if "grid" in record:
-            return cls.grid(dict(zip(axes, record["grid"], strict=True)), weights=weights)
+            levels = dict(zip(axes, record["grid"], strict=True))
+            if len(levels) < len(axes):
+                raise InvalidInput("a context space needs axes of distinct names")
+            return cls.grid(levels, weights=weights)
         return cls(axes, record["points"], weights=weights)
 
     def __eq__(self, other: object) -> bool:
@@ -328,15 +331,14 @@ def _key(unit: Array) -> tuple[float, ...]:
     return tuple((np.round(unit, _DIGITS) + 0.0).tolist())
 
 
-def _plain(value: Any) -> Value:
-    """A numpy number becomes Python's, so that a space can be stored."""
-    plain: Value = value.item() if isinstance(value, np.generic) else value
-    return plain
-
-
 def _grid_values(axis: Axis, given: int | Sequence[Value]) -> list[Value]:
     if not isinstance(given, (int, np.integer)):
-        return list(given)
+        try:
+            return axis.own(list(given))
+        except TypeError:
+            raise InvalidInput(
+                f"axis {axis.name!r} takes a number of values, or the values, got {given!r}"
+            ) from None
     count = int(given)
     if count < 1:
         raise InvalidInput(f"axis {axis.name!r} needs one or more grid values, got {count}")
@@ -370,11 +372,13 @@ def _check_keys(axes: Sequence[Axis], context: Mapping[str, Value]) -> None:
 def _checked_weights(weights: ArrayLike | None, n: int) -> Array:
     if weights is None:
         return uniform_weights(n)
-    array = np.asarray(weights, dtype=np.float64)
-    if array.shape != (n,) or not np.isfinite(array).all() or (array < 0).any() or array.sum() <= 0:
+    array = np.asarray(weights)
+    numbers = array.shape == (n,) and array.dtype.kind in "fiub"
+    array = array.astype(np.float64) if numbers else array
+    if not (numbers and (array >= 0).all() and (array < 1e300).all() and array.any()):
         raise InvalidInput(
             f"target weights must be {n} finite numbers >= 0 with a positive sum, "
-            f"got shape {array.shape}"
+            f"got {array.dtype} of shape {array.shape}"
         )
     if abs(float(array.sum()) - 1.0) < 1e-12:  # read back from a log: keep every digit
         return array

@@ -141,16 +141,16 @@ class TransferGP:
         unsure = (1.0 - half.T @ self._ones) / np.sqrt(self._ones @ self._ones)
         return half, self.mean + half.T @ self._residual, unsure
 
-    def draws(self, source: int, targets: Pairs, n: int, rng: np.random.Generator) -> Array:
-        """(n, T) samples of the row of one new training on `source`."""
-        pairs = grid_pairs(np.array([source]), targets, np.array([NEW]))
+    def draws(self, sources: Pairs, targets: Pairs, n: int, rng: np.random.Generator) -> Array:
+        """(n, M, T) samples of the rows of new trainings, one on each of M sources."""
+        pairs = grid_pairs(sources, targets, NEW - 1 - np.arange(len(sources)))
         half = _half(self._chol, covariance(self._places, self._prior, self._pairs, pairs))
-        prior = covariance(self._places, self._prior, pairs, pairs, one_training=True)
-        left = prior - half.T @ half
+        left = covariance(self._places, self._prior, pairs, pairs) - half.T @ half
         left[np.diag_indices_from(left)] += 1e-6 * variance(self._prior)
         root = np.sqrt(self.scale) * np.linalg.cholesky(left)
-        normal = rng.standard_normal((n, len(targets)))
-        return np.asarray(self.mean + half.T @ self._residual + normal @ root.T)
+        normal = rng.standard_normal((n, len(pairs)))
+        rows = self.mean + half.T @ self._residual + normal @ root.T
+        return np.asarray(rows.reshape(n, len(sources), len(targets)))
 
 
 class _Fit(NamedTuple):

@@ -10,7 +10,8 @@ on one source differ by those alone. Every term is a zero-mean process with a Ma
 
 Notation (shapes): m and n pairs, N contexts, D columns.
     x     (N, D)  unit-cube coordinates;  z  (N, D)  the same on a logarithmic scale
-    pairs (n, 3)  indices (source, target) and number of the training; `NEW` is one not done yet
+    pairs (n, 3)  indices (source, target) and number of the training; `NEW` is one not done yet,
+                  another one every time
 """
 
 from __future__ import annotations
@@ -104,9 +105,7 @@ class Places:
         return cls(unit, logs / np.maximum(logs.max(axis=0), 1e-12))
 
 
-def covariance(
-    places: Places, prior: TransferPrior, a: Pairs, b: Pairs, *, one_training: bool = False
-) -> Array:
+def covariance(places: Places, prior: TransferPrior, a: Pairs, b: Pairs) -> Array:
     """Prior covariance of J at pairs `a` (m, 3) and `b` (n, 3), without noise.
 
     Terms of sources alone and of targets alone are computed once per distinct context and looked
@@ -117,7 +116,6 @@ def covariance(
         prior: of the terms.
         a: pairs of the rows.
         b: pairs of the columns.
-        one_training: `NEW` is the same training everywhere; otherwise each is one of its own.
 
     Returns:
         (m, n).
@@ -148,9 +146,7 @@ def covariance(
         shift = _matern(_distance(place[t] - place[s], place[t2] - place[s2]), length)
         shift *= of_sources(size * along)
         total += shift
-    same = r[:, None] == r2[None, :]
-    if not one_training:
-        same &= r[:, None] != NEW
+    same = (r[:, None] == r2[None, :]) & (r[:, None] != NEW)
     if same.any():
         luck = prior.luck + prior.row_luck * _matern(apart, prior.row_luck_length)
         total += same * of_targets(luck)

@@ -4,35 +4,43 @@
     returns.npz                returns (k, N), float64, and what else is known of the rows
     policies/source-0049/...   whatever the trainer saved
 
-A folder is built beside its place and renamed into it, so one that exists is whole.
+A folder is built beside its place and renamed into it, so one that exists is whole. It may come
+from a stranger: nothing outside it is read, and nothing in it that the manifest does not list.
 The format and what is safe to open: docs/portfolio-format.md.
 """
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import importlib.metadata
 import json
-import os
 import platform
 import shutil
 import tempfile
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
+import unicodedata
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mbtl.arrays import Array
+from mbtl.arrays import Array, python_value
 from mbtl.errors import InvalidInput, StorageError
+from mbtl.files import sync_entries, sync_folder
 from mbtl.portfolio.mlp import MLPPolicy, is_mlp_folder
+from mbtl.untrusted import MALFORMED, inside, read_arrays, read_json, regular_files
 
 FORMAT = 2
 """2: routes heed the scatter of episodes; portfolios of format 1 hold none, and still open."""
 KIND = "mbtl portfolio"
 MANIFEST = "portfolio.json"
 RETURNS = "returns.npz"
+OWNER = "a portfolio"
+
+_ASIDE = ".old-"
+"""Between a portfolio's name and what mkdtemp adds: where it is kept while it is replaced."""
 
 _RECORDED_LIBRARIES = ("mbtl", "numpy", "gymnasium", "stable-baselines3", "sb3-contrib", "torch")
 
@@ -62,32 +70,22 @@ def write_portfolio(
         InvalidInput: something else is in the way, or the record is not JSON-able.
         StorageError: the place cannot be written, or a policy folder is gone.
     """
-    _check_place(folder, overwrite)
-    partial: Path | None = None
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.partial-", dir=folder.parent))
-        partial.chmod(0o755)  # mkdtemp's 0o700 would lock out everyone the portfolio is shared with
-        np.savez(partial / RETURNS, **arrays)  # type: ignore[arg-type]
-        entries = [_write_policy(partial, *policy) for policy in policies]
-        manifest = {
-            "kind": KIND,
-            "format": FORMAT,
-            **record,
-            "returns": {"file": RETURNS, "sha256": _sha256(partial / RETURNS)},
-            "policies": entries,
-            "versions": _versions(),
-        }
-        _write_manifest(partial / MANIFEST, manifest)
-        _swap(partial, folder)
+        place = folder.resolve()
+        place.parent.mkdir(parents=True, exist_ok=True)
+        _put_back(place)
+        _check_place(place, overwrite)
+        partial = Path(tempfile.mkdtemp(prefix=f".{place.name}.partial-", dir=place.parent))
+        try:
+            _fill(partial, record, arrays, policies)
+            _swap(partial, place)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
     except OSError as error:
         raise StorageError(
             f"a portfolio needs a place that can be written, got {error} at {folder}; "
             "free space or choose another folder"
         ) from error
-    finally:
-        if partial is not None and partial.exists():
-            shutil.rmtree(partial, ignore_errors=True)
     return folder
 
 
@@ -95,36 +93,37 @@ def read_portfolio(folder: Path) -> tuple[Record, dict[str, Array], list[Path | 
     """Manifest, arrays (k, N) by name, the folder of each policy; every file checked by its hash.
 
     Raises:
-        StorageError: not a portfolio, a file is missing or changed, or the format is newer.
+        StorageError: not a portfolio, a file is missing, changed or not listed, a link or a path
+            leads out of the folder, or the format is newer.
     """
-    manifest = _read_manifest(folder)
     try:
-        _check_file(folder, manifest["returns"]["file"], manifest["returns"]["sha256"])
-        path = _inside(folder, manifest["returns"]["file"])
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as loaded:
-            arrays = {name: np.asarray(loaded[name], np.float64) for name in loaded.files}
+        folder = _standing(folder)
+        manifest = _read_manifest(folder)
+        folders = [
+            None if entry["folder"] is None else inside(folder, entry["folder"], OWNER)
+            for entry in manifest["policies"]
+        ]
+        _check_files(folder, _listed(folder, manifest))
+        with inside(folder, manifest["returns"]["file"], OWNER).open("rb") as file:
+            arrays = {name: _real(name, array) for name, array in read_arrays(file).items()}
         arrays["returns"]
-        folders: list[Path | None] = []
-        for entry in manifest["policies"]:
-            place = entry["folder"]
-            for name, digest in entry["files"].items():
-                _check_file(folder, f"{place}/{name}", digest)
-            folders.append(None if place is None else _inside(folder, place))
-    except (KeyError, TypeError, ValueError, AttributeError, OSError, zipfile.BadZipFile) as error:
+    except (*MALFORMED, OSError) as error:
         raise StorageError(
             f"{folder / MANIFEST} must describe a whole portfolio, got {error!r}; save it again"
         ) from error
     return manifest, arrays, folders
 
 
-def load_policy(folder: Path, policy_format: str, load: Callable[[Path], Any] | None) -> Any:
+def load_policy(
+    folder: Path, policy_format: str, load: Callable[[Path], Any] | None, *, trust: bool = False
+) -> Any:
     """Read one policy folder.
 
     A user's `load` reads everything. Else a numpy copy is preferred, because it executes nothing;
-    a Stable-Baselines3 zip is the last resort.
+    a Stable-Baselines3 zip, which can execute code, is the last resort and needs `trust`.
 
     Raises:
-        InvalidInput: the format is a user's own and `load` is missing.
+        InvalidInput: the format is a user's own and `load` is missing, or it needs `trust`.
         StorageError: the folder is gone or cannot be read.
         MissingExtra: reading it needs a library that is not installed.
     """
@@ -132,8 +131,14 @@ def load_policy(folder: Path, policy_format: str, load: Callable[[Path], Any] | 
         raise StorageError(f"the policy folder {folder} must exist; it was moved or deleted")
     if load is not None:
         return load(folder)
-    if is_mlp_folder([path.name for path in folder.iterdir()]):
+    if is_mlp_folder(regular_files(folder, "a policy")):
         return MLPPolicy.load(folder)
+    if policy_format == "sb3" and not trust:
+        raise InvalidInput(
+            f"a Stable-Baselines3 zip can run code of whoever made it, and {folder} has no other "
+            "copy of its policy; if you trust its maker, pass trust=True (--trust), or the trainer "
+            "that wrote it"
+        )
     if policy_format == "sb3":
         from mbtl.training import load_sb3  # outside the core: needs the `train` extra
 
@@ -162,6 +167,37 @@ def _check_place(folder: Path, overwrite: bool) -> None:
         )
 
 
+def _real(name: str, array: NDArray[Any]) -> Array:
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{name} of {array.dtype}, which are no real numbers")
+    return np.asarray(array, dtype=np.float64)
+
+
+def _fill(
+    root: Path, record: Record, arrays: Mapping[str, Array], policies: Sequence[SavedPolicy]
+) -> None:
+    """Write every file of a portfolio into an empty folder, to the disk."""
+    root.chmod(0o755)  # mkdtemp's 0o700 would lock out everyone the portfolio is shared with
+    np.savez(root / RETURNS, **arrays)  # type: ignore[arg-type]
+    entries = [_write_policy(root, *policy) for policy in policies]
+    manifest = {
+        "kind": KIND,
+        "format": FORMAT,
+        **record,
+        "returns": {"file": RETURNS, "sha256": _sha256(root / RETURNS)},
+        "policies": entries,
+        "versions": _versions(),
+    }
+    try:
+        text = json.dumps(manifest, indent=2, allow_nan=False, default=python_value)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(
+            f"a portfolio's metadata and context values must be JSON-able, got {error}"
+        ) from error
+    (root / MANIFEST).write_text(text + "\n", encoding="utf-8")
+    sync_folder(root)
+
+
 def _write_policy(root: Path, name: str, saved: Path | None, policy: Any) -> Record:
     place = f"policies/{name}"
     target = root / place
@@ -171,56 +207,62 @@ def _write_policy(root: Path, name: str, saved: Path | None, policy: Any) -> Rec
                 f"the policy folder {saved} must exist; it was moved or deleted: put it back, or "
                 "start the study afresh (--new, or another name)"
             )
-        shutil.copytree(saved, target)
+        regular_files(saved, "a policy")  # a copy must not follow what leads elsewhere
+        shutil.copytree(saved, target, symlinks=True)
     elif isinstance(policy, MLPPolicy):
         target.mkdir(parents=True)
         policy.save(target)
     else:
         return {"folder": None, "files": {}, "reason": "its trainer could not save it"}
-    files = sorted(path for path in target.rglob("*") if path.is_file())
-    return {
-        "folder": place,
-        "files": {path.relative_to(target).as_posix(): _sha256(path) for path in files},
-    }
-
-
-def _write_manifest(path: Path, manifest: Record) -> None:
-    try:
-        text = json.dumps(manifest, indent=2, allow_nan=False, default=_plain)
-    except (TypeError, ValueError) as error:
-        raise InvalidInput(
-            f"a portfolio's metadata and context values must be JSON-able, got {error}"
-        ) from error
-    temporary = path.with_suffix(".tmp")
-    with temporary.open("w", encoding="utf-8") as file:
-        file.write(text + "\n")
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    files = regular_files(target, "a policy")
+    _check_distinct(files, target)
+    return {"folder": place, "files": {name: _sha256(target / name) for name in files}}
 
 
 def _swap(partial: Path, folder: Path) -> None:
-    """Rename the finished folder into place; an old portfolio is moved aside, then removed."""
-    if not folder.exists():
+    """Rename the finished folder into place; an old portfolio is moved aside, then removed.
+
+    Whatever happens between the two renames, the old one is kept: it is put back here, or by the
+    next `save`, and read where it is until then (`_standing`).
+    """
+    if not (folder / MANIFEST).is_file():
         partial.rename(folder)
+        sync_entries(folder.parent)
         return
-    old = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old-", dir=folder.parent))
-    folder.replace(old / folder.name)
+    aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}{_ASIDE}", dir=folder.parent))
     try:
+        folder.rename(aside / folder.name)
         partial.rename(folder)
-    except OSError:
-        (old / folder.name).replace(folder)
-        raise
+        sync_entries(folder.parent)
     finally:
-        shutil.rmtree(old, ignore_errors=True)
+        _put_back(folder)
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} {value!r}")
+def _put_back(folder: Path) -> None:
+    """Undo a replacement that was cut short; where it was not, remove what it replaced."""
+    left = _left_aside(folder)
+    if left and not folder.exists():
+        left[-1].rename(folder)
+    if not (folder / MANIFEST).is_file():
+        return
+    for aside in folder.parent.glob(f"{glob.escape(f'.{folder.name}{_ASIDE}')}*"):
+        for manifest in aside.glob(f"*/{MANIFEST}"):
+            manifest.unlink(missing_ok=True)  # first: what is half removed is no portfolio
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _standing(folder: Path) -> Path:
+    """The folder; of a replacement that was cut short, the old portfolio where it was put."""
+    if folder.exists():
+        return folder
+    return next(reversed(_left_aside(folder.resolve())), folder)
+
+
+def _left_aside(folder: Path) -> list[Path]:
+    """Portfolios that a killed process had moved aside, oldest first."""
+    pattern = f"{glob.escape(f'.{folder.name}{_ASIDE}')}*/{glob.escape(folder.name)}"
+    found = [path for path in folder.parent.glob(pattern) if (path / MANIFEST).is_file()]
+    return sorted(found, key=lambda path: path.parent.stat().st_mtime_ns)
 
 
 def _versions() -> dict[str, str]:
@@ -239,7 +281,7 @@ def _versions() -> dict[str, str]:
 def _read_manifest(folder: Path) -> Record:
     path = folder / MANIFEST
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+        manifest = read_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise StorageError(
             f"a portfolio folder holds {MANIFEST}, got {folder} without it; it is another folder, "
@@ -251,7 +293,8 @@ def _read_manifest(folder: Path) -> Record:
         raise StorageError(f"{path} must describe a portfolio (kind {KIND!r}), got something else")
     found = manifest.get("format")
     if not isinstance(found, int) or found > FORMAT:
-        writer = manifest.get("versions", {}).get("mbtl", "?")
+        versions = manifest.get("versions")
+        writer = versions.get("mbtl", "?") if isinstance(versions, dict) else "?"
         raise StorageError(
             f"portfolio formats up to {FORMAT} are known, got {found!r} written by mbtl {writer}; "
             "install that version or a newer one"
@@ -259,30 +302,48 @@ def _read_manifest(folder: Path) -> Record:
     return manifest
 
 
-def _check_file(folder: Path, name: str, digest: str) -> None:
-    path = _inside(folder, name)
-    if not path.is_file():
+def _listed(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str]:
+    """SHA-256 of every file that the manifest names, by its path below the folder."""
+    digests = [(manifest["returns"]["file"], manifest["returns"]["sha256"])]
+    for entry in manifest["policies"]:
+        place = entry["folder"]
+        digests += [(f"{place}/{name}", digest) for name, digest in entry["files"].items()]
+    for name, _ in digests:
+        inside(folder, name, OWNER)
+    names = [PurePosixPath(name).as_posix() for name, _ in digests]
+    _check_distinct(names, folder)
+    return dict(zip(names, (digest for _, digest in digests), strict=True))
+
+
+def _check_files(folder: Path, listed: Mapping[str, str]) -> None:
+    found = set(regular_files(folder, OWNER))
+    for name, digest in listed.items():
+        if name not in found:
+            raise StorageError(
+                f"the portfolio in {folder} lists {name}, which is missing; copy it again"
+            )
+        if _sha256(folder / name) != digest:
+            raise StorageError(
+                f"{name} in the portfolio {folder} must be as it was saved (SHA-256 "
+                f"{digest[:12]}...), got other content; copy it again"
+            )
+    for name in sorted(found - {*listed, MANIFEST}):
         raise StorageError(
-            f"the portfolio in {folder} lists {name}, which is missing; copy it again"
-        )
-    if _sha256(path) != digest:
-        raise StorageError(
-            f"{name} in the portfolio {folder} must be as it was saved (SHA-256 {digest[:12]}...), "
-            "got other content; copy it again"
+            f"a portfolio holds only what its manifest lists, got {name} in {folder}; move it "
+            "elsewhere, or copy the portfolio again"
         )
 
 
-def _inside(folder: Path, name: str) -> Path:
-    """A listed path, which must stay inside the portfolio folder."""
-    parts = PurePosixPath(name).parts
-    if not parts or PurePosixPath(name).is_absolute() or ".." in parts:
-        raise StorageError(
-            f"a portfolio lists files inside its own folder, got {name!r} in {folder}"
-        )
-    path = folder.joinpath(*parts)
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise StorageError(f"files of a portfolio lie inside its folder, got the link {path}")
-    return path
+def _check_distinct(names: Iterable[str], folder: Path) -> None:
+    """Names that differ in case alone are one file on some systems."""
+    seen: dict[str, str] = {}
+    for name in names:
+        same = seen.setdefault(unicodedata.normalize("NFC", name).casefold(), name)
+        if same is not name:
+            raise StorageError(
+                f"names of files must differ in more than case, got {same!r} and {name!r} in "
+                f"{folder}; rename one"
+            )
 
 
 def _sha256(path: Path) -> str:

@@ -97,9 +97,15 @@ def head_record(head: DiscreteHead | BoxHead) -> dict[str, Any]:
 def read_head(record: Mapping[str, Any], arrays: Mapping[str, Array32]) -> DiscreteHead | BoxHead:
     """Rebuild a head from `head_record` and its arrays; KeyError or ValueError when damaged."""
     if record["kind"] == "box":
-        return BoxHead(arrays["low"], arrays["high"], record["squash"], arrays.get("log_std"))
+        low, high, log_std = arrays["low"], arrays["high"], arrays.get("log_std")
+        if low.shape != high.shape or (log_std is not None and log_std.shape != (low.size,)):
+            raise ValueError(f"bounds of a box must have one shape, got {low.shape}, {high.shape}")
+        return BoxHead(low, high, bool(record["squash"]), log_std)
     if record["kind"] == "discrete":
-        return DiscreteHead(tuple(record["sizes"]), record["scalar"], record["samples"])
+        sizes = tuple(record["sizes"])
+        if not (sizes and all(type(size) is int and size > 0 for size in sizes)):
+            raise ValueError(f"sizes must be whole numbers > 0, got {sizes}")
+        return DiscreteHead(sizes, bool(record["scalar"]), bool(record["samples"]))
     raise ValueError(f"unknown action head {record['kind']!r}")
 
 

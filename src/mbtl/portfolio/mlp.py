@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.portfolio.heads import Array32, BoxHead, DiscreteHead, head_record, read_head
+from mbtl.untrusted import MALFORMED, read_arrays, read_json
 
 FORMAT = 1
 WEIGHTS_FILE = "weights.npz"
@@ -151,17 +151,16 @@ class MLPPolicy:
             StorageError: the files are missing, damaged, or of a newer format.
         """
         try:
-            record = json.loads((folder / RECORD_FILE).read_text(encoding="utf-8"))
+            record = read_json((folder / RECORD_FILE).read_text(encoding="utf-8"))
             if record["format"] > FORMAT:
                 raise StorageError(
                     f"policy formats up to {FORMAT} are known, got {record['format']} in {folder}; "
                     "install a newer mbtl"
                 )
-            with (
-                (folder / WEIGHTS_FILE).open("rb") as file,  # np.load leaks it when it is no zip
-                np.load(file, allow_pickle=False) as archive,
-            ):
-                arrays = {name: archive[name] for name in archive.files}
+            with (folder / WEIGHTS_FILE).open("rb") as file:
+                arrays = read_arrays(file)
+            if not all(array.dtype.kind in "fiu" for array in arrays.values()):
+                raise ValueError("weights that are no real numbers")
             layers = range(record["layers"])
             return cls(
                 weights=tuple(arrays[f"weight_{i}"] for i in layers),
@@ -170,7 +169,7 @@ class MLPPolicy:
                 observation_shape=tuple(record["observation_shape"]),
                 head=read_head(record["head"], arrays),
             )
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        except (*MALFORMED, OSError) as error:
             raise StorageError(
                 f"{folder} must hold a whole {RECORD_FILE} and {WEIGHTS_FILE}, got {error!r}; "
                 "save the policy again"

@@ -26,6 +26,7 @@ from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, wri
 from mbtl.portfolio.choice import Choice, explanation
 from mbtl.portfolio.mlp import MLPPolicy
 from mbtl.routing import Indices, Routing
+from mbtl.untrusted import MALFORMED
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,6 +49,7 @@ class Portfolio:
         in_memory: position -> policy, for policies that are at hand and need no loading.
         cmdp: id of the CMDP, if there is one.
         metadata: anything JSON-able to keep with the portfolio.
+        trust: read policies also from files that can execute code (docs/portfolio-format.md).
 
     Raises:
         InvalidInput: sources, returns and folders do not fit each other.
@@ -67,6 +69,7 @@ class Portfolio:
     in_memory: Mapping[int, Any] = field(default_factory=dict)
     cmdp: str | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    trust: bool = False
     _loaded: dict[int, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -201,7 +204,7 @@ class Portfolio:
         """The policy at position `i`, loaded from its folder on first use.
 
         Raises:
-            InvalidInput: no such position, or the format needs `load`.
+            InvalidInput: no such position, or the format needs `load` or `trust`.
             StorageError: the policy was not saved or cannot be read.
             MissingExtra: reading it needs a library that is not installed.
         """
@@ -215,7 +218,9 @@ class Portfolio:
                     f"policy {i} (trained on {source}) was not saved and is no longer in memory; "
                     "give the problem save and load functions and train it again"
                 )
-            self._loaded[i] = load_policy(Path(folder), self.policy_format, self.load)
+            self._loaded[i] = load_policy(
+                Path(folder), self.policy_format, self.load, trust=self.trust
+            )
         return self._loaded[i]
 
     # ---- keeping -----------------------------------------------------------------------------
@@ -284,19 +289,23 @@ class Portfolio:
         ]
 
 
-def load_portfolio(folder: Path | str, load: Callable[[Path], Any] | None = None) -> Portfolio:
+def load_portfolio(
+    folder: Path | str, load: Callable[[Path], Any] | None = None, *, trust: bool = False
+) -> Portfolio:
     """Open a saved portfolio: all files are checked by hash, policies are read on first use.
 
     Policies that carry a numpy copy (small networks) are read from that: it needs no training
     library and executes nothing. Other Stable-Baselines3 policies are read from their own zip,
-    which can execute code, so use those only from people you trust (docs/portfolio-format.md).
+    which can execute code, and only with `trust` (docs/portfolio-format.md).
 
     Args:
         folder: what `Portfolio.save` wrote.
         load: folder -> policy; given, it reads every policy, e.g. `mbtl.training.load_sb3`.
+        trust: also read files that can execute code; set it if you trust whoever made the folder.
 
     Raises:
-        StorageError: not a portfolio, a file is missing or changed, or the format is newer.
+        StorageError: not a portfolio, a file is missing, changed or not listed, a path or link
+            leads out of the folder, or the format is newer.
     """
     record, arrays, folders = read_portfolio(Path(folder))
     try:
@@ -313,9 +322,10 @@ def load_portfolio(folder: Path | str, load: Callable[[Path], Any] | None = None
             policy_format=record["policy_format"],
             load=load,
             cmdp=record["cmdp"],
-            metadata=record["metadata"],
+            metadata=dict(record["metadata"]),
+            trust=trust,
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except MALFORMED as error:
         raise StorageError(
             f"the parts of a portfolio must fit each other, got {error!r} in {folder}; "
             "save it again"

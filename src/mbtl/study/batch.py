@@ -30,6 +30,7 @@ from mbtl.study.job import (
 from mbtl.study.pick import Pick
 from mbtl.study.study import Study
 from mbtl.trainer import Trainer
+from mbtl.untrusted import inside
 
 _logger = getLogger(__name__)
 
@@ -125,7 +126,8 @@ class Batches:
 
     def _job(self, pick: Pick) -> Job:
         study, spec = self.study, self.study.spec
-        folder = study.folder / policy_path(study, pick) if study.folder else None
+        place = policy_path(study, pick).as_posix()
+        folder = inside(study.folder, place, "a study") if study.folder else None
         targets = range(study.space.n) if pick.targets is None else pick.targets
         return Job(
             self.trainer,

@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike
 
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
-from mbtl.objective import Bounds, Direction
+from mbtl.objective import Bounds, Direction, direction_named
 from mbtl.selectors import Selector, get_selector, selector_names
 from mbtl.settings import first_difference
+from mbtl.study.checks import check_spec
 from mbtl.study.events import Event
-from mbtl.study.state import StudySpec
+from mbtl.study.state import StudySpec, replay
 from mbtl.study.storage import (
     Conflict,
     EventLog,
@@ -39,7 +40,7 @@ def create_study(
     budget: int,
     selector: str | Selector = "auto",
     bounds: tuple[float, float] | Bounds | None = None,
-    direction: Direction = "maximize",
+    direction: Direction | str = "maximize",
     theta: float | None = None,
     seed: int = 0,
     trial: int = 0,
@@ -66,7 +67,7 @@ def create_study(
             of costs, repeats, risk and noise the paper's selectors know nothing.
         bounds: (low, high) of the returns, or `Bounds`, whose direction and floor then count; None
             takes the range told so far.
-        direction: "maximize" or "minimize" the returns.
+        direction: "maximize" or "minimize" the returns; "max" and "min" will do.
         theta: slope of the linear gap, performance per grid step; None: 0.005, or 0.5/(N-1) for
             N > 100.
         seed: root of the seed tree.
@@ -104,15 +105,20 @@ def create_study(
         )
     budget, seed = _whole("budget", budget), _whole("seed", seed)
     trial = _whole("trial", trial)
+    direction, theta = direction_named(direction), _finite("theta", theta)
     floor = None
     if isinstance(bounds, Bounds):
         direction, floor = bounds.direction, bounds.floor
-    if bounds is not None:
-        Bounds(float(bounds[0]), float(bounds[1]), direction, floor)
-    if direction not in ("maximize", "minimize"):
-        raise InvalidInput(f"direction must be 'maximize' or 'minimize', got {direction!r}")
+    pair = _pair("bounds", None if bounds is None else tuple(bounds))
+    if pair is not None:
+        Bounds(*pair, direction, floor)
+    stop_value = _finite("stop_value", stop_value)
     if stop_value is not None and bounds is None:
         raise InvalidInput("stop_value is a performance, so it needs bounds=(low, high); got none")
+    if stop_value is not None and stop_value > 1.0:
+        raise InvalidInput(
+            f"stop_value is a performance, at most 1 (the better bound), got {stop_value!r}"
+        )
     cost_budget = _real("cost_budget", cost_budget)
     stop_gain = _real("stop_gain", stop_gain)
     stop_confidence = _real("stop_confidence", stop_confidence)
@@ -123,7 +129,7 @@ def create_study(
         space,
         budget,
         describe_selector(chosen),
-        (float(bounds[0]), float(bounds[1])) if bounds is not None else None,
+        pair,
         direction,
         theta,
         seed,
@@ -138,9 +144,9 @@ def create_study(
         _target_count(eval_targets, space.n),
         stop_gain,
         stop_confidence,
-        floor,
+        floor=floor,
     )
-    spec.selection_problem()  # checks what a selector is to work with
+    check_spec(spec)
     log: EventLog = MemoryLog() if storage is None else SqlLog(storage, name, create=True)
     created = {"spec": spec.to_json(), "version": __version__, "uid": uuid.uuid4().hex[:8]}
     event = Event("created", created)
@@ -189,7 +195,8 @@ def load_study(
     created = next(iter(log.read()), None)
     if created is None or created.kind != "created":
         raise StudyError(f"there is no study {name!r} in {place}; it holds {study_names(place)}")
-    spec = StudySpec.from_json(created.data["spec"])
+    spec = replay([created]).spec
+    assert spec is not None
     if selector is None:
         registered = str(spec.selector["name"])
         if registered not in selector_names():
@@ -313,15 +320,35 @@ def _real(name: str, number: float) -> float: ...
 
 def _real(name: str, number: float | None) -> float | None:
     """A finite number > 0, as Python's own, or None."""
-    if number is None:
-        return None
-    try:
-        value = float(number)
-    except (TypeError, ValueError):
-        raise InvalidInput(f"{name} must be a number, got {number!r}") from None
-    if not (np.isfinite(value) and value > 0):
+    value = None if number is None else _float(name, number)
+    if value is not None and not (np.isfinite(value) and value > 0):
         raise InvalidInput(f"{name} must be finite and > 0, got {number!r}")
     return value
+
+
+def _finite(name: str, number: float | None) -> float | None:
+    """A finite number, as Python's own, or None."""
+    value = None if number is None else _float(name, number)
+    if value is not None and not np.isfinite(value):
+        raise InvalidInput(f"{name} must be finite, got {number!r}")
+    return value
+
+
+def _float(name: str, number: Any) -> float:
+    try:
+        return float(number)
+    except (TypeError, ValueError, OverflowError):
+        raise InvalidInput(f"{name} must be a number, got {number!r}") from None
+
+
+def _pair(name: str, pair: tuple[float, ...] | None) -> tuple[float, float] | None:
+    if pair is None:
+        return None
+    try:
+        low, high = pair
+        return float(low), float(high)
+    except (TypeError, ValueError, OverflowError):
+        raise InvalidInput(f"{name} must be two numbers (low, high), got {pair!r}") from None
 
 
 def _json_like(settings: Mapping[str, Any]) -> dict[str, Any]:

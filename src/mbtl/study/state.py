@@ -15,8 +15,10 @@ from mbtl.history import History, standard_errors
 from mbtl.objective import Bounds, Direction
 from mbtl.routing import Routing
 from mbtl.selectors.base import SelectionProblem
+from mbtl.study.checks import check_event, check_spec
 from mbtl.study.events import Event
 from mbtl.study.worker import Worker
+from mbtl.untrusted import MALFORMED
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class StudySpec:
         eval_targets: targets that each policy is evaluated on; None for all.
         stop_gain: gain in V that one more training should be worth; None: never ends for that.
         stop_confidence: how probable it must be that the gain is smaller.
+        stop_left: gain in V that all trainings left together should be worth; None: never asked.
+        best_return: no policy can return more (less, if minimised); None: not known.
         floor: return below which none is worse in performance; None: nothing is clipped.
     """
 
@@ -63,6 +67,8 @@ class StudySpec:
     eval_targets: int | None = None
     stop_gain: float | None = None
     stop_confidence: float = 0.9
+    stop_left: float | None = None
+    best_return: float | None = None
     floor: float | None = None
 
     def selection_problem(self) -> SelectionProblem:
@@ -76,6 +82,7 @@ class StudySpec:
             cost_budget=self.cost_budget,
             risk=self.risk,
             least_gain=self.stop_gain,
+            least_left=self.stop_left,
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -98,7 +105,9 @@ class StudySpec:
         values["space"] = ContextSpace.from_json(record["space"])
         for name in ("bounds", "costs"):
             values[name] = tuple(record[name]) if record.get(name) else None
-        return cls(**values)
+        spec = cls(**values)
+        check_spec(spec)
+        return spec
 
 
 @dataclass(frozen=True)
@@ -210,8 +219,15 @@ class StudyState:
             raise StorageError(
                 f"event {event.seq} ({event.kind}) is out of place; the log is damaged"
             )
+        try:
+            check_event(event, self)
+            getattr(self, f"_{event.kind}")(event)
+        except MALFORMED as error:
+            raise StorageError(
+                f"event {event.seq} ({event.kind}) of the study is damaged or not ours: {error}; "
+                "restore a copy of the study"
+            ) from error
         self._history = None
-        getattr(self, f"_{event.kind}")(event)
         self.seq = event.seq
 
     def history(self) -> History:

@@ -17,13 +17,18 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
+from mbtl.arrays import python_value
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.study.events import KINDS, Event, Kind
+from mbtl.untrusted import read_arrays, read_json
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection, Engine, Table
 
 _BUSY_SECONDS = 60.0
+_LATEST = 2e11
+"""Seconds since the epoch that are still a date."""
+
 _WRITES = "mbtl_writes"  # a reader takes no write lock, so a study may be read-only
 
 
@@ -94,7 +99,7 @@ class SqlLog:
             "seq": after + 1,
             "time": time.time(),
             "kind": event.kind,
-            "data": json.dumps(event.data, allow_nan=False),
+            "data": _text(event),
             "arrays": _pack(event),
         }
         with self._connection(write=True) as connection:
@@ -113,15 +118,25 @@ class SqlLog:
         t = self._table.c
         query = select(t.seq, t.time, t.kind, t.data, t.arrays)
         query = query.where((t.study == self.study) & (t.seq > after)).order_by(t.seq)
-        with self._connection() as connection:
-            return [_unpack(*row) for row in connection.execute(query)]
+        events = []
+        try:
+            with self._connection() as connection:
+                for row in connection.execute(query):
+                    events.append(_unpack(*row))
+        except (TypeError, ValueError, MemoryError) as error:  # columns of other types than ours
+            raise StorageError(
+                f"the event after {len(events) + after} of the study {self.study!r} cannot be read "
+                f"({error}); restore a copy of {self.url}"
+            ) from error
+        return events
 
-    def _last(self, connection: Connection) -> int:
+    def _last(self, connection: Connection) -> Any:
+        """Number of the last event; anything, where the log is damaged."""
         from sqlalchemy import func, select
 
         t = self._table.c
         query = select(func.coalesce(func.max(t.seq), 0)).where(t.study == self.study)
-        return int(connection.execute(query).scalar_one())
+        return connection.execute(query).scalar_one()
 
     @contextmanager
     def _connection(self, *, write: bool = False) -> Iterator[Connection]:
@@ -280,8 +295,25 @@ def _unpack(seq: int, when: float, kind: str, data: str, arrays: bytes) -> Event
         raise StorageError(
             f"event {seq} is of kind {kind!r}, which this version does not know; upgrade mbtl"
         )
-    packed: dict[str, Any] = {}
-    if arrays:
-        with np.load(io.BytesIO(arrays), allow_pickle=False) as loaded:
-            packed = {name: loaded[name] for name in loaded.files}
-    return Event(cast(Kind, kind), json.loads(data), packed, seq, when)
+    try:
+        facts = read_json(data)
+        if not isinstance(facts, dict):
+            raise ValueError(f"facts as a JSON {type(facts).__name__}")
+        if not 0 <= when < _LATEST:
+            raise ValueError(f"the time {when!r}")
+        packed = read_arrays(io.BytesIO(arrays)) if arrays else {}
+    except (TypeError, ValueError) as error:
+        raise StorageError(
+            f"event {seq} ({kind}) of the study is damaged or not ours: {error}; restore a copy of "
+            "the study"
+        ) from error
+    return Event(cast(Kind, kind), facts, packed, seq, when)
+
+
+def _text(event: Event) -> str:
+    try:
+        return json.dumps(event.data, allow_nan=False, default=python_value)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(
+            f"what a study records must be JSON-able, got {error} in {event.kind!r}"
+        ) from error

@@ -21,12 +21,14 @@ from mbtl.objective import Bounds
 from mbtl.routing import Routing
 from mbtl.seeds import training_seed
 from mbtl.selectors import SelectionProblem, Selector
-from mbtl.study import answers, asking
+from mbtl.study import asking, telling
+from mbtl.study.checks import check_event
 from mbtl.study.events import Event, Kind
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.state import PickRecord, StudySpec, StudyState
 from mbtl.study.storage import Conflict, EventLog
 from mbtl.trainer import Trainer, checked_returns, checked_targets
+from mbtl.untrusted import inside
 
 if TYPE_CHECKING:
     from mbtl.portfolio import Portfolio
@@ -115,14 +117,16 @@ class Study:
         Raises:
             TrainingFailed: returns of wrong shape, NaN or infinite. Nothing is recorded; tell
                 again, or record it with `fail`.
-            StudyError: the pick was answered before.
+            InvalidInput: `policy` leads out of the study's folder, or another fact is not what it
+                should be. Nothing is recorded.
+            StudyError: the pick was answered before, or is another study's.
         """
-        source = answers.source_of(self.space, pick)
+        source = telling.source_of(self.space, pick)
         if cost is not None and not (np.isfinite(cost) and cost >= 0):
             raise InvalidInput(f"cost must be finite and >= 0, got {cost!r}")
         usual = 1.0 if self.spec.costs is None else self.spec.costs[source]
         if targets is None:
-            targets = answers.asked_targets(self.refresh(), pick, source)
+            targets = telling.asked_targets(self.refresh(), pick, source)
         evaluated = checked_targets(targets, self.space.n)
         rows = checked_returns(returns, len(evaluated))
         arrays = {name: np.full(self.space.n, np.nan) for name in ("returns", "std")}
@@ -141,7 +145,7 @@ class Study:
         def told(state: StudyState) -> Event:
             nonlocal place
             place = len(state.rows)
-            number = answers.answered(state, pick, source)
+            number = telling.answered(state, pick, source)
             expected = 0.0 if number is None else usual
             spent = expected if cost is None else float(cost)
             return Event("told", {**data, "pick": number, "cost": spent}, arrays)
@@ -175,7 +179,7 @@ class Study:
         Raises:
             StudyError: that pick did not fail, or its source was told since.
         """
-        self._commit(lambda state: answers.reopening(state, pick))
+        self._commit(lambda state: telling.reopening(state, pick))
 
     def extend(self, budget: int) -> None:
         """Raise the budget to `budget` trainings in all, for a few more picks.
@@ -353,16 +357,24 @@ class Study:
         """Numbers of open picks that nobody works on: given back, or their process is gone."""
         return asking.orphans(self._state)
 
-    def portfolio(self, trainer: Trainer | None = None) -> Portfolio:
+    def portfolio(self, trainer: Trainer | None = None, *, trust: bool = False) -> Portfolio:
         """The trained policies with their router.
 
         Args:
-            trainer: reads saved policies of a format of its own ("custom").
+            trainer: reads the saved policies, all of them: give the one that wrote them.
+            trust: without a trainer, also read files that can execute code; set it if the study
+                is your own, or of somebody you trust.
+
+        Raises:
+            StorageError: a policy's folder is not inside the study's, or is reached by a link.
         """
         from mbtl.portfolio import Portfolio
 
         rows, spec = self.refresh().rows, self.spec
-        folders = [self.folder / r.policy if self.folder and r.policy else None for r in rows]
+        folders = [
+            inside(self.folder, r.policy, "a study") if self.folder and r.policy else None
+            for r in rows
+        ]
         made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}
         return Portfolio(
             self.space,
@@ -379,6 +391,7 @@ class Study:
             in_memory=dict(self.policies),
             cmdp=spec.problem or None,
             metadata={"study": self.name, **made},
+            trust=trust,
         )
 
     # ---- inside ------------------------------------------------------------------------------
@@ -399,7 +412,7 @@ class Study:
 
     def _settle(self, kind: Kind, pick: Pick, data: dict[str, Any]) -> None:
         def settled(state: StudyState) -> Event:
-            return Event(kind, {"pick": answers.open_number(state, pick), **data})
+            return Event(kind, {"pick": telling.open_number(state, pick), **data})
 
         self._commit(settled)
 
@@ -408,6 +421,7 @@ class Study:
         while True:
             state = self.refresh()
             event = decide(state)
+            check_event(event, state)
             try:
                 self._log.append(event, after=state.seq)
             except Conflict:

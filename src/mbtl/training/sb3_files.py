@@ -19,6 +19,7 @@ from mbtl.errors import InvalidInput, MbtlError, StorageError
 from mbtl.training.algorithms import algorithm_class
 from mbtl.training.export import export_mlp
 from mbtl.training.isolation import isolated
+from mbtl.untrusted import read_json
 
 MODEL_FILE = "model.zip"
 RECORD_FILE = "sb3.json"
@@ -58,7 +59,8 @@ def load_sb3(folder: Path | str, algorithm: str | type | None = None, device: st
     folder = Path(folder)
     record: dict[str, Any] = {}
     try:
-        record = json.loads((folder / RECORD_FILE).read_text(encoding="utf-8"))
+        found = read_json((folder / RECORD_FILE).read_text(encoding="utf-8"))
+        record = found if isinstance(found, dict) else {}
         if algorithm is None and record["package"] not in ("stable_baselines3", "sb3_contrib"):
             raise InvalidInput(
                 f"only algorithms of stable-baselines3 and sb3-contrib are found by name, got "

@@ -1,4 +1,4 @@
-"""Trainers in jax, vectorised over contexts and seeds; import this only where jax is installed.
+"""Trainers in jax, vectorised over contexts and seeds; importing this starts jax (see `flags`).
 
 env = CartPole()
 params = stack_params(env, [derive(...) for each context], visible)
@@ -9,7 +9,7 @@ policies = export_policies(env, training.best)
 
 from __future__ import annotations
 
-from mbtl.training.jax import flags as flags  # isort: skip  # jax reads them when it starts
+from mbtl.training.jax import flags as flags  # isort: skip  # first: it starts jax
 from mbtl.training.jax.cartpole import CartPole
 from mbtl.training.jax.environments import Environment, stack_params
 from mbtl.training.jax.evaluation import episode_noise, evaluate, on_cpu

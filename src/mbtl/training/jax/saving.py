@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from mbtl.errors import MbtlError
 from mbtl.files import whole_file
 from mbtl.training.jax.loop import Training, from_arrays, to_arrays
+from mbtl.untrusted import read_arrays
 
 _SECONDS = 30.0
 """Between two savings, which cost a copy of all weights from the device."""
@@ -73,8 +73,7 @@ def _prefix(number: int) -> str:
 def _read(path: Path) -> dict[str, NDArray[Any]]:
     """All that a file holds; nothing where it is missing or damaged."""
     try:
-        # opened here: numpy leaves a file that is no archive open
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return dict(arrays)
-    except (ValueError, OSError, zipfile.BadZipFile):
+        with path.open("rb") as file:
+            return read_arrays(file)
+    except (ValueError, OSError):
         return {}

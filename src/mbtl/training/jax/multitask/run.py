@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
-from mbtl.errors import InvalidInput
+from mbtl.errors import InvalidInput, StorageError
 from mbtl.files import claimed_folder, whole_file
 from mbtl.seeds import MATRIX_TRIAL, episode_seed, evaluation_seed, training_seed
 from mbtl.training.jax.environments import Environment, Tree
@@ -35,6 +35,7 @@ from mbtl.training.jax.multitask.training import (
 )
 from mbtl.training.jax.recipes import MultiTaskRecipe
 from mbtl.training.jax.saving import SavedTraining
+from mbtl.untrusted import read_arrays
 
 CHECKPOINTS = ("best", "final")
 
@@ -190,5 +191,8 @@ def _save(path: Path, arrays: Mapping[str, Any]) -> None:
 
 
 def _load(path: Path) -> dict[str, NDArray[Any]]:
-    with np.load(path, allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
+    try:
+        with path.open("rb") as file:
+            return read_arrays(file)
+    except ValueError as error:
+        raise StorageError(f"{path} must hold returns, got {error}; remove it") from error

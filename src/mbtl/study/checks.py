@@ -1,0 +1,238 @@
+"""What an event must hold, whoever wrote it: checked before it is stored and when it is read.
+
+A log may be damaged, or come from a stranger, whose paths must not lead out of the study's folder.
+Facts that are not named here are free: a version may note more.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbtl.errors import InvalidInput
+from mbtl.objective import Bounds
+from mbtl.study.events import Event, Kind
+from mbtl.untrusted import is_local
+
+if TYPE_CHECKING:
+    from mbtl.study.state import StudySpec, StudyState
+
+_HUGE = 1e300
+"""Differences of numbers below this are numbers, too."""
+
+Rule = tuple[Callable[[Any], bool], str]
+"""What a fact must satisfy, and that in words."""
+
+
+def check_event(event: Event, state: StudyState) -> None:
+    """Refuse an event that does not follow from `state`.
+
+    Raises:
+        InvalidInput: a fact or an array is missing, of the wrong form, or out of place.
+    """
+    for name, (holds, words) in _facts(event.kind, state).items():
+        fact = event.data.get(name)
+        if not holds(fact):
+            raise InvalidInput(f"`{name}` must be {words}, got {_short(fact)}")
+    shapes = _shapes(event.kind, state)
+    if set(event.arrays) != set(shapes):
+        raise InvalidInput(
+            f"it has the arrays {sorted(shapes)} and no others, got {sorted(event.arrays)}"
+        )
+    for name, shape in shapes.items():
+        array = event.arrays[name]
+        if array.dtype.kind not in "fiu" or array.shape != shape or (abs(array) >= _HUGE).any():
+            raise InvalidInput(
+                f"array `{name}` must hold numbers of shape {shape}, below {_HUGE:g} or NaN, got "
+                f"{array.dtype} of shape {array.shape}"
+            )
+    if event.kind == "told" and np.isnan(event.arrays["returns"]).all():
+        raise InvalidInput("array `returns` must hold one number or more, got none")
+
+
+def check_spec(spec: StudySpec) -> None:
+    """Refuse settings that no study can have.
+
+    Raises:
+        InvalidInput: the first that breaks its rule.
+    """
+    for name, (holds, words) in _SPEC.items():
+        value = getattr(spec, name)
+        if not holds(value):
+            raise InvalidInput(f"{name} must be {words}, got {_short(value)}")
+    Bounds(*(spec.bounds or (0.0, 1.0)), spec.direction)
+    spec.selection_problem()
+    if spec.eval_targets is not None and spec.eval_targets > spec.space.n:
+        raise InvalidInput(f"eval_targets must be at most {spec.space.n}")
+
+
+def is_policy_place(path: object) -> bool:
+    """True for what `tell` takes as a policy's folder: below the study's, and no hidden place.
+
+    A study's folder may be a home folder, whose hidden ones hold keys.
+    """
+    return is_local(path) and not any(p[0] == "." for p in PurePosixPath(str(path)).parts)
+
+
+# ---- rules -------------------------------------------------------------------------------------
+
+
+def _is_whole(value: Any) -> bool:
+    return _is_seed(value) and bool(value < 2**63)
+
+
+def _is_seed(value: Any) -> bool:
+    """Of any size: it is hashed."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    return whole and bool(value >= 0)
+
+
+def _is_number(value: Any) -> bool:
+    plain = value.item() if isinstance(value, np.number) else value
+    real = isinstance(plain, (int, float)) and not isinstance(plain, bool)
+    return real and -_HUGE < plain < _HUGE
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _at_least(least: float, is_one: Callable[[Any], bool] = _is_number) -> Callable[[Any], bool]:
+    return lambda value: is_one(value) and value >= least
+
+
+def _maybe(rule: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda value: value is None or rule(value)
+
+
+def _each(rule: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, (list, tuple)) and all(map(rule, value))
+
+
+def _is_record(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _is_selector(value: Any) -> bool:
+    return isinstance(value, Mapping) and _is_text(value.get("name"))
+
+
+def _is_worker(value: Any) -> bool:
+    return (
+        isinstance(value, Mapping)
+        and set(value) == {"host", "pid", "started"}
+        and _is_text(value["host"])
+        and _is_text(value["started"])
+        and _at_least(1, _is_whole)(value["pid"])
+        and value["pid"] < 2**31
+    )
+
+
+_TEXT: Rule = (_is_text, "text")
+_MAYBE_TEXT: Rule = (_maybe(_is_text), "text, or null")
+_COUNT: Rule = (_at_least(1, _is_whole), "a whole number of 1 or more")
+_SEED: Rule = (_is_seed, "a whole number >= 0")
+_NUMBER: Rule = (_maybe(_is_number), "a finite number, or null")
+_WORKER: Rule = (_is_worker, "a process: host, pid and started")
+_UID: Rule = (
+    lambda value: _is_text(value) and re.fullmatch(r"[A-Za-z0-9_-]{1,64}", value) is not None,
+    "1 to 64 letters and digits, since a folder is named by it",
+)
+_POLICY: Rule = (
+    _maybe(is_policy_place),
+    "a folder inside the study's own, as a relative path, or null",
+)
+
+_SPEC: dict[str, Rule] = {
+    "budget": (_is_whole, "a whole number"),
+    "selector": (_is_selector, "a record with a name"),
+    "bounds": (_maybe(lambda b: len(b) == 2 and all(map(_is_number, b))), "two finite numbers"),
+    "theta": _NUMBER,
+    "seed": _SEED,
+    "trial": _SEED,
+    "stop_value": _NUMBER,
+    "cost_budget": _NUMBER,
+    "problem": _TEXT,
+    "settings": (_is_record, "a record"),
+    "repeats": (_is_whole, "a whole number"),
+    "costs": (_maybe(_each(_is_number)), "finite numbers"),
+    "risk": (_is_number, "a number"),
+    "eval_targets": (_maybe(_COUNT[0]), "a whole number of 1 or more, or null"),
+    "stop_gain": _NUMBER,
+    "stop_confidence": (_is_number, "a number"),
+    "stop_left": _NUMBER,
+    "best_return": _NUMBER,
+    "floor": _NUMBER,
+}
+
+
+def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
+    """The facts that an event of this kind must hold now."""
+    if state.spec is None:
+        return {"version": _TEXT, "uid": _UID, "spec": (_is_record, "a record")}
+    n, asked, most = state.spec.space.n, len(state.picks), state.spec.space.n * state.spec.repeats
+    index: Callable[[Any], bool] = lambda i: _is_whole(i) and i < n  # noqa: E731
+    source: Rule = (index, f"a context index from 0 to {n - 1}")
+    one_open: Rule = (
+        lambda i: _is_whole(i) and i in state.open_picks,
+        "the number of an open pick",
+    )
+    failure = {"pick": one_open, "source": source, "reason": _TEXT, "traceback": _MAYBE_TEXT}
+    table: dict[Kind, dict[str, Rule]] = {
+        "extended": {"budget": (lambda b: _COUNT[0](b) and b <= most, f"from 1 to {most}")},
+        "asked": {
+            "pick": (lambda i: _is_whole(i) and i == asked, f"the number {asked} of the next pick"),
+            "source": source,
+            "reason": _TEXT,
+            "acquisition": _NUMBER,
+            "notes": (_each(_is_text), "a list of texts"),
+            "worker": _WORKER,
+            "targets": (_maybe(_each(index)), f"context indices from 0 to {n - 1}, or null"),
+        },
+        "claimed": {"pick": one_open, "worker": _WORKER},
+        "released": {"pick": one_open},
+        "told": {
+            "pick": (_maybe(one_open[0]), f"{one_open[1]}, or null"),
+            "source": source,
+            "episodes": _COUNT,
+            "cost": (_at_least(0.0), "a finite number >= 0"),
+            "seconds": _NUMBER,
+            "policy": _POLICY,
+        },
+        "failed": failure,
+        "deferred": failure,
+        "reopened": {
+            "pick": (
+                lambda i: any(failed.pick == i for failed in state.failures),
+                "the number of a failed pick",
+            )
+        },
+        "stopped": {"reason": _TEXT},
+        "reported": {
+            "episodes": (_maybe(_COUNT[0]), "a whole number of 1 or more, or null"),
+            "value_errors": (
+                _maybe(lambda e: _each(_at_least(0.0))(e) and len(e) == len(state.rows)),
+                f"{len(state.rows)} finite numbers >= 0, or null",
+            ),
+        },
+    }
+    return table.get(kind, {})
+
+
+def _shapes(kind: Kind, state: StudyState) -> dict[str, tuple[int, ...]]:
+    """The arrays that an event of this kind must hold now."""
+    if state.spec is None:
+        return {}
+    n = state.spec.space.n
+    if kind == "told":
+        return {"returns": (n,), "std": (n,)}
+    return {"returns": (len(state.rows), n)} if kind == "reported" else {}
+
+
+def _short(value: Any) -> str:
+    text = ascii(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

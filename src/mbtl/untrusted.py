@@ -1,0 +1,119 @@
+"""What others may have written: read as data alone, and never outside the folder it came in.
+
+A path, a link or a pickled object in a study, a portfolio or a matrix must not make this process
+read, copy or run what its user never named.
+"""
+
+from __future__ import annotations
+
+import json
+import stat
+import unicodedata
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.errors import StorageError
+
+MALFORMED = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError)
+"""What taking a record apart raises where it is of another form than ours."""
+
+
+def is_local(name: object) -> bool:
+    """True for a relative path that stays below where it starts, on any system."""
+    if not isinstance(name, str) or any(unicodedata.category(c) in ("Cc", "Cs") for c in name):
+        return False  # control characters and halves of a pair are in no honest name
+    paths = PurePosixPath(name), PureWindowsPath(name)
+    return bool(paths[0].parts) and not any(p.anchor or ".." in p.parts for p in paths)
+
+
+def inside(root: Path, name: str, owner: str) -> Path:
+    """The path `name` below `root`, with no link on the way.
+
+    Args:
+        root: may itself be reached by links.
+        name: relative, with "/" between its parts.
+        owner: of the folder, for the message, e.g. "a portfolio".
+
+    Raises:
+        StorageError: it is absolute, leads out by "..", or passes a link.
+    """
+    if not is_local(name):
+        raise StorageError(f"{owner} names files inside its own folder, got {name!r} in {root}")
+    path = root
+    try:
+        for part in PurePosixPath(name).parts:
+            path = path / part
+            if path.is_symlink():
+                raise _link(path, owner)
+        if not path.resolve().is_relative_to(root.resolve()):  # links of other systems
+            raise _link(path, owner)
+    except OSError as error:
+        raise StorageError(f"{path} cannot be looked at ({error.strerror or error})") from error
+    return path
+
+
+def regular_files(root: Path, owner: str) -> list[str]:
+    """Every file below `root`, relative to it with "/" between parts, in order.
+
+    Raises:
+        StorageError: a link, a pipe, a device, or a folder that cannot be read.
+    """
+    found, folders = [], [root]
+    try:
+        while folders:
+            for path in folders.pop().iterdir():
+                mode = path.lstat().st_mode
+                if stat.S_ISLNK(mode):
+                    raise _link(path, owner)
+                if stat.S_ISDIR(mode):
+                    folders.append(path)
+                elif stat.S_ISREG(mode):
+                    found.append(path.relative_to(root).as_posix())
+                else:
+                    raise StorageError(
+                        f"{owner} holds plain files, got the pipe or device {path}; remove it"
+                    )
+    except OSError as error:
+        raise StorageError(f"{root} cannot be read ({error.strerror or error})") from error
+    return sorted(found)
+
+
+def read_json(text: str | bytes) -> Any:
+    """Parsed JSON.
+
+    Raises:
+        ValueError: whatever is wrong with it.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("lists or objects are nested too deeply") from None
+
+
+def read_arrays(file: IO[bytes]) -> dict[str, NDArray[Any]]:
+    """All arrays of an `.npz` file by name; pickled objects are never loaded.
+
+    Raises:
+        ValueError: it is no archive of plain arrays, or a damaged one.
+    """
+    try:
+        loaded = np.load(file, allow_pickle=False)
+        if not isinstance(loaded, np.lib.npyio.NpzFile):
+            raise ValueError("a single array, no archive of named ones")
+        with loaded:
+            arrays = {name: loaded[name] for name in loaded.files}
+    except Exception as error:  # numpy and zipfile raise whatever their parts raise
+        raise ValueError(f"something else or a damaged file ({error})") from error
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray):
+            raise ValueError(f"{name!r} is no array")
+    return arrays
+
+
+def _link(path: Path, owner: str) -> StorageError:
+    return StorageError(
+        f"files of {owner} lie inside its folder, got the link {path}; put the file itself there"
+    )

@@ -1,0 +1,71 @@
+import json
+import sqlite3
+
+import numpy as np
+import pytest
+
+import mbtl
+from mbtl.cli.play import _portfolio
+from mbtl.objective import Bounds
+from mbtl.portfolio import Portfolio
+
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("mass", 1.0, 3.0): 3})
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A folder whose database holds two studies, and one beside it that holds one."""
+    for folder, name, told in (("a", "first", 1), ("a", "the second", 2), ("b", "study", 1)):
+        database = tmp_path / "runs" / folder / "study.db"
+        study = mbtl.create_study(SPACE, budget=2, bounds=(0, 4), storage=database, name=name)
+        for _ in range(told):
+            study.tell(study.ask(), np.full(3, float(told)))
+    return tmp_path / "runs"
+
+
+def test_list_shows_every_study_of_every_database(mbtl_command, place):
+    rows = json.loads(mbtl_command("study", "list", "--json")[1])
+    assert [(r["study"], r["name"], r["told"]) for r in rows] == [
+        ("runs/a", "first", 1),
+        ("runs/a", "the second", 2),
+        ("runs/b", "study", 1),
+    ]
+    _, out, _ = mbtl_command("study", "list")
+    assert "runs/a --name 'the second'" in out
+    assert "runs/b --name" not in out
+    assert len(json.loads(mbtl_command("study", "list", place / "a/study.db", "--json")[1])) == 2
+
+
+@pytest.mark.parametrize("command", [("show",), ("export", "rows.json")])
+def test_one_of_several_studies_is_chosen_by_its_name(mbtl_command, place, tmp_path, command):
+    verb, *file = command
+    code, out, err = mbtl_command("study", verb, "runs/a", *file)
+    assert (code, out) == (2, "")
+    assert "holds 2 studies (first, the second); choose one with --name" in " ".join(err.split())
+    code, out, _ = mbtl_command("study", verb, "runs/a", *file, "--name", "the second", "--json")
+    assert code == 0
+    document = json.loads(out)
+    assert len(document["picks"]) == 2 if verb == "show" else document["rows"] == 2
+    code, _, err = mbtl_command("study", verb, "runs/a", *file, "--name", "frist")
+    assert code == 2
+    assert "Did you mean 'first'?" in err
+
+
+def test_a_damaged_study_gets_one_line_and_hides_no_other(mbtl_command, place):
+    with sqlite3.connect(place / "a" / "study.db") as connection:
+        connection.execute("UPDATE mbtl_events SET data = '{' WHERE study = 'first' AND seq = 3")
+    connection.close()
+    code, _, err = mbtl_command("study", "show", "runs/a", "--name", "first")
+    assert code == 1
+    assert "event 3 (told) of the study is damaged" in " ".join(err.split())
+    assert "Traceback" not in err
+    code, out, err = mbtl_command("study", "list", "--json")
+    assert [row["name"] for row in json.loads(out)] == ["the second", "study"]
+    assert "event 3 (told)" in " ".join(err.split())
+
+
+def test_trust_reaches_the_policies_that_are_played(tmp_path):
+    portfolio = Portfolio(SPACE, (0,), np.ones((1, 3)), Bounds(0, 1), 0.1, cmdp="ring-acc")
+    folder = portfolio.save(tmp_path / "p", allow_missing=True)
+    assert _portfolio(str(folder), True).trust
+    assert not _portfolio(str(folder), False).trust

@@ -1,0 +1,256 @@
+"""A log that is damaged, or of a stranger: refused in one sentence, and nothing of it is done."""
+
+import copy
+import dataclasses
+import io
+import json
+import random
+import re
+import sqlite3
+
+import numpy as np
+import pytest
+
+import mbtl
+from damage import damaged, damaged_bytes, refusals
+from mbtl.errors import InvalidInput, StorageError, StudyError
+from mbtl.report import summarise_study
+from mbtl.selectors import get_selector
+from mbtl.study import MemoryLog, Study
+from mbtl.study.events import Event
+from mbtl.trainer import Trainer
+
+SPACE = mbtl.ContextSpace.grid(
+    {mbtl.Linear("mass", 1.0, 3.0, unit="kg"): 3, mbtl.Integer("n", 1, 2): 2}
+)
+
+
+@pytest.fixture
+def study(tmp_path):
+    """A study in a file with events of every kind but one."""
+    made = mbtl.create_study(
+        SPACE, budget=3, bounds=(0.0, 9.0), repeats=2, costs=np.arange(1, 7), cost_budget=50,
+        eval_targets=4, settings={"recipe": {"steps": 3}}, storage=tmp_path / "study.db",
+    )  # fmt: skip
+    (tmp_path / "policies" / "a").mkdir(parents=True)
+    (tmp_path / "policies" / "a" / "theta.txt").write_text("7")
+    made.tell(made.ask(), np.arange(8.0).reshape(4, 2), policy="policies/a", seconds=1.5)
+    made.release(made.ask())
+    made.fail(made.ask(), "diverged")
+    made.tell(5, np.full(6, 3.0))
+    made.record_fresh_returns(np.full((2, 6), 2.0))
+    made.extend(4)
+    return made
+
+
+def events(study):
+    """The log as lists and records."""
+    return [
+        {"kind": e.kind, "data": copy.deepcopy(dict(e.data)), "arrays": dict(e.arrays)}
+        for e in study._log.read()
+    ]
+
+
+def written(place, log):
+    """Put a log in the place of the one in a database, as its rows."""
+    rows = []
+    for i, e in enumerate(log):
+        packed = io.BytesIO()
+        np.savez(packed, **e["arrays"])
+        arrays = e.get("packed", packed.getvalue() if e["arrays"] else b"")
+        text = e.get("text", json.dumps(e["data"]))
+        rows.append(("study", i + 1, e.get("time", 1.0), e["kind"], text, arrays))
+    with sqlite3.connect(place / "study.db") as connection:
+        connection.execute("DELETE FROM mbtl_events")
+        connection.executemany("INSERT INTO mbtl_events VALUES (?, ?, ?, ?, ?, ?)", rows)
+    connection.close()
+    return place
+
+
+def used(study):
+    """Everything that is done with a study of a stranger's."""
+    study.value, study.curve, study.is_finished, study.orphans, repr(study)
+    summarise_study(study).to_json()
+    study.portfolio().explain({"mass": 1.5, "n": 1})
+    study.extend(5)
+    study.ask(take_over=True)
+
+
+# ---- strangers --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "policy",
+    ["/etc", "../secret", "policies/../../secret", "C:\\x", "..\\x", ".ssh", "a/.ssh", "", 3],
+)
+def test_a_path_that_leads_out_of_the_study_is_refused_with_its_event(study, tmp_path, policy):
+    log = events(study)
+    log[2]["data"]["policy"] = policy
+    written(tmp_path, log)
+    with pytest.raises(StorageError, match=r"event 3 \(told\) .*`policy` must be a folder inside"):
+        mbtl.load_study(tmp_path)
+
+
+def test_such_a_path_is_not_recorded_either(study):
+    with pytest.raises(InvalidInput, match="`policy` must be a folder inside the study's own"):
+        study.tell(3, np.zeros(6), policy="/etc")
+    assert len(study.refresh().rows) == 2
+
+
+def test_a_key_behind_a_link_is_not_copied(study, tmp_path):
+    outside = tmp_path.parent / f"{tmp_path.name}-home"
+    outside.mkdir()
+    (outside / "id_rsa").write_text("secret")
+    place = tmp_path / "policies" / "a"
+    (place / "key").symlink_to(outside / "id_rsa")
+    portfolio = study.portfolio()
+    with pytest.raises(StorageError, match="got the link"):
+        portfolio.save(tmp_path / "p", allow_missing=True)
+    (place / "key").unlink()
+    portfolio.save(tmp_path / "p", allow_missing=True)
+    place.rename(tmp_path / "moved")
+    place.symlink_to(outside)
+    with pytest.raises(StorageError, match=r"got the link .*policies/a"):
+        study.portfolio()
+
+
+@pytest.mark.parametrize("uid", ["../..", "a/b", "", "x" * 65, None])
+def test_a_uid_that_is_no_name_of_a_folder_is_refused(study, tmp_path, uid):
+    log = events(study)
+    log[0]["data"]["uid"] = uid
+    written(tmp_path, log)
+    with pytest.raises(StorageError, match=r"event 1 \(created\) .*`uid` must be"):
+        mbtl.load_study(tmp_path)
+
+
+def test_a_zip_of_the_study_needs_trust_or_its_trainer(study, tmp_path, monkeypatch):
+    log = events(study)
+    log[0]["data"]["spec"]["settings"]["policy_format"] = "sb3"
+    written(tmp_path, log)
+    monkeypatch.setattr("mbtl.training.load_sb3", lambda place: "model")
+    opened = mbtl.load_study(tmp_path)
+    with pytest.raises(InvalidInput, match="pass trust=True"):
+        opened.portfolio().policy(0)
+    assert opened.portfolio(trust=True).policy(0) == "model"
+    monkeypatch.setattr(Trainer, "load", lambda place: (place / "theta.txt").read_text())
+    assert opened.portfolio(Trainer).policy(0) == "7"
+
+
+# ---- damage -----------------------------------------------------------------------------------
+
+
+def test_any_damage_to_the_facts_gets_a_sentence(study):
+    whole, refused = events(study), {}
+
+    def attempt(seed):
+        log, memory = copy.deepcopy(whole), MemoryLog()
+        entry = random.Random(seed).choice(log)
+        entry["data"] = damaged(entry["data"], seed)
+        for i, e in enumerate(log):
+            memory.append(Event(e["kind"], json.loads(json.dumps(e["data"])), e["arrays"]), after=i)
+        try:
+            opened = Study(memory, get_selector("random"), folder=study.folder)
+        except StorageError as error:
+            refused[entry["kind"]] = str(error)
+            raise
+        used(opened)
+
+    assert refusals(attempt, 500) > 200
+    assert set(refused) == {e["kind"] for e in whole} - {"reported"}  # which holds arrays alone
+    assert all(re.search(r"event \d+ |newer mbtl", said) for said in refused.values())
+
+
+def test_any_damage_to_the_database_gets_a_sentence(study, tmp_path):
+    whole = events(study)
+    odd = [
+        None,
+        "text",
+        b"bytes",
+        3,
+        10**12,
+        -1.0,
+        "",
+        "{}",
+        "[]",
+        '{"a": NaN}',
+        "[" * 9999,
+        b"\xff",
+    ]
+
+    def attempt(seed):
+        rng, log = random.Random(seed), copy.deepcopy(whole)
+        entry = rng.choice([log[2], *log])
+        change = rng.choice(
+            ["text", "time", "kind", "packed", "arrays", "arrays", "bytes", "event"]
+        )
+        if change == "event":
+            log.remove(entry)
+        elif change == "bytes":
+            packed = io.BytesIO()
+            np.savez(packed, **entry["arrays"])
+            entry["packed"] = damaged_bytes(packed.getvalue(), seed)
+        elif change == "arrays":
+            name = rng.choice([*entry["arrays"], "other"])
+            shape = rng.choice([(6,), (2, 6), (0,), (), (7,)])
+            entry["arrays"][name] = np.full(
+                shape, rng.choice([1.0, np.nan, np.inf, 1e308, "a", 1j])
+            )
+        else:
+            entry[change] = rng.choice(odd)
+        try:
+            written(tmp_path, log)
+        except sqlite3.IntegrityError:  # NULL
+            return
+        used(mbtl.load_study(tmp_path))
+
+    assert refusals(attempt, 60) > 30
+
+
+# ---- picks and numbers ------------------------------------------------------------------------
+
+
+def test_a_pick_of_another_study_answers_nothing():
+    studies = [
+        mbtl.create_study(SPACE, budget=3, selector=name) for name in ("mbtl", "worst-first")
+    ]
+    ours, theirs = (study.ask() for study in studies)
+    other = dataclasses.replace(theirs, source=(ours.source + 1) % 6)
+    for answer in (lambda p: studies[0].tell(p, np.zeros(6)), lambda p: studies[0].fail(p, "no"),
+                   lambda p: studies[0].release(p)):  # fmt: skip
+        with pytest.raises(StudyError, match="tell the study that gave it"):
+            answer(other)
+    studies[0].tell(ours, np.zeros(6))
+    assert studies[0].state.rows[0].source == ours.source
+
+
+def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
+    number = np.float32(0.5)
+    study = mbtl.create_study(
+        SPACE, budget=3, theta=number, stop_value=number, bounds=(number, np.int64(3)),
+        direction="max", storage=tmp_path / "a.db",
+    )  # fmt: skip
+    study.tell(study.ask(), np.zeros(6), seconds=number, cost=number)
+    assert mbtl.load_study(tmp_path / "a.db").spec.theta == 0.5
+    assert study.spec.direction == "maximize"
+    with pytest.raises(InvalidInput, match="`seconds` must be a finite number"):
+        study.tell(study.ask(), np.zeros(6), seconds=np.nan)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"theta": np.nan}, "theta must be finite, got nan"),
+        ({"theta": "steep"}, "theta must be a number"),
+        ({"stop_value": np.nan, "bounds": (0, 1)}, "stop_value must be finite, got nan"),
+        ({"stop_value": 1.5, "bounds": (0, 1)}, r"at most 1 \(the better bound\), got 1.5"),
+        ({"bounds": 5}, "two numbers"),
+        ({"bounds": (0, 1, 2)}, "two numbers"),
+        ({"bounds": ("a", 1)}, "two numbers"),
+        ({"bounds": (-1e308, 1e308)}, "finite with low < high"),
+        ({"direction": "upwards"}, "'maximize' or 'minimize'"),
+    ],
+)
+def test_settings_that_are_no_numbers_are_refused_and_nothing_is_stored(tmp_path, wrong, words):
+    with pytest.raises(InvalidInput, match=words):
+        mbtl.create_study(SPACE, budget=3, storage=tmp_path / "a.db", **wrong)
+    assert not (tmp_path / "a.db").exists()
