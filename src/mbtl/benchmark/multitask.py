@@ -29,7 +29,7 @@ class MultiTask:
 
     Attributes:
         returns: (S, N) mean raw return per seed and context.
-        std: (S, N) standard deviation over episodes.
+        std: (S, N) standard deviation over episodes, with n - 1 (older files: n); 0 of one.
         provenance: one record per seed.
     """
 

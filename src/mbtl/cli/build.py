@@ -160,9 +160,10 @@ def _shown(file: Path, matrix: TransferMatrix) -> dict[str, Any]:
         "independent": known.independent,
         "oracle_transfer": known.oracle_transfer,
     }
+    note = "" if matrix.caveat is None else f"; {matrix.caveat}"
     console.print(
         f"{file}: one policy {known.grand_mean:.4f}, Independent {known.independent:.4f}, "
-        f"Oracle Transfer {known.oracle_transfer:.4f}",
+        f"Oracle Transfer {known.oracle_transfer:.4f}{note}",
         markup=False,
         highlight=False,
         soft_wrap=True,

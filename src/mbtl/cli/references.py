@@ -27,6 +27,14 @@ def references(
         str | None,
         typer.Option(help="module:problem of your own CMDP; ours are known by their provenance."),
     ] = None,
+    any_version: Annotated[
+        bool,
+        typer.Option(
+            "--any-version",
+            help="Also where the CMDP has another version by now: say so only if what changed does "
+            "not touch these rows.",
+        ),
+    ] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Add reference rows to matrix files: random actions, and the system without a controller.
@@ -47,10 +55,17 @@ def references(
             )
         nominal = None if cmdp.nominal is None else dict(cmdp.nominal)
         added: dict[str, Any] = {"provenance": {**record, "nominal": nominal}}
-        rows = _rows(cmdp, matrix, record)
-        if rows:
+        same = record.get("version", cmdp.version) == cmdp.version
+        if not same and not any_version:
+            console.print(
+                f"{file}: only its nominal context is noted, since {cmdp.id} is of version "
+                f"{cmdp.version} now and the file of {record['version']}: build it again, or give "
+                "--any-version",
+                markup=False,
+            )
+        elif rows := _rows(cmdp, matrix, record):
             added["references"] = {name: row.astype(np.float32) for name, row in rows.items()}
-            added["provenance"]["references"] = here()
+            added["provenance"]["references"] = {**here(), "version": cmdp.version}
         now = replace(matrix, **added)
         now.save(file)
         results.append({"file": str(file), **reference_levels(now, 0)})
@@ -75,14 +90,7 @@ def _cmdp(file: Path, record: Mapping[str, Any]) -> CMDP:
 
 
 def _rows(cmdp: CMDP, matrix: TransferMatrix, record: Mapping[str, Any]) -> dict[str, Array]:
-    """(1, H, N) by name; none where the trainer has none, or the CMDP is another one by now."""
-    if record.get("version", cmdp.version) != cmdp.version:
-        console.print(
-            f"{matrix.name}: only its nominal context is noted, since {cmdp.id} is of version "
-            f"{cmdp.version} now and the file of {record['version']}: build it again",
-            markup=False,
-        )
-        return {}
+    """(1, H, N) by name; none where the trainer has none."""
     known = record.get("recipe", {}).get("eval_episodes")
     episodes = known if matrix.episodes is None else sum(matrix.episodes)
     trainer: Trainer = cmdp.trainer
@@ -94,6 +102,8 @@ def _rows(cmdp: CMDP, matrix: TransferMatrix, record: Mapping[str, Any]) -> dict
     rows = {}
     for name, returns in trainer.reference_rows(cmdp.space.contexts, seed).items():
         checked = checked_returns(returns, matrix.n)
+        if cmdp.floor is not None and matrix.bounds.floor is None:  # as all that is in such a file
+            checked = np.maximum(checked, cmdp.floor)
         parts, counts = [checked.mean(axis=1)], matrix.episodes
         if matrix.measures_apart:
             parts, counts = halves(checked)

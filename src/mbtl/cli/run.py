@@ -5,6 +5,7 @@ Train what the selector picks, evaluate everywhere, save the portfolio.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,8 +21,10 @@ from mbtl.report import reference_curves, summarise_study
 from mbtl.report.plots import plot_curve, plot_policy_map
 from mbtl.report.text import show_summary
 from mbtl.selectors import get_selector
+from mbtl.settings import first_difference
 from mbtl.study import Callback, Study, create_study
 from mbtl.study.runner import check_options
+from mbtl.study.storage import SqlLog
 from mbtl.trainer import Trainer, recipe_of
 
 NOTHING_LEFT = 0.005
@@ -144,7 +147,12 @@ def run(
         "tensorboard": tensorboard,
     }
     trainer = cmdp.trainer_for(preset, **{k: v for k, v in overrides.items() if v is not None})
-    folder = study or Path("runs") / f"{cmdp.id}-{preset or cmdp.default_preset}-seed{seed}"
+    settings = _settings(cmdp, preset, trainer)
+    folder = study or Path("runs") / f"{cmdp.id}-{settings['preset']}-seed{seed}"
+    former = cmdp.preset(preset).formerly
+    begun = Path("runs") / f"{cmdp.id}-{former}-seed{seed}"
+    if former and study is None and not folder.exists() and _is_there(begun, settings, former):
+        folder, settings = begun, {**settings, "preset": former}  # before the preset was renamed
     if new:
         _set_aside(folder)
     if folder.exists() and not (folder / "study.db").exists() and any(folder.iterdir()):
@@ -172,7 +180,7 @@ def run(
         storage=folder / "study.db",
         name=folder.resolve().name,
         problem=cmdp.id,
-        settings=_settings(cmdp, preset, trainer),
+        settings=settings,
         load_if_exists=True,
     )
     _announce(running, folder)
@@ -221,6 +229,15 @@ def _settings(cmdp: CMDP, preset: str | None, trainer: Trainer) -> dict[str, Any
         "recipe": recipe_of(trainer),
         "policy_format": trainer.policy_format,
     }
+
+
+def _is_there(folder: Path, settings: Mapping[str, Any], preset: str) -> bool:
+    """Whether a study of these settings was begun in `folder` under another name of its preset."""
+    place = folder / "study.db"
+    if not place.is_file():
+        return False
+    begun = Study(SqlLog(place, folder.resolve().name), get_selector("random"), folder=folder)
+    return first_difference(begun.spec.settings, {**settings, "preset": preset}) is None
 
 
 def _announce(study: Study, folder: Path) -> None:

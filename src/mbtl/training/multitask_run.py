@@ -151,7 +151,8 @@ class InSimulator:
             "training_seed": chosen,
             "training": trained,
         }
-        return returns.mean(axis=1), returns.std(axis=1), record
+        spread = returns.std(axis=1, ddof=min(1, returns.shape[1] - 1))
+        return returns.mean(axis=1), spread, record
 
     def _policy(self, chosen: int, folder: Path, on_step: OnStep) -> tuple[Any, dict[str, Any]]:
         """Trained now or by an interrupted run, and by which code and how long that was."""

@@ -49,7 +49,7 @@ class MultiTaskRun:
 
     Attributes:
         returns: per checkpoint, (S, N) mean raw return over episodes.
-        std: per checkpoint, (S, N) standard deviation over episodes.
+        std: per checkpoint, (S, N) standard deviation over episodes, with n - 1; 0 of a single one.
         provenance: one JSON-able record per seed: what decides the numbers, and how long it took.
     """
 
@@ -123,7 +123,8 @@ def run_multitask(
                 file = place / f"seed{seed}-{name}.npz"
                 if not file.exists():
                     found = evaluate_multitask(env, recipe, weights, params, noise)[0]
-                    _save(file, {"returns": found.mean(axis=1), "std": found.std(axis=1)})
+                    spread = found.std(axis=1, ddof=min(1, episodes - 1))
+                    _save(file, {"returns": found.mean(axis=1), "std": spread})
                 row = _load(file)
                 rows[name].append((row["returns"], row["std"]))
             records.append(
