@@ -6,14 +6,19 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 PROBLEM ?= cartpole-length
+PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal --durations 25
 
-.PHONY: run test lint format bench clean
+.PHONY: run test test-long lint format bench clean
 
 run: .venv/run.stamp
 	$(BIN)/mbtl run $(PROBLEM)
 
 test: .venv/dev.stamp
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --durations 25 $(TESTS)
+	$(PYTEST) -m "not long" $(TESTS)
+
+# real trainings, sweeps of kills, parity with SUMO: before an issue that touches them is resolved
+test-long: .venv/dev.stamp
+	$(PYTEST) -m long $(TESTS)
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check src tests benchmarks examples

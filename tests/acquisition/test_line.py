@@ -33,8 +33,7 @@ def tiny_leaves():
 @pytest.mark.usefixtures("tiny_leaves")
 @settings(
     max_examples=300,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(
     st.integers(1, 80),

@@ -1,5 +1,7 @@
 """The contract of CMDPs, for one of each traffic family in each of its engines."""
 
+import pkgutil
+
 import pytest
 
 pytest.importorskip("libsumo", reason="the traffic extra is not installed")
@@ -14,35 +16,47 @@ from mbtl.cmdps.traffic_families import TRAFFIC_VARIANTS
 from mbtl.testing.cmdps import CMDPContract
 
 ONE = {"episodes": 1, "eval_episodes": 1, "checkpoint_episodes": 1}
-CASES = {
-    ("ring-acc", "sumo"): ONE,
-    ("ring-vel", "jax"): ONE,
-    ("ramp-vel", "sumo"): ONE,
-    ("signal-length", "sumo"): {**ONE, "hyperparameters": {"gradient_steps": 2}},
-    ("eco-inflow", "sumo"): {**ONE, "hyperparameters": {"n_epochs": 1}},
-    ("eco-green", "jax"): ONE,
+SUMO = {
+    "ring-acc": ONE,
+    "ramp-vel": ONE,
+    "signal-length": {**ONE, "hyperparameters": {"gradient_steps": 2}},
+    "eco-inflow": {**ONE, "hyperparameters": {"n_epochs": 1}},
 }
 
 
-@pytest.mark.slow
 class TestTraffic(CMDPContract):
     steps = 12
 
-    @pytest.fixture(params=CASES, ids="-".join)
+    @pytest.fixture(params=SUMO)
     def cmdp(self, request):
-        id, engine = request.param
-        self.smoke = CASES[request.param]
-        if engine == "jax":
-            pytest.importorskip("jax", reason="the jax extra is not installed")
-        return get_cmdp(id, engine=engine)
+        self.smoke = SUMO[request.param]
+        return get_cmdp(request.param, engine="sumo")
+
+    def test_passes_the_check(self, cmdp):
+        check_cmdp(cmdp, steps=2).raise_if_failed()  # each simulates up to a hold of 40 s
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "id", sorted(set(TRAFFIC_VARIANTS) - {id for id, engine in CASES if engine == "sumo"})
-)
-def test_the_others_pass_the_check(id):
+@pytest.mark.long
+class TestTwins(CMDPContract):
+    steps, smoke = 12, ONE
+
+    @pytest.fixture(params=["ring-vel", "eco-green"])
+    def cmdp(self, request):
+        pytest.importorskip("jax", reason="the jax extra is not installed")
+        return get_cmdp(request.param, engine="jax")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("id", sorted(TRAFFIC_VARIANTS))
+def test_all_pass_the_check_in_full(id):
     check_cmdp(get_cmdp(id, engine="sumo")).raise_if_failed()
+
+
+@pytest.mark.parametrize("id", TRAFFIC_VARIANTS)
+def test_a_class_shows_of_its_context_what_the_cmdp_shows(id):
+    cmdp = get_cmdp(id)
+    kind = pkgutil.resolve_name(cmdp.make_env.entry_point)
+    assert len(kind(cmdp.nominal).visible) == len(cmdp.make_env(cmdp.nominal).visible)
 
 
 @pytest.mark.parametrize("id", ["ring-vel", "ramp-acc", "signal-length", "eco-green"])

@@ -13,6 +13,7 @@ import mbtl.training.jax as engine  # noqa: F401  isort: skip  # before jax: it 
 import jax
 import jax.numpy as jnp
 
+from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic import eco
 from mbtl.cmdps.traffic.corridor import FEEDERS, STARTS
 from mbtl.cmdps.traffic.population import Car
@@ -35,6 +36,16 @@ def step(twin, state, actions, params):
 @partial(jax.jit, static_argnums=0)
 def observe(twin, state, params):
     return twin.observe(state, params)
+
+
+@pytest.mark.parametrize(("id", "shown"), [("eco-inflow", 0), ("eco-green", 1)])
+def test_the_inflow_is_hidden_in_both_simulators_as_in_the_reference(id, shown):
+    (axis,) = get_cmdp(id).space.axes
+    env = get_cmdp(id, engine="sumo").make_env({axis.name: axis.high})
+    assert env.observation_space("").shape == (eco.SIZE + shown,)
+    env.close()
+    twin, (params,) = get_cmdp(id, engine="jax").trainer.problem([{axis.name: axis.high}])
+    assert (twin.n_features, *params.visible.shape) == (eco.SIZE, shown)
 
 
 class Script:
@@ -90,7 +101,12 @@ def injected(cars, rows):
 
 @pytest.mark.parametrize(
     "context",
-    [{}, {"penetration": 1.0}, {"inflow": 1200.0, "green": 20.0}, {"green": 3.0}],
+    [
+        {},
+        pytest.param({"penetration": 1.0}, marks=pytest.mark.long),
+        pytest.param({"inflow": 1200.0, "green": 20.0}, marks=pytest.mark.long),
+        pytest.param({"green": 3.0}, marks=pytest.mark.long),
+    ],
     ids=str,
 )
 def test_with_the_same_cars_every_step_is_as_in_sumo(context, monkeypatch):
@@ -150,6 +166,7 @@ def unguided(twin, seeds, params):
     return twin.measures(state)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("context", [{}, {"inflow": 1600.0}, {"green": 5.0}], ids=str)
 def test_unguided_traffic_is_distributed_as_in_sumo(context):
     env = eco.Eco(context)

@@ -7,11 +7,8 @@ import pytest
 
 pytest.importorskip("libsumo")
 
-from mbtl.cmdps import check_cmdp
-from mbtl.cmdps.engines import EnvFactory
 from mbtl.cmdps.traffic import advisory
 from mbtl.cmdps.traffic.ring import CARS, Ring, RingAcc, RingVel
-from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import ContextMismatch, InvalidInput, SimulationFailed, UnknownName
 
 
@@ -95,7 +92,7 @@ def test_the_reward_is_the_mean_speed_of_the_advised_car(make):
 
 
 def test_the_observation_is_scaled_to_minus_one_to_one(make):
-    env = make(start="uniform", noise=0.0)
+    env = make(start="uniform", noise=0.0, visibility="multiplier")
     observation, _ = env.reset(seed=0)
     v, u, distance = (observation[:3].astype(float) + 1) / 2 * [10, 10, 300]
     assert (v, u) == pytest.approx((4.33, 4.33), abs=0.03)
@@ -142,7 +139,27 @@ def test_hurrying_is_safe_and_a_collision_would_end_the_episode(make):
     assert info["score"] == 0.0  # the measured part had not begun
 
 
-@pytest.mark.slow
+def test_after_a_collision_the_cars_stand_for_the_rest_of_the_measured_part(make, monkeypatch):
+    for part, steps in (("WARM_UP", 200), ("UNMEASURED", 100), ("MEASURED", 1_000)):
+        monkeypatch.setattr(advisory, part, steps)
+    env = make(RingAcc, hold=1.0)
+    env.reset(seed=0)
+    for _ in range(60):
+        env.drive()
+    env.simulation.api.vehicle.setSpeedMode("car0", 0)  # without any check of SUMO's
+    env.simulation.api.vehicle.setMinGap("car0", 2.0)
+    lived, terminated = 600, False
+    while not terminated:
+        so_far = env.score
+        *_, terminated, _, info = env.step([1.0])
+        lived += 10
+    assert info["collided"]
+    assert lived < 1_100
+    share = (lived - 100) / 1_000
+    assert info["score"] == pytest.approx(so_far * share, rel=0.05)
+
+
+@pytest.mark.long
 def test_a_simulator_that_is_killed_ends_the_episode_and_the_next_one_works(make):
     env = make(engine="traci", horizon=2)
     env.reset(seed=0)
@@ -174,12 +191,3 @@ def test_other_levels_are_refused(make, level):
     env.reset(seed=0)
     with pytest.raises(InvalidInput, match="0 to 9"):
         env.step(level)
-
-
-@pytest.mark.slow
-def test_the_contract():
-    # one of the two interleaved simulations goes through TraCI, so short holds
-    factory = EnvFactory("mbtl.cmdps.traffic.ring:RingVel", {"unit": {"hold": 1.0}})
-    space = ContextSpace.grid({Linear("hold", 1.0, 2.0, "s"): [1.0, 2.0]})
-    report = check_cmdp(factory, space, nominal={"hold": 1.0}, steps=2)
-    assert [c for c in report.checks if c.outcome == "failed"] == []

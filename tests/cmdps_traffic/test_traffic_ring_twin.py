@@ -47,7 +47,7 @@ def same_state(twin, params, env):
     )
 
 
-@pytest.mark.parametrize("actions", ACTIONS)
+@pytest.mark.parametrize("actions", ["acceleration", pytest.param("speed", marks=pytest.mark.long)])
 def test_without_noise_every_decision_ends_as_in_sumo(actions):
     env = ACTIONS[actions]({"hold": 2.0}, noise=0.0, visibility="hidden")
     twin, (params,) = RingProblem(actions, noise=0.0)([{"hold": 2.0}])
@@ -71,6 +71,7 @@ def test_without_noise_every_decision_ends_as_in_sumo(actions):
         env.close()
 
 
+@pytest.mark.long
 def test_a_car_that_is_told_to_hurry_follows_closely_and_hits_nobody():
     env = ring.RingAcc({"hold": 1.0}, noise=0.0, visibility="hidden")
     twin, (params,) = RingProblem("acceleration", noise=0.0)([{"hold": 1.0}])
@@ -89,6 +90,7 @@ def test_a_car_that_is_told_to_hurry_follows_closely_and_hits_nobody():
         env.close()
 
 
+@pytest.mark.long
 def test_unguided_traffic_flows_as_in_sumo():
     env = ring.RingAcc({"hold": 40.0})
     scores = []
@@ -111,9 +113,9 @@ def test_unguided_traffic_flows_as_in_sumo():
 
 
 def test_a_policy_of_the_twin_drives_in_sumo():
-    twin = get_cmdp("ring-vel", engine="jax")
-    policy = twin.trainer_for("quick", episodes=2).train({"hold": 40.0}, seed=0)
-    env = twin.make_env({"hold": 40.0})
+    twin = get_cmdp("ring-acc", engine="jax")
+    policy = twin.trainer_for("quick", episodes=2).train({"hold": 20.0}, seed=0)
+    env = twin.make_env({"hold": 20.0})
     observation, _ = env.reset(seed=0)
     rng = np.random.default_rng(0)
     ended = False

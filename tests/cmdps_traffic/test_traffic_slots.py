@@ -323,7 +323,7 @@ class Book(BaseCallback):
         self.taken += len(self.model.rollout_buffer.observations)
 
 
-@pytest.mark.parametrize("algorithm", [PPO, A2C])
+@pytest.mark.parametrize("algorithm", [PPO, pytest.param(A2C, marks=pytest.mark.long)])
 def test_a_shared_policy_learns_on_the_ramp(algorithm):
     pytest.importorskip("libsumo")
     from mbtl.cmdps.traffic.ramp import RampAcc
@@ -347,7 +347,7 @@ def test_a_shared_policy_learns_on_the_ramp(algorithm):
     assert any((p != q).any() for p, q in zip(before, model.policy.parameters(), strict=True))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_simulations_in_processes_give_the_same_as_in_one():
     pytest.importorskip("libsumo")
     from mbtl.cmdps.traffic.ramp import RampVel

@@ -75,7 +75,7 @@ def test_bad_sets_of_contexts_are_refused():
         uneven.reset()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_policy_serves_all_contexts_that_it_is_told():
     trainer = SB3Trainer(
         Told, algorithm="PPO", timesteps=6_000, eval_episodes=1,

@@ -110,7 +110,7 @@ def test_an_interrupted_trainer_goes_on_to_the_same_policy(tmp_path, monkeypatch
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_policy_learns_to_calm_rings_of_several_holds():
     contexts = [{"hold": 1.0}, {"hold": 4.0}]
     trainer = get_cmdp("ring-vel", engine="jax", visibility="multiplier").trainer_for(

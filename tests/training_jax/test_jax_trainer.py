@@ -16,6 +16,7 @@ from mbtl.errors import InvalidInput, UnknownName
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import evaluation_seed, training_seed
 from mbtl.study import create_study
+from mbtl.study.rehearsal import rehearse
 from mbtl.training import JaxTrainer, SB3Trainer
 from mbtl.training.jax import saving
 
@@ -84,13 +85,13 @@ def test_an_interrupted_training_goes_on_to_the_same_policies(tmp_path, monkeypa
         if len(seen) == 5:
             raise KeyboardInterrupt
 
-    whole = TRAINER.train_many(CONTEXTS, [0, 1])
+    whole = TRAINER.train_many(CONTEXTS[:1], [0])
     with pytest.raises(KeyboardInterrupt):
-        TRAINER.train_many(CONTEXTS, [0, 1], stop, partial=partial)
+        TRAINER.train_many(CONTEXTS[:1], [0], stop, partial=partial)
     assert partial.is_file()
     rest = []
     again = TRAINER.train_many(
-        CONTEXTS, [0, 1], lambda progress: rest.append(progress.step), partial=partial
+        CONTEXTS[:1], [0], lambda progress: rest.append(progress.step), partial=partial
     )
     assert rest[0] == seen[4]  # what was saved is the fourth block
     for checkpoint in ("best", "final"):
@@ -106,20 +107,20 @@ def test_a_damaged_partial_file_only_costs_time(tmp_path):
     assert same(one, TRAINER.train(CONTEXTS[0], seed=0))
 
 
-def test_training_ends_when_the_best_cannot_get_better():
-    """Episodes of one step return 1 whatever the policy: the first evaluation is the best."""
+def test_training_ends_when_the_best_cannot_get_better(monkeypatch):
+    def trained(keep):
+        heard = []
+        policies = TRAINER.train_many(CONTEXTS[:1], [0], heard.append, keep=keep)
+        return policies, [progress.metrics["episode_return"] for progress in heard]
 
-    def problem(contexts):
-        env, params = CMDP.trainer.problem(contexts)
-        return replace(env, horizon=1), params
-
-    trainer, steps = replace(TRAINER, problem=problem), []
-    best = trainer.train_many(CONTEXTS[:1], [0], lambda p: steps.append(p.step), keep=("best",))
-    assert len(steps) == 1
-    both = trainer.train_many(CONTEXTS[:1], [0], lambda p: steps.append(p.step))
-    assert steps[-1] >= 2_000
-    assert same(best["best"][0], both["best"][0])
-    assert not same(both["best"][0], both["final"][0])
+    whole, returns = trained(("best", "final"))
+    monkeypatch.setattr(engine.CartPole, "max_return", max(returns))
+    only, seen = trained(("best",))
+    assert seen == returns[: returns.index(max(returns)) + 1]
+    assert same(only["best"][0], whole["best"][0])
+    monkeypatch.setattr(engine.CartPole, "max_return", returns[0])
+    assert trained(("best",))[1] == returns[:1]
+    assert trained(("best", "final"))[1] == returns
 
 
 def test_a_matrix_row_is_the_row_of_a_study(tmp_path):
@@ -137,13 +138,14 @@ def test_a_matrix_row_is_the_row_of_a_study(tmp_path):
         building.space, budget=2, seed=7, bounds=(0, 500), storage=tmp_path / "study.db"
     )
     study.run(trainer=TRAINER, report=False)
+    returns = building.returns("best").mean(axis=2)
     for row in study.state.rows:
-        np.testing.assert_allclose(row.returns, building.rows("best")[0][row.source])
+        np.testing.assert_allclose(row.returns, returns[row.source])
     policy = TRAINER.load(next((tmp_path / "policies").rglob("source-0001")))
     assert same(policy, TRAINER.train(CONTEXTS[1], training_seed(7, 0, 1)))
     np.testing.assert_allclose(
         TRAINER.evaluate(policy, CONTEXTS, evaluation_seed(7, 0)).mean(axis=1),
-        building.rows("best")[0][1],
+        returns[1],
     )
 
 
@@ -158,3 +160,9 @@ def test_bad_options_say_what_is_known():
         CMDP.trainer_for("quick", timesteps=0)
     with pytest.raises(InvalidInput, match="checkpoint"):
         CMDP.trainer_for("quick", checkpoint="worst")
+
+
+def test_an_untrained_policy_shows_that_evaluation_works():
+    assert rehearse(TRAINER, CONTEXTS, 5) is None
+    trouble = rehearse(replace(TRAINER, hyperparameters={"n_enws": 2}), CONTEXTS, 5)
+    assert isinstance(trouble.error, UnknownName)

@@ -17,7 +17,7 @@ from mbtl.cmdps.engines import EnvFactory
 from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import MANIFEST
-from mbtl.seeds import episode_seed, evaluation_seed
+from mbtl.seeds import action_seed, episode_seed, evaluation_seed
 
 _RATE = 10
 """Pictures of a film per second."""
@@ -125,7 +125,7 @@ class _AtRandom:
     def __init__(self, env: Any, seed: int) -> None:
         space = env.action_space
         self._space = space("") if callable(space) else space
-        self._space.seed(seed)
+        self._space.seed(action_seed(seed))
 
     def predict(self, observation: Any, deterministic: bool = True) -> tuple[Any, None]:
         return [self._space.sample() for _ in observation], None

@@ -1,7 +1,7 @@
 """Portfolio folders: a JSON manifest, one array file, one folder per policy; no pickle of ours.
 
     portfolio.json             what it is, with the SHA-256 of every other file
-    returns.npz                returns (k, N), float64
+    returns.npz                returns (k, N), float64, and what else is known of the rows
     policies/source-0049/...   whatever the trainer saved
 
 A folder is built beside its place and renamed into it, so one that exists is whole. It may come
@@ -24,6 +24,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbtl.arrays import Array, python_value
 from mbtl.errors import InvalidInput, StorageError
@@ -31,7 +32,8 @@ from mbtl.files import sync_entries, sync_folder
 from mbtl.portfolio.mlp import MLPPolicy, is_mlp_folder
 from mbtl.untrusted import MALFORMED, inside, read_arrays, read_json, regular_files
 
-FORMAT = 1
+FORMAT = 2
+"""2: routes heed the scatter of episodes; portfolios of format 1 hold none, and still open."""
 KIND = "mbtl portfolio"
 MANIFEST = "portfolio.json"
 RETURNS = "returns.npz"
@@ -50,7 +52,7 @@ SavedPolicy = tuple[str, Path | None, Any]
 def write_portfolio(
     folder: Path,
     record: Record,
-    returns: Array,
+    arrays: Mapping[str, Array],
     policies: Sequence[SavedPolicy],
     *,
     overwrite: bool,
@@ -60,7 +62,7 @@ def write_portfolio(
     Args:
         folder: does not exist, is empty, or holds a portfolio and `overwrite` is set.
         record: JSON-able description; hashes, policies and versions are added here.
-        returns: (k, N).
+        arrays: "returns" (k, N), and others of its shape.
         policies: k entries.
         overwrite: replace the portfolio that is there.
 
@@ -75,7 +77,7 @@ def write_portfolio(
         _check_place(place, overwrite)
         partial = Path(tempfile.mkdtemp(prefix=f".{place.name}.partial-", dir=place.parent))
         try:
-            _fill(partial, record, returns, policies)
+            _fill(partial, record, arrays, policies)
             _swap(partial, place)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
@@ -87,8 +89,8 @@ def write_portfolio(
     return folder
 
 
-def read_portfolio(folder: Path) -> tuple[Record, Array, list[Path | None]]:
-    """Manifest, (k, N) returns and the folder of each policy; every file checked against its hash.
+def read_portfolio(folder: Path) -> tuple[Record, dict[str, Array], list[Path | None]]:
+    """Manifest, arrays (k, N) by name, the folder of each policy; every file checked by its hash.
 
     Raises:
         StorageError: not a portfolio, a file is missing, changed or not listed, a link or a path
@@ -103,15 +105,13 @@ def read_portfolio(folder: Path) -> tuple[Record, Array, list[Path | None]]:
         ]
         _check_files(folder, _listed(folder, manifest))
         with inside(folder, manifest["returns"]["file"], OWNER).open("rb") as file:
-            array = read_arrays(file)["returns"]
-        if array.dtype.kind not in "fiu":
-            raise ValueError(f"returns of {array.dtype}, which are no real numbers")
-        returns = np.asarray(array, dtype=np.float64)
+            arrays = {name: _real(name, array) for name, array in read_arrays(file).items()}
+        arrays["returns"]
     except (*MALFORMED, OSError) as error:
         raise StorageError(
             f"{folder / MANIFEST} must describe a whole portfolio, got {error!r}; save it again"
         ) from error
-    return manifest, returns, folders
+    return manifest, arrays, folders
 
 
 def load_policy(
@@ -167,10 +167,18 @@ def _check_place(folder: Path, overwrite: bool) -> None:
         )
 
 
-def _fill(root: Path, record: Record, returns: Array, policies: Sequence[SavedPolicy]) -> None:
+def _real(name: str, array: NDArray[Any]) -> Array:
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{name} of {array.dtype}, which are no real numbers")
+    return np.asarray(array, dtype=np.float64)
+
+
+def _fill(
+    root: Path, record: Record, arrays: Mapping[str, Array], policies: Sequence[SavedPolicy]
+) -> None:
     """Write every file of a portfolio into an empty folder, to the disk."""
     root.chmod(0o755)  # mkdtemp's 0o700 would lock out everyone the portfolio is shared with
-    np.savez(root / RETURNS, returns=returns)
+    np.savez(root / RETURNS, **arrays)  # type: ignore[arg-type]
     entries = [_write_policy(root, *policy) for policy in policies]
     manifest = {
         "kind": KIND,

@@ -132,6 +132,7 @@ def _is_worker(value: Any) -> bool:
 
 
 _TEXT: Rule = (_is_text, "text")
+_MAYBE_TEXT: Rule = (_maybe(_is_text), "text, or null")
 _COUNT: Rule = (_at_least(1, _is_whole), "a whole number of 1 or more")
 _SEED: Rule = (_is_seed, "a whole number >= 0")
 _NUMBER: Rule = (_maybe(_is_number), "a finite number, or null")
@@ -162,6 +163,9 @@ _SPEC: dict[str, Rule] = {
     "eval_targets": (_maybe(_COUNT[0]), "a whole number of 1 or more, or null"),
     "stop_gain": _NUMBER,
     "stop_confidence": (_is_number, "a number"),
+    "stop_left": _NUMBER,
+    "best_return": _NUMBER,
+    "floor": _NUMBER,
 }
 
 
@@ -176,6 +180,7 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
         lambda i: _is_whole(i) and i in state.open_picks,
         "the number of an open pick",
     )
+    failure = {"pick": one_open, "source": source, "reason": _TEXT, "traceback": _MAYBE_TEXT}
     table: dict[Kind, dict[str, Rule]] = {
         "extended": {"budget": (lambda b: _COUNT[0](b) and b <= most, f"from 1 to {most}")},
         "asked": {
@@ -197,8 +202,22 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
             "seconds": _NUMBER,
             "policy": _POLICY,
         },
-        "failed": {"pick": one_open, "source": source, "reason": _TEXT},
+        "failed": failure,
+        "deferred": failure,
+        "reopened": {
+            "pick": (
+                lambda i: any(failed.pick == i for failed in state.failures),
+                "the number of a failed pick",
+            )
+        },
         "stopped": {"reason": _TEXT},
+        "reported": {
+            "episodes": (_maybe(_COUNT[0]), "a whole number of 1 or more, or null"),
+            "value_errors": (
+                _maybe(lambda e: _each(_at_least(0.0))(e) and len(e) == len(state.rows)),
+                f"{len(state.rows)} finite numbers >= 0, or null",
+            ),
+        },
     }
     return table.get(kind, {})
 

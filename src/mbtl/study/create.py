@@ -39,7 +39,7 @@ def create_study(
     *,
     budget: int,
     selector: str | Selector = "auto",
-    bounds: tuple[float, float] | None = None,
+    bounds: tuple[float, float] | Bounds | None = None,
     direction: Direction | str = "maximize",
     theta: float | None = None,
     seed: int = 0,
@@ -65,7 +65,8 @@ def create_study(
         budget: number of trainings K, 1..N (times `repeats`).
         selector: a registered name, or an object with `propose`. "auto" heeds all that follows;
             of costs, repeats, risk and noise the paper's selectors know nothing.
-        bounds: (low, high) of the returns; None takes the range told so far.
+        bounds: (low, high) of the returns, or `Bounds`, whose direction and floor then count; None
+            takes the range told so far.
         direction: "maximize" or "minimize" the returns; "max" and "min" will do.
         theta: slope of the linear gap, performance per grid step; None: 0.005, or 0.5/(N-1) for
             N > 100.
@@ -105,9 +106,12 @@ def create_study(
     budget, seed = _whole("budget", budget), _whole("seed", seed)
     trial = _whole("trial", trial)
     direction, theta = direction_named(direction), _finite("theta", theta)
-    bounds = _pair("bounds", bounds)
-    if bounds is not None:
-        Bounds(*bounds, direction)
+    floor = None
+    if isinstance(bounds, Bounds):
+        direction, floor = bounds.direction, bounds.floor
+    pair = _pair("bounds", None if bounds is None else tuple(bounds))
+    if pair is not None:
+        Bounds(*pair, direction, floor)
     stop_value = _finite("stop_value", stop_value)
     if stop_value is not None and bounds is None:
         raise InvalidInput("stop_value is a performance, so it needs bounds=(low, high); got none")
@@ -125,7 +129,7 @@ def create_study(
         space,
         budget,
         describe_selector(chosen),
-        bounds,
+        pair,
         direction,
         theta,
         seed,
@@ -140,6 +144,7 @@ def create_study(
         _target_count(eval_targets, space.n),
         stop_gain,
         stop_confidence,
+        floor=floor,
     )
     check_spec(spec)
     log: EventLog = MemoryLog() if storage is None else SqlLog(storage, name, create=True)
@@ -261,7 +266,7 @@ def _check_wishes(
     repeats: int,
     stop_gain: float | None,
     stop_confidence: float,
-    bounds: tuple[float, float] | None,
+    bounds: tuple[float, float] | Bounds | None,
 ) -> None:
     """Repeated trainings and the stopping rule need a selector that knows of them."""
     if repeats != 1 and not getattr(selector, "retrains", False):
@@ -336,7 +341,7 @@ def _float(name: str, number: Any) -> float:
         raise InvalidInput(f"{name} must be a number, got {number!r}") from None
 
 
-def _pair(name: str, pair: tuple[float, float] | None) -> tuple[float, float] | None:
+def _pair(name: str, pair: tuple[float, ...] | None) -> tuple[float, float] | None:
     if pair is None:
         return None
     try:
