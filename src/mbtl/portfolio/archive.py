@@ -266,8 +266,9 @@ def _left_aside(folder: Path) -> list[Path]:
 def _asides(folder: Path) -> list[Path]:
     """Folders that `_swap` made for this one, oldest first; they hold nothing else."""
     found = folder.parent.glob(glob.escape(f".{folder.name}{_ASIDE}") + "?" * 8)  # by mkdtemp
-    ours = [p for p in found if p.is_dir() and {q.name for q in p.iterdir()} <= {folder.name}]
-    return sorted(ours, key=lambda path: path.stat().st_mtime_ns)
+    ours = [p for p in found if p.is_dir() and not p.is_symlink()]
+    alone = [p for p in ours if {q.name for q in p.iterdir()} <= {folder.name}]
+    return sorted(alone, key=lambda path: path.stat().st_mtime_ns)
 
 
 def _versions() -> dict[str, str]:
