@@ -7,6 +7,7 @@ library.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -213,7 +214,10 @@ def checked_targets(targets: Sequence[int] | None, n: int) -> list[int]:
     """
     if targets is None:
         return list(range(n))
-    indices = [int(target) for target in targets]
+    try:
+        indices = [operator.index(target) for target in targets]
+    except TypeError:  # no whole numbers
+        indices = []
     distinct = len(set(indices)) == len(indices) > 0
     if not distinct or min(indices) < 0 or max(indices) >= n:
         raise InvalidInput(

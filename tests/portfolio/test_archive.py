@@ -134,7 +134,7 @@ def test_any_damage_to_a_manifest_gets_a_sentence(tmp_path):
         path.write_text(json.dumps(damaged(whole, seed)))
         used(folder)
 
-    assert refusals(attempt, 250) > 100
+    assert refusals(attempt, 150) > 80
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "null", "[]", "{", '{"kind": "mbtl portfolio"}'])
@@ -187,14 +187,17 @@ def interrupted(monkeypatch, error, step):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, Killed])
-def test_an_interrupt_at_any_step_leaves_the_old_portfolio_or_the_new_one(tmp_path, error):
+def test_an_interrupt_at_any_step_leaves_the_old_portfolio_or_the_new_one(
+    tmp_path, error, monkeypatch
+):
+    monkeypatch.setattr(os, "fsync", lambda handle: None)  # a test need not wait for the disk
     one = {"returns": np.ones((1, 5)), "in_memory": {0: constant(1)}}
     step, new = 0, make(sources=(1,), **one)
     while True:
         step += 1
         folder = make(sources=(0,), **one).save(tmp_path / str(step) / "p")
-        with pytest.MonkeyPatch.context() as monkeypatch:
-            steps = interrupted(monkeypatch, error, step)
+        with pytest.MonkeyPatch.context() as patch:
+            steps = interrupted(patch, error, step)
             try:
                 new.save(folder, overwrite=True)
             except (KeyboardInterrupt, Killed):

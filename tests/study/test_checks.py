@@ -10,6 +10,7 @@ import sqlite3
 
 import numpy as np
 import pytest
+import quick_problem
 
 import mbtl
 from damage import damaged, damaged_bytes, refusals
@@ -114,6 +115,17 @@ def test_a_key_behind_a_link_is_not_copied(study, tmp_path):
         study.portfolio()
 
 
+def test_a_run_writes_no_policies_through_a_link(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s" / "policies").symlink_to(tmp_path / "elsewhere")
+    study = mbtl.create_study(SPACE, budget=2, storage=tmp_path / "s" / "study.db")
+    with pytest.raises(StorageError, match=r"got the link .*policies"):
+        study.run(trainer=quick_problem.TRAINER)
+    assert not list((tmp_path / "elsewhere").iterdir())
+    assert not study.refresh().failures
+
+
 @pytest.mark.parametrize("uid", ["../..", "a/b", "", "x" * 65, None])
 def test_a_uid_that_is_no_name_of_a_folder_is_refused(study, tmp_path, uid):
     log = events(study)
@@ -144,7 +156,7 @@ def test_any_damage_to_the_facts_gets_a_sentence(study):
 
     def attempt(seed):
         log, memory = copy.deepcopy(whole), MemoryLog()
-        entry = random.Random(seed).choice(log)
+        entry = log[seed % len(log)]
         entry["data"] = damaged(entry["data"], seed)
         for i, e in enumerate(log):
             memory.append(Event(e["kind"], json.loads(json.dumps(e["data"])), e["arrays"]), after=i)
@@ -155,7 +167,7 @@ def test_any_damage_to_the_facts_gets_a_sentence(study):
             raise
         used(opened)
 
-    assert refusals(attempt, 500) > 200
+    assert refusals(attempt, 300) > 100
     assert set(refused) == {e["kind"] for e in whole}
     assert all(re.search(r"event \d+ |newer mbtl", said) for said in refused.values())
 
@@ -203,7 +215,7 @@ def test_any_damage_to_the_database_gets_a_sentence(study, tmp_path):
             return
         used(mbtl.load_study(tmp_path))
 
-    assert refusals(attempt, 60) > 30
+    assert refusals(attempt, 40) > 20
 
 
 # ---- picks and numbers ------------------------------------------------------------------------
@@ -234,6 +246,8 @@ def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
     assert study.spec.direction == "maximize"
     with pytest.raises(InvalidInput, match="`seconds` must be a finite number"):
         study.tell(study.ask(), np.zeros(6), seconds=np.nan)
+    with pytest.raises(InvalidInput, match="distinct context indices"):
+        study.tell(2, np.zeros(1), targets=[0.9])
 
 
 @pytest.mark.parametrize(

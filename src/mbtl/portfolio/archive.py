@@ -245,9 +245,8 @@ def _put_back(folder: Path) -> None:
         left[-1].rename(folder)
     if not (folder / MANIFEST).is_file():
         return
-    for aside in folder.parent.glob(f"{glob.escape(f'.{folder.name}{_ASIDE}')}*"):
-        for manifest in aside.glob(f"*/{MANIFEST}"):
-            manifest.unlink(missing_ok=True)  # first: what is half removed is no portfolio
+    for aside in _asides(folder):
+        (aside / folder.name / MANIFEST).unlink(missing_ok=True)  # what is half removed is none
         shutil.rmtree(aside, ignore_errors=True)
 
 
@@ -260,9 +259,16 @@ def _standing(folder: Path) -> Path:
 
 def _left_aside(folder: Path) -> list[Path]:
     """Portfolios that a killed process had moved aside, oldest first."""
-    pattern = f"{glob.escape(f'.{folder.name}{_ASIDE}')}*/{glob.escape(folder.name)}"
-    found = [path for path in folder.parent.glob(pattern) if (path / MANIFEST).is_file()]
-    return sorted(found, key=lambda path: path.parent.stat().st_mtime_ns)
+    found = [path / folder.name for path in _asides(folder)]
+    return [old for old in found if (old / MANIFEST).is_file()]
+
+
+def _asides(folder: Path) -> list[Path]:
+    """Folders that `_swap` made for this one, oldest first; they hold nothing else."""
+    found = folder.parent.glob(glob.escape(f".{folder.name}{_ASIDE}") + "?" * 8)  # by mkdtemp
+    ours = [p for p in found if p.is_dir() and not p.is_symlink()]
+    alone = [p for p in ours if {q.name for q in p.iterdir()} <= {folder.name}]
+    return sorted(alone, key=lambda path: path.stat().st_mtime_ns)
 
 
 def _versions() -> dict[str, str]:

@@ -124,10 +124,9 @@ def _is_selector(value: Any) -> bool:
 def _is_worker(value: Any) -> bool:
     return (
         isinstance(value, Mapping)
-        and set(value) == {"host", "pid", "started"}
-        and _is_text(value["host"])
-        and _is_text(value["started"])
-        and _at_least(1, _is_whole)(value["pid"])
+        and _is_text(value.get("host"))
+        and _is_text(value.get("started"))
+        and _at_least(1, _is_whole)(value.get("pid"))
         and value["pid"] < 2**31
     )
 
