@@ -41,8 +41,11 @@ def setting(acting, **changes):
     return recipe, weights, lived
 
 
+learn = jax.jit(ppo.learn, static_argnums=(0, 1))
+
+
 def updated(recipe, weights, lived, number=0):
-    return ppo.learn(BOX, recipe, weights, ppo.start(recipe, weights), lived, jnp.int32(number))
+    return learn(BOX, recipe, weights, ppo.start(recipe, weights), lived, jnp.int32(number))
 
 
 EVERYBODY = jnp.ones((D, 1, A), bool)
