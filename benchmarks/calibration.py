@@ -43,7 +43,8 @@ from mbtl.arrays import Array
 from mbtl.benchmark.shipped import family_of, load_by_id, shipped_matrices
 from mbtl.history import History
 from mbtl.models.priors import prior_without
-from mbtl.models.transfer_gp import Places, TransferGP, TransferPrior, grid_pairs
+from mbtl.models.transfer_gp import TransferGP
+from mbtl.models.transfer_kernel import Places, TransferPrior, grid_pairs
 from mbtl.selectors import SelectionProblem
 from mbtl.selectors.auto import Auto
 

@@ -10,7 +10,6 @@ their difference and its 90 % interval (Welch), in raw returns and as a share of
 from __future__ import annotations
 
 import argparse
-import os
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -19,6 +18,7 @@ import numpy as np
 from scipy import stats
 
 from mbtl.cmdps import cartpole, pendulum
+from mbtl.processes import usable_cores
 
 CHECKPOINTS, EPISODES = 5, 20
 GYM = {"cartpole": (cartpole, cartpole.CartPole), "pendulum": (pendulum, pendulum.Pendulum)}
@@ -101,7 +101,7 @@ def main() -> None:
     update = per_update(args.algorithm)
     every = update * max(1, round(args.steps / CHECKPOINTS / update))
     ours = jax_curves(args.algorithm, args.cmdp, every, args.seeds)
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     with ProcessPoolExecutor(cores, mp_context=get_context("spawn")) as pool:
         one = partial(sb3_curve, args.algorithm, args.cmdp, every)
         theirs = np.array(list(pool.map(one, range(args.seeds))))

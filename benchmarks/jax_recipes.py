@@ -37,7 +37,7 @@ def main() -> None:
         options = {"algorithm": args.algorithm, "timesteps": args.steps}
         if name == "sb3":
             options |= {"recipe_name": "sb3"}
-        trainer = cmdp.trainer_for("paper", **options)
+        trainer = cmdp.trainer_for("full", **options)
         if name == "sb3":  # nothing of our own on top of it
             trainer = type(trainer)(
                 trainer.problem, timesteps=args.steps, recipe_name="sb3", algorithm=args.algorithm

@@ -13,7 +13,6 @@ from __future__ import annotations
 import measure  # noqa: F401  first: threads
 
 import argparse  # isort: skip
-import os
 import resource
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -21,7 +20,9 @@ from contextlib import suppress
 from multiprocessing import get_context
 from typing import Any
 
-CORES = len(os.sched_getaffinity(0))
+from mbtl.processes import usable_cores
+
+CORES = usable_cores()
 RECIPES = ("sb3", "fast")
 
 

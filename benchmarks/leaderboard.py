@@ -21,10 +21,12 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from mbtl.benchmark import compare
+from mbtl.benchmark import compare, levels
+from mbtl.benchmark.base import measured_curve
 from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.compare import default_selectors
 from mbtl.benchmark.records import Estimate, Summary, Trainings
+from mbtl.benchmark.references import NAMES
 from mbtl.benchmark.shipped import load_by_id, shipped_matrices
 from mbtl.benchmark.summary import trainings_to
 
@@ -43,27 +45,27 @@ def told(matrix_id: str, budget: int) -> np.ndarray:
     every = np.arange(matrix.n)
     rows = np.stack([matrix.rows(s, every) for s in range(matrix.n_seeds)])
     logs = []
-    for s, truth in enumerate(rows):
+    for s in range(matrix.n_seeds):
         others = np.delete(rows, s, axis=0)
-        best, curve, taken = np.full(matrix.n, -np.inf), [], []
+        best, taken = np.full(matrix.n, -np.inf), []
         for _ in range(budget):
             base = best if taken else np.zeros(matrix.n)
             gain = (np.maximum(others - base, 0.0) if taken else others).mean(axis=(0, 2))
             gain = gaussian_filter(gain.reshape(shape), SMOOTH, mode="nearest").ravel()
             gain[taken] = -np.inf
             taken.append(int(gain.argmax()))
-            best = np.maximum(best, truth[taken[-1]])
-            curve.append(best.mean())
-        low, high = truth.mean(), truth.max(axis=0).mean()
-        reached = trainings_to(np.array(curve), low, high)
+            best = np.maximum(best, rows[s, taken[-1]])
+        known, curve = levels(matrix, s), measured_curve(matrix, s, taken)
+        reached = trainings_to(curve, known.grand_mean, known.oracle_transfer)
         logs.append([np.log(budget + 1 if k is None else k) for k in reached])
     return np.mean(logs, axis=0)
 
 
-def trainings(found: Trainings) -> str:
+def trainings(found: Trainings, budget: int) -> str:
     value = found.estimate.value
-    text = "-" if value is None else f"{value:.1f}"
-    return f"> {text}" if found.censored and value is not None else text
+    if value is None:
+        return f"> {budget}"
+    return f"> {value:.1f}" if found.censored else f"{value:.1f}"
 
 
 def closed(found: Estimate) -> str:
@@ -79,7 +81,7 @@ def pooled(summary: Summary, known: np.ndarray | None) -> list[str]:
         "|---|---|---|---|---|---|",
     ]
     for name, s in summary.pooled.items():
-        cells = [name, *map(trainings, (s.k90, s.k95, s.k99))]
+        cells = [name, *(trainings(k, summary.budget) for k in (s.k90, s.k95, s.k99))]
         cells += [closed(s.closed_at_K), closed(s.closed_under_curve)]
         lines.append(f"| {' | '.join(cells)} |")
     if known is None:
@@ -91,11 +93,27 @@ def pooled(summary: Summary, known: np.ndarray | None) -> list[str]:
 def each(names: Sequence[str], summaries: Sequence[Summary]) -> list[str]:
     """k95 of every selector on every matrix."""
     lines = [f"| k95 | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
-    for matrix, found in sorted(item for s in summaries for item in s.matrices.items()):
-        by = found.selectors
-        cells = [trainings(by[name].k95) if name in by else "n/a" for name in names]
-        lines.append(f"| {matrix} | {' | '.join(cells)} |")
+    for summary in summaries:
+        for matrix, found in sorted(summary.matrices.items()):
+            by = found.selectors
+            cells = [
+                trainings(by[name].k95, summary.budget) if name in by else "n/a" for name in names
+            ]
+            lines.append(f"| {matrix} | {' | '.join(cells)} |")
     return lines
+
+
+def beside(summaries: Sequence[Summary]) -> list[str]:
+    """V of the reference rows and the levels of every matrix; older ones are marked."""
+    heads = [*NAMES.values(), "Independent", "Oracle Transfer"]
+    lines = [f"| V | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
+    for matrix, found in sorted(item for s in summaries for item in s.matrices.items()):
+        values = [found.references.get(key) for key in NAMES]
+        values += [found.independent, found.oracle_transfer]
+        cells = ["-" if v is None else f"{v:.3f}" for v in values]
+        lines.append(f"| {matrix}{'*' if found.caveat else ''} | {' | '.join(cells)} |")
+    older = "* of the older protocol: selection and report used the same evaluation episodes."
+    return [*lines, "", older]
 
 
 def board(names: Sequence[str], ids: Sequence[str], budget: int) -> tuple[Summary, list[str]]:
@@ -129,7 +147,7 @@ def main() -> None:
         count = f"{len(ids)} set{'s' * (len(ids) > 1)}"
         lines += [f"{count} of matrices with {axes}, K = {args.budget}", "", *table, ""]
         summaries.append(summary)
-    lines += [*each(names, summaries), ""]
+    lines += [*each(names, summaries), "", *beside(summaries), ""]
     print("\n".join(lines))
     if args.write:
         mark = "<!-- benchmarks/leaderboard.py --write: all below -->\n"

@@ -115,9 +115,11 @@ def parser(doc: str | None) -> argparse.ArgumentParser:
 
 def machine(*packages: str) -> dict[str, Any]:
     """Processor, load and versions: what a figure needs beside it."""
+    from mbtl.processes import usable_cores  # here: numpy reads the number of threads above
+
     return {
         "processor": _processor(),
-        "cores": os.cpu_count(),
+        "cores": usable_cores(),
         "load": [digits(x, 3) for x in os.getloadavg()],
         "python": platform.python_version(),
         **{name: _version(name) for name in ("mbtl", "numpy", "scipy", *packages)},

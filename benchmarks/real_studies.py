@@ -35,7 +35,7 @@ from mbtl.benchmark.shipped import family_of
 from mbtl.history import History
 from mbtl.objective import nearest_filled, value
 from mbtl.selectors import Auto, SelectionProblem
-from mbtl.selectors.base import even_targets
+from mbtl.selectors.targets import spread_targets
 from mbtl.study.asking import LEAST_ROWS
 
 SETS = (
@@ -86,7 +86,7 @@ def partial(name: str, count: int, how: str) -> Iterator[float]:
         for _ in range(K):
             source = auto(name).propose(problem, history, rng).source
             if how == "even":
-                chosen = even_targets(problem, source, count)
+                chosen = spread_targets(problem, source, count)
             else:
                 chosen = (source, *rng.choice(problem.n, count - 1, replace=False))
             row = np.full(problem.n, np.nan)

@@ -32,7 +32,8 @@ from mbtl.benchmark import compare
 from mbtl.contexts import Axis, Categorical, ContextSpace, Integer, Linear, Log
 from mbtl.models.priors import PRIORS
 from mbtl.models.relevance import Columns, fit_relevance, stretched
-from mbtl.models.transfer_gp import TransferGP, grid_pairs
+from mbtl.models.transfer_gp import TransferGP
+from mbtl.models.transfer_kernel import grid_pairs
 from mbtl.selectors import Auto, SelectionProblem
 
 SELECTORS = ("random", "kmeans", "mbtl", "m-mbtl", "sd-mbtl")
@@ -76,6 +77,15 @@ class World:
     def rows(self, seed: int, sources: ArrayLike) -> Array:
         """(m, N) performance."""
         return np.stack([self._row(seed, int(source)) for source in np.atleast_1d(sources)])
+
+    def fresh_rows(self, seed: int, sources: ArrayLike) -> Array:
+        """The same rows."""
+        return self.rows(seed, sources)
+
+    @property
+    def measures_apart(self) -> bool:
+        """Whether selection and report use other episodes."""
+        return False
 
     def _row(self, seed: int, source: int) -> Array:
         far, level = np.zeros(self.n), np.full(self.n, 0.9)

@@ -69,6 +69,16 @@ def test_bounds_normalise_without_clipping_and_back(direction, expected):
     assert bounds.denormalise(bounds.normalise(returns)) == pytest.approx(returns)
 
 
+@pytest.mark.parametrize(("direction", "worse"), [("maximize", -130.0), ("minimize", 130.0)])
+def test_a_floor_counts_in_performance_and_bounds_are_a_pair(direction, worse):
+    low, high = (-100.0, 0.0) if direction == "maximize" else (0.0, 100.0)
+    bounds = Bounds(low, high, direction, floor=np.sign(worse) * 100.0)
+    assert bounds.normalise([worse, worse / 2.6]) == pytest.approx([0.0, 0.5])
+    assert tuple(bounds) == (bounds[0], bounds[1]) == (low, high)
+    assert np.asarray(bounds).tolist() == [low, high]
+    assert "count as" in str(bounds)
+
+
 def test_automatic_bounds_hold_the_finite_returns():
     bounds = Bounds.of([3.0, np.nan, -1.0])
     assert (bounds.low, bounds.high) == (-1.0, 3.0)

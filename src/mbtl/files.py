@@ -66,6 +66,15 @@ def claimed_folder(folder: Path, settings: Mapping[str, Any], what: str) -> Iter
         lock.release()
 
 
+def claim_of(folder: Path) -> dict[str, Any] | None:
+    """Settings with which `folder` was claimed; None if it was not."""
+    try:
+        claim = json.loads((folder / "settings.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return claim if isinstance(claim, dict) else None
+
+
 def _check_claim(folder: Path, record: dict[str, Any], what: str) -> None:
     file = folder / "settings.json"
     try:

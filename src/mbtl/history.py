@@ -3,7 +3,7 @@
 Notation (shapes): k rows observed, N targets.
     sources  (k,)     context indices trained on, in the order they were told; one may come again
     rows     (k, N)   performance of each policy on every target; NaN where it was not evaluated
-    errors   (k, N)   standard errors of the rows, from the scatter of episodes; None: unknown
+    errors   (k, N)   standard errors of the rows (`standard_errors`); None: unknown
     pending  proposed but not yet told (other workers are training them)
     failed   trainings that gave nothing; never proposed again
     spent    cost of all of these, where the problem has costs
@@ -11,6 +11,7 @@ Notation (shapes): k rows observed, N targets.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -102,3 +103,38 @@ class History:
         mask = times < repeats
         mask[[*self.pending, *self.failed]] = False
         return np.asarray(mask)
+
+
+_USUAL = 10.0
+"""Degrees of freedom that the usual scatter of a row and of a target is worth."""
+
+
+def standard_errors(deviations: Array, episodes: Sequence[int]) -> Array | None:
+    """Standard errors of rows from the scatter of their episodes.
+
+    A variance of few episodes is itself mostly chance, and an entry whose episodes happened to
+    agree would pass for exact. Each therefore counts as much as its degrees of freedom say, and
+    what is usual in its row and on its target counts as ten more (moderated variances, Smyth 2004).
+    An entry of one episode has the usual scatter.
+
+    Args:
+        deviations: (k, N) of single episodes, with n - 1; NaN where unknown.
+        episodes: (k,) behind each row.
+
+    Returns:
+        (k, N); None where no scatter was seen: nothing is known then, or there is no noise.
+    """
+    seen = np.isfinite(deviations)
+    variances = np.where(seen, np.square(deviations), 0.0)
+    if not variances.any():
+        return None
+    overall = float(variances[seen].mean())
+
+    def usual(axis: int) -> Array:
+        total, count = variances.sum(axis=axis, keepdims=True), seen.sum(axis=axis, keepdims=True)
+        return np.asarray((total + _USUAL * overall) / (count + _USUAL))
+
+    count = np.asarray(episodes, dtype=np.float64)[:, None]
+    own = np.where(seen, count - 1.0, 0.0)
+    pooled = usual(1) * usual(0) / overall
+    return np.asarray(np.sqrt((own * variances + _USUAL * pooled) / (own + _USUAL) / count))

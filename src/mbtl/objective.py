@@ -12,6 +12,7 @@ Return is in raw units; performance is return after normalisation, larger is bet
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -28,17 +29,21 @@ Direction = Literal["maximize", "minimize"]
 class Bounds:
     """Affine normalisation of returns: performance 0 at the worst bound, 1 at the best.
 
-    Nothing is clipped: a return beyond a bound gives a performance below 0 or above 1.
+    A return beyond a bound gives a performance below 0 or above 1, unless there is a floor. Bounds
+    unpack like the pair (low, high), and may be given wherever that is asked for.
 
     Attributes:
         low: smaller return.
         high: larger return.
         direction: "maximize" (`high` is best) or "minimize" (`low` is best).
+        floor: return below which none is worse (above which, if minimised); None: nothing is
+            clipped.
     """
 
     low: float
     high: float
     direction: Direction = "maximize"
+    floor: float | None = None
 
     def __post_init__(self) -> None:
         if self.direction not in ("maximize", "minimize"):
@@ -49,6 +54,25 @@ class Bounds:
             raise InvalidInput(
                 f"bounds must be finite with low < high, got ({self.low}, {self.high})"
             )
+        if self.floor is not None and not np.isfinite(self.floor):
+            raise InvalidInput(f"a floor must be a finite return, got {self.floor!r}")
+
+    def __iter__(self) -> Iterator[float]:
+        return iter((self.low, self.high))
+
+    def __len__(self) -> int:
+        return 2
+
+    def __getitem__(self, index: int) -> float:
+        return (self.low, self.high)[index]
+
+    def __str__(self) -> str:
+        """What performance 0 and 1 mean, in a sentence."""
+        worst, best = self if self.direction == "maximize" else (self.high, self.low)
+        clipped = "nothing is clipped"
+        if self.floor is not None:
+            clipped = f"returns that are worse than {self.floor:g} count as {self.floor:g}"
+        return f"performance 0 is a return of {worst:g}, 1 of {best:g}; {clipped}"
 
     @classmethod
     def of(cls, returns: ArrayLike, direction: Direction = "maximize") -> Bounds:
@@ -64,7 +88,9 @@ class Bounds:
         """Return -> performance, same shape."""
         r = np.asarray(returns, dtype=np.float64)
         span = self.high - self.low
-        return (r - self.low) / span if self.direction == "maximize" else (self.high - r) / span
+        if self.direction == "maximize":
+            return ((r if self.floor is None else np.maximum(r, self.floor)) - self.low) / span
+        return (self.high - (r if self.floor is None else np.minimum(r, self.floor))) / span
 
     def denormalise(self, performance: ArrayLike) -> Array:
         """Performance -> return, same shape."""
@@ -128,18 +154,28 @@ def worst_share_mean(best: Array, weights: Array | None, risk: float) -> Array:
     Raises:
         InvalidInput: `risk` is not in (0, 1].
     """
+    counted = worst_share_weights(best, weights, risk)
+    return np.asarray(np.sum(np.where(counted > 0, best, 0.0) * counted, axis=-1))
+
+
+def worst_share_weights(best: Array, weights: Array | None, risk: float) -> Array:
+    """How much each target counts in `worst_share_mean`; (..., N) -> (..., N), sum 1.
+
+    Raises:
+        InvalidInput: `risk` is not in (0, 1].
+    """
     if not 0.0 < risk <= 1.0:
         raise InvalidInput(f"risk is the share of the worst targets, in (0, 1], got {risk!r}")
     n = best.shape[-1]
-    if risk == 1.0:
-        return np.asarray(best.mean(axis=-1) if weights is None else best @ weights)
     shares = np.full(n, 1.0 / n) if weights is None else weights
+    if risk == 1.0:
+        return np.broadcast_to(shares, best.shape)
     order = np.argsort(best, axis=-1, kind="stable")
-    ascending = np.take_along_axis(best, order, axis=-1)
     sorted_shares = shares[order]
     before = np.cumsum(sorted_shares, axis=-1) - sorted_shares
-    counted = np.clip(risk - before, 0.0, sorted_shares)
-    return np.asarray(np.sum(np.where(counted > 0, ascending, 0.0) * counted, axis=-1) / risk)
+    counted = np.empty(best.shape)
+    np.put_along_axis(counted, order, np.clip(risk - before, 0.0, sorted_shares) / risk, axis=-1)
+    return counted
 
 
 def value_curve(rows: Array, weights: Array | None = None, risk: float = 1.0) -> Array:

@@ -21,6 +21,13 @@ GRACE = 5.0
 _KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # not on Windows
 
 
+def usable_cores() -> int:
+    """Cores that this process may use; all there are where the system does not say."""
+    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 @contextlib.contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """A pool of fresh processes for the block.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 import subprocess
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mbtl.errors import InvalidInput
+from mbtl.processes import usable_cores
 from mbtl.settings import first_difference
 from mbtl.version import __version__
 
@@ -72,8 +72,7 @@ def _versions() -> dict[str, str]:
 
 
 def _hardware() -> str:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{platform.machine()}, {cores} cores"
+    return f"{platform.machine()}, {usable_cores()} cores"
 
 
 @cache

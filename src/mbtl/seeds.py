@@ -32,6 +32,8 @@ class Purpose(IntEnum):
     """Periodic evaluations that choose the best checkpoint of one training."""
     SELECTION = 4
     """Random choices of a selector."""
+    ACTION = 5
+    """Random actions, whose seed is derived from that of the episode or training they belong to."""
 
 
 def derive_seed(root: int, purpose: Purpose, *path: int) -> int:
@@ -79,8 +81,17 @@ def episode_seed(evaluation: int, episode: int) -> int:
         A seed of the evaluation's own purpose; `Purpose.EVALUATION` for a seed that has none.
     """
     top = evaluation >> _HASH_BITS
-    known = Purpose.TRAINING < top <= max(Purpose)
+    known = Purpose.TRAINING < top < Purpose.ACTION
     return derive_seed(evaluation, Purpose(top) if known else Purpose.EVALUATION, episode)
+
+
+def action_seed(seed: int) -> int:
+    """Seed of random actions where `seed` is that of the environment.
+
+    Gymnasium makes its generators from a seed as `np.random.default_rng` does, so that one seed for
+    both would make the noise of the actions the numbers that the environment draws.
+    """
+    return derive_seed(seed, Purpose.ACTION)
 
 
 def selection_rng(root: int, trial: int, pick: int) -> np.random.Generator:

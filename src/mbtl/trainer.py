@@ -68,6 +68,15 @@ class Trainer(Protocol):
 
 
 @runtime_checkable
+class RehearsingTrainer(Trainer, Protocol):
+    """A trainer that can show, before anything is trained, that evaluation works."""
+
+    def untrained(self, context: Context) -> Any:
+        """A policy as `train` gives it, but not trained: in seconds, whatever its returns."""
+        ...
+
+
+@runtime_checkable
 class ManyTrainer(Protocol):
     """A trainer that trains and evaluates many policies at once, e.g. in one compiled program."""
 
@@ -96,6 +105,18 @@ class ManyTrainer(Protocol):
         self, policies: Sequence[Any], contexts: Sequence[Context], seed: int
     ) -> Array:
         """(P, n_targets, n_episodes) returns; the same seed means the same episodes for all."""
+        ...
+
+
+@runtime_checkable
+class ReferenceTrainer(Protocol):
+    """A trainer that knows what its system gives without any policy of ours."""
+
+    def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
+        """(n_targets, n_episodes) returns by name, in the episodes of `evaluate` with this seed.
+
+        "random_actions", and "unguided", the system without a controller, where there is one.
+        """
         ...
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from mbtl.benchmark.build import ONLY, Build
 from mbtl.contexts import ContextSpace, Linear
-from mbtl.errors import InvalidInput, StorageError, TrainingFailed
+from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
 from mbtl.provenance import here
 from mbtl.seeds import evaluation_seed, training_seed
 from mbtl.trainer import FunctionTrainer
@@ -66,7 +66,7 @@ def test_rows_of_a_plain_trainer(tmp_path, workers):
     episodes = one.returns(ONLY)
     np.testing.assert_allclose(episodes.mean(axis=2), expected())
     np.testing.assert_allclose(episodes.std(axis=2), 1.0)
-    assert [set(origin) for origin in one.origins()] == [set(here())]
+    assert one.origins() == [{**here(), "sources": 5}]
     assert seen == [(k, 5) for k in range(6)]
     assert one.seconds() > 0
 
@@ -96,22 +96,61 @@ def test_only_missing_pieces_are_done_again(tmp_path):
     np.testing.assert_allclose(one.returns("best").mean(axis=2), expected())
 
 
-def test_policies_are_kept_so_that_evaluating_again_trains_nothing(tmp_path):
-    def save(policy, folder):
-        (folder / "policy.json").write_text(json.dumps(policy))
+def save(policy, folder):
+    (folder / "policy.json").write_text(json.dumps(policy))
 
-    def load(folder):
-        return tuple(json.loads((folder / "policy.json").read_text()))
 
-    def must_not(context, seed):
-        raise AssertionError("trained again")
+def load(folder):
+    return tuple(json.loads((folder / "policy.json").read_text()))
 
-    building(tmp_path, FunctionTrainer(train, evaluate, save, load)).run()
+
+def must_not(context, seed):
+    raise AssertionError("trained again")
+
+
+def test_policies_are_kept_so_that_evaluating_again_trains_nothing(tmp_path, monkeypatch):
+    first = building(tmp_path, FunctionTrainer(train, evaluate, save, load))
+    first.run()
+    origins = first.origins()
+    monkeypatch.setattr("mbtl.benchmark.build.here", lambda: {"commit": "another"})
     for piece in (tmp_path / "work").glob("sources-*.npz"):
         piece.unlink()
     again = building(tmp_path, FunctionTrainer(must_not, evaluate, save, load))
     again.run()
     np.testing.assert_allclose(again.returns(ONLY).mean(axis=2), expected())
+    assert again.origins() == origins
+    assert again.origins("evaluated") == [{"commit": "another", "sources": 5}]
+
+
+def test_an_evaluation_of_kept_policies_stands_beside_them_and_never_trains(tmp_path):
+    trainer = FunctionTrainer(train, evaluate, save, load)
+    first = building(tmp_path, trainer)
+    first.run()
+    kept = first.folder / "policies"
+    again = Build(FunctionTrainer(must_not, evaluate, save, load), SPACE, 3, tmp_path / "again",
+                  SETTINGS, kept=kept)  # fmt: skip
+    again.run()
+    np.testing.assert_array_equal(again.returns(ONLY), first.returns(ONLY))
+    (kept / ONLY / "source-00003" / "policy.json").unlink()
+    (kept / ONLY / "source-00003").rmdir()
+    (tmp_path / "again" / "sources-00003.npz").unlink()
+    with pytest.raises(StudyError, match="none of source 3"):
+        again.run()
+
+
+def test_what_the_system_gives_without_a_policy_is_played_once(tmp_path):
+    asked = []
+
+    class Compared(FunctionTrainer):
+        def reference_rows(self, contexts, seed):
+            asked.append(seed)
+            return {"unguided": np.tile([1.0, 2.0], (len(contexts), 1))}
+
+    for _ in range(2):
+        one = building(tmp_path, Compared(train, evaluate))
+        one.run()
+    assert asked == [evaluation_seed(3, 0)]
+    np.testing.assert_array_equal(one.references()["unguided"], [[1.0, 2.0]] * 5)
 
 
 def test_a_failure_keeps_what_was_done(tmp_path):

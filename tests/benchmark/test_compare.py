@@ -8,6 +8,7 @@ import pytest
 from mbtl.benchmark import TransferMatrix, compare, linear_gap_world, random_curve
 from mbtl.benchmark.compare import default_selectors, is_deterministic
 from mbtl.errors import InvalidInput, UnknownName
+from mbtl.selectors import get_selector
 from mbtl.selectors.base import Proposal
 
 WORLD = "synthetic:linear-gap"
@@ -116,11 +117,63 @@ def test_a_selector_object_sees_only_told_rows():
     assert np.array_equal(history.rows, matrix.performance(1)[:2])
 
 
-def test_a_selector_says_itself_whether_it_is_deterministic():
-    coin = Recorder(name="coin", deterministic=False)
-    result = compare([coin], [TransferMatrix.of(np.eye(3)[None])], budget=2, seeds=4)
+class Coin:
+    """Random, of a user's own; it says nothing of that."""
+
+    name = "coin"
+
+    def propose(self, problem, history, rng):
+        return Proposal(int(rng.choice(np.flatnonzero(history.open_mask(problem.n)))), "any")
+
+
+def test_a_selector_of_a_users_own_is_run_with_all_seeds_unless_it_says_that_one_is_enough():
+    result = compare([Coin()], [TransferMatrix.of(np.eye(9)[None])], budget=4, seeds=4)
     assert [run.seed for run in result.results] == [0, 1, 2, 3]
+    assert len({run.sources for run in result.results}) > 1
     assert is_deterministic(Recorder())
+    assert is_deterministic(get_selector("mbtl"))
+    assert not is_deterministic(get_selector("random"))
+
+
+@pytest.mark.parametrize(("source", "match"), [(2, "2 again from 'stuck' at pick 2"), (3, "got 3")])
+def test_a_context_proposed_again_or_that_is_none_is_refused(source, match):
+    class Stuck:
+        name = "stuck"
+
+        def propose(self, problem, history, rng):
+            return Proposal(source, "always")
+
+    with pytest.raises(InvalidInput, match=match):
+        compare([Stuck()], [TransferMatrix.of(np.eye(3)[None])], budget=2)
+
+
+def test_a_file_and_the_id_of_one_matrix_are_held_out_alike(tmp_path):
+    asked = []
+
+    class Learned(Recorder):
+        def without(self, family):
+            asked.append(family)
+            return Recorder()
+
+    matrix = TransferMatrix.of(np.eye(3)[None], provenance={"problem": "cartpole-length"})
+    matrix.save(tmp_path / "any-name.npz")
+    nameless = TransferMatrix.of(np.eye(3)[None], name="cartpole-mass")
+    compare([Learned()], [tmp_path / "any-name.npz", nameless, WORLD], budget=2)
+    assert asked == ["cartpole", "", ""]
+
+
+def test_reference_rows_stand_beside_the_selectors():
+    returns = np.array([[[0.0, 0.5], [1.0, 0.5]]])
+    matrix = TransferMatrix.of(
+        returns, bounds=(0, 1), contexts=[[1.0], [2.0]], axes=["x"], fresh_returns=returns / 2,
+        references={"unguided": np.array([[[0.3, 0.3], [0.1, 0.2]]])},
+        provenance={"nominal": {"x": 1.9}},
+    )  # fmt: skip
+    summary = compare(["random"], [matrix], budget=1).summary.matrices["matrix"]
+    assert summary.caveat is None
+    assert list(summary.references) == ["unguided", "nominal_policy", "random_policy"]
+    assert list(summary.references.values()) == pytest.approx([0.15, 0.375, 0.25])
+    assert compare(["random"], [WORLD], budget=1).summary.matrices[WORLD].caveat is None
 
 
 def test_progress_counts_to_the_end():

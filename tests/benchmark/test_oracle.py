@@ -151,7 +151,7 @@ def test_small_blocks_change_nothing(monkeypatch):
     monkeypatch.setattr(
         base_module,
         "row_blocks",
-        lambda source, seed: blocks(source, seed, block_bytes=8 * 100 * 3),
+        lambda source, seed, block_bytes=0: blocks(source, seed, block_bytes=8 * 100 * 3),
     )
     small = reference(world, 1, 10)
     assert small.oracle.sources == whole.oracle.sources

@@ -42,8 +42,10 @@ def test_values_of_a_known_matrix(folder):
         assert row.ours[method].std == pytest.approx(0.0)
     assert row.ours["independent"].mean == row.ours["oracle_transfer"].mean == pytest.approx(0.5)
     assert row.ours["multitask"].mean == pytest.approx(0.31)
-    assert row.ours["multitask"].std == pytest.approx(0.01)
-    assert row.k_star == (None, None)
+    assert row.ours["multitask"].std == pytest.approx(0.02 / np.sqrt(2))  # n - 1
+    assert (row.k_star, row.k_star_searched) == ((N, N), N)  # beyond K = 3
+    assert row.references["random_policy"].mean == pytest.approx((50 + 5 * 10) / 600)
+    assert "same evaluation episodes" in row.caveat
     assert (row.n, row.n_seeds, row.published["greedy"].mean) == (N, 2, 0.9424)
 
 
@@ -53,6 +55,7 @@ def test_greedy_is_left_out_where_it_cannot_run(tmp_path):
     save_shipped(matrix, tmp_path, "two-axes")
     (row,) = reproduce(["two-axes"], budget=6, folder=tmp_path)
     assert "greedy" not in row.ours
+    assert row.ours["mbtl"].std is None  # of one seed there is no deviation
     assert row.ours["mbtl"].mean == row.ours["sequential_oracle"].mean == 1.0
     assert row.published == {}
 

@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 
 from mbtl.cli.check import check, parse_axis
 from mbtl.cli.cmdps import cmdps
+from mbtl.cmdps import get_cmdp
 from mbtl.contexts import Categorical, Linear
 from mbtl.errors import CheckFailed, InvalidInput, UnknownName
 
@@ -78,6 +79,15 @@ def test_one_cmdp_with_its_presets(run):
     text = run("cmdps", "pendulum-mass").stdout
     assert "(default): K = " in text
     assert "preset paper" in text
+
+
+def test_presets_of_every_engine_are_shown(run):
+    text = run("cmdps", "ring-acc").stdout
+    sumo = get_cmdp("ring-acc", engine="sumo").presets
+    assert all(f"preset {name} with --engine sumo: K = " in text for name in sumo)
+    assert run("cmdps", "signal-speed").stdout.count("preset ") == 3  # SUMO is where it is anyway
+    one = json.loads(run("cmdps", "ring-acc", "--json").stdout)
+    assert one["presets_elsewhere"]["sumo"]["quick"]["budget"] == sumo["quick"].budget
 
 
 def test_check_passes_ours(run):

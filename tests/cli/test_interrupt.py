@@ -19,7 +19,7 @@ def test_an_interrupt_in_the_middle_of_a_jax_training_ends_with_1(tmp_path):
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from mbtl.cli import program; program()"
     )
-    command = ["run", "pendulum-length", "--preset", "paper", "--timesteps", "20000000"]
+    command = ["run", "pendulum-length", "--preset", "full", "--timesteps", "20000000"]
     log = tmp_path / "log"
     with log.open("w") as out:
         process = subprocess.Popen(

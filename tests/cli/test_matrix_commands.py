@@ -52,7 +52,10 @@ def test_a_users_problem_becomes_matrix_files(mbtl_command, problem):
     assert (matrix.theta, matrix.bounds.high) == (0.1, 100.0)
     record = matrix.provenance["seeds"][1]
     assert record["command"] == "mbtl matrix build own.py:mine --seeds 1 --first-seed 1"
-    assert record["versions"]["numpy"] == np.__version__
+    (origin,) = record["origins"]
+    assert (origin["versions"]["numpy"], origin["sources"]) == (np.__version__, 4)
+    assert matrix.episodes == (1,)
+    assert matrix.std is None
     assert record["recipe"] == {"trainer": "FunctionTrainer"}
     assert record["problem"] == "cartpole-length"
 
@@ -69,6 +72,120 @@ def test_an_interrupted_build_goes_on(mbtl_command, problem):
     assert code == 0
     assert "there already" in err
     assert len((problem / "trained.txt").read_text().split()) == 4
+
+
+RENAMED = """
+from mbtl.cmdps import CMDP, Preset
+from own import mine
+renamed = CMDP("cartpole-length", mine.space, mine.trainer, bounds=(0.0, 100.0),
+               presets={"full": Preset(4, formerly="paper")})
+"""
+
+
+def test_a_build_goes_on_where_it_was_begun_under_a_former_name_of_its_preset(
+    mbtl_command, problem
+):
+    (problem / "renamed.py").write_text(RENAMED)
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    runs = problem / "runs"
+    (begun,) = runs.iterdir()
+    begun.rename(runs / "matrix-cartpole-length-paper-seed0")
+    command = ("matrix", "build", "renamed.py:renamed", "--workers", 1, "--seeds", 1)
+    code, _, err = mbtl_command(*command, "--out", "again")
+    assert code == 0, err
+    assert len((problem / "trained.txt").read_text().split()) == 4
+    assert [one.name for one in runs.iterdir()] == ["matrix-cartpole-length-paper-seed0"]
+
+
+def test_two_checkpoints_are_two_files_whose_command_builds_both(mbtl_command, problem):
+    (problem / "two.py").write_text(TWO)
+    code, _, err = mbtl_command(
+        "matrix", "build", "two.py:two", "--seeds", 1, "--workers", 1, "--checkpoint", "both"
+    )
+    assert code == 0, err
+    for variant, checkpoint in (("default", "best"), ("final", "final")):
+        matrix = load_matrix("cartpole-length", variant, folder=problem / "matrices")
+        record = matrix.provenance["seeds"][0]
+        assert "--checkpoint both" in record["command"]
+        assert record["recipe"]["checkpoint"] == checkpoint
+        assert matrix.measures_apart
+
+
+def test_policies_are_evaluated_again_with_other_episodes_but_not_of_another_training(
+    mbtl_command, problem
+):
+    (problem / "kept.py").write_text(KEPT)
+    build = ("matrix", "build", "kept.py:kept", "--seeds", 1, "--workers", 1, "--preset", "full")
+    again = (*build, "--evaluate-again", "--eval-episodes", 4)
+    code, _, err = mbtl_command(*again)
+    assert code == 2
+    assert "no policies were kept" in err
+    assert mbtl_command(*build)[0] == 0
+    assert load_matrix("cartpole-length", folder=problem / "matrices").episodes == (1, 1)
+    assert mbtl_command(*again)[0] == 0
+    assert load_matrix("cartpole-length", folder=problem / "matrices").episodes == (2, 2)
+    assert len((problem / "trained.txt").read_text().split()) == 4
+    code, _, err = mbtl_command(*again, "--timesteps", 7)
+    assert code == 2
+    assert "recipe.timesteps was 5, got 7" in err
+
+
+KEPT = """
+import json
+from dataclasses import dataclass
+import numpy as np
+from mbtl.cmdps import CMDP, Preset
+from own import mine, train
+
+@dataclass(frozen=True)
+class Kept:
+    timesteps: int = 5
+    eval_episodes: int = 2
+    policy_format = "custom"
+
+    @property
+    def recipe(self):
+        return {"timesteps": self.timesteps, "eval_episodes": self.eval_episodes}
+
+    def train(self, context, seed, on_progress=None):
+        return train(context, seed)
+
+    def evaluate(self, policy, contexts, seed):
+        return np.zeros((len(contexts), self.eval_episodes))
+
+    def save(self, policy, folder):
+        (folder / "policy.json").write_text(json.dumps(policy))
+        return True
+
+    def load(self, folder):
+        return json.loads((folder / "policy.json").read_text())
+
+kept = CMDP("cartpole-length", mine.space, Kept(), bounds=(-9.0, 0.0), presets={"full": Preset(4)})
+"""
+
+
+TWO = """
+from dataclasses import dataclass
+import numpy as np
+from mbtl.cmdps import CMDP
+from own import mine
+
+@dataclass(frozen=True)
+class Both:
+    checkpoint: str = "best"
+    lanes = 4
+    policy_format = "custom"
+    recipe = {"trainer": "both", "checkpoint": "best"}
+
+    def train_many(self, contexts, seeds, on_progress=None, *, keep=(), partial=None):
+        return {k: [c["length"] for c in contexts] for k in keep}
+
+    def evaluate_many(self, policies, contexts, seed):
+        gaps = np.subtract.outer(policies, [c["length"] for c in contexts])
+        return np.stack([-abs(gaps), -abs(gaps) - 1.0], axis=2)
+
+two = CMDP("cartpole-length", mine.space, Both(), bounds=(-9.0, 0.0))
+"""
 
 
 def test_a_log_hears_of_a_long_build_now_and_then(mbtl_command, problem, monkeypatch):
@@ -112,6 +229,48 @@ def test_an_unfinished_file_is_no_matrix(mbtl_command, problem):
     names = {path.name for path in (problem / "matrices").iterdir()}
     assert names == {"cartpole-length-seed0.npz"}
     assert isinstance(TransferMatrix.load(problem / "matrices" / names.pop()), TransferMatrix)
+
+
+def test_show_and_list_say_of_what_the_numbers_are(mbtl_command, problem):
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    code, out, _ = mbtl_command("matrix", "show", "matrices/cartpole-length-seed0.npz")
+    assert code == 0
+    assert "Performance 0 is a return of 0, 1 of 100" in out
+    assert "same evaluation episodes" in " ".join(out.split())
+    code, out, _ = mbtl_command("matrix", "list", "--folder", "matrices", "--json")
+    (one,) = json.loads(out)["matrices"]
+    assert (one["matrix"], one["measures_apart"], one["episodes"]) == (
+        "cartpole-length",
+        False,
+        [1],
+    )
+
+
+def test_reference_rows_are_added_to_a_file_that_has_none(mbtl_command, problem):
+    (problem / "guided.py").write_text(GUIDED)
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    file = "matrices/cartpole-length-seed0.npz"
+    code, _, err = mbtl_command("matrix", "references", file, "--problem", "guided.py:guided")
+    assert code == 0, err
+    assert "unguided 0.3000" in err
+    matrix = TransferMatrix.load(problem / file)
+    assert matrix.references["unguided"].tolist() == [[[30.0] * 4]]
+
+
+GUIDED = """
+from dataclasses import dataclass
+import numpy as np
+from mbtl.cmdps import CMDP
+from mbtl.trainer import FunctionTrainer
+from own import mine, train, evaluate
+
+@dataclass(frozen=True)
+class Guided(FunctionTrainer):
+    def reference_rows(self, contexts, seed):
+        return {"unguided": np.full((len(contexts), 3), 30.0)}
+
+guided = CMDP("cartpole-length", mine.space, Guided(train, evaluate), bounds=(0.0, 100.0))
+"""
 
 
 def test_a_coarser_grid_is_a_set_of_its_own(mbtl_command, problem):

@@ -1,6 +1,8 @@
+import importlib
 import json
 import shutil
 import sqlite3
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -235,24 +237,14 @@ def test_no_studies_is_not_an_error(mbtl_command):
     )
 
 
-def test_a_failing_simulator_is_reported_and_the_study_ends(mbtl_command, tmp_path):
-    (tmp_path / "sim.py").write_text(
-        "import mbtl\n"
-        "def train(context, seed):\n"
-        "    if context['x'] > 0.7: raise RuntimeError('simulator crashed')\n"
-        "    return context['x']\n"
-        "def evaluate(p, contexts, seed): return [1 - abs(c['x'] - p) for c in contexts]\n"
-        "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 11})\n"
-        "problem = mbtl.CMDP.from_functions(\n"
-        "    'sim', space, train=train, evaluate=evaluate, budget=5\n"
-        ")\n"
-    )
-    code, out, err = mbtl_command("run", "sim.py:problem", "--json")
+def test_a_failing_simulator_is_reported_and_the_study_ends(mbtl_command, simulator):
+    command = simulator(train="if context['x'] < 0.2: raise RuntimeError('simulator crashed')")
+    code, out, err = mbtl_command(*command, "--json")
     assert code == 0
     failed = [p for p in json.loads(out)["picks"] if p["status"].startswith("failed")]
     assert failed
     assert "simulator crashed" in failed[0]["status"]
-    code, _, err = mbtl_command("run", "sim.py:problem", "--stop-on-failure", "--study", "strict")
+    code, _, err = mbtl_command(*command, "--stop-on-failure", "--study", "strict")
     assert code == 1
     assert "simulator crashed" in err
 
@@ -328,19 +320,77 @@ def test_a_failure_with_brackets_in_its_reason_is_shown_as_it_is(mbtl_command, t
     assert "no file [/data/x] for [3]" in " ".join(out.split())
 
 
-def test_a_run_in_which_everything_failed_exits_1_and_says_what_failed(mbtl_command, tmp_path):
-    (tmp_path / "dead.py").write_text(
-        "import mbtl\n"
-        "def train(context, seed): raise RuntimeError('licence expired')\n"
-        "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 11})\n"
-        "problem = mbtl.CMDP.from_functions('dead', space, train=train, evaluate=None, budget=2)\n"
-    )
-    code, out, err = mbtl_command("run", "dead.py:problem")
+SIMULATOR = """
+import mbtl
+def train(context, seed):
+    {train}
+    return context['x']
+def evaluate(p, contexts, seed):
+    {evaluate}
+    return [1 - abs(c['x'] - p) for c in contexts]
+def save(policy, folder): (folder / 'p').write_text(str(policy))
+def load(folder): return float((folder / 'p').read_text())
+space = mbtl.ContextSpace.grid({{mbtl.Linear('x', 0, 1): 11}})
+problem = mbtl.CMDP.from_functions('sim', space, train=train, evaluate=evaluate, budget=5,
+    save=save, load=load, bounds=(0.0, 1.0))
+"""
+
+
+@pytest.fixture
+def simulator(tmp_path):
+    """Write the problem `sim.py:problem` with a line of its own in `train` and in `evaluate`."""
+
+    def write(train="pass", evaluate="pass"):
+        sys.modules.pop("sim", None)
+        importlib.invalidate_caches()
+        shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)
+        (tmp_path / "sim.py").write_text(SIMULATOR.format(train=train, evaluate=evaluate))
+        return ("run", "sim.py:problem", "--selector", "equidistant")
+
+    return write
+
+
+LICENCE = "if context['x'] != 0.9: raise RuntimeError('licence [x] expired')"
+
+
+def test_failures_end_the_run_say_why_and_are_trained_again_when_asked(mbtl_command, simulator):
+    command = simulator(train=LICENCE.replace("!= 0.9", "> -1"))
+    code, out, err = mbtl_command(*command)
     assert (code, out) == (1, "")
-    assert "all 2 trainings failed, the last with RuntimeError: licence expired" in " ".join(
-        err.split()
-    )
-    assert "--new" in err
+    assert "nothing has succeeded yet" in err
+    assert "in train" in err  # the traceback, once
+    command = simulator(train=LICENCE)
+    code, out, err = mbtl_command(*command, "--retry-failed")
+    assert code == 1
+    assert "3 in a row" in err
+    _, out, _ = mbtl_command("study", "show", "runs/sim-default-seed0")
+    assert out.count("Traceback") == 1  # one cause for three picks
+    assert out.count("licence [x] expired") > 1
+    code, out, err = mbtl_command(*simulator())
+    assert code == 0
+    assert "3 trainings failed" in out
+    assert "--retry-failed trains there again" in out
+    code, out, err = mbtl_command(*simulator(), "--retry-failed", "--json")
+    assert [p["status"] for p in json.loads(out)["picks"]] == ["told"] * 5
+
+
+def test_a_policy_that_was_not_evaluated_is_said_and_waits(mbtl_command, simulator, tmp_path):
+    command = simulator(evaluate="if p < 0.2: raise RuntimeError('no display')")
+    code, out, err = mbtl_command(*command, "--json")
+    assert code == 1
+    assert "1 policy is trained and could not be evaluated" in err
+    assert [p["status"][:17] for p in json.loads(out)["picks"]] == ["told"] * 4 + [
+        "open: the policy "
+    ]
+    (tmp_path / "sim.py").unlink()
+    code, out, err = mbtl_command(*simulator(train="raise RuntimeError('not again')"), "--json")
+    assert code == 0, err
+    assert json.loads(out)["picks"][-1]["context"] == {"x": 0.1}
+
+
+def test_parallel_0_leaves_nothing_behind(mbtl_command, own, tmp_path):
+    assert mbtl_command("run", own, "--parallel", "0")[0] == 2
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_larger_budget_extends_a_finished_study(mbtl_command, own):
@@ -363,8 +413,6 @@ def test_only_the_differing_setting_is_named(mbtl_command, tmp_path):
             "t = T(lambda c, s: c['x'], lambda p, cs, s: [1 - abs(c['x'] - p) for c in cs])\n"
             "problem = mbtl.CMDP('p', space, t)\n"
         )
-        import sys
-
         sys.modules.pop("p", None)
         code, _, err = mbtl_command("run", "p.py:problem", "--budget", "1")
     assert code == 2

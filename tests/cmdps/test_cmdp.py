@@ -29,6 +29,8 @@ def pendulum(context):
 
 def test_two_functions_are_a_problem():
     cmdp = own(bounds=(0.0, 2.0), direction="minimize", description="toy")
+    assert own(bounds=cmdp.normalisation).direction == "minimize"
+    assert own(bounds=cmdp.normalisation).bounds == (0.0, 2.0)
     policy = cmdp.trainer.train(SPACE.context(1), 3)
     np.testing.assert_allclose(
         cmdp.trainer.evaluate(policy, SPACE.contexts, 0), 3.25 - np.linspace(0.0, 1.0, 5)

@@ -1,4 +1,5 @@
 import pickle
+from functools import partial
 
 import gymnasium
 import numpy as np
@@ -7,7 +8,7 @@ from gymnasium.utils.env_checker import check_env
 
 from mbtl.cmdps import cmdp_ids, get_cmdp, gym_id
 from mbtl.cmdps.registration import register_envs
-from mbtl.errors import InvalidInput, UnknownName
+from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
 
 
 @pytest.mark.parametrize(
@@ -60,7 +61,9 @@ def test_grids_and_constants_of_traffic(id):
     assert cmdp.space.axes[0].unit == physical
     assert (cmdp.unit, cmdp.nominal) == ({axis: unit}, {axis: nominal})
     assert (cmdp.bounds, cmdp.theta) == (bounds, theta)
-    assert cmdp.settings["visibility"] == ("multiplier" if id.startswith("eco") else "hidden")
+    shown = id in ("eco-penetration", "eco-green")  # the reference hides the rest
+    assert cmdp.settings["visibility"] == ("multiplier" if shown else "hidden")
+    assert cmdp.version == (1 if id.startswith(("ring", "ramp")) or id == "eco-inflow" else 0)
 
 
 def test_the_seventeen_ids():
@@ -113,6 +116,37 @@ def test_switches_reach_the_environment_and_the_record():
     }
 
 
+@pytest.mark.parametrize(
+    ("id", "context", "words"),
+    [
+        ("cartpole-length", {"length": 5.01}, r"\[0.05, 5\] m"),
+        ("cartpole-length", {"length": float("nan")}, "nan"),
+        ("cartpole-length", {"masscart": 1.0}, "Known: length"),
+        ("ring-acc", {"hold": 41.0}, r"\[1, 40\] s"),
+        ("ring-acc", {"hald": 4.0}, "Did you mean 'hold'"),
+        ("eco-green", {"green": 20.0, "inflow": 800.0}, "Known: green"),
+    ],
+)
+def test_what_is_no_context_of_a_cmdp_is_refused(id, context, words):
+    cmdp = get_cmdp(id)
+    for make in (
+        partial(cmdp.make_env, context),
+        partial(gymnasium.make, gym_id(id), context=context),
+        partial(cmdp.trainer.problem, [cmdp.nominal, context]),
+    ):
+        with pytest.raises(ContextMismatch, match=words):
+            make()
+
+
+def test_between_the_values_of_the_grid_a_context_is_as_good_as_on_them():
+    env = get_cmdp("cartpole-length").make_env({"length": 0.512})
+    assert env.features["length"] == 0.512
+    wide = get_cmdp("signal-speed", grid="paper").space.axes[0].high
+    assert get_cmdp("signal-speed", grid="paper").make_env.check({"speed": wide}) is None
+    with pytest.raises(ContextMismatch):
+        get_cmdp("signal-speed").make_env.check({"speed": wide})
+
+
 def test_the_policy_sees_the_multiplier_by_default():
     env = get_cmdp("pendulum-timestep").make_env({"timestep": 0.5})
     assert env.reset(seed=0)[0][-1] == pytest.approx(10.0)
@@ -139,6 +173,18 @@ def test_presets_and_overrides_shape_the_trainer():
         get_cmdp("cartpole-length", engine="gymnasium").trainer_for("paper").timesteps == 5_000_000
     )
     assert cmdp.preset("paper").budget == 15
+
+
+def test_a_preset_called_paper_is_the_papers_recipe_in_every_engine():
+    cmdp = get_cmdp("cartpole-length", engine="jax")
+    assert cmdp.default_preset == "full"
+    full, paper = cmdp.trainer_for("full"), cmdp.trainer_for("paper")
+    assert (full.recipe_name, paper.recipe_name) == ("fast", "sb3")
+    assert (full.hyperparameters, paper.hyperparameters) == ({"gamma": 0.99}, {})
+    steps_and_episodes = [(t.timesteps, t.eval_episodes, t.checkpoint) for t in (full, paper)]
+    assert set(steps_and_episodes) == {(5_000_000, 100, "best")}
+    ring = get_cmdp("ring-acc", engine="jax").trainer_for("paper")
+    assert (ring.recipe_name, ring.episodes, ring.hyperparameters) == ("paper", 1000, {})
 
 
 def test_hyperparameters_add_to_the_recipe_unless_the_algorithm_changes():

@@ -1,5 +1,7 @@
 """The contract of CMDPs, for one of each traffic family in each of its engines."""
 
+import pkgutil
+
 import pytest
 
 pytest.importorskip("libsumo", reason="the traffic extra is not installed")
@@ -48,6 +50,13 @@ class TestTwins(CMDPContract):
 @pytest.mark.parametrize("id", sorted(TRAFFIC_VARIANTS))
 def test_all_pass_the_check_in_full(id):
     check_cmdp(get_cmdp(id, engine="sumo")).raise_if_failed()
+
+
+@pytest.mark.parametrize("id", TRAFFIC_VARIANTS)
+def test_a_class_shows_of_its_context_what_the_cmdp_shows(id):
+    cmdp = get_cmdp(id)
+    kind = pkgutil.resolve_name(cmdp.make_env.entry_point)
+    assert len(kind(cmdp.nominal).visible) == len(cmdp.make_env(cmdp.nominal).visible)
 
 
 @pytest.mark.parametrize("id", ["ring-vel", "ramp-acc", "signal-length", "eco-green"])

@@ -13,6 +13,7 @@ import mbtl.training.jax as engine  # noqa: F401  isort: skip  # before jax: it 
 import jax
 import jax.numpy as jnp
 
+from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic import eco
 from mbtl.cmdps.traffic.corridor import FEEDERS, STARTS
 from mbtl.cmdps.traffic.population import Car
@@ -35,6 +36,16 @@ def step(twin, state, actions, params):
 @partial(jax.jit, static_argnums=0)
 def observe(twin, state, params):
     return twin.observe(state, params)
+
+
+@pytest.mark.parametrize(("id", "shown"), [("eco-inflow", 0), ("eco-green", 1)])
+def test_the_inflow_is_hidden_in_both_simulators_as_in_the_reference(id, shown):
+    (axis,) = get_cmdp(id).space.axes
+    env = get_cmdp(id, engine="sumo").make_env({axis.name: axis.high})
+    assert env.observation_space("").shape == (eco.SIZE + shown,)
+    env.close()
+    twin, (params,) = get_cmdp(id, engine="jax").trainer.problem([{axis.name: axis.high}])
+    assert (twin.n_features, *params.visible.shape) == (eco.SIZE, shown)
 
 
 class Script:

@@ -79,7 +79,8 @@ def test_unguided_traffic_is_slow_and_an_episode_ends_after_the_measured_part(ma
         env.step({})
 
 
-def test_each_car_that_collides_costs_fifty_and_is_removed(make):
+def test_each_car_that_collides_costs_fifty_and_stands_wherever_it_is(make, monkeypatch):
+    monkeypatch.setattr(advisory, "UNMEASURED", 0)
     env = make(hold=2.0)
     env.reset(seed=0)
     vehicle = env.simulation.api.vehicle
@@ -105,6 +106,11 @@ def test_each_car_that_collides_costs_fifty_and_is_removed(make):
     left = total * steps + 50.0 * collided
     assert left == pytest.approx(round(left))
     assert 0 <= left < 5
+    seen, drivers, before = [], env._drivers.step, env._means
+    monkeypatch.setattr(env._drivers, "step", lambda *a: seen.append(drivers(*a)) or seen[-1])
+    env.step({})
+    expected = sum(sum(speeds) / (len(speeds) + collided) for speeds in seen)
+    assert env._means - before == pytest.approx(expected)
 
 
 def test_the_reward_counts_the_cars_that_leave(make):
@@ -133,7 +139,7 @@ def test_an_agent_that_leaves_is_terminated_and_a_new_one_waits_for_its_turn(mak
 
 
 def test_the_observation_shows_the_cars_around(make):
-    env = make(noise=0.0)
+    env = make(noise=0.0, visibility="multiplier")
     observations, _ = env.reset(seed=0)
     vehicle = env.simulation.api.vehicle
     for car, observation in observations.items():

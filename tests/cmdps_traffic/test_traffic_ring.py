@@ -92,7 +92,7 @@ def test_the_reward_is_the_mean_speed_of_the_advised_car(make):
 
 
 def test_the_observation_is_scaled_to_minus_one_to_one(make):
-    env = make(start="uniform", noise=0.0)
+    env = make(start="uniform", noise=0.0, visibility="multiplier")
     observation, _ = env.reset(seed=0)
     v, u, distance = (observation[:3].astype(float) + 1) / 2 * [10, 10, 300]
     assert (v, u) == pytest.approx((4.33, 4.33), abs=0.03)
@@ -137,6 +137,26 @@ def test_hurrying_is_safe_and_a_collision_would_end_the_episode(make):
     assert info["collided"]
     assert reward < 0.0
     assert info["score"] == 0.0  # the measured part had not begun
+
+
+def test_after_a_collision_the_cars_stand_for_the_rest_of_the_measured_part(make, monkeypatch):
+    for part, steps in (("WARM_UP", 200), ("UNMEASURED", 100), ("MEASURED", 1_000)):
+        monkeypatch.setattr(advisory, part, steps)
+    env = make(RingAcc, hold=1.0)
+    env.reset(seed=0)
+    for _ in range(60):
+        env.drive()
+    env.simulation.api.vehicle.setSpeedMode("car0", 0)  # without any check of SUMO's
+    env.simulation.api.vehicle.setMinGap("car0", 2.0)
+    lived, terminated = 600, False
+    while not terminated:
+        so_far = env.score
+        *_, terminated, _, info = env.step([1.0])
+        lived += 10
+    assert info["collided"]
+    assert lived < 1_100
+    share = (lived - 100) / 1_000
+    assert info["score"] == pytest.approx(so_far * share, rel=0.05)
 
 
 @pytest.mark.long

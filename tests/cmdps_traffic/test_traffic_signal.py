@@ -3,7 +3,7 @@ import pytest
 
 pytest.importorskip("libsumo")
 
-from mbtl.cmdps import check_cmdp
+from mbtl.cmdps import check_cmdp, get_cmdp
 from mbtl.cmdps.engines import EnvFactory
 from mbtl.cmdps.traffic import demand
 from mbtl.cmdps.traffic.signal import CELLS, JAM, LOWEST, Signal, cell_of
@@ -227,25 +227,25 @@ def test_a_car_without_its_turn_leaves_by_its_lane_after_its_patience_only(make)
     assert routes["c"] == ["W_in", "S_out"]  # left of east, clockwise: south
 
 
-def test_a_jam_ends_the_episode_with_the_score_of_the_whole_one(make):
+def test_a_jam_ends_the_episode_and_no_score_is_clipped(make):
     # those of the other axis wait from their arrival on
     decisions, _, whole = episode(make({"inflow": 200}, jam=-np.inf), (0,))
     assert decisions == 540
     assert whole["waiting"] > 1000.0
-    assert whole["score"] == LOWEST == -100.0
+    assert whole["score"] == -whole["waiting"]
     assert not whole["jammed"]
     assert whole["mean_queue"] > 40.0
     decisions, _, cut = episode(make({"inflow": 200}), (0,))
     assert decisions < 540
     assert cut["jammed"]
-    assert cut["score"] == LOWEST
+    assert cut["score"] == -cut["waiting"]
     assert 1000.0 == -JAM <= cut["waiting"] < whole["waiting"]
     decisions, _, above = episode(make({"inflow": 200}, jam=-whole["waiting"] - 1.0), (0,))
     assert decisions == 540
     assert above["waiting"] == whole["waiting"]
 
 
-def test_a_score_at_the_bound_is_told_as_soon_as_it_is_known(make):
+def test_a_score_at_the_floor_is_told_as_soon_as_it_is_there(make):
     env = make({"inflow": 200})
     env.reset(seed=0)
     told, waiting, ended = [], [], False
@@ -254,10 +254,12 @@ def test_a_score_at_the_bound_is_told_as_soon_as_it_is_known(make):
         told.append(info.get("final_score"))
         waiting.append(env._waited)
         ended = terminated or truncated
-    assert told == [LOWEST if waited >= -LOWEST else None for waited in waiting]
+    assert told == [-waited if waited >= -LOWEST else None for waited in waiting]
     assert None in told
-    assert told.count(LOWEST) > 10
-    assert info["score"] == LOWEST
+    assert len(told) - told.count(None) > 10
+    signal = get_cmdp("signal-inflow")
+    assert signal.normalisation.normalise(min(t for t in told if t)) == 0.0
+    assert (signal.floor, signal.version) == (LOWEST, 1)
     assert "final_score" not in episode(make({"inflow": 50}), FIXED_TIME)[2]
 
 

@@ -6,7 +6,8 @@ import pytest
 from mbtl.contexts import Categorical, ContextSpace, Integer, Linear, Log
 from mbtl.errors import InvalidInput
 from mbtl.models.relevance import Columns, fit_relevance, stretched
-from mbtl.models.transfer_gp import Places, TransferGP, TransferPrior, covariance, grid_pairs
+from mbtl.models.transfer_gp import TransferGP
+from mbtl.models.transfer_kernel import Places, TransferPrior, covariance, grid_pairs
 
 PRIOR = TransferPrior()
 

@@ -58,10 +58,27 @@ def test_choice_on_the_list_explains_itself():
     assert (choice.policy, choice.source, choice.source_context) == (0, 0, {"length": 0.5})
     assert (choice.predicted_return, choice.basis) == (400.0, "observed")
     assert (choice.runner_up, choice.margin) == (1, 300.0)
+    assert (choice.error, choice.margin_error) == (None, None)  # nobody knows, from one episode
     assert choice.explanation == (
-        "Policy 0, trained on length = 0.5 m, returned 400 when it was evaluated here; the next "
-        "best, policy 1, is 300 behind."
+        "Policy 1, trained on length = 0.5 m, returned 400 when it was evaluated here; policy 2 "
+        "was 300 behind, in one episode: that may be chance."
     )
+
+
+def test_explanations_have_error_bars_and_say_where_noise_decides():
+    sure = make(deviations=np.full((2, 5), 1.0), episodes=(10, 10)).explain({"length": 1.0})
+    assert "the next best, policy 2, is " in sure.explanation
+    rng = np.random.default_rng(0)
+    noisy = np.array([[300.0], [301.0]]) + 40.0 * rng.standard_normal((2, 5))
+    portfolio = make(returns=noisy, deviations=np.full((2, 5), 126.0), episodes=(10, 10))
+    choice = portfolio.explain({"length": 1.0})
+    assert choice.margin < 1.96 * choice.margin_error
+    assert choice.explanation.endswith("may do as well: the difference is within the noise.")
+    assert portfolio.routing.value.error > 0
+
+
+def test_value_heeds_risk():
+    assert make(risk=0.4).value == pytest.approx((300 + 400) / 2 / 500)
 
 
 def test_choice_off_the_list_is_interpolated_in_raw_units():
@@ -71,14 +88,15 @@ def test_choice_off_the_list_is_interpolated_in_raw_units():
     assert choice.margin == pytest.approx(100.0)
 
 
-def test_choice_by_gap_model_says_how_far_it_guesses():
+def test_a_context_without_evaluation_is_predicted_and_says_so():
     returns = np.full((1, 5), np.nan)
-    returns[0, 0] = 400.0
-    choice = make(sources=(0,), returns=returns, in_memory={}).explain({"length": 2.25})
-    assert choice.basis == "gap model"
-    assert choice.predicted_return == pytest.approx(500 * (0.8 - 0.1 * 3.5))
-    assert (choice.runner_up, choice.margin) == (None, None)
-    assert "over 3.5 grid steps; no other policy can be compared." in choice.explanation
+    returns[0, :2] = 400.0, 300.0
+    choice = make(sources=(0,), returns=returns, in_memory={}).explain({"length": 1.5})
+    assert choice.basis == "predicted"
+    assert 0.0 < choice.predicted_return < 400.0
+    assert choice.error > 0.0
+    assert "it was not evaluated here, the transfer model predicts it" in choice.explanation
+    assert choice.explanation.endswith("no other policy can be compared.")
 
 
 def test_smaller_is_better_when_the_bounds_say_so():
@@ -97,14 +115,12 @@ def test_useless_policy_is_not_among_the_sources_used():
 def test_contexts_nobody_was_evaluated_on_are_still_mapped():
     returns = RETURNS.copy()
     returns[:, 1:4] = np.nan
-    assert make(returns=returns).assignment.tolist() == [0, 0, 0, 1, 1]
+    assert make(returns=returns).assignment[[0, 1, 3, 4]].tolist() == [0, 0, 1, 1]
 
 
-def test_context_outside_or_unknown_everywhere():
+def test_context_outside_is_refused():
     with pytest.raises(ContextMismatch):
         make().explain({"length": 9.0})
-    with pytest.raises(InvalidInput, match="evaluate the policies first"):
-        make(returns=np.full((2, 5), np.nan)).explain({"length": 1.0})
 
 
 @pytest.mark.parametrize(
@@ -114,6 +130,9 @@ def test_context_outside_or_unknown_everywhere():
         ({"sources": (0, 5)}, "context indices 0..4"),
         ({"sources": (), "returns": np.empty((0, 5))}, "one or more policies"),
         ({"returns": RETURNS - np.inf}, "finite"),
+        ({"returns": np.full((2, 5), np.nan)}, "return of at least one"),
+        ({"deviations": RETURNS[:1]}, "shape of returns"),
+        ({"episodes": (1, 0)}, "whole number >= 1"),
         ({"theta": -1.0}, "theta"),
         ({"policy_folders": (None,)}, "one folder or None per policy"),
     ],
@@ -143,10 +162,12 @@ def test_policies_are_loaded_once_and_only_when_needed(tmp_path):
 
 
 def test_saved_portfolio_is_the_same_portfolio(tmp_path):
-    portfolio = make()
+    portfolio = make(deviations=np.full((2, 5), 9.0), episodes=(3, 4), risk=0.5)
     again = load_portfolio(portfolio.save(tmp_path / "p"))
     assert again.space == portfolio.space
     assert np.array_equal(again.returns, portfolio.returns)
+    assert np.array_equal(again.deviations, portfolio.deviations)
+    assert (again.episodes, again.risk) == ((3, 4), 0.5)
     assert (again.sources, again.bounds, again.theta) == ((0, 4), Bounds(0, 500), 0.1)
     assert (again.cmdp, again.metadata) == ("cartpole-length", {"note": "test"})
     assert [act(again.policy(i)) for i in range(2)] == [0, 1]
@@ -169,7 +190,7 @@ def test_manifest_lists_every_file_with_its_hash(tmp_path):
         if path.is_file() and path.name != "portfolio.json"
     }
     assert listed == found
-    assert (manifest["format"], manifest["versions"]["numpy"]) == (1, np.__version__)
+    assert (manifest["format"], manifest["versions"]["numpy"]) == (2, np.__version__)
 
 
 def test_trained_folders_are_copied_and_outlive_the_study(tmp_path):
@@ -224,7 +245,7 @@ def test_changed_missing_and_foreign_files_are_named(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": 2}, "formats up to 1"),
+        ({"format": 3}, "formats up to 2"),
         ({"kind": "else"}, "must describe a portfolio"),
         ({"returns": {"file": "../returns.npz", "sha256": "0"}}, "inside its own folder"),
         ({"returns": {"file": "/etc/hostname", "sha256": "0"}}, "inside its own folder"),

@@ -16,13 +16,13 @@ def row(source):
     return 0.9 - 0.02 * np.abs(source - np.arange(N))
 
 
-def study_of(picks, **settings):
+def study_of(picks, episodes=1, **settings):
     study = mbtl.create_study(
         SPACE, budget=6, bounds=(0.0, 1.0), problem="toy", selector="mbtl", **settings
     )
     for _ in range(picks):
         pick = study.ask()
-        study.tell(pick, row(pick.source))
+        study.tell(pick, np.repeat(row(pick.source)[:, None], episodes, axis=1))
     return study
 
 
@@ -77,15 +77,28 @@ def test_fresh_episodes_are_the_headline_when_measured():
     study.record_fresh_returns(np.array([r.returns for r in study.state.rows]) - 0.1)
     summary = summarise_study(study)
     assert summary.fresh_value == pytest.approx(summary.value - 0.1)
-    assert f"V = {summary.fresh_value:.4f} on fresh episodes" in " ".join(lines(summary, SPACE))
+    assert f"V = {summary.fresh_value:.4f} (one episode each, so its error is unknown) on" in (
+        " ".join(lines(summary, SPACE))
+    )
 
 
 def test_verdict_tells_one_policy_from_many():
     flat = mbtl.create_study(SPACE, budget=3, bounds=(0.0, 1.0), selector="mbtl")
     for _ in range(3):
-        flat.tell(flat.ask(), np.full(N, 0.8))
-    assert "One policy would do" in summarise_study(flat).verdict
-    assert "One policy would not do" in summarise_study(study_of(4)).verdict
+        flat.tell(flat.ask(), np.full((N, 2), 0.8))
+    assert summarise_study(flat).verdict.startswith("One policy would do")
+    assert summarise_study(study_of(4, episodes=2)).verdict.startswith("One policy would not do")
+
+
+def test_verdict_is_silent_where_chance_decides():
+    assert "cannot be said from one episode" in summarise_study(study_of(4)).verdict
+    rng = np.random.default_rng(0)
+    noisy = mbtl.create_study(SPACE, budget=3, bounds=(0.0, 1.0), selector="mbtl")
+    for _ in range(3):
+        noisy.tell(noisy.ask(), 0.8 + 0.3 * rng.standard_normal((N, 3)))
+    summary = summarise_study(noisy)
+    assert summary.verdict.startswith("Whether one policy would do is within the noise")
+    assert summary.single_gain_margin > 0.01
 
 
 def test_fewest_policies_for_nearly_all_the_gain():

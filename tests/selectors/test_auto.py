@@ -8,10 +8,9 @@ from mbtl.benchmark.compare import held_out
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models import priors
-from mbtl.models.transfer_gp import TransferPrior
+from mbtl.models.transfer_kernel import TransferPrior
 from mbtl.selectors import Auto, Exhausted, Random, SelectionProblem
 from mbtl.selectors.auto import _nearest, _search
-from mbtl.selectors.base import even_targets
 
 RNG = np.random.default_rng(0)
 
@@ -215,12 +214,6 @@ def test_noise_told_is_not_taken_for_a_gain():
     untold = History(n, exact.sources, noisy)
     gain = [Auto().propose(line(n), h, RNG).acquisition for h in (told, untold)]
     assert gain[0] < 0.7 * gain[1]
-
-
-def test_targets_evaluated_are_evenly_spaced_with_the_source_among_them():
-    assert even_targets(line(61), 31, 7) == (0, 10, 20, 31, 40, 50, 60)
-    assert even_targets(line(61), 60, 1) == (60,)
-    assert even_targets(line(5, 5), 2, 5) == (0, 1, 2, 3, 4)
 
 
 def test_a_catastrophe_does_not_hide_the_rest():

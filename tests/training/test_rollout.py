@@ -160,6 +160,21 @@ def test_seeds_reach_reset():
     assert seen == [5, 3, 9]
 
 
+def test_the_noise_of_actions_is_not_that_of_the_environment():
+    """A policy that draws as the environment does would know every number before it is shown."""
+    env, noise = Guess({"length": 9}), []
+
+    class Draws:
+        def predict(self, observation, deterministic=True, rng=None):
+            noise.append(float(rng.uniform(-1, 1)))
+            return np.zeros(len(observation), int), None
+
+    play([Job(lambda: env, [5])], Actor(Draws(), sampled=True), max_envs=1)
+    shown = [float(Guess.reset(env, seed=5)[0][0])]
+    shown += [float(env.step(0)[0][0]) for _ in range(9)]
+    assert not np.intersect1d(np.float32(noise), np.float32(shown)).size
+
+
 def test_recurrent_state_follows_its_episode():
     lengths = [1, 2, 3, 8, 5] * 9
     returns = play(jobs(Guess, lengths, [0, 1, 2]), Actor(Counter()), max_envs=40)

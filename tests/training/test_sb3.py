@@ -35,6 +35,7 @@ from mbtl.errors import (
 )
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import Purpose, episode_seed, evaluation_seed
+from mbtl.study.rehearsal import rehearse
 from mbtl.trainer import Trainer
 from mbtl.training import SB3Trainer, load_sb3
 from mbtl.training.rollout import Actor, Job, play
@@ -65,6 +66,25 @@ def trained():
 
 
 # ---- training ------------------------------------------------------------------------------------
+
+
+def test_exploration_does_not_draw_the_numbers_of_the_environment():
+    shown, chosen = [], []
+
+    class Coins(Guess):
+        def _next(self):
+            shown.append(int(self.np_random.integers(2)))
+            return np.zeros(1, np.float32)
+
+        def step(self, action):
+            chosen.append(int(action))
+            self.left -= 1
+            return self._next(), 0.0, False, self.left == 0, {}
+
+    settings = {"learning_starts": 100, "buffer_size": 100}  # nothing but exploration
+    trainer = SB3Trainer(Coins, timesteps=40, algorithm="DQN", hyperparameters=settings)
+    trainer.train({"length": 100}, seed=3)
+    assert 5 < (np.array(shown[:-1]) == chosen).sum() < 35
 
 
 def test_training_learns():
@@ -502,3 +522,11 @@ def test_the_end_of_a_simulators_process_is_a_failed_training():
     )
     with pytest.raises(SimulationFailed, match="end of a process"):
         trainer.train({}, seed=0)
+
+
+def test_an_untrained_policy_shows_that_evaluation_works_and_leaves_the_training_alone(trained):
+    trainer = ppo()
+    assert rehearse(trainer, POLES[:2], 5) is None
+    assert same(weights(trainer.train(POLE, 0)), weights(trained))
+    trouble = rehearse(ppo(hyperparameters={"learning_rat": 1.0}), POLES[:2], 5)
+    assert isinstance(trouble.error, InvalidInput)

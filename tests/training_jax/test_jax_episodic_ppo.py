@@ -95,6 +95,12 @@ def test_the_penalty_follows_the_kl(target_kl, factor):
     assert float(memory.kl_coef) == pytest.approx(0.1 * factor)
 
 
+def test_no_penalty_stays_none():
+    recipe, weights, lived = setting(EVERYBODY, target_kl=1e-9, kl_coef=0.0)
+    _, memory = updated(recipe, weights, lived)
+    assert float(memory.kl_coef) == 0.0
+
+
 def test_updates_draw_other_rows():
     recipe, weights, lived = setting(EVERYBODY)
     one, two = (updated(recipe, weights, lived, number)[0] for number in (0, 1))

@@ -12,8 +12,11 @@ import mbtl.training.jax as engine  # noqa: F401  isort: skip  # before jax: it 
 import jax
 import jax.numpy as jnp
 
+from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic.twins import RingProblem
-from mbtl.training.jax.traffic import random
+from mbtl.seeds import episode_seed
+from mbtl.training.jax.traffic import episodes, learning, random
+from mbtl.training.jax.traffic import ring as ring_module
 from mbtl.training.jax.traffic.episodes import Actor, scores
 from mbtl.training.jax.traffic.idm import IDM, follow, obey
 
@@ -146,6 +149,25 @@ def test_a_collision_ends_the_ring_and_is_charged():
     np.testing.assert_array_equal(again.state.gap[:, 0], moved.state.gap[:, 0])
 
 
+def test_after_a_collision_the_cars_stand_for_the_rest_of_the_measured_part():
+    """Half of the measured part at the speed of a free flow, the other half at none."""
+    twin, params = ring(hold=10.0, noise=0.0, start="uniform")
+    twin = replace(twin, warm_up=100, unmeasured=100, total_steps=1_100, speed_factor=0.0)
+    step, drive = jax.jit(twin.step), jax.jit(twin.drive)
+    state = twin.start(jnp.zeros(2, jnp.uint32), params)
+    for _ in range(6):
+        state = drive(state, params).state
+    speed, so_far = float(state.driven[0, 1]), float(twin.score(state)[0])
+    near = state.gap.at[1, 0].set(0.2).at[2, 0].add(state.gap[1, 0] - 0.2)
+    state = step(state._replace(gap=near), jnp.zeros((2, 1)), params).state
+    assert state.running.tolist() == [False, True]
+    for _ in range(4):
+        state = drive(state, params).state
+    crashed, whole = np.asarray(twin.score(state))
+    assert crashed == pytest.approx(so_far / 2, rel=0.01)
+    assert whole == pytest.approx(speed, rel=0.2)
+
+
 # ---- random numbers ------------------------------------------------------------------------------
 
 
@@ -161,6 +183,23 @@ def test_noise_is_standard_normal_and_uncorrelated():
         assert abs((a * b).mean()) < 4 / np.sqrt(n)
 
 
-def test_streams_differ():
-    seeds, now = jnp.arange(3, dtype=jnp.uint32), jnp.uint32(0)
-    assert not np.array_equal(random.bits(seeds, 0, now, 4), random.bits(seeds, 1, now, 4))
+def test_nothing_in_an_episode_is_drawn_twice():
+    """One seed mixes places to numbers one to one, so equal numbers would be of one place."""
+
+    def drawn(stream, moments, count):
+        each = jax.vmap(lambda t: random.bits(jnp.zeros(1, jnp.uint32), stream, t, count))
+        return np.asarray(each(jnp.arange(moments))).reshape(-1)
+
+    streams = (ring_module._SHARES, ring_module._FACTORS, episodes._ACTION, learning._EPISODE)
+    parts = [drawn(stream, 4000, 22) for stream in streams]
+    together = np.concatenate([drawn(ring_module._NOISE, 5000, 22), *parts])
+    assert len(np.unique(together)) == len(together)
+
+
+def test_rows_without_a_policy_are_those_of_nobody_and_of_anybody():
+    trainer = get_cmdp("ring-acc", engine="jax").trainer_for(eval_episodes=4)
+    rows = trainer.reference_rows([{"hold": 40.0}], seed=1)
+    seeds = [episode_seed(1, episode) for episode in range(4)]
+    assert rows["unguided"][0] == pytest.approx(unguided(*ring(40.0), seeds))
+    assert rows["random_actions"].shape == (1, 4)
+    assert rows["random_actions"].mean() < rows["unguided"].mean()

@@ -1,5 +1,7 @@
 """The engine as a trainer: one policy or many, the same on resume, in a study and in a matrix."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from mbtl.errors import InvalidInput, UnknownName
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import evaluation_seed, training_seed
 from mbtl.study import create_study
+from mbtl.study.rehearsal import rehearse
 from mbtl.training import JaxTrainer, SB3Trainer
 from mbtl.training.jax import saving
 
@@ -157,3 +160,9 @@ def test_bad_options_say_what_is_known():
         CMDP.trainer_for("quick", timesteps=0)
     with pytest.raises(InvalidInput, match="checkpoint"):
         CMDP.trainer_for("quick", checkpoint="worst")
+
+
+def test_an_untrained_policy_shows_that_evaluation_works():
+    assert rehearse(TRAINER, CONTEXTS, 5) is None
+    trouble = rehearse(replace(TRAINER, hyperparameters={"n_enws": 2}), CONTEXTS, 5)
+    assert isinstance(trouble.error, UnknownName)

@@ -20,7 +20,7 @@ from mbtl.errors import InvalidInput, StorageError, TrainingFailed, UnknownName
 from mbtl.portfolio import MLPPolicy
 from mbtl.training.jax import loop, networks, ppo
 from mbtl.training.jax.environments import Box, Discrete
-from mbtl.training.jax.flags import set_flags
+from mbtl.training.jax.flags import settings
 from mbtl.training.jax.rollout import draw, play
 
 TINY = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32, n_epochs=2, learning_rate=1e-3)
@@ -285,16 +285,62 @@ def test_nothing_to_evaluate_is_refused():
 # ---- flags and the hang --------------------------------------------------------------------------
 
 
+SCHEDULER = "--xla_cpu_enable_concurrency_optimized_scheduler"
+
+
 def test_flags_are_added_and_a_users_own_are_kept():
-    name = "--xla_cpu_enable_concurrency_optimized_scheduler"
-    environ = {}
-    set_flags(environ)
-    assert environ["XLA_FLAGS"] == f"{name}=false"
-    set_flags(environ)
-    assert environ["XLA_FLAGS"] == f"{name}=false"
-    environ = {"XLA_FLAGS": f"--xla_dump_to=x {name}=true"}
-    set_flags(environ)
-    assert environ["XLA_FLAGS"] == f"--xla_dump_to=x {name}=true"
+    ours = {"XLA_FLAGS": f"{SCHEDULER}=false", "NPROC": "1"}
+    assert settings({}) == ours
+    assert settings(ours) == {}
+    assert settings({"XLA_FLAGS": f"--xla_dump_to=x {SCHEDULER}=true", "NPROC": "2"}) == {}
+    both = {"XLA_FLAGS": f"--xla_dump_to=x {SCHEDULER}=false"}
+    assert settings({"XLA_FLAGS": "--xla_dump_to=x", "NPROC": "2"}) == both
+
+
+def program(text, **environ):
+    """Output and errors of a program in a process of its own."""
+    clean = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "NPROC")}
+    return subprocess.run(
+        [sys.executable, "-c", text],
+        env={**clean, **environ}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+
+
+LENT = f"""
+import os
+import jax
+before, seen, start = dict(os.environ), {{}}, jax.devices
+jax.devices = lambda: seen.update(os.environ) or start()
+import mbtl.training.jax
+jax.devices = start
+assert dict(os.environ) == before
+assert seen["NPROC"] == "1"
+assert seen["XLA_FLAGS"] == os.environ["XLA_FLAGS"] + " {SCHEDULER}=false"
+del os.environ["XLA_FLAGS"]
+jax.jit(lambda x: 2 * x)(1.0)
+print(len(os.listdir("dump")))
+"""
+
+
+def test_jax_starts_with_our_settings_and_leaves_the_environment_as_it_was(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = program(LENT, XLA_FLAGS="--xla_dump_to=dump")
+    assert int(done.stdout) > 0  # what was set when jax started is what it compiles with
+
+
+LATE = """
+import jax
+jax.devices()
+import mbtl.processes
+mbtl.processes.usable_cores = lambda: 2
+import mbtl.training.jax, mbtl.training.jax.traffic.ring
+"""
+
+
+def test_who_has_started_jax_without_them_is_told_so_once():
+    words = "RuntimeWarning: jax was started before"
+    assert program(LATE).stderr.count(words) == 1
+    assert words not in program(LATE, XLA_FLAGS=f"{SCHEDULER}=false").stderr
 
 
 HUNDRED = """
@@ -308,12 +354,7 @@ print(int(training.updates))
 
 @pytest.mark.long
 def test_a_hundred_policies_do_not_hang():
-    environ = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
-    done = subprocess.run(
-        [sys.executable, "-c", HUNDRED],
-        env=environ, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert done.stdout.split() == ["3"]
+    assert program(HUNDRED).stdout.split() == ["3"]
 
 
 def test_training_is_importable_without_jax():

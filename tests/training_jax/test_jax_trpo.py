@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput, UnknownName
-from mbtl.training.jax import networks
+from mbtl.training.jax import networks, saving
 from mbtl.training.jax.environments import Box, Discrete
 from mbtl.training.jax.traffic import learning, trpo
 from mbtl.training.jax.traffic.distributions import kl
@@ -185,6 +185,30 @@ def test_training_is_reproducible_and_goes_on_where_it_was():
     )
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(rest), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_interrupted_trainings_of_several_holds_go_on_to_the_same_policies(tmp_path, monkeypatch):
+    monkeypatch.setattr(saving, "_SECONDS", 0.0)
+    trainer = get_cmdp("ring-vel", engine="jax").trainer_for(
+        "quick", episodes=4, checkpoint_every=1, checkpoint_episodes=1
+    )
+    contexts, file, heard = [{"hold": 40.0}] * 3, tmp_path / "partial.npz", []
+
+    def stop(progress):
+        heard.append(progress.step)
+        if len(heard) == 7:  # the third update of the second hold
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        trainer.train_many(contexts, [0, 1, 2], stop, partial=file)
+    rest = trainer.train_many(contexts, [0, 1, 2], stop, partial=file)
+    assert heard[7:] == [3, 4, 1, 2, 3, 4]  # the first is done, of the second two were saved
+    whole = trainer.train_many(contexts, [0, 1, 2])
+    for checkpoint in ("best", "final"):
+        for one, other in zip(whole[checkpoint], rest[checkpoint], strict=True):
+            for a, b in zip(one.weights, other.weights, strict=True):
+                np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(rest["final"][0].weights[0], rest["final"][1].weights[0])
 
 
 def test_episodes_record_what_was_done():

@@ -8,14 +8,15 @@ e(E J - best) - e(E J - top).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.acquisition.gain import unit_improvement
 from mbtl.arrays import Array
-from mbtl.models.transfer_gp import NEW, TransferGP
+from mbtl.models.transfer_gp import TransferGP
+from mbtl.models.transfer_kernel import NEW
 from mbtl.objective import worst_share_mean
 
 _DRAWS = 4000
@@ -74,7 +75,7 @@ class RowGain:
         Picks by this gain were no better (docs/calibration.md).
         """
         rng, own = np.random.default_rng(0), self.targets
-        rows = self.model.draws(source, own, _DRAWS, rng)
+        rows = self.model.draws(np.array([source]), own, _DRAWS, rng)[:, 0]
         mean, std = self.model.predict_pairs(np.column_stack([own, own, np.full(len(own), NEW)]))
         ceiling = mean + std * rng.standard_normal((_DRAWS, 1))
         return float(self._gained(np.minimum(rows, ceiling)).mean())
@@ -84,8 +85,23 @@ class RowGain:
 
         Without those ceilings, so that a study ends rather too late than too early.
         """
-        rows = self.model.draws(source, self.targets, _DRAWS, np.random.default_rng(0))
-        return float(np.mean(self._gained(rows) >= least))
+        return self.chance_together(np.array([source]), self.targets, least)
+
+    def chance_together(
+        self, sources: NDArray[np.intp], targets: NDArray[np.intp], least: float
+    ) -> float:
+        """Probability that trainings on all of M sources together gain `least` or more.
+
+        Args:
+            sources: (M,) contexts, one training on each.
+            targets: (T,) some of the targets, which stand for all; M T samples are drawn jointly.
+            least: gain in V.
+        """
+        drawn = self.model.draws(sources, targets, _DRAWS, np.random.default_rng(0))
+        at = np.searchsorted(self.targets, targets)
+        weights = self.weights[at] / self.weights[at].sum()
+        some = replace(self, best=self.best[at], top=self.top[at], targets=targets, weights=weights)
+        return float(np.mean(some._gained(drawn.max(axis=1)) >= least))
 
     def _gained(self, rows: Array) -> Array:
         """(n,) gains in V from samples of a row, none better than the best performance seen."""

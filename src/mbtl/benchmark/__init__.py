@@ -12,6 +12,7 @@ from mbtl.benchmark.oracle import (
     sequential_oracle,
 )
 from mbtl.benchmark.records import Comparison, Run, Summary
+from mbtl.benchmark.references import reference_levels
 from mbtl.benchmark.shipped import load_matrix, save_shipped, shipped_matrices
 from mbtl.benchmark.summary import summarise
 from mbtl.benchmark.synthetic import SyntheticWorld, linear_gap_world
@@ -33,6 +34,7 @@ __all__ = [
     "open_matrix",
     "random_curve",
     "reference",
+    "reference_levels",
     "save_shipped",
     "sequential_oracle",
     "shipped_matrices",

@@ -1,12 +1,16 @@
 """Row sources: what the benchmark asks of a transfer matrix, whether it fits in memory or not.
 
-Notation (shapes): N contexts, S matrix seeds, m sources of a block.
+A matrix may hold every policy twice, on two disjoint halves of its evaluation episodes. What
+chooses sees one half (`rows`); what is shown is of the other (`fresh_rows`), on which nothing was
+chosen: the best of many noisy numbers looks better than it is.
+
+Notation (shapes): N contexts, S matrix seeds, K trainings, m sources or targets of a block.
     J  (N, N)  performance of one matrix seed, axis order (source, target); larger is better
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -14,6 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array
+from mbtl.objective import value_curve
+from mbtl.routing import rank, routed, routes
 from mbtl.selectors.base import SelectionProblem
 
 BLOCK_BYTES = 256 * 2**20
@@ -46,18 +52,31 @@ class RowSource(Protocol):
     def rows(self, seed: int, sources: ArrayLike) -> Array:
         """Performance of the policies trained on `sources` (m,) on every target; (m, N).
 
-        The same seed and source give the same row, in whatever order rows are asked for.
+        What a selector may see, and what chooses the policy of each target. The same seed and
+        source give the same row, in whatever order rows are asked for.
         """
+        ...
+
+    def fresh_rows(self, seed: int, sources: ArrayLike) -> Array:
+        """The same policies on other evaluation episodes, of which every number shown is; (m, N).
+
+        The same numbers as `rows` unless `measures_apart`.
+        """
+        ...
+
+    @property
+    def measures_apart(self) -> bool:
+        """Whether `fresh_rows` are of other episodes than `rows`."""
         ...
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Reference levels of one matrix seed, in performance.
+    """Reference levels of one matrix seed, in performance on fresh episodes.
 
     Attributes:
         independent: one policy per context, each used at home: mean of the diagonal.
-        oracle_transfer: all N policies, the best per target: no selection can exceed it.
+        oracle_transfer: all N policies, each target served by the best one that was seen.
         grand_mean: one policy trained on a random context.
     """
 
@@ -76,8 +95,39 @@ def row_blocks(
         yield sources, source.rows(seed, sources)
 
 
+def ranked_blocks(
+    source: RowSource, seed: int, *, block_bytes: int = BLOCK_BYTES
+) -> Iterator[tuple[slice, Array]]:
+    """Per target all N policies from the last that would serve it to the first, in blocks.
+
+    They are ordered by what was seen, with the ties of `mbtl.routing`; the values are fresh. A
+    column needs all rows, so a matrix that does not fit in memory is read once per block.
+
+    Returns:
+        (targets, values (m, N)) of each block.
+    """
+    n, apart = source.n, source.measures_apart
+    everyone, steps = np.arange(n), source.problem(1).steps
+    width = max(1, min(n, block_bytes // (8 * n * (1 + apart))))
+    for start in range(0, n, width):
+        targets = slice(start, min(start + width, n))
+        seen = np.empty((targets.stop - start, n))  # target-major: each sort runs along memory
+        fresh = np.empty_like(seen) if apart else seen
+        for sources, rows in row_blocks(source, seed, block_bytes=block_bytes // 4):
+            seen[:, sources] = rows[:, targets].T
+            if apart:
+                fresh[:, sources] = source.fresh_rows(seed, sources)[:, targets].T
+        if apart:
+            for column, values, target in zip(seen, fresh, steps[targets], strict=True):
+                distance = np.linalg.norm(steps - target, axis=1)
+                values[:] = values[rank(column, distance, everyone)[::-1]]
+        else:  # policies that tie have the same value
+            seen.sort(axis=1)
+        yield targets, fresh
+
+
 def levels(source: RowSource, seed: int) -> Levels:
-    """Reference levels of one matrix seed in one pass over its rows.
+    """Reference levels of one matrix seed.
 
     Target weights count in all three; the grand mean weighs sources equally, for each is as likely.
     """
@@ -85,12 +135,31 @@ def levels(source: RowSource, seed: int) -> Levels:
     best = np.full(source.n, -np.inf)
     diagonal = np.empty(source.n)
     total = np.zeros(source.n)
-    for sources, rows in row_blocks(source, seed):
+    for sources, seen in row_blocks(source, seed):
+        rows = source.fresh_rows(seed, sources) if source.measures_apart else seen
         best = np.maximum(best, rows.max(axis=0))
         diagonal[sources] = rows[np.arange(len(sources)), sources]
         total += rows.sum(axis=0)
+    if source.measures_apart:  # the best one that was seen, not the best one there is
+        for targets, ranked in ranked_blocks(source, seed):
+            best[targets] = ranked[:, -1]
     return Levels(
         independent=float(diagonal @ weights),
         oracle_transfer=float(best @ weights),
         grand_mean=float(total @ weights) / source.n,
     )
+
+
+def measured_curve(source: RowSource, seed: int, sources: Sequence[int]) -> Array:
+    """V on fresh episodes after each of the trainings on `sources` (K,), routed by what was seen.
+
+    It can fall: a policy that looked better on the episodes seen may be worse.
+
+    Returns:
+        (K,) V_1..V_K.
+    """
+    problem, rows = source.problem(1), source.rows(seed, sources)
+    if not source.measures_apart:
+        return value_curve(rows, problem.weights)
+    served = routed(source.fresh_rows(seed, sources), routes(rows, sources, problem.steps))
+    return np.asarray(served @ problem.weights)

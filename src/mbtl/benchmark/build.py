@@ -2,14 +2,15 @@
 
 Work is done in pieces of a few sources. A piece is one file that appears whole or not at all, so
 an interrupted build goes on where it was, in any number of processes. Policies are kept beside the
-pieces, where their trainer can save them: whoever removes the pieces and builds again evaluates
-again and trains nothing.
+pieces, where their trainer can save them, with a note on where they were trained: they can be
+evaluated again, and nothing is trained.
 
 Notation (shapes): N contexts, P sources of a piece, E episodes.
 """
 
 from __future__ import annotations
 
+import json
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,11 +27,11 @@ from mbtl.benchmark.entries import Floats
 from mbtl.benchmark.npz import read_npz, read_text, text_array, write_npz
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StorageError, StudyError, cannot_write
-from mbtl.files import claimed_folder
+from mbtl.files import claimed_folder, whole_file
 from mbtl.processes import worker_pool
 from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
-from mbtl.trainer import ManyTrainer, Trainer, checked_returns
+from mbtl.trainer import ManyTrainer, ReferenceTrainer, Trainer, checked_returns
 
 ONLY = "policy"
 """Name of the one checkpoint of a trainer that does not offer several."""
@@ -50,6 +51,7 @@ class Piece:
         keep: checkpoints to evaluate.
         path: where its rows go.
         policies: folder of the policies kept.
+        train: train where policies are not kept.
     """
 
     trainer: Trainer
@@ -61,6 +63,12 @@ class Piece:
     keep: tuple[str, ...]
     path: Path
     policies: Path
+    train: bool = True
+
+    @property
+    def note(self) -> Path:
+        """Where and in what time the policies of this piece were trained."""
+        return self.policies / f"trained-{self.sources[0]:05d}.json"
 
     def policy_folder(self, checkpoint: str, source: int) -> Path:
         """Where the policy of a source is kept."""
@@ -79,6 +87,7 @@ class Build:
         settings: JSON-able; a folder goes on only with equal settings.
         keep: checkpoints to evaluate, of a trainer that offers several (`ManyTrainer`).
         lanes: sources trained together, P.
+        kept: folder of policies that are only to be evaluated again; None: train.
     """
 
     trainer: Trainer
@@ -88,10 +97,16 @@ class Build:
     settings: Mapping[str, Any]
     keep: tuple[str, ...] = (ONLY,)
     lanes: int = 1
+    kept: Path | None = None
 
     def __post_init__(self) -> None:
         if self.lanes < 1:
             raise InvalidInput(f"lanes must be >= 1, got {self.lanes}")
+
+    @property
+    def claim(self) -> dict[str, Any]:
+        """JSON-able; what a folder must have been begun with to go on."""
+        return {**self.settings, "seed": self.seed, "lanes": self.lanes, "keep": self.keep}
 
     def pieces(self) -> list[Piece]:
         """All of the matrix, done or not."""
@@ -109,7 +124,8 @@ class Build:
                 evaluation_seed(self.seed, MATRIX_TRIAL),
                 self.keep,
                 self.folder / f"sources-{first:05d}.npz",
-                self.folder / "policies",
+                self.kept or self.folder / "policies",
+                self.kept is None,
             )
             for first in range(0, self.space.n, self.lanes)
         ]
@@ -124,13 +140,12 @@ class Build:
         Raises:
             InvalidInput: the folder holds another matrix, or `workers` < 1.
             StorageError: the folder cannot be written, or another process builds in it.
-            StudyError: a worker process died.
+            StudyError: a worker process died; or a policy that is to be evaluated again is gone.
             TrainingFailed: a training failed; what was done before is kept.
         """
         if workers < 1:
             raise InvalidInput(f"workers must be >= 1, got {workers}")
-        grows = {"seed": self.seed, "lanes": self.lanes, "keep": self.keep}
-        with claimed_folder(self.folder, {**self.settings, **grows}, "a transfer matrix"):
+        with claimed_folder(self.folder, self.claim, "a transfer matrix"):
             pieces = self.pieces()
             todo = [piece for piece in pieces if not piece.path.is_file()]
             done = self.space.n - sum(len(piece.sources) for piece in todo)
@@ -140,26 +155,56 @@ class Build:
                 done += len(piece.sources)
                 if on_piece is not None:
                     on_piece(done, self.space.n)
+            self._refer()
 
     def returns(self, checkpoint: str) -> Floats:
         """(N, N, E) return of every episode, axes (source, target, episode).
 
         Raises:
-            StorageError: pieces are missing.
+            StorageError: pieces are missing, or were written by an older version.
         """
-        key = f"{checkpoint}_returns"
-        return np.concatenate([read_npz(piece.path)[key] for piece in self._finished()])
+        return np.concatenate(self._entries(f"{checkpoint}_returns"))
 
-    def seconds(self) -> float:
-        """Wall time of all pieces together, seconds of one process."""
-        return float(sum(read_npz(piece.path)["seconds"] for piece in self._finished()))
+    def seconds(self, key: str = "seconds") -> float:
+        """Wall time of all pieces together, seconds of one process; of the training alone by
+        "train_seconds".
+        """
+        return float(sum(self._entries(key)))
 
-    def origins(self) -> list[dict[str, Any]]:
-        """The distinct places where its pieces were computed (`mbtl.provenance.here`)."""
-        found = [read_text(read_npz(piece.path)["origin"], "origin") for piece in self._finished()]
-        return [one for i, one in enumerate(found) if one not in found[:i]]
+    def references(self) -> dict[str, Floats]:
+        """(N, E) returns of every episode without a policy, by name; see `ReferenceTrainer`."""
+        return dict(read_npz(self._references)) if self._references.is_file() else {}
 
-    def _finished(self) -> list[Piece]:
+    def origins(self, key: str = "origin") -> list[dict[str, Any]]:
+        """The distinct places where its policies were trained (`mbtl.provenance.here`).
+
+        Each with the number of sources, as "sources"; by "evaluated", where they were evaluated.
+        """
+        found: list[dict[str, Any]] = []
+        for piece, entry in zip(self.pieces(), self._entries(key), strict=True):
+            origin = read_text(entry, "origin")
+            same = [one for one in found if {**one, "sources": None} == {**origin, "sources": None}]
+            if same:
+                same[0]["sources"] += len(piece.sources)
+            else:
+                found.append({**origin, "sources": len(piece.sources)})
+        return found
+
+    @property
+    def _references(self) -> Path:
+        return self.folder / "references.npz"
+
+    def _refer(self) -> None:
+        trainer = self.trainer
+        if self._references.is_file() or not isinstance(trainer, ReferenceTrainer):
+            return
+        seed = evaluation_seed(self.seed, MATRIX_TRIAL)
+        rows = trainer.reference_rows(self.space.contexts, seed)
+        checked = {name: checked_returns(row, self.space.n) for name, row in rows.items()}
+        write_npz(self._references, {k: row.astype(np.float32) for k, row in checked.items()})
+
+    def _entries(self, key: str) -> list[Any]:
+        """An entry of every piece, in order."""
         pieces = self.pieces()
         missing = sum(not piece.path.is_file() for piece in pieces)
         if missing:
@@ -167,21 +212,38 @@ class Build:
                 f"the matrix in {self.folder} needs {len(pieces)} pieces, {missing} are missing; "
                 "run the same command again"
             )
-        return pieces
+        entries = []
+        for piece in pieces:
+            arrays = read_npz(piece.path)
+            if key == "evaluated":  # of older pieces: where they were trained
+                key = key if key in arrays else "origin"
+            if key not in arrays:
+                raise StorageError(
+                    f"{piece.path} was written by an older version, which kept no episodes; remove "
+                    "the pieces of this folder and run the same command again"
+                )
+            entries.append(arrays[key])
+        return entries
 
 
 def perform(piece: Piece) -> None:
     """Train the sources of one piece unless their policies are kept, evaluate, write its file."""
     begin = time.perf_counter()
-    policies = _kept(piece) or _train(piece)
-    trained = time.perf_counter()
+    policies = _kept(piece)
+    if policies is None:
+        policies = _train(piece)
+        note: dict[str, Any] = {"origin": here(), "seconds": time.perf_counter() - begin}
+        _write_note(piece, note)
+    else:
+        note = _read_note(piece)
     arrays: dict[str, Any] = {
         f"{checkpoint}_returns": _evaluate(piece, some).astype(np.float32)
         for checkpoint, some in policies.items()
     }
     arrays["seconds"] = np.array(time.perf_counter() - begin)
-    arrays["train_seconds"] = np.array(trained - begin)
-    arrays["origin"] = text_array(here())
+    arrays["train_seconds"] = np.array(note["seconds"])
+    arrays["origin"] = text_array(note["origin"])
+    arrays["evaluated"] = text_array(here())
     write_npz(piece.path, arrays)
     _partial(piece).unlink(missing_ok=True)
 
@@ -196,6 +258,11 @@ def _partial(piece: Piece) -> Path:
 
 
 def _train(piece: Piece) -> Policies:
+    if not piece.train:
+        raise StudyError(
+            f"evaluating again needs the policy of every source, got none of source "
+            f"{piece.sources[0]} in {piece.policies}; build without --evaluate-again"
+        )
     trainer = piece.trainer
     if isinstance(trainer, ManyTrainer):
         policies: Policies = trainer.train_many(
@@ -229,6 +296,26 @@ def _keep(trainer: Any, policy: Any, place: Path) -> None:
             partial.rmdir()
     except OSError as error:
         raise cannot_write(place, error) from error
+
+
+def _write_note(piece: Piece, note: Mapping[str, Any]) -> None:
+    """Beside the policies, if they were kept."""
+    if piece.policies.is_dir():
+        with whole_file(piece.note) as file:
+            file.write(json.dumps(note).encode())
+
+
+def _read_note(piece: Piece) -> dict[str, Any]:
+    """Of kept policies; older ones have it in the rows that were first made with them."""
+    first = piece.policies.parent / piece.path.name
+    if piece.note.is_file():
+        note: dict[str, Any] = json.loads(piece.note.read_text(encoding="utf-8"))
+        return note
+    if first.is_file():
+        arrays = read_npz(first)
+        seconds = float(arrays.get("train_seconds", np.nan))
+        return {"origin": read_text(arrays["origin"], "origin"), "seconds": seconds}
+    return {"origin": {}, "seconds": 0.0}
 
 
 def _kept(piece: Piece) -> Policies | None:

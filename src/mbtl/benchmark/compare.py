@@ -1,7 +1,8 @@
 """Compare selectors on transfer matrices: every matrix seed x selector x selector seed.
 
 A training costs nothing here: the row of a pick is read from the matrix and told to the selector,
-exactly as a study would after a real training.
+exactly as a study would after a real training. Where a matrix has two halves of its evaluation
+episodes, selectors and routes see one and every V is of the other.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import cast
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.benchmark.base import RowSource
+from mbtl.benchmark.base import RowSource, measured_curve
 from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.oracle import Reference, reference
 from mbtl.benchmark.records import Comparison, Run
@@ -23,9 +24,8 @@ from mbtl.benchmark.shipped import family_of
 from mbtl.benchmark.summary import summarise
 from mbtl.errors import InvalidInput, UnknownName, unknown_name
 from mbtl.history import History
-from mbtl.objective import value_curve
 from mbtl.selectors.base import SelectionProblem, Selector
-from mbtl.selectors.registry import get_selector, selector_names
+from mbtl.selectors.registry import get_selector, is_registered, selector_names
 
 ORACLE = "oracle"
 RANDOM = "random"
@@ -64,13 +64,14 @@ def compare(
         matrices: paths ending in .npz, ids of shipped matrices, "all", synthetic ids, or matrices.
         budget: K, from 1 to the smallest N.
         seeds: selector seeds 0..seeds-1 for each matrix seed; deterministic selectors run once. A
-            selector says so with an attribute `deterministic`; without it only `random` is not.
+            selector of your own says that it is with an attribute `deterministic`.
         on_step: called before each piece of work, for a progress display.
 
     Raises:
         UnknownName: a matrix or selector has no such name.
         InvalidInput: a matrix is unusable, the budget or number of seeds is out of range, a name
-            comes twice, or a selector refuses a matrix (greedy and equidistant need one axis).
+            comes twice, or a selector refuses a matrix (greedy and equidistant need one axis), or
+            proposes a context again.
     """
     if seeds < 1:
         raise InvalidInput(f"seeds must be at least 1, got {seeds}")
@@ -93,7 +94,7 @@ def compare(
                 if selector is None:
                     group = [_oracle_run(known, name, s, problems[name].theta)]
                 else:
-                    group, fair = [], held_out(selector, name)
+                    group, fair = [], held_out(selector, getattr(source, "cmdp", ""))
                     for seed in range(1 if is_deterministic(selector) else seeds):
                         steps.next(f"{name}, seed {s}: {label}")
                         group.append(_run(fair, source, problems[name], (name, s, seed)))
@@ -102,21 +103,24 @@ def compare(
                 curves[name][label].append(known.random if label == RANDOM else mean)
     steps.next("")
     stacked = {m: {e: np.array(v) for e, v in by.items()} for m, by in curves.items()}
-    return Comparison(tuple(runs), summarise(stacked, references))
+    caveats = {name: getattr(source, "caveat", None) for name, source in sources.items()}
+    return Comparison(tuple(runs), summarise(stacked, references, caveats))
 
 
-def held_out(selector: Selector, matrix: str) -> Selector:
-    """The selector as it would be had it never seen the family of a matrix.
+def held_out(selector: Selector, cmdp: str) -> Selector:
+    """The selector as it would be had it never seen the family of a CMDP.
 
-    One that has learned from matrices has a method `without(family)`; see `family_of`.
+    One that has learned from matrices has a method `without(family)`; see `family_of`. A matrix is
+    of the CMDP that its provenance names, whether it is opened by file or by id.
     """
     without = getattr(selector, "without", None)
-    return selector if without is None else cast(Selector, without(family_of(matrix)))
+    return selector if without is None else cast(Selector, without(family_of(cmdp)))
 
 
 def is_deterministic(selector: Selector) -> bool:
-    """Whether a selector ignores its generator: its attribute `deterministic`, or not `random`."""
-    return bool(getattr(selector, "deterministic", selector.name != RANDOM))
+    """Whether a selector ignores its generator: so it says, or it is one of ours but `random`."""
+    ours = is_registered(selector) and selector.name != RANDOM
+    return bool(getattr(selector, "deterministic", ours))
 
 
 def default_selectors(matrices: Sequence[str | Path | RowSource]) -> list[str]:
@@ -140,7 +144,7 @@ def _run(
         seed=seed,
         theta=problem.theta,
         sources=found.history.sources,
-        performance=value_curve(found.history.rows, problem.weights),
+        performance=measured_curve(source, matrix_seed, found.history.sources),
         select_seconds=found.select_seconds,
     )
 
@@ -178,6 +182,8 @@ def _selector(given: str | Selector) -> Selector:
     try:
         return get_selector(given)
     except UnknownName:
+        if ":" in str(given):  # of a user's own, whose names are not ours
+            raise
         raise unknown_name("selector", str(given), [*selector_names(), ORACLE]) from None
 
 

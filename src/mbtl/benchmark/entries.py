@@ -6,6 +6,7 @@ Every error names the entry; `TransferMatrix.load` puts the file before it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,29 +21,81 @@ from mbtl.objective import Bounds, Direction
 
 Floats = NDArray[np.floating[Any]]
 DIRECTIONS: dict[str, Direction] = {"max": "maximize", "min": "minimize"}
+REFERENCE = "reference_"
+"""What the keys of reference rows begin with."""
 
 
-def checked_returns(returns: ArrayLike) -> Floats:
+def checked_returns(returns: ArrayLike, key: str = "returns") -> Floats:
     """Returns as (S, N, N) finite floats, or an `InvalidInput` that says what is wrong."""
     array = np.asarray(returns)
     if array.dtype.kind not in "fiu":
-        raise InvalidInput(f"returns must be real numbers, got dtype {array.dtype}")
+        raise InvalidInput(f"{key} must be real numbers, got dtype {array.dtype}")
     if array.dtype.kind != "f":
         array = array.astype(np.float64)
     if array.ndim != 3 or array.shape[1] != array.shape[2] or 0 in array.shape:
-        hint = "; add the seed axis with returns[None]" if array.ndim == 2 else ""
+        hint = f"; add the seed axis with {key}[None]" if array.ndim == 2 else ""
         raise InvalidInput(
-            f"returns must have shape (seed, source, target) with as many sources as targets, "
+            f"{key} must have shape (seed, source, target) with as many sources as targets, "
             f"got {array.shape}{hint}"
         )
     bad = np.argwhere(~np.isfinite(array))
     if len(bad):
         seed, source, target = bad[0].tolist()
         raise InvalidInput(
-            f"returns must be finite, got {len(bad)} NaN or infinite of {array.size}, the first at "
+            f"{key} must be finite, got {len(bad)} NaN or infinite of {array.size}, the first at "
             f"[seed {seed}, source {source}, target {target}]"
         )
     return array
+
+
+def checked_like(returns: Floats, entry: ArrayLike, key: str) -> Floats:
+    """An entry in the shape of `returns`."""
+    if np.shape(entry) != returns.shape:
+        raise InvalidInput(
+            f"{key} must have the shape of returns {returns.shape}, got {np.shape(entry)}"
+        )
+    return np.asarray(entry)
+
+
+def checked_episodes(episodes: Sequence[int] | None, n_halves: int) -> tuple[int, ...] | None:
+    """Episodes of each half, whole numbers >= 1."""
+    if episodes is None:
+        return None
+    counts = np.atleast_1d(np.asarray(episodes))
+    if counts.shape != (n_halves,) or counts.dtype.kind not in "iu" or (counts < 1).any():
+        raise InvalidInput(
+            f"episodes must be {n_halves} whole number(s) >= 1, those behind `returns` and "
+            f"`fresh_returns`, got {episodes!r}"
+        )
+    return tuple(counts.tolist())
+
+
+def checked_references(
+    references: Mapping[str, ArrayLike], shape: tuple[int, int, int]
+) -> dict[str, Floats]:
+    """Reference rows by name, (S, H, N) finite floats each."""
+    rows = {}
+    for name, given in references.items():
+        row = np.asarray(given)
+        if row.shape != shape or row.dtype.kind != "f" or not np.isfinite(row).all():
+            raise InvalidInput(
+                f"{REFERENCE}{name} must be finite numbers of shape (seed, half, target) {shape}, "
+                f"got shape {row.shape} and dtype {row.dtype}"
+            )
+        rows[name] = row
+    return rows
+
+
+def halves(returns: Floats) -> tuple[list[Array], tuple[int, ...]]:
+    """Means over the first half of the episodes (last axis) and over the rest, and their numbers.
+
+    An odd episode belongs to the second half; a single one leaves no second half.
+    """
+    total = returns.shape[-1]
+    first = max(total // 2, 1)
+    parts = [part for part in (returns[..., :first], returns[..., first:]) if part.shape[-1]]
+    means = [np.asarray(part.mean(axis=-1, dtype=np.float64)) for part in parts]
+    return means, tuple(part.shape[-1] for part in parts)
 
 
 def checked_direction(direction: str) -> Direction:
@@ -52,14 +105,21 @@ def checked_direction(direction: str) -> Direction:
     return DIRECTIONS[direction]
 
 
-def checked_bounds(bounds: ArrayLike | None, returns: Floats, direction: Direction) -> Bounds:
+def checked_bounds(
+    bounds: ArrayLike | Bounds | None,
+    returns: Floats,
+    direction: Direction,
+    floor: float | None = None,
+) -> Bounds:
     """Bounds from a pair, or the smallest and largest return over all seeds."""
+    if isinstance(bounds, Bounds):
+        return bounds
     if bounds is None:
-        return Bounds.of(returns, direction)
+        return replace(Bounds.of(returns, direction), floor=floor)
     pair = np.asarray(bounds)
     if pair.shape != (2,) or pair.dtype.kind not in "fiu":
         raise InvalidInput(f"bounds must be two numbers (low, high), got {bounds!r}")
-    return Bounds(float(pair[0]), float(pair[1]), direction)
+    return Bounds(float(pair[0]), float(pair[1]), direction, floor)
 
 
 def space_of(contexts: ArrayLike | None, axes: Sequence[str] | None, n: int) -> ContextSpace:
@@ -105,18 +165,22 @@ def _axis_through(name: str, column: Array) -> Linear:
 def keywords(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     """Entries of a file as keywords of `TransferMatrix.of`; other entries are the user's own."""
     words: dict[str, Any] = {"returns": arrays["returns"]}
-    for key in ("contexts", "bounds", "std"):
+    for key in ("contexts", "bounds", "std", "fresh_returns", "episodes"):
         if key in arrays:
             words[key] = arrays[key]
+    words["references"] = {
+        key.removeprefix(REFERENCE): row for key, row in arrays.items() if key.startswith(REFERENCE)
+    }
     if "axes" in arrays:
         words["axes"] = [str(name) for name in np.atleast_1d(arrays["axes"])]
     if "direction" in arrays:
         words["direction"] = str(arrays["direction"].reshape(-1)[0])
-    if "theta" in arrays:
-        theta = arrays["theta"]
-        if theta.size != 1 or theta.dtype.kind not in "fiu":
-            raise InvalidInput(f"theta must be one number, got {theta!r}")
-        words["theta"] = float(theta.reshape(-1)[0])
+    for key in ("theta", "floor"):
+        if key in arrays:
+            number = arrays[key]
+            if number.size != 1 or number.dtype.kind not in "fiu":
+                raise InvalidInput(f"{key} must be one number, got {number!r}")
+            words[key] = float(number.reshape(-1)[0])
     if "space" in arrays:
         words["space"] = _stored_space(arrays["space"])
     if "provenance" in arrays:

@@ -1,6 +1,9 @@
 """Transfer matrices: returns J[seed, source, target] with their contexts and scale.
 
-Notation (shapes): S seeds, N contexts, d axes.
+The evaluation episodes of every entry are two disjoint halves: `returns` is of the one that a
+selector may see, `fresh_returns` of the other, of which every number shown to people is.
+
+Notation (shapes): S seeds, N contexts, d axes, E episodes, H halves (2; 1 without a fresh one).
     returns  (S, N, N)  raw return of the policy trained on `source`, run on `target`
     performance         returns after `bounds`; larger is better, not clipped
 """
@@ -19,10 +22,15 @@ from mbtl.arrays import Array
 from mbtl.benchmark.base import Levels, levels
 from mbtl.benchmark.entries import (
     DIRECTIONS,
+    REFERENCE,
     Floats,
     checked_bounds,
     checked_direction,
+    checked_episodes,
+    checked_like,
+    checked_references,
     checked_returns,
+    halves,
     keywords,
     space_of,
 )
@@ -41,12 +49,18 @@ class TransferMatrix:
 
     Attributes:
         name: what results call it.
-        returns: (S, N, N) raw returns, axis order (seed, source, target); read-only.
+        returns: (S, N, N) raw returns, axis order (seed, source, target): means over the episodes
+            that a selector may see; read-only.
         space: the N contexts in index order.
         bounds: return -> performance, with the direction.
         theta: slope of the linear gap, performance per grid step.
-        std: (S, N, N) standard deviation of the evaluation episodes, in units of return, if known.
+        std: (S, N, N) standard deviation over all evaluation episodes, in units of return, with
+            n - 1; None where it is not known.
         provenance: how it was made; free-form.
+        fresh_returns: (S, N, N) means over the other episodes; None where all were seen.
+        episodes: (H,) episodes behind an entry of `returns` and of `fresh_returns`, if known.
+        references: (S, H, N) raw returns without any of these policies, by name, e.g.
+            "random_actions", or "unguided": the system without a controller.
     """
 
     name: str
@@ -56,6 +70,9 @@ class TransferMatrix:
     theta: float
     std: Floats | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    fresh_returns: Floats | None = None
+    episodes: tuple[int, ...] | None = None
+    references: Mapping[str, Floats] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "returns", _read_only(checked_returns(self.returns)))
@@ -64,12 +81,16 @@ class TransferMatrix:
                 f"contexts must be one per row of `returns` ({self.n}), got {self.space.n}"
             )
         if self.std is not None:
-            if np.shape(self.std) != self.returns.shape:
-                raise InvalidInput(
-                    f"std must have the shape of returns {self.returns.shape}, "
-                    f"got {np.shape(self.std)}"
-                )
-            object.__setattr__(self, "std", _read_only(np.asarray(self.std)))
+            object.__setattr__(self, "std", _read_only(checked_like(self.returns, self.std, "std")))
+        if self.fresh_returns is not None:
+            fresh = checked_like(self.returns, self.fresh_returns, "fresh_returns")
+            fresh = checked_returns(fresh, "fresh_returns")
+            object.__setattr__(self, "fresh_returns", _read_only(fresh))
+        n_halves = 1 if self.fresh_returns is None else 2
+        object.__setattr__(self, "episodes", checked_episodes(self.episodes, n_halves))
+        shape = (self.n_seeds, n_halves, self.n)
+        rows = checked_references(self.references, shape)
+        object.__setattr__(self, "references", {k: _read_only(row) for k, row in rows.items()})
         if not (np.isfinite(self.theta) and self.theta >= 0):
             raise InvalidInput(f"theta must be a finite number >= 0, got {self.theta!r}")
 
@@ -83,26 +104,34 @@ class TransferMatrix:
         contexts: ArrayLike | None = None,
         axes: Sequence[str] | None = None,
         space: ContextSpace | None = None,
-        bounds: ArrayLike | None = None,
+        bounds: ArrayLike | Bounds | None = None,
         theta: float | None = None,
         direction: str = "max",
         std: Floats | None = None,
         provenance: Mapping[str, Any] | None = None,
+        fresh_returns: ArrayLike | None = None,
+        episodes: Sequence[int] | None = None,
+        references: Mapping[str, ArrayLike] | None = None,
+        floor: float | None = None,
         name: str = "matrix",
     ) -> TransferMatrix:
         """Build a matrix from arrays; the keywords are the keys of a `.npz` file.
 
         Args:
-            returns: (S, N, N) raw returns, finite.
+            returns: (S, N, N) raw returns, finite; of the episodes that a selector may see.
             contexts: (N, d) context values; one axis of indices 0..N-1 when missing.
             axes: d axis names.
             space: the context space itself, instead of `contexts` and `axes`.
-            bounds: (2,) returns that become performance 0 and 1 (1 and 0 when minimised); the
-                smallest and largest return over all seeds when missing.
+            bounds: (2,) returns that become performance 0 and 1 (1 and 0 when minimised), or
+                `Bounds`; the smallest and largest return over all seeds when missing.
             theta: performance per grid step; 0.005 for N <= 100, else 0.5 / (N - 1), when missing.
             direction: "max" or "min", which returns are good.
-            std: (S, N, N) standard deviation over episodes.
+            std: (S, N, N) standard deviation over episodes, with n - 1.
             provenance: how it was made.
+            fresh_returns: (S, N, N) raw returns of other episodes, which are those reported.
+            episodes: (H,) episodes behind `returns` and `fresh_returns`.
+            references: (S, H, N) returns without these policies, by name.
+            floor: return below which none is worse in performance; what is stored stays.
             name: what results call it.
 
         Raises:
@@ -114,10 +143,54 @@ class TransferMatrix:
             name=name,
             returns=array,
             space=space_of(contexts, axes, n) if space is None else space,
-            bounds=checked_bounds(bounds, array, checked_direction(direction)),
+            bounds=checked_bounds(bounds, array, checked_direction(direction), floor),
             theta=default_theta(n) if theta is None else float(theta),
             std=std,
             provenance=dict(provenance or {}),
+            fresh_returns=None if fresh_returns is None else np.asarray(fresh_returns),
+            episodes=None if episodes is None else tuple(episodes),
+            references={key: np.asarray(row) for key, row in (references or {}).items()},
+        )
+
+    @classmethod
+    def of_episodes(
+        cls,
+        returns: Floats,
+        *,
+        references: Mapping[str, Floats] | None = None,
+        **entries: Any,
+    ) -> TransferMatrix:
+        """Build a matrix from single episodes, the same ones for every policy.
+
+        The first half of them becomes `returns`, the rest `fresh_returns`; of one episode there is
+        no fresh half and no deviation.
+
+        Args:
+            returns: (S, N, N, E) raw return of every episode.
+            references: (S, N, E) likewise without these policies, by name.
+            **entries: further arguments of `of`.
+        """
+        if np.ndim(returns) != 4 or np.shape(returns)[3] < 1:
+            raise InvalidInput(
+                f"episodes must have shape (seed, source, target, episode), got {np.shape(returns)}"
+            )
+        total = np.shape(returns)[3]
+        means, count = halves(returns)
+        some = {}
+        for key, row in (references or {}).items():
+            if np.shape(row)[-1] != total:
+                raise InvalidInput(
+                    f"reference {key!r} must have as many episodes as the policies ({total}), got "
+                    f"{np.shape(row)[-1]}"
+                )
+            some[key] = np.stack(halves(row)[0], axis=1)
+        return cls.of(
+            means[0],
+            fresh_returns=means[1] if len(means) > 1 else None,
+            std=returns.std(axis=3, ddof=1, dtype=np.float64) if total > 1 else None,
+            episodes=count,
+            references=some,
+            **entries,
         )
 
     @classmethod
@@ -160,8 +233,14 @@ class TransferMatrix:
         }
         if not any(isinstance(axis, Categorical) for axis in self.space.axes):
             entries["contexts"] = self.contexts
-        if self.std is not None:
-            entries["std"] = self.std
+        if self.bounds.floor is not None:
+            entries["floor"] = np.array(self.bounds.floor)
+        for key in ("std", "fresh_returns"):
+            if getattr(self, key) is not None:
+                entries[key] = getattr(self, key)
+        if self.episodes is not None:
+            entries["episodes"] = np.array(self.episodes)
+        entries |= {f"{REFERENCE}{name}": row for name, row in self.references.items()}
         return entries
 
     # ---- reading -----------------------------------------------------------------------------
@@ -201,11 +280,46 @@ class TransferMatrix:
         return SelectionProblem.of(self.space, budget=budget, theta=self.theta)
 
     def rows(self, seed: int, sources: ArrayLike) -> Array:
-        """(m, N) performance of the policies trained on `sources` (m,)."""
+        """(m, N) performance of the policies trained on `sources` (m,), as a selector sees it."""
         return self.bounds.normalise(self.returns[seed, np.asarray(sources, dtype=np.intp)])
 
+    def fresh_rows(self, seed: int, sources: ArrayLike) -> Array:
+        """(m, N) performance of the same policies on the other episodes, if there are any."""
+        reported = self.returns if self.fresh_returns is None else self.fresh_returns
+        return self.bounds.normalise(reported[seed, np.asarray(sources, dtype=np.intp)])
+
+    @property
+    def normalisation(self) -> Bounds:
+        """`bounds`, by the name that a CMDP has for them."""
+        return self.bounds
+
+    @property
+    def records(self) -> list[Mapping[str, Any]]:
+        """The provenance of each seed."""
+        return list(self.provenance.get("seeds", [self.provenance] * self.n_seeds))
+
+    @property
+    def cmdp(self) -> str:
+        """Id of its CMDP, as its provenance tells; empty if it does not."""
+        return str(self.records[0].get("problem", ""))
+
+    @property
+    def measures_apart(self) -> bool:
+        """Whether there are episodes for the report that selectors do not see."""
+        return self.fresh_returns is not None
+
+    @property
+    def caveat(self) -> str | None:
+        """What must be said beside every number of it; None where there is nothing to say."""
+        if self.measures_apart:
+            return None
+        return (
+            "selection and report used the same evaluation episodes, so V is too high where "
+            "episodes differ by luck"
+        )
+
     def performance(self, seed: int) -> Array:
-        """(N, N) performance of one seed, axis order (source, target)."""
+        """(N, N) performance of one seed as a selector sees it, axis order (source, target)."""
         return self.bounds.normalise(self.returns[seed])
 
     @property
@@ -215,7 +329,7 @@ class TransferMatrix:
 
     @property
     def oracle_transfer(self) -> Array:
-        """(S,) all N policies, the best per target: the upper bound of any selection."""
+        """(S,) all N policies, each target served by the best one that was seen."""
         return np.array([level.oracle_transfer for level in self._levels()])
 
     @property

@@ -3,19 +3,31 @@
 They are the two ends of the scale that selectors are measured on, and no selector may see what they
 see; that is why they live here and not among the selectors.
 
+Like a selector, they choose by the half of the episodes that a selector may see; what they reach is
+measured on the other (`mbtl.benchmark.base`).
+
 Notation (shapes): N contexts, K trainings.
-    curve  (K,)  V_1..V_K, performance
+    curve  (K,)  V_1..V_K, performance on fresh episodes
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.benchmark.base import BLOCK_BYTES, Levels, RowSource, levels, row_blocks
+from mbtl.benchmark.base import (
+    BLOCK_BYTES,
+    Levels,
+    RowSource,
+    levels,
+    measured_curve,
+    ranked_blocks,
+)
+from mbtl.benchmark.references import reference_levels
 from mbtl.errors import InvalidInput
 from mbtl.objective import value
 
@@ -45,11 +57,13 @@ class Reference:
         levels: Independent, Oracle Transfer, grand mean.
         random: (K,) expectation of V over uniformly random orders, exact.
         oracle: the Sequential Oracle.
+        rows: V of the reference rows by name (`mbtl.benchmark.references`).
     """
 
     levels: Levels
     random: Array
     oracle: OracleRun
+    rows: Mapping[str, float] = field(default_factory=dict)
 
 
 def reference(source: RowSource, seed: int, budget: int) -> Reference:
@@ -58,15 +72,17 @@ def reference(source: RowSource, seed: int, budget: int) -> Reference:
         levels(source, seed),
         random_curve(source, seed, budget),
         sequential_oracle(source, seed, budget),
+        reference_levels(source, seed),
     )
 
 
 def sequential_oracle(source: RowSource, seed: int, budget: int) -> OracleRun:
-    """Greedy on the true matrix: x_k = argmax_x V(x; pi_1:k-1), the first index of equal values.
+    """Greedy on the whole matrix: x_k = argmax_x V(x; pi_1:k-1), the first index of equal values.
 
-    Myopic, hence no upper bound. The gain of a row can only shrink as others are trained, so a row
-    is looked at again only while its last known gain could still win ("lazy greedy", Minoux 1978);
-    the picks are those of the full search, and memory is bounded by blocks of rows.
+    It chooses by the episodes that a selector may see; the curve is of the others. Myopic, hence no
+    upper bound. The gain of a row can only shrink as others are trained, so a row is looked at
+    again only while its last known gain could still win ("lazy greedy", Minoux 1978); the picks are
+    those of the full search, and memory is bounded by blocks of rows.
 
     Values are compared as computed, without a tolerance: rows that tie in exact arithmetic (73 and
     74 at the ninth pick of the linear-gap world of N = 100) are told apart by the rounding of the
@@ -101,7 +117,9 @@ def sequential_oracle(source: RowSource, seed: int, budget: int) -> OracleRun:
         best = np.maximum(best, source.rows(seed, [pick])[0])
         taken.append(pick)
         curve.append(value(best, weights))
-    return OracleRun(tuple(taken), np.asarray(curve), time.perf_counter() - start)
+    seconds = time.perf_counter() - start
+    measured = measured_curve(source, seed, taken) if source.measures_apart else np.asarray(curve)
+    return OracleRun(tuple(taken), measured, seconds)
 
 
 def random_weights(n: int, budget: int) -> Array:
@@ -128,20 +146,12 @@ def random_weights(n: int, budget: int) -> Array:
 def random_curve(source: RowSource, seed: int, budget: int) -> Array:
     """Expected V of k policies on distinct, uniformly random contexts, for k = 1..K; exact.
 
-    Per target, with its values sorted a_1 >= ... >= a_N: sum_r a_r C(N-r, k-1) / C(N, k); then the
-    weighted mean over targets. A column needs all rows, so a matrix that does not fit in memory is
-    read once per block of columns.
+    Per target, with its policies in the order a_1, ..., a_N in which they would serve it:
+    sum_r a_r C(N-r, k-1) / C(N, k); then the weighted mean over targets.
     """
-    n = source.n
-    chance = random_weights(n, budget)
+    chance = random_weights(source.n, budget)
     weights = source.problem(budget).weights
-    width = max(1, min(n, BLOCK_BYTES // (8 * n)))
     curve = np.zeros(budget)
-    for start in range(0, n, width):
-        stop = min(start + width, n)
-        columns = np.empty((stop - start, n))  # target-major: each sort runs along memory
-        for sources, rows in row_blocks(source, seed, block_bytes=BLOCK_BYTES // 4):
-            columns[:, sources] = rows[:, start:stop].T
-        columns.sort(axis=1)
-        curve += chance @ (weights[start:stop] @ columns)[::-1]
+    for targets, ranked in ranked_blocks(source, seed, block_bytes=BLOCK_BYTES):
+        curve += chance @ (weights[targets] @ ranked)[::-1]
     return curve

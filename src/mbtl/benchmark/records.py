@@ -6,7 +6,7 @@ What each number means is in `mbtl.benchmark.summary`; `to_json` gives the docum
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from mbtl.arrays import Array
@@ -134,6 +134,8 @@ class MatrixSummary:
         random: (K,) expected V of Random.
         oracle: (K,) V of the Sequential Oracle.
         selectors: by selector name.
+        references: V of the reference rows by name; see `mbtl.benchmark.references`.
+        caveat: what must be said beside these numbers; None where there is nothing to say.
     """
 
     n_seeds: int
@@ -143,6 +145,8 @@ class MatrixSummary:
     random: Array
     oracle: Array
     selectors: Mapping[str, SelectorSummary]
+    references: Mapping[str, float] = field(default_factory=dict)
+    caveat: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
@@ -153,6 +157,8 @@ class MatrixSummary:
                 "oracle_transfer": self.oracle_transfer,
                 "grand_mean": self.grand_mean,
             },
+            "references": dict(self.references),
+            "caveat": self.caveat,
             "curves": {"random": self.random.tolist(), "oracle": self.oracle.tolist()},
             "selectors": {name: s.to_json() for name, s in self.selectors.items()},
         }

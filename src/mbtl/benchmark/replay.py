@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mbtl.arrays import Array
+from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import SelectionProblem, Selector
@@ -40,6 +41,9 @@ def replay(
         row_of: source -> (N,) performance of its policy.
         seed: root seed of the selector's generators.
         trial: their trial.
+
+    Raises:
+        InvalidInput: it proposes a context more often than the problem allows, or one that is none.
     """
     history, seconds = History(n_targets=problem.n), 0.0
     for pick in range(problem.budget):
@@ -47,5 +51,16 @@ def replay(
         start = time.perf_counter()
         source = selector.propose(problem, history, rng).source
         seconds += time.perf_counter() - start
+        _check(selector, problem, history, source)
         history = history.with_row(source, row_of(source))
     return Replay(history, seconds)
+
+
+def _check(selector: Selector, problem: SelectionProblem, history: History, source: int) -> None:
+    again = history.sources.count(source) >= problem.repeats
+    if again or not 0 <= source < problem.n:
+        raise InvalidInput(
+            f"a selector proposes contexts from 0 to {problem.n - 1} that are not yet trained, got "
+            f"{source}{' again' if again else ''} from {selector.name!r} at pick "
+            f"{len(history) + 1}; leave out those in history.sources"
+        )

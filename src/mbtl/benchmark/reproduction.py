@@ -1,7 +1,7 @@
 """The paper's main table from our transfer matrices, beside the published numbers.
 
-Every value is V at K trainings, mean and standard deviation over matrix seeds (the paper: over
-three trials). Independent trains N policies; the multi-task baselines train one.
+Every value is V at K trainings, mean and standard deviation (with n - 1) over matrix seeds (the
+paper: over three trials). Independent trains N policies; the multi-task baselines train one.
 """
 
 from __future__ import annotations
@@ -38,15 +38,18 @@ METHODS = (
 OWN = ("ppo", "trpo", "dqn")
 """Multi-task baselines that stand in the paper's column: a CMDP has the one of its algorithm."""
 
+SEARCHED = 100
+"""Trainings until which k* is looked for, all of most CMDPs: beyond, MBTL takes minutes."""
+
 _SELECTORS = ("greedy", "mbtl")  # greedy needs one axis
 
 
 @dataclass(frozen=True)
 class Value:
-    """Mean and standard deviation over seeds, performance."""
+    """Mean and standard deviation over seeds, performance; None of one seed."""
 
     mean: float
-    std: float
+    std: float | None
 
 
 @dataclass(frozen=True)
@@ -61,8 +64,12 @@ class Reproduced:
         ours: from our matrices.
         published: of the paper, K = 15.
         multitask: every multi-task baseline we have, by name.
-        k_star: per seed, trainings until MBTL reaches max(Independent, Multi-task); None: never.
+        k_star: per seed, trainings until MBTL reaches max(Independent, Multi-task); None: more than
+            were searched.
+        k_star_searched: trainings until which it was looked for.
         published_k_star: the paper's mean.
+        references: of the reference rows, by name; see `mbtl.benchmark.references`.
+        caveat: what must be said beside these values.
     """
 
     cmdp: str
@@ -73,7 +80,10 @@ class Reproduced:
     published: Mapping[str, Value]
     multitask: Mapping[str, Value]
     k_star: tuple[int | None, ...]
+    k_star_searched: int
     published_k_star: float | None
+    references: Mapping[str, Value]
+    caveat: str | None
 
 
 def published(path: Path | None = None) -> dict[str, tuple[dict[str, Value], float]]:
@@ -160,6 +170,7 @@ def _reproduced(
         float(per_seed["independent"].mean()),
         -math.inf if own is None else float(own.mean()),
     )
+    stars_found, searched = _k_star(matrix, curves["mbtl"], level)
     return Reproduced(
         id,
         variant,
@@ -168,9 +179,24 @@ def _reproduced(
         {method: _value(per_seed[method]) for method in METHODS if method in per_seed},
         values,
         {name: _value(found) for name, found in sorted(multitask.items())},
-        tuple(k_star(curve, level) for curve in curves["mbtl"]),
+        stars_found,
+        searched,
         None if math.isnan(stars) else stars,
+        {name: _value(np.array([k.rows[name] for k in known])) for name in known[0].rows},
+        matrix.caveat,
     )
+
+
+def _k_star(
+    matrix: TransferMatrix, curves: Array, level: float
+) -> tuple[tuple[int | None, ...], int]:
+    """Per seed, and until where it was looked for: farther than K where K is not enough."""
+    found = tuple(k_star(curve, level) for curve in curves)
+    searched, farther = curves.shape[1], min(matrix.n, SEARCHED)
+    if None not in found or farther <= searched:
+        return found, searched
+    runs = compare(["mbtl"], [matrix], farther, 1).results
+    return tuple(k_star(run.performance, level) for run in runs), farther
 
 
 def _same_problem(baseline: MultiTask, matrix: TransferMatrix, variant: str) -> bool:
@@ -191,4 +217,4 @@ def _same_problem(baseline: MultiTask, matrix: TransferMatrix, variant: str) -> 
 
 
 def _value(seeds: Array) -> Value:
-    return Value(float(seeds.mean()), float(seeds.std()))
+    return Value(float(seeds.mean()), float(seeds.std(ddof=1)) if len(seeds) > 1 else None)

@@ -1,18 +1,21 @@
 """Matrices that come with the library: one small file per CMDP, variant and seed.
 
 A file is called `<cmdp>[-<variant>]-seed<k>.npz` and is a complete matrix of one seed: raw returns
-and evaluation standard deviation as float32, contexts, bounds, theta, and its provenance.
+of both halves of the episodes and their standard deviation as float32, reference rows, contexts,
+bounds, theta, and its provenance.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
+from mbtl.benchmark.entries import Floats
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.npz import write_npz
 from mbtl.errors import InvalidInput, StorageError, unknown_name
@@ -75,21 +78,43 @@ def load_by_id(name: str, *, folder: str | Path | None = None) -> TransferMatrix
         )
     by_seed = files[name]
     parts = [TransferMatrix.load(by_seed[seed], name=name) for seed in sorted(by_seed)]
-    first = parts[0]
     for seed, part in zip(sorted(by_seed), parts, strict=True):
-        same = part.space == first.space and part.bounds == first.bounds
-        if not same or part.theta != first.theta or (part.std is None) != (first.std is None):
+        difference = _difference(parts[0], part)
+        if difference is not None:
             raise StorageError(
-                f"the files of {name!r} must agree on contexts, bounds and theta, and seed {seed} "
-                "does not; build it again"
+                f"the files of {name!r} must agree on {difference}, and seed {seed} does not; "
+                "build it again"
             )
-    deviations = [part.std for part in parts if part.std is not None]
     return replace(
-        first,
+        parts[0],
         returns=np.concatenate([part.returns for part in parts]),
-        std=np.concatenate(deviations) if deviations else None,
+        fresh_returns=_stacked([part.fresh_returns for part in parts]),
+        std=_stacked([part.std for part in parts]),
+        references={
+            key: np.concatenate([part.references[key] for part in parts])
+            for key in parts[0].references
+        },
         provenance={"seeds": [dict(part.provenance) for part in parts]},
     )
+
+
+def _difference(one: TransferMatrix, other: TransferMatrix) -> str | None:
+    """What keeps two files from being seeds of one matrix; None if nothing does."""
+    same = {
+        "contexts": one.space == other.space,
+        "bounds": one.bounds == other.bounds,
+        "theta": one.theta == other.theta,
+        "deviations (std)": (one.std is None) == (other.std is None),
+        "halves of episodes (fresh_returns)": one.measures_apart == other.measures_apart,
+        "the number of episodes": one.episodes == other.episodes,
+        "reference rows": set(one.references) == set(other.references),
+    }
+    return next((what for what, agree in same.items() if not agree), None)
+
+
+def _stacked(entries: Sequence[Floats | None]) -> Floats | None:
+    there = [entry for entry in entries if entry is not None]
+    return np.concatenate(there) if there else None
 
 
 def save_shipped(
@@ -116,7 +141,7 @@ def save_shipped(
         InvalidInput: the provenance lists another number of seeds.
         StorageError: the place cannot be written.
     """
-    records = matrix.provenance.get("seeds", [matrix.provenance] * matrix.n_seeds)
+    records = matrix.records
     if len(records) != matrix.n_seeds:
         raise InvalidInput(
             f"provenance must have one record per seed ({matrix.n_seeds}), got {len(records)}"
@@ -126,17 +151,24 @@ def save_shipped(
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(f"{place} cannot be created ({error.strerror or error})") from error
-    paths = []
+    paths, fresh = [], matrix.fresh_returns
     for s, record in enumerate(records):
         one = replace(
             matrix,
-            returns=matrix.returns[s : s + 1].astype(np.float32),
-            std=None if matrix.std is None else matrix.std[s : s + 1].astype(np.float32),
+            returns=_small(matrix.returns, s),
+            fresh_returns=None if fresh is None else _small(fresh, s),
+            std=None if matrix.std is None else _small(matrix.std, s),
+            references={key: _small(rows, s) for key, rows in matrix.references.items()},
             provenance=record,
         )
         paths.append(shipped_file(place, cmdp, variant, first_seed + s))
         write_npz(paths[-1], one.arrays())
     return paths
+
+
+def _small(entry: Floats, seed: int) -> Floats:
+    """One seed of an entry as float32."""
+    return entry[seed : seed + 1].astype(np.float32)
 
 
 def _files(folder: str | Path | None) -> dict[str, dict[int, Path]]:

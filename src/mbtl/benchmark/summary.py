@@ -56,13 +56,16 @@ _V_K, _V_MEAN, _LOG_K, _GAIN, _ROOM = 0, 1, slice(2, 6), slice(6, 8), slice(8, 1
 
 
 def summarise(
-    curves: Mapping[str, Mapping[str, Array]], references: Mapping[str, Sequence[Reference]]
+    curves: Mapping[str, Mapping[str, Array]],
+    references: Mapping[str, Sequence[Reference]],
+    caveats: Mapping[str, str | None] | None = None,
 ) -> Summary:
     """Summarise the curves of several selectors on several matrices.
 
     Args:
         curves: matrix name -> selector name -> (S, K) V; the same selectors for every matrix.
         references: matrix name -> one reference per matrix seed.
+        caveats: matrix name -> what must be said beside its numbers.
     """
     rng = np.random.default_rng(_SEED)
     draws = {name: _draws(len(refs), rng) for name, refs in references.items()}
@@ -74,7 +77,7 @@ def summarise(
             table = _Table.of(values, refs, draws[name])
             tables.setdefault(selector, []).append(table)
             selectors[selector] = _summary([table])
-        matrices[name] = _matrix_summary(refs, selectors)
+        matrices[name] = _matrix_summary(refs, selectors, (caveats or {}).get(name))
     budget = len(next(iter(references.values()))[0].random)
     return Summary(budget, matrices, {name: _summary(group) for name, group in tables.items()})
 
@@ -181,7 +184,7 @@ def _ratio(gain: Array, room: Array) -> Array:
 
 
 def _matrix_summary(
-    refs: Sequence[Reference], selectors: Mapping[str, SelectorSummary]
+    refs: Sequence[Reference], selectors: Mapping[str, SelectorSummary], caveat: str | None
 ) -> MatrixSummary:
     return MatrixSummary(
         n_seeds=len(refs),
@@ -191,4 +194,6 @@ def _matrix_summary(
         random=np.mean([ref.random for ref in refs], axis=0),
         oracle=np.mean([ref.oracle.curve for ref in refs], axis=0),
         selectors=selectors,
+        references={key: float(np.mean([ref.rows[key] for ref in refs])) for key in refs[0].rows},
+        caveat=caveat,
     )

@@ -121,6 +121,15 @@ class SyntheticWorld:
         """(m, N) performance of the policies trained on `sources` (m,)."""
         return self.bounds(seed).normalise(self.returns(seed, sources))
 
+    def fresh_rows(self, seed: int, sources: ArrayLike) -> Array:
+        """The same rows: nothing is evaluated here, so there is no luck of episodes."""
+        return self.rows(seed, sources)
+
+    @property
+    def measures_apart(self) -> bool:
+        """False, see `fresh_rows`."""
+        return False
+
     def bounds(self, seed: int) -> Bounds:
         """Return -> performance for one matrix seed; exact extremes, found by reading all rows."""
         if isinstance(self.scale, Bounds):

@@ -13,13 +13,13 @@ import typer
 from mbtl.cli.bench import bench
 from mbtl.cli.check import check
 from mbtl.cli.cmdps import cmdps
-from mbtl.cli.common import console, interruptible, interrupts
+from mbtl.cli.common import console, interruptible, interrupts, print_origin
 from mbtl.cli.matrix import matrix_app
 from mbtl.cli.play import play
 from mbtl.cli.reproduce import reproduce_command
 from mbtl.cli.run import run
 from mbtl.cli.study import study_app
-from mbtl.errors import InvalidInput, MbtlError
+from mbtl.errors import InvalidInput, MbtlError, TrainingFailed
 from mbtl.version import __version__
 
 app = typer.Typer(
@@ -79,6 +79,8 @@ def main() -> None:
     try:
         app()
     except MbtlError as error:
+        if isinstance(error, TrainingFailed):  # of the user's own code, as often as not
+            print_origin(error)
         console.print(f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
         sys.exit(2 if isinstance(error, InvalidInput) else 1)
     except BrokenPipeError:  # the reader of a pipe has had enough

@@ -16,7 +16,14 @@ from rich.text import Text
 
 from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.compare import RANDOM, Step, compare, default_selectors
-from mbtl.benchmark.records import Comparison, Estimate, SelectorSummary, Trainings
+from mbtl.benchmark.records import (
+    Comparison,
+    Estimate,
+    MatrixSummary,
+    SelectorSummary,
+    Trainings,
+)
+from mbtl.benchmark.references import NAMES
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.errors import InvalidInput, cannot_write
 
@@ -32,7 +39,8 @@ def bench(
     selectors: Annotated[
         str | None,
         typer.Option(
-            help="Comma-separated names; `oracle` is the Sequential Oracle. "
+            help="Comma-separated names, or file.py:Selector of your own; `oracle` is the "
+            "Sequential Oracle. "
             "Default: every selector that can run on the matrices."
         ),
     ] = None,
@@ -99,28 +107,37 @@ def _show(comparison: Comparison) -> None:
     summary = comparison.summary
     for name, one in summary.matrices.items():
         seeds = f"{one.n_seeds} seed" + ("s" if one.n_seeds > 1 else "")
-        table = _table(f"{name} ({seeds}), K = {summary.budget}", one.selectors)
-        table.caption = (
-            f"grand mean {one.grand_mean:.4f}, Independent {one.independent:.4f}, "
-            f"Oracle Transfer {one.oracle_transfer:.4f}"
-        )
+        table = _table(f"{name} ({seeds}), K = {summary.budget}", one.selectors, summary.budget)
+        table.caption = "\n".join(captions(one))
+        table.caption_justify = "left"
         screen.print(table)
     if len(summary.matrices) > 1:
         title = f"pooled over {len(summary.matrices)} matrices, K = {summary.budget}"
-        screen.print(_table(title, summary.pooled))
+        screen.print(_table(title, summary.pooled, summary.budget))
     notes = [
         "[..] 95 % bootstrap interval over matrix seeds (none with one seed).",
         "k*: trainings to reach Independent; k90: 90 % of the way from the grand mean to Oracle "
-        "Transfer; geometric means. > is a lower bound (some seeds did not get there), - none "
-        "did.",
+        "Transfer; geometric means. > is a lower bound: some seeds did not get there within K.",
+        "random policy: one policy trained on a random context, the grand mean of the matrix.",
         "closed: share of the distance from Random to the Sequential Oracle.",
     ]
     if RANDOM in summary.pooled:
         notes.append("random: exact expectation over all orders.")
+    if "auto" in summary.pooled:
+        notes.append(
+            "auto: its prior has not seen the family of a matrix, where provenance names its CMDP."
+        )
     screen.print("\n".join(notes), style="dim", markup=False, highlight=False)
 
 
-def _table(title: str, selectors: Mapping[str, SelectorSummary]) -> Table:
+def captions(one: MatrixSummary) -> list[str]:
+    """What stands under a table of selectors: levels, and what must be said of them."""
+    rows = [f"{NAMES.get(key, key)} {v:.4f}" for key, v in one.references.items()]
+    levels = f"Independent {one.independent:.4f}, Oracle Transfer {one.oracle_transfer:.4f}"
+    return [", ".join(rows), levels, *([] if one.caveat is None else [f"Note: {one.caveat}."])]
+
+
+def _table(title: str, selectors: Mapping[str, SelectorSummary], budget: int) -> Table:
     table = Table(
         title=Text(title), box=box.SIMPLE, padding=0, show_edge=False
     )  # within 80 columns
@@ -132,7 +149,7 @@ def _table(title: str, selectors: Mapping[str, SelectorSummary]) -> Table:
             name,
             _number(one.V_K, 4) + _interval(one.V_K, 3),
             _number(one.V_mean, 4),
-            *(_count(trainings) for trainings in (one.k_star, one.k90, one.k99)),
+            *(_count(trainings, budget) for trainings in (one.k_star, one.k90, one.k99)),
             _number(one.closed_at_K, 2) + _interval(one.closed_at_K, 2),
             _number(one.closed_under_curve, 2),
         )
@@ -150,6 +167,8 @@ def _interval(estimate: Estimate, digits: int) -> str:
     return f"\n\\[{estimate.low:.{digits}f}, {estimate.high:.{digits}f}]"
 
 
-def _count(trainings: Trainings) -> str:
+def _count(trainings: Trainings, budget: int) -> str:
     value = trainings.estimate.value
-    return "-" if value is None else f"{'>' if trainings.censored else ''}{value:.1f}"
+    if value is None:
+        return f">{budget}"
+    return f"{'>' if trainings.censored else ''}{value:.1f}"

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import os
 import shlex
-import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from mbtl.benchmark import TransferMatrix, levels, save_shipped
-from mbtl.benchmark.build import ONLY, Build
-from mbtl.benchmark.shipped import DEFAULT, matrix_id, shipped_file
-from mbtl.cli.common import JsonFlag, LongWork, console, print_json
+from mbtl.benchmark import TransferMatrix, levels
+from mbtl.benchmark.build import ONLY
+from mbtl.benchmark.shipped import DEFAULT
+from mbtl.cli.common import JsonFlag, console, print_json
+from mbtl.cli.job import Job
 from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp, resolve_cmdp
 from mbtl.cmdps.families import FAMILIES
 from mbtl.cmdps.family import TwinFamily
 from mbtl.errors import InvalidInput
-from mbtl.provenance import check_made_by, here
-from mbtl.trainer import ManyTrainer, Trainer, recipe_of
+from mbtl.trainer import ManyTrainer
 
 
 def build(
@@ -68,6 +64,14 @@ def build(
             help="Policies to evaluate: best, final, or both (two sets from one training)."
         ),
     ] = None,
+    evaluate_again: Annotated[
+        bool,
+        typer.Option(
+            "--evaluate-again",
+            help="Train nothing: evaluate the policies that this command kept before, with "
+            "another --eval-episodes if you like, and replace the files.",
+        ),
+    ] = False,
     lanes: Annotated[
         int | None, typer.Option(help="Sources trained together in one program.")
     ] = None,
@@ -81,7 +85,7 @@ def build(
 
     Interrupt it at any time; the same command goes on where it was.
 
-    Example: mbtl matrix build pendulum-length --seeds 3 --tier paper
+    Example: mbtl matrix build pendulum-length --seeds 3 --preset full
 
     The files are read by `mbtl bench --matrix FILE` and `mbtl matrix show FILE`.
     """
@@ -105,146 +109,47 @@ def build(
     if isinstance(trainer, ManyTrainer):
         keep = keep or (str(getattr(trainer, "checkpoint", "final")),)
         best_lanes = trainer.lanes
-    job = _Job(
+    job = Job(
         cmdp,
         trainer,
         checkpoints=keep or (ONLY,),
         lanes=min(lanes or best_lanes, cmdp.space.n),
         preset=preset or cmdp.default_preset,
         variant=variant or _variant(cmdp, given),
-        command=_command(problem, preset, visibility, physics, engine, every, lanes, given),
+        command=_command(
+            problem,
+            {
+                "preset": preset,
+                "visibility": visibility,
+                "physics": None if physics == "intended" else physics,
+                "engine": engine,
+                "every": None if every == 1 else every,
+                "lanes": lanes,
+                "timesteps": timesteps,
+                "episodes": episodes,
+                "eval-episodes": eval_episodes,
+                "algorithm": algorithm,
+                "recipe": recipe,
+                "checkpoint": checkpoint,
+            },
+        ),
     )
-    there = {  # before anything is trained
-        seed: job.there(out, seed) for seed in range(first_seed, first_seed + seeds)
+    numbers = range(first_seed, first_seed + seeds)
+    # before anything is trained
+    there = {seed: {} if evaluate_again else job.there(out, seed) for seed in numbers}
+    builds = {
+        seed: job.again(work, seed) if evaluate_again else job.building(work, seed)
+        for seed in numbers
     }
     results = []
     for seed, files in there.items():
         if files:
             console.print(f"{', '.join(map(str, files))}: there already", markup=False)
         else:
-            files = job.run(seed, out, work, workers)
+            files = job.run(builds[seed], out, workers)
         results += [_shown(file, matrix) for file, matrix in files.items()]
     if as_json:
         print_json({"matrices": results})
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What is built, for any seed.
-
-    Attributes:
-        cmdp: the problem.
-        trainer: of its policies.
-        checkpoints: policies of a training that are evaluated, each into a file of its own.
-        lanes: sources trained together.
-        preset: for the record.
-        variant: name of the set.
-        command: that builds it, but for the seed.
-    """
-
-    cmdp: CMDP
-    trainer: Trainer
-    checkpoints: tuple[str, ...]
-    lanes: int
-    preset: str
-    variant: str
-    command: str
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """JSON-able; all that the numbers depend on."""
-        return {
-            "problem": self.cmdp.id,
-            "version": self.cmdp.version,
-            "switches": dict(self.cmdp.settings),
-            "recipe": recipe_of(self.trainer),
-        }
-
-    def of_checkpoint(self, checkpoint: str) -> dict[str, Any]:
-        """`settings` of one of several."""
-        settings = self.settings
-        if checkpoint != ONLY:
-            settings["recipe"] = {**settings["recipe"], "checkpoint": checkpoint}
-        return settings
-
-    def file(self, out: Path, checkpoint: str, seed: int) -> Path:
-        """Where it is to be saved."""
-        return shipped_file(out, self.cmdp.id, _name(self.variant, checkpoint), seed)
-
-    def there(self, out: Path, seed: int) -> dict[Path, TransferMatrix]:
-        """The finished files of a seed; empty unless all are there.
-
-        Raises:
-            InvalidInput: one was made with other settings.
-        """
-        found = {}
-        for checkpoint in self.checkpoints:
-            file = self.file(out, checkpoint, seed)
-            if file.is_file():
-                found[file] = TransferMatrix.load(file)
-                check_made_by(file, found[file].provenance, self.of_checkpoint(checkpoint))
-        return found if len(found) == len(self.checkpoints) else {}
-
-    def run(
-        self, seed: int, out: Path, work: Path, workers: int | None
-    ) -> dict[Path, TransferMatrix]:
-        """Train and evaluate what is missing, and write the files of a seed."""
-        name = matrix_id(self.cmdp.id, self.variant)
-        folder = f"matrix-{name}-{self.preset}-seed{seed}"
-        space = self.cmdp.space
-        building = Build(
-            self.trainer, space, seed, work / folder, self.settings, self.checkpoints, self.lanes
-        )
-        if workers is None:
-            workers = 1 if self.lanes >= space.n else len(os.sched_getaffinity(0))
-        begin, origin = time.perf_counter(), here()  # of the code that runs, not of later commits
-        _run(building, workers, f"{name} seed {seed}")
-        wall = time.perf_counter() - begin
-        built = {}
-        for checkpoint in self.checkpoints:
-            file = self.file(out, checkpoint, seed)
-            episodes = building.returns(checkpoint)
-            mean, std = episodes.mean(axis=2), episodes.std(axis=2)
-            built[file] = TransferMatrix.of(
-                mean[None],
-                std=std[None],
-                space=space,
-                bounds=self.cmdp.bounds,
-                theta=self.cmdp.theta,
-                direction="max" if self.cmdp.direction == "maximize" else "min",
-                provenance={
-                    **self.of_checkpoint(checkpoint),
-                    "preset": self.preset,
-                    "seed": seed,
-                    "lanes": self.lanes,
-                    "command": f"{self.command} --seeds 1 --first-seed {seed}",
-                    "process_seconds": round(building.seconds(), 1),
-                    "wall_seconds_of_last_run": round(wall, 1),
-                    **origin,
-                },
-                name=file.name,
-            )
-            variant = _name(self.variant, checkpoint)
-            save_shipped(built[file], out, self.cmdp.id, variant, first_seed=seed)
-        return built
-
-
-def _run(building: Build, workers: int, label: str) -> None:
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=30),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(label, total=building.space.n)
-        log = LongWork(console)
-
-        def on_piece(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-            log.say(f"{label}: {done} of {total} sources")
-
-        building.run(workers, on_piece)
 
 
 def _shown(file: Path, matrix: TransferMatrix) -> dict[str, Any]:
@@ -299,35 +204,10 @@ def _usual(cmdp: CMDP) -> Mapping[str, Any]:
     return usual
 
 
-def _name(variant: str, checkpoint: str) -> str:
-    """Variant of a checkpoint: "final" is named where it stands beside, or instead of, best."""
-    if checkpoint != "final":
-        return variant
-    return "final" if variant == DEFAULT else f"{variant}-final"
-
-
-def _command(
-    problem: str,
-    preset: str | None,
-    visibility: str | None,
-    physics: str,
-    engine: str | None,
-    every: int,
-    lanes: int | None,
-    given: Mapping[str, Any],
-) -> str:
+def _command(problem: str, options: Mapping[str, Any]) -> str:
     """The command that builds the same again; folders and processes do not matter to it."""
-    options: dict[str, Any] = {
-        "preset": preset,
-        "visibility": visibility,
-        "physics": None if physics == "intended" else physics,
-        "engine": engine,
-        "every": None if every == 1 else every,
-        "lanes": lanes,
-        **{("recipe" if k == "recipe_name" else k): v for k, v in given.items()},
-    }
     words = ["mbtl", "matrix", "build", problem]
     for name, value in options.items():
         if value is not None:
-            words += [f"--{name.replace('_', '-')}", str(value)]
+            words += [f"--{name}", str(value)]
     return shlex.join(words)

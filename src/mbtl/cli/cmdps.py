@@ -52,14 +52,30 @@ def _record(cmdp: Any) -> dict[str, Any]:
         "horizon": cmdp.horizon,
         "bounds": cmdp.bounds,
         "direction": cmdp.direction,
+        "floor": cmdp.floor,
         "theta": cmdp.theta,
         "settings": dict(cmdp.settings),
         "default_preset": cmdp.default_preset,
-        "presets": {
-            name: {"budget": p.budget, "description": p.description, "trainer": p.options()}
-            for name, p in cmdp.presets.items()
-        },
+        "presets": _presets(cmdp),
+        "presets_elsewhere": _elsewhere(cmdp),
     }
+
+
+def _presets(cmdp: Any) -> dict[str, Any]:
+    return {
+        name: {"budget": p.budget, "description": p.description, "trainer": p.options()}
+        for name, p in cmdp.presets.items()
+    }
+
+
+def _elsewhere(cmdp: Any) -> dict[str, Any]:
+    """Presets of the engines that are not the default, by engine."""
+    from mbtl.cmdps import cmdp_ids, get_cmdp
+    from mbtl.cmdps.registry import engines_of
+
+    own, here = cmdp.id not in cmdp_ids(), cmdp.settings.get("engine")
+    others = [] if own else [engine for engine in engines_of(cmdp.id) if engine != here]
+    return {engine: _presets(get_cmdp(cmdp.id, engine=engine)) for engine in others}
 
 
 def _list(records: list[dict[str, Any]]) -> None:
@@ -94,18 +110,27 @@ def _show(record: dict[str, Any]) -> None:
         ("nominal", _values(record["nominal"])),
         ("horizon", _or_dash(record["horizon"])),
         ("returns for performance 0..1", _bounds(record)),
+        ("no return counts as worse than", _or_dash(record["floor"])),
         ("theta, performance per grid step", _or_dash(record["theta"])),
         ("settings", _values(record["settings"])),
     ):
         facts.add_row(label, Text(text))
     out.print(facts)
+    default = {record["default_preset"]: " (default)"}
     for name, preset in record["presets"].items():
-        default = " (default)" if name == record["default_preset"] else ""
-        about = f"; {preset['description']}" if preset["description"] else ""
-        rest = f"{default}: K = {preset['budget']}{about}"
-        out.print(Text("\npreset ") + Text(name, "bold") + Text(rest))
-        if preset["trainer"]:
-            out.print(Text(f"  {_values(preset['trainer'])}"))
+        _show_preset(name, preset, default.get(name, ""))
+    for engine, presets in record["presets_elsewhere"].items():
+        for name, preset in presets.items():
+            _show_preset(name, preset, f" with --engine {engine}")
+
+
+def _show_preset(name: str, preset: dict[str, Any], which: str) -> None:
+    out = printer()
+    about = f"; {preset['description']}" if preset["description"] else ""
+    rest = f"{which}: K = {preset['budget']}{about}"
+    out.print(Text("\npreset ") + Text(name, "bold") + Text(rest))
+    if preset["trainer"]:
+        out.print(Text(f"  {_values(preset['trainer'])}"))
 
 
 def _axis(axis: dict[str, Any]) -> str:

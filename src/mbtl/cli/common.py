@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from functools import wraps
 from typing import Annotated, Any
@@ -45,6 +46,18 @@ def interruptible(command: Callable[..., None]) -> Callable[..., None]:
             raise typer.Exit(1) from None
 
     return wrapped
+
+
+def print_origin(error: BaseException) -> None:
+    """Print the traceback of what an error was raised from, if it was."""
+    cause = error.__cause__
+    lines = getattr(error, "__notes__", [])  # of another process
+    if cause is not None:
+        lines = traceback.format_exception(cause)
+    if lines:
+        console.print(
+            "".join(lines).rstrip(), style="dim", markup=False, highlight=False, soft_wrap=True
+        )
 
 
 class LongWork:

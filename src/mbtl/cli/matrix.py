@@ -1,22 +1,34 @@
-"""`mbtl matrix`: build transfer matrices (`build`), and see what they hold (`show`)."""
+"""`mbtl matrix`: build transfer matrices, and see which there are and what they hold."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from mbtl.benchmark import levels, open_matrix
+from mbtl.benchmark import (
+    RowSource,
+    TransferMatrix,
+    levels,
+    open_matrix,
+    reference_levels,
+    shipped_matrices,
+)
+from mbtl.benchmark.references import NAMES
+from mbtl.benchmark.shipped import load_by_id
 from mbtl.cli.build import build
 from mbtl.cli.common import JsonFlag, interruptible, print_json, printer
 from mbtl.cli.multitask import multitask
+from mbtl.cli.references import references
 
 matrix_app = typer.Typer(help="Build transfer matrices and look at them.", no_args_is_help=True)
 matrix_app.command("build")(interruptible(build))
 matrix_app.command("multitask")(interruptible(multitask))
+matrix_app.command("references")(interruptible(references))
 
 
 @matrix_app.command("show")
@@ -40,17 +52,108 @@ def show(
         rows.append(
             {
                 "seed": seed,
+                **reference_levels(source, seed),
                 "grand_mean": known.grand_mean,
                 "independent": known.independent,
                 "oracle_transfer": known.oracle_transfer,
             }
         )
+    facts = _facts(source)
     if as_json:
-        print_json({"matrix": matrix, "n": source.n, "seeds": rows})
+        print_json({"matrix": matrix, "n": source.n, **facts, "seeds": rows})
         return
-    table = Table(title=Text(f"{matrix}: N = {source.n}"), box=box.SIMPLE, show_edge=False)
-    for head in ("seed", "grand mean", "Independent", "Oracle Transfer"):
-        table.add_column(head, justify="right")
+    title = Text(f"{matrix}: N = {source.n}")
+    table = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)  # 80 columns
+    heads = {**NAMES, "independent": "Independent", "oracle_transfer": "Oracle Transfer"}
+    shown = {key: head for key, head in heads.items() if key in rows[0]}
+    for head in ("seed", *shown.values()):
+        table.add_column(head.replace(" ", "\n"), justify="right", no_wrap=True)
     for row in rows:
-        table.add_row(str(row["seed"]), *(f"{v:.4f}" for k, v in row.items() if k != "seed"))
-    printer().print(table)
+        table.add_row(str(row["seed"]), *(f"{row[key]:.4f}" for key in shown))
+    screen = printer()
+    screen.print(table)
+    for line in _sentences(facts):
+        screen.print(line, markup=False, highlight=False)
+
+
+@matrix_app.command("list")
+def list_matrices(
+    folder: Annotated[
+        Path | None, typer.Option(help="Folder of matrices you built; default: the shipped ones.")
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """List the shipped matrices, and which of them are of the older protocol.
+
+    Example: mbtl matrix list
+    """
+    matrices = {name: load_by_id(name, folder=folder) for name in shipped_matrices(folder)}
+    if as_json:
+        print_json(
+            {
+                "matrices": [
+                    {"matrix": name, "n": one.n, "seeds": one.n_seeds, **_facts(one)}
+                    for name, one in matrices.items()
+                ]
+            }
+        )
+        return
+    table = Table(box=box.SIMPLE, padding=0, show_edge=False)
+    for head in ("matrix", "N", "seeds", "episodes", "protocol", "reference rows"):
+        right = head in ("N", "seeds", "episodes")
+        table.add_column(head, justify="right" if right else "left", no_wrap=True)
+    for name, one in matrices.items():
+        table.add_row(
+            Text(name),
+            str(one.n),
+            str(one.n_seeds),
+            _episodes(one),
+            "halves" if one.measures_apart else "older",
+            ", ".join(NAMES.get(key, key) for key in one.references) or "-",
+        )
+    screen = printer()
+    screen.print(table)
+    screen.print(
+        "halves: selection sees one half of the episodes, every number shown is of the other.\n"
+        "older: selection and report used the same episodes, so V is too high where episodes "
+        "differ by luck.",
+        style="dim",
+    )
+
+
+def _episodes(matrix: TransferMatrix) -> str:
+    """Per pair, e.g. "50 + 50"; of older files what their recipe says."""
+    if matrix.episodes is not None:
+        return " + ".join(map(str, matrix.episodes))
+    return str(matrix.records[0].get("recipe", {}).get("eval_episodes", "-"))
+
+
+def _facts(source: RowSource) -> dict[str, Any]:
+    """What is said of a matrix beside its levels; nothing of a synthetic world."""
+    if not isinstance(source, TransferMatrix):
+        return {}
+    bounds = source.bounds
+    return {
+        "bounds": [bounds.low, bounds.high],
+        "direction": bounds.direction,
+        "floor": bounds.floor,
+        "scale": str(bounds),
+        "episodes": None if source.episodes is None else list(source.episodes),
+        "measures_apart": source.measures_apart,
+        "caveat": source.caveat,
+    }
+
+
+def _sentences(facts: dict[str, Any]) -> list[str]:
+    """The same for people."""
+    if not facts:
+        return []
+    lines = [f"{facts['scale'][0].upper()}{facts['scale'][1:]}."]
+    if facts["measures_apart"] and facts["episodes"]:
+        chose, shown = facts["episodes"]
+        lines.append(
+            f"A selector sees {chose} episodes per pair; these numbers are of {shown} others."
+        )
+    if facts["caveat"] is not None:
+        lines.append(f"Note: {facts['caveat']}.")
+    return lines

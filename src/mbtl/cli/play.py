@@ -17,7 +17,7 @@ from mbtl.cmdps.engines import EnvFactory
 from mbtl.errors import InvalidInput, missing_extra
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import MANIFEST
-from mbtl.seeds import episode_seed, evaluation_seed
+from mbtl.seeds import action_seed, episode_seed, evaluation_seed
 
 _RATE = 10
 """Pictures of a film per second."""
@@ -60,16 +60,15 @@ def play(
     made = {} if portfolio is None else portfolio.metadata.get("settings", {})
     switches = {**made.get("switches", {}), "engine": "sumo"}
     cmdp = get_cmdp(target if portfolio is None else str(portfolio.cmdp), **switches)
-    nominal = dict(cmdp.nominal or {})
-    context = {**nominal, **_parsed(at or [])}
+    context = {**(cmdp.nominal or {}), **_parsed(at or [])}
     shown = {"gui": gui, "render_mode": None if film is None else "rgb_array"}
     assert isinstance(cmdp.make_env, EnvFactory)
     make_env = replace(cmdp.make_env, options={**cmdp.make_env.options, **shown})
     env = _Watched(make_env(context), film is not None)
     if portfolio is None:
         actor, why = rollout.Actor(_AtRandom(env, seed)), "choices at random"
-    else:  # other features than the axes are nobody's business but the simulator's
-        choice = portfolio.explain({axis: context[axis] for axis in nominal})
+    else:
+        choice = portfolio.explain(context)
         sampled = made.get("recipe", {}).get("acting") == "sampled"
         actor, why = actor_for(portfolio.policy(choice.policy), sampled=sampled), choice.explanation
     seeds = [episode_seed(evaluation_seed(seed, 0), episode) for episode in range(episodes)]
@@ -122,7 +121,7 @@ class _AtRandom:
     def __init__(self, env: Any, seed: int) -> None:
         space = env.action_space
         self._space = space("") if callable(space) else space
-        self._space.seed(seed)
+        self._space.seed(action_seed(seed))
 
     def predict(self, observation: Any, deterministic: bool = True) -> tuple[Any, None]:
         return [self._space.sample() for _ in observation], None

@@ -11,6 +11,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from mbtl.benchmark.references import NAMES
 from mbtl.benchmark.reproduction import METHODS, Reproduced, Value, reproduce
 from mbtl.benchmark.shipped import DEFAULT
 from mbtl.cli.common import JsonFlag, print_json, printer
@@ -81,12 +82,15 @@ def _table(rows: list[Reproduced], budget: int) -> Table:
 
 
 def _notes(row: Reproduced) -> str:
-    stars = ", ".join("never" if k is None else str(k) for k in row.k_star)
+    stars = ", ".join(f"> {row.k_star_searched}" if k is None else str(k) for k in row.k_star)
     text = f"{row.cmdp}: MBTL reaches max(Independent, Multi-task) after {stars} trainings"
     if row.published_k_star is not None:
         text += f" (paper: {row.published_k_star:g})"
     others = [f"{name} {_mean(v)}" for name, v in row.multitask.items()]
-    return text + (f"; multi-task: {', '.join(others)}" if others else "")
+    text += f"; multi-task: {', '.join(others)}" if others else ""
+    rows = [f"{NAMES.get(name, name)} {_mean(v)}" for name, v in row.references.items()]
+    text += f"\n  for comparison: {', '.join(rows)}"
+    return text + (f"\n  note: {row.caveat}" if row.caveat else "")
 
 
 def _mean(value: Value | None) -> str:
@@ -94,4 +98,4 @@ def _mean(value: Value | None) -> str:
 
 
 def _std(value: Value | None) -> str:
-    return "-" if value is None else f"{value.std:.4f}"
+    return "-" if value is None or value.std is None else f"{value.std:.4f}"

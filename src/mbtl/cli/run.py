@@ -15,12 +15,13 @@ from mbtl.arrays import Array
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.cli.progress import LiveProgress
 from mbtl.cmdps import CMDP, resolve_cmdp
-from mbtl.errors import InvalidInput, MissingExtra, StorageError
+from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
 from mbtl.report import reference_curves, summarise_study
 from mbtl.report.plots import plot_curve, plot_policy_map
 from mbtl.report.text import show_summary
 from mbtl.selectors import get_selector
 from mbtl.study import Callback, Study, create_study
+from mbtl.study.runner import check_options
 from mbtl.trainer import Trainer, recipe_of
 
 
@@ -95,6 +96,16 @@ def run(
     stop_on_failure: Annotated[
         bool, typer.Option("--stop-on-failure", help="End at the first failed training.")
     ] = False,
+    stop_after_failures: Annotated[
+        int, typer.Option(help="End after so many failed trainings in a row.")
+    ] = 3,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Train again where trainings failed.")
+    ] = False,
+    no_rehearsal: Annotated[
+        bool,
+        typer.Option("--no-rehearsal", help="Skip the trial evaluation before the first training."),
+    ] = False,
     tensorboard: Annotated[
         Path | None, typer.Option(help="Folder for TensorBoard: V per pick and training scalars.")
     ] = None,
@@ -109,6 +120,7 @@ def run(
     The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million
     steps each, 100 episodes per context). The paper's rule: --selector mbtl.
     """
+    check_options(parallel, stop_after_failures=stop_after_failures)
     cmdp = resolve_cmdp(problem, engine=engine)
     get_selector(selector)  # a mistyped name must not set a study aside
     if timesteps is not None and cmdp.preset(preset).episodes is not None:
@@ -134,7 +146,7 @@ def run(
         cmdp.space,
         budget=cmdp.preset(preset).budget if budget is None else budget,
         selector=selector,
-        bounds=cmdp.bounds,
+        bounds=cmdp.normalisation,
         direction=cmdp.direction,
         theta=cmdp.theta,
         seed=seed,
@@ -163,9 +175,19 @@ def run(
             trainer=trainer,
             parallel=parallel,
             on_failure="stop" if stop_on_failure else "continue",
+            stop_after_failures=stop_after_failures,
+            retry_failed=retry_failed,
+            rehearse=not no_rehearsal,
             callbacks=callbacks,
         )
     _finish(running, trainer, folder, as_json=as_json)
+    if running.state.deferred:
+        count = len(running.state.deferred)
+        raise TrainingFailed(
+            f"{count} {'policy is' if count == 1 else 'policies are'} trained and could not be "
+            "evaluated (`mbtl study show` says why); mend the cause, then run the same command "
+            "again: nothing is trained twice"
+        )
 
 
 def _numbers(file: Path) -> Array:
@@ -208,6 +230,12 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
     summary = summarise_study(study)
     files: dict[str, str] = {}
     notes: list[str] = []
+    if study.state.failures:
+        count = len(study.state.failures)
+        notes.append(
+            f"{count} {'training' if count == 1 else 'trainings'} failed: `mbtl study show "
+            f"{folder}` says why, --retry-failed trains there again"
+        )
     if study.state.rows:
         portfolio = study.portfolio(trainer)
         if portfolio.policies_missing:
@@ -224,7 +252,7 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
         notes.append(note)
         try:
             files["curve"] = str(plot_curve(summary, folder / "curve.png", curves))
-            serving = portfolio.performance[portfolio.assignment, np.arange(study.space.n)]
+            serving = portfolio.routing.served
             files["policy map"] = str(
                 plot_policy_map(summary, study.space, serving, folder / "policy-map.png")
             )

@@ -13,7 +13,7 @@ from rich.text import Text
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.errors import InvalidInput, MbtlError, cannot_write
 from mbtl.report import summarise_study
-from mbtl.report.text import show_summary
+from mbtl.report.text import show_causes, show_summary
 from mbtl.selectors import get_selector
 from mbtl.study import SqlLog, Study, study_names
 
@@ -74,7 +74,7 @@ def list_studies(
 
 @study_app.command("show")
 def show(study: _Study, as_json: JsonFlag = False) -> None:
-    """Show the picks of a study, V, and what one more training is predicted to bring.
+    """Show the picks of a study, V, what one more training should bring, and why picks failed.
 
     Example: mbtl study show runs/cartpole-length-quick-seed0
     """
@@ -84,6 +84,7 @@ def show(study: _Study, as_json: JsonFlag = False) -> None:
         print_json(summary.to_json())
     else:
         show_summary(printer(), summary, opened.space)
+        show_causes(printer(), summary, opened.space)
 
 
 @study_app.command("export")

@@ -8,8 +8,9 @@ from importlib.util import find_spec
 from mbtl.cmdps.check import check_cmdp
 from mbtl.cmdps.cmdp import CMDP, Preset
 from mbtl.cmdps.findings import Check, CheckReport
-from mbtl.cmdps.loading import load_object, resolve_cmdp
+from mbtl.cmdps.loading import resolve_cmdp
 from mbtl.cmdps.registry import cmdp_ids, get_cmdp, gym_id
+from mbtl.loading import load_object
 
 __all__ = [
     "CMDP",

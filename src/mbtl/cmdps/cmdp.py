@@ -46,6 +46,7 @@ class Preset:
         normalize_reward: rewards are brought to one scale in training.
         n_envs: environments stepped together in training.
         description: one line for people.
+        formerly: what this recipe was called when work that may still be about was begun.
     """
 
     budget: int
@@ -63,11 +64,12 @@ class Preset:
     normalize_reward: bool | None = None
     n_envs: int | None = None
     description: str = ""
+    formerly: str = ""
 
     def options(self) -> dict[str, Any]:
         """What the recipe asks of the trainer; settings it leaves alone are absent."""
         chosen = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        del chosen["budget"], chosen["description"]
+        del chosen["budget"], chosen["description"], chosen["formerly"]
         return {name: value for name, value in chosen.items() if value is not None}
 
 
@@ -79,8 +81,10 @@ class CMDP:
         id: short name, part of file names.
         space: the N contexts, sources and targets alike.
         trainer: trains, evaluates, saves and loads; the default preset's.
-        bounds: returns at which performance is 0 and 1 (spec, 2.2); None: from the returns seen.
+        bounds: returns at which performance is 0 and 1 (spec, 2.2); None: from the returns seen. Of
+            `Bounds` the direction and the floor count, too.
         direction: whether larger or smaller returns are better.
+        floor: return below which none is worse in performance; returns themselves are not clipped.
         theta: slope of the linear gap, performance per grid step; None: the library's default.
         version: raised when results could change.
         make_env: context -> Gymnasium environment; None for problems given as functions.
@@ -116,8 +120,14 @@ class CMDP:
     presets: Mapping[str, Preset] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     description: str = ""
+    floor: float | None = None
 
     def __post_init__(self) -> None:
+        if isinstance(self.bounds, Bounds):
+            given = self.bounds
+            object.__setattr__(self, "direction", given.direction)
+            object.__setattr__(self, "floor", given.floor)
+            object.__setattr__(self, "bounds", (given.low, given.high))
         if not (isinstance(self.id, str) and _ID.fullmatch(self.id)):
             raise InvalidInput(
                 "the id of a CMDP becomes part of file names: letters, digits, '.', '_' and '-', a "
@@ -222,8 +232,8 @@ class CMDP:
 
     @property
     def normalisation(self) -> Bounds | None:
-        """`bounds` with the direction; None when they come from the returns seen."""
-        return None if self.bounds is None else Bounds(*self.bounds, self.direction)
+        """`bounds` with direction and floor; None when they come from the returns seen."""
+        return None if self.bounds is None else Bounds(*self.bounds, self.direction, self.floor)
 
     @property
     def default_preset(self) -> str:
@@ -303,7 +313,7 @@ class CMDP:
         if self.bounds is not None:
             if len(self.bounds) != 2:
                 raise InvalidInput(f"bounds are two returns (low, high), got {self.bounds!r}")
-            Bounds(*self.bounds, self.direction)
+            Bounds(*self.bounds, self.direction, self.floor)
         if self.theta is not None and not (math.isfinite(self.theta) and self.theta >= 0):
             raise InvalidInput(f"theta must be finite and >= 0, got {self.theta!r}")
         for name, least in (("version", 0), ("horizon", 1), ("check_steps", 1)):

@@ -40,19 +40,21 @@ class Contextual:
 
     FEATURES: ClassVar[Mapping[str, float]]
     """Nominal value of each feature, in the order in which `raw` shows them; all positive."""
+    HIDDEN: ClassVar[frozenset[str]] = frozenset()
+    """Features that a policy does not see unless a visibility is asked for."""
 
     def __init__(
         self,
         context: Mapping[str, Value] | None,
         *,
         unit: Mapping[str, float] | None,
-        visibility: Visibility,
+        visibility: Visibility | None,
         time_limit: TimeLimit,
         horizon: int,
     ) -> None:
         """See the subclasses for the meaning of the arguments."""
-        if visibility not in VISIBILITIES:
-            raise unknown_name("visibility", visibility, VISIBILITIES)
+        if visibility not in (None, *VISIBILITIES):
+            raise unknown_name("visibility", str(visibility), VISIBILITIES)
         if time_limit not in TIME_LIMITS:
             raise unknown_name("time limit", time_limit, TIME_LIMITS)
         if horizon < 1:
@@ -61,7 +63,9 @@ class Contextual:
         self.horizon = horizon
         if unit is None:
             unit = {name: self.FEATURES[name] for name in context or {}}
-        self.visible = visible_features(self.features, unit, visibility)
+        if visibility is None:
+            unit = {name: value for name, value in unit.items() if name not in self.HIDDEN}
+        self.visible = visible_features(self.features, unit, visibility or "multiplier")
         self._terminal = time_limit == "terminal"
         self._left = 0  # steps left in the running episode; 0: none is running
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Any
 
-from mbtl.contexts import Context
-from mbtl.errors import missing_extra
+from mbtl.contexts import Axis, Context
+from mbtl.errors import ContextMismatch, missing_extra, unknown_name
 
 ENGINES = ("jax", "gymnasium", "sumo")
 
@@ -29,17 +29,21 @@ class EnvFactory:
     Attributes:
         entry_point: "module:Class".
         options: keyword arguments of the class.
+        axes: what a context may set, and in which range; none: whatever the class takes.
     """
 
     entry_point: str
     options: Mapping[str, Any] = field(default_factory=dict)
+    axes: tuple[Axis, ...] = ()
 
     def __call__(self, context: Mapping[str, Any]) -> Any:
         """A new environment.
 
         Raises:
+            ContextMismatch: the context names no axis of this CMDP, or lies outside.
             MissingExtra: Gymnasium, or what the simulator needs, is not installed.
         """
+        self.check(context)
         try:
             kind = pkgutil.resolve_name(self.entry_point)
         except ModuleNotFoundError as error:
@@ -49,6 +53,18 @@ class EnvFactory:
                 raise
             raise missing_extra(package, extra) from error
         return kind(context, **self.options)
+
+    def check(self, context: Mapping[str, Any]) -> None:
+        """Refuse what is no context of this CMDP; an axis may be left out, at its nominal value.
+
+        Raises:
+            ContextMismatch: as in `__call__`.
+        """
+        known = {axis.name: axis for axis in self.axes}
+        for name, value in context.items() if known else ():
+            if name not in known:
+                raise ContextMismatch(str(unknown_name("axis", str(name), known)))
+            known[name].encode([value])
 
 
 @dataclass(frozen=True)
@@ -68,6 +84,7 @@ class JaxProblem:
         """The environment, and the parameters of `contexts` with one leading axis.
 
         Raises:
+            ContextMismatch: one of them names no axis of this CMDP, or lies outside.
             MissingExtra: jax or Gymnasium is not installed.
         """
         import mbtl.training.jax as engine
@@ -99,8 +116,11 @@ class TwinProblem:
         """The twin, and the parameters of each context.
 
         Raises:
+            ContextMismatch: one of them names no axis of this CMDP, or lies outside.
             MissingExtra: jax or Gymnasium is not installed.
         """
+        for context in contexts:
+            self.make_env.check(context)
         switches = {k: v for k, v in self.make_env.options.items() if k != "horizon"}
         record = pkgutil.resolve_name(self.problem)(**self.options, **switches)
         twin, params = record(contexts)

@@ -8,7 +8,7 @@ from decimal import Decimal
 from typing import Any
 
 from mbtl.cmdps.cmdp import Preset
-from mbtl.contexts import Context, ContextSpace, Linear
+from mbtl.contexts import Axis, Context, ContextSpace, Linear
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,7 @@ class Family:
         visibility: what of the context the policy sees unless told otherwise.
         visibility_on_all: likewise, of one policy for all contexts.
         check_steps: environment steps of a rollout of `mbtl check`; fewer where steps are long.
+        floor: return below which none is worse in performance.
     """
 
     entry_point: str
@@ -68,6 +69,7 @@ class Family:
     visibility: str = "multiplier"
     visibility_on_all: str = "multiplier"
     check_steps: int | None = None
+    floor: float | None = None
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,8 @@ class Variant:
         family: name of the family.
         axes: the features that vary, the last one fastest.
         theta: slope of the linear gap where it is not the family's, performance per grid step.
-        version: raised when results could change.
+        version: raised when what a policy is worth, or sees, could change.
+        visibility: what of the context the policy sees where it is not the family's.
         description: one line for people.
     """
 
@@ -116,6 +119,7 @@ class Variant:
     axes: tuple[GridAxis, ...]
     theta: float | None = None
     version: int = 0
+    visibility: str | None = None
     description: str = ""
 
     @property
@@ -127,12 +131,14 @@ class Variant:
         """The context at multiplier 1."""
         return {axis.name: axis.values(grid)[axis.unit_index] for axis in self.axes}
 
+    def levels(self, grid: str) -> dict[Axis, list[float]]:
+        """The axes, and the grid values of each."""
+        each = [(axis, axis.values(grid)) for axis in self.axes]
+        return {Linear(a.name, values[0], values[-1], a.unit): values for a, values in each}
+
     def space(self, grid: str) -> ContextSpace:
         """All contexts."""
-        levels = {axis: axis.values(grid) for axis in self.axes}
-        return ContextSpace.grid(
-            {Linear(a.name, values[0], values[-1], a.unit): values for a, values in levels.items()}
-        )
+        return ContextSpace.grid(self.levels(grid))
 
 
 def line(
@@ -145,8 +151,11 @@ def line(
     n: int = 100,
     unit_index: int = 9,
     paper_step: str | None = None,
-    description: str = "",
+    **record: Any,
 ) -> Variant:
-    """A CMDP with one axis, on the grid step, 2 step, ..., n step; see `GridAxis`."""
+    """A CMDP with one axis, on the grid step, 2 step, ..., n step.
+
+    The arguments are those of `GridAxis`; `record` has further fields of `Variant`.
+    """
     varies = GridAxis(axis, unit, step, nominal, n, unit_index=unit_index, paper_step=paper_step)
-    return Variant(family, (varies,), description=description)
+    return Variant(family, (varies,), **record)

@@ -115,6 +115,10 @@ class Pendulum(ContextualEnv):
         t, w = self._state
         return np.array((math.cos(t), math.sin(t), w, *self.visible), dtype=np.float32), {}
 
+    def drive(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """One step without torque: the unguided baseline."""
+        return self.step((0.0,))
+
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One step; torques beyond the limit are clipped, NaN is passed on.
 

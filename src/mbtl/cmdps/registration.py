@@ -36,7 +36,7 @@ def make(
 
     Args:
         cmdp: id of the CMDP.
-        context: values of the varied features; missing: the nominal ones.
+        context: values of the varied features, within their axes; missing: the nominal ones.
         render_mode: "rgb_array" in traffic: `render` gives images.
         gui: in traffic, show it in sumo-gui.
         **switches: `physics`, `visibility`, `time_limit`, `obs` as in `mbtl.cmdps.get_cmdp`.

@@ -27,6 +27,12 @@ def cmdp_ids() -> list[str]:
     return list(VARIANTS)
 
 
+def engines_of(id: str) -> list[str]:
+    """Where a CMDP is simulated; each has presets of its own."""
+    _, family = _entry(id)
+    return [family.simulator, *(["jax"] if family.jax is not None else [])]
+
+
 def gym_id(id: str) -> str:
     """Gymnasium id of a CMDP, e.g. "mbtl/cartpole-length-v0"."""
     variant, _ = _entry(id)
@@ -45,13 +51,15 @@ def env_factory(
     visibility: str | None = None,
     time_limit: str = "truncation",
     obs: str = "fresh",
+    grid: str = "code",
 ) -> EnvFactory:
     """The environment factory of a CMDP; arguments as in `get_cmdp`."""
     variant, family = _entry(id)
-    visibility = family.visibility if visibility is None else visibility
+    if visibility is None:
+        visibility = family.visibility if variant.visibility is None else variant.visibility
     switches = {"physics": physics, "obs": obs}
     for kind, name in {
-        "visibility": visibility, "time limit": time_limit, **switches
+        "visibility": visibility, "time limit": time_limit, "grid": grid, **switches
     }.items():  # fmt: skip
         _check_choice(kind, name)
     options = {
@@ -61,7 +69,7 @@ def env_factory(
         "horizon": family.horizon,
         **{name: switches[name] for name in family.switches},
     }
-    return EnvFactory(family.entry_point, options)
+    return EnvFactory(family.entry_point, options, tuple(variant.levels(grid)))
 
 
 def get_cmdp(
@@ -81,7 +89,8 @@ def get_cmdp(
         physics: "intended": contexts act as the paper says. "reference": as in the released code,
             whose CartPole freezes derived masses (spec, section 1); Pendulum is the same in both.
         visibility: what of the context the policy sees: "hidden", "multiplier" or "raw"; None: the
-            family's default: "multiplier", in ring, ramp and signal "hidden" (spec, 3 and 11).
+            CMDP's default: "multiplier"; in ring, ramp, signal and eco-inflow "hidden", as in the
+            reference (spec, 3, 6.2 and 11).
         grid: "code": contexts of the released scripts. "paper": of the paper's text. The same for
             CartPole and Pendulum.
         time_limit: how the horizon is reported, "truncation" or "terminal" (the reference).
@@ -99,9 +108,8 @@ def get_cmdp(
     if engine is None:
         engine = "jax" if family.jax is not None and jax_is_installed() else family.simulator
     _check_choice("engine", engine)
-    _check_choice("grid", grid)
     make_env = env_factory(
-        id, physics=physics, visibility=visibility, time_limit=time_limit, obs=obs
+        id, physics=physics, visibility=visibility, time_limit=time_limit, obs=obs, grid=grid
     )
     presets, trainer = _training(id, family, engine, make_env)
     return CMDP(
@@ -109,6 +117,7 @@ def get_cmdp(
         variant.space(grid),
         trainer,
         bounds=family.bounds,
+        floor=family.floor,
         theta=family.theta if variant.theta is None else variant.theta,
         version=variant.version,
         make_env=make_env,
@@ -154,8 +163,8 @@ def _training(
         alone: dict[str, Any] = {"n_eval_envs": 1, "processes": True} if engine == "sumo" else {}
         return family.presets, SB3Trainer(make_env, **alone, **default.options())
     if family.jax is None or engine != "jax":
-        engines = [family.simulator, *(["jax"] if family.jax is not None else [])]
-        raise InvalidInput(f"{id!r} is simulated in {' and '.join(engines)}, got engine={engine!r}")
+        there = " and ".join(engines_of(id))
+        raise InvalidInput(f"{id!r} is simulated in {there}, got engine={engine!r}")
     from mbtl.training import JaxTrainer, TwinTrainer
 
     default = next(iter(family.jax.presets.values()))

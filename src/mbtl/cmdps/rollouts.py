@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
+from mbtl.seeds import action_seed
 
 _RESET = -1
 
@@ -46,7 +47,7 @@ class Rollout:
 
 def draw_actions(action_space: Any, n: int, seed: int) -> list[Any]:
     """`n` random actions; the space is left with another random state."""
-    action_space.seed(seed)
+    action_space.seed(action_seed(seed))
     return [action_space.sample() for _ in range(n)]
 
 

@@ -43,7 +43,7 @@ _IN_TWIN = Preset(
     algorithm="TRPO",
     checkpoint="best",
     checkpoint_episodes=10,
-    description="the paper's episodes, best-of-evaluations policy",
+    description="the paper's recipe and episodes, best-of-evaluations policy",
 )
 _TWIN_PRESETS = {
     "paper": _IN_TWIN,
@@ -270,6 +270,7 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
         simulator="sumo",
         visibility="hidden",
         check_steps=40,
+        floor=-100.0,
     ),
     "eco": Family(
         entry_point="mbtl.cmdps.traffic.eco:Eco",
@@ -289,20 +290,20 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
 
 
 def _hold(family: str, description: str) -> Variant:
-    return line(family, "hold", "s", "1", 1.0, n=40, description=description)
+    return line(family, "hold", "s", "1", 1.0, n=40, version=1, description=description)
 
 
 TRAFFIC_VARIANTS: Mapping[str, Variant] = {
     "signal-length": line(
-        "signal", "length", "m", "50", 750.0, n=50, paper_step="75",
+        "signal", "length", "m", "50", 750.0, n=50, paper_step="75", version=1,
         description="Traffic signal; the length of the approaches varies",
     ),
     "signal-inflow": line(
-        "signal", "inflow", "cars", "50", 1000.0, n=50,
+        "signal", "inflow", "cars", "50", 1000.0, n=50, version=1,
         description="Traffic signal; the demand varies",
     ),
     "signal-speed": line(
-        "signal", "speed", "m/s", "0.5", 14.0, n=50, paper_step="1.389",
+        "signal", "speed", "m/s", "0.5", 14.0, n=50, paper_step="1.389", version=1,
         description="Traffic signal; the speed limit varies",
     ),
     "eco-penetration": line(
@@ -310,7 +311,7 @@ TRAFFIC_VARIANTS: Mapping[str, Variant] = {
         description="Eco-driving; the share of controlled cars varies",
     ),
     "eco-inflow": line(
-        "eco", "inflow", "veh/h", "40", 400.0, n=50,
+        "eco", "inflow", "veh/h", "40", 400.0, n=50, version=1, visibility="hidden",
         description="Eco-driving; the demand varies",
     ),
     "eco-green": line(

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from mbtl.models.transfer_gp import TransferPrior
+from mbtl.models.transfer_kernel import TransferPrior
 
 _RATIO = TransferPrior(
     target=0.1, source=0.1, gap=0.05, log_gap=1.0, interaction=0.05, luck=0.05, row_luck=0.03,

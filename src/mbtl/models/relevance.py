@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.contexts import Axis, Categorical, Log
 from mbtl.errors import InvalidInput
-from mbtl.models.transfer_gp import Pairs, Places, TransferGP, TransferPrior
+from mbtl.models.transfer_gp import TransferGP
+from mbtl.models.transfer_kernel import Pairs, Places, TransferPrior
 
 _TAU = 1.0
 """Prior standard deviation of log w."""

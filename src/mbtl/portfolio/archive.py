@@ -1,7 +1,7 @@
 """Portfolio folders: a JSON manifest, one array file, one folder per policy; no pickle of ours.
 
     portfolio.json             what it is, with the SHA-256 of every other file
-    returns.npz                returns (k, N), float64
+    returns.npz                returns (k, N), float64, and what else is known of the rows
     policies/source-0049/...   whatever the trainer saved
 
 A folder is built beside its place and renamed into it, so one that exists is whole.
@@ -18,7 +18,7 @@ import platform
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -28,7 +28,8 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.portfolio.mlp import MLPPolicy, is_mlp_folder
 
-FORMAT = 1
+FORMAT = 2
+"""2: routes heed the scatter of episodes; portfolios of format 1 hold none, and still open."""
 KIND = "mbtl portfolio"
 MANIFEST = "portfolio.json"
 RETURNS = "returns.npz"
@@ -43,7 +44,7 @@ SavedPolicy = tuple[str, Path | None, Any]
 def write_portfolio(
     folder: Path,
     record: Record,
-    returns: Array,
+    arrays: Mapping[str, Array],
     policies: Sequence[SavedPolicy],
     *,
     overwrite: bool,
@@ -53,7 +54,7 @@ def write_portfolio(
     Args:
         folder: does not exist, is empty, or holds a portfolio and `overwrite` is set.
         record: JSON-able description; hashes, policies and versions are added here.
-        returns: (k, N).
+        arrays: "returns" (k, N), and others of its shape.
         policies: k entries.
         overwrite: replace the portfolio that is there.
 
@@ -67,7 +68,7 @@ def write_portfolio(
         folder.parent.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.partial-", dir=folder.parent))
         partial.chmod(0o755)  # mkdtemp's 0o700 would lock out everyone the portfolio is shared with
-        np.savez(partial / RETURNS, returns=returns)
+        np.savez(partial / RETURNS, **arrays)  # type: ignore[arg-type]
         entries = [_write_policy(partial, *policy) for policy in policies]
         manifest = {
             "kind": KIND,
@@ -90,8 +91,8 @@ def write_portfolio(
     return folder
 
 
-def read_portfolio(folder: Path) -> tuple[Record, Array, list[Path | None]]:
-    """Manifest, (k, N) returns and the folder of each policy; every file checked against its hash.
+def read_portfolio(folder: Path) -> tuple[Record, dict[str, Array], list[Path | None]]:
+    """Manifest, arrays (k, N) by name, the folder of each policy; every file checked by its hash.
 
     Raises:
         StorageError: not a portfolio, a file is missing or changed, or the format is newer.
@@ -100,8 +101,9 @@ def read_portfolio(folder: Path) -> tuple[Record, Array, list[Path | None]]:
     try:
         _check_file(folder, manifest["returns"]["file"], manifest["returns"]["sha256"])
         path = _inside(folder, manifest["returns"]["file"])
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            returns = np.asarray(arrays["returns"], dtype=np.float64)
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as loaded:
+            arrays = {name: np.asarray(loaded[name], np.float64) for name in loaded.files}
+        arrays["returns"]
         folders: list[Path | None] = []
         for entry in manifest["policies"]:
             place = entry["folder"]
@@ -112,7 +114,7 @@ def read_portfolio(folder: Path) -> tuple[Record, Array, list[Path | None]]:
         raise StorageError(
             f"{folder / MANIFEST} must describe a whole portfolio, got {error!r}; save it again"
         ) from error
-    return manifest, returns, folders
+    return manifest, arrays, folders
 
 
 def load_policy(folder: Path, policy_format: str, load: Callable[[Path], Any] | None) -> Any:

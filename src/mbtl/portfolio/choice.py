@@ -7,20 +7,26 @@ from dataclasses import dataclass
 from mbtl.contexts import Context, ContextSpace
 from mbtl.portfolio.router import Basis
 
+SURE = 1.96
+"""Standard errors beyond which a difference is none of chance."""
+
 
 @dataclass(frozen=True)
 class Choice:
     """Which policy serves a context, and why.
 
     Attributes:
-        policy: position in the portfolio, 0..k-1.
+        policy: position in the portfolio, 0..k-1; people count from 1.
         source: index of the context it was trained on.
         source_context: that context.
         predicted_return: what it should return on the asked context, raw units.
-        basis: "observed" (measured there), "interpolated" (from its returns on the nearest listed
-            contexts) or "gap model" (training return less theta per grid step).
+        error: standard error of that, raw units; None: unknown, from one episode.
+        basis: "observed" (measured there), "predicted" (by the transfer model, from what was
+            measured elsewhere), "interpolated" (between the nearest listed contexts) or "gap model"
+            (training return less theta per grid step).
         runner_up: position of the second best policy; None when there is none to compare.
         margin: how much better than the runner-up, >= 0, raw units; None without one.
+        margin_error: standard error of the margin, raw units; None: unknown.
         explanation: the same in one sentence.
     """
 
@@ -28,34 +34,48 @@ class Choice:
     source: int
     source_context: Context
     predicted_return: float
+    error: float | None
     basis: Basis
     runner_up: int | None
     margin: float | None
+    margin_error: float | None
     explanation: str
 
 
-def explanation(
-    space: ContextSpace,
-    policy: int,
-    source: int,
-    predicted: float,
-    basis: Basis,
-    steps: float,
-    runner_up: int | None,
-    margin: float | None,
-) -> str:
-    """One sentence; `steps` is the distance from the source in grid steps."""
+def explanation(space: ContextSpace, choice: Choice, steps: float, alike: bool) -> str:
+    """One sentence.
+
+    Args:
+        space: of the contexts.
+        choice: but for the sentence.
+        steps: distance from the source, in grid steps.
+        alike: the runner-up was trained at the same distance.
+    """
+    bar = "" if not choice.error else f" +- {SURE * choice.error:.3g}"
+    said = f"{choice.predicted_return:.6g}{bar}"
     how = {
-        "observed": f"returned {predicted:.6g} when it was evaluated here",
-        "interpolated": f"should return about {predicted:.6g}, judging by its returns on the "
-        "nearest evaluated contexts",
-        "gap model": f"should return about {predicted:.6g}, its training return less the expected "
-        f"loss over {steps:.3g} grid steps",
-    }[basis]
-    if runner_up is None:
-        rest = "no other policy can be compared"
-    elif margin == 0.0:
-        rest = f"policy {runner_up} does as well but was not trained nearer"
-    else:
-        rest = f"the next best, policy {runner_up}, is {margin:.3g} behind"
-    return f"Policy {policy}, trained on {space.describe(space.context(source))}, {how}; {rest}."
+        "observed": f"returned {said} when it was evaluated here",
+        "predicted": f"should return about {said}: it was not evaluated here, the transfer model "
+        "predicts it",
+        "interpolated": f"should return about {said}, judging by the nearest listed contexts",
+        "gap model": f"should return about {said}, its training return less the expected loss over "
+        f"{steps:.3g} grid steps",
+    }[choice.basis]
+    where = space.describe(choice.source_context)
+    return f"Policy {choice.policy + 1}, trained on {where}, {how}; {_rest(choice, alike)}."
+
+
+def _rest(choice: Choice, alike: bool) -> str:
+    if choice.runner_up is None or choice.margin is None:
+        return "no other policy can be compared"
+    other = f"policy {choice.runner_up + 1}"
+    if choice.margin_error is None:
+        if choice.margin == 0.0:
+            return f"{other} did as well in the one episode there was"
+        return f"{other} was {choice.margin:.3g} behind, in one episode: that may be chance"
+    if choice.margin == 0.0:
+        nearer = "as near" if alike else "not trained nearer"
+        return f"{other} does as well and was {'trained ' if alike else ''}{nearer}"
+    if choice.margin < SURE * choice.margin_error:
+        return f"{other} may do as well: the difference is within the noise"
+    return f"the next best, {other}, is {choice.margin:.3g} behind"

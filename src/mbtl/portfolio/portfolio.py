@@ -1,15 +1,16 @@
 """Portfolio: trained policies and a router, so that each context gets the policy that serves it.
 
 Notation (shapes): k policies, N listed contexts.
-    sources  (k,)     context index each policy was trained on
-    returns  (k, N)   mean undiscounted return of each policy on each context, raw units; NaN where
-                      a policy was not evaluated
+    sources     (k,)     context index each policy was trained on
+    returns     (k, N)   mean undiscounted return of each policy on each context, raw units; NaN
+                         where a policy was not evaluated
+    deviations  (k, N)   standard deviation of single episodes, with n - 1; NaN where unknown
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,12 +20,12 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Value
 from mbtl.errors import InvalidInput, StorageError
-from mbtl.objective import Bounds, generalisation_performance, nearest_filled, value
+from mbtl.objective import Bounds
 from mbtl.portfolio import router
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
 from mbtl.portfolio.choice import Choice, explanation
 from mbtl.portfolio.mlp import MLPPolicy
-from mbtl.portfolio.router import Indices
+from mbtl.routing import Indices, Routing
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,7 +37,11 @@ class Portfolio:
         sources: context index each policy was trained on; a source may occur twice.
         returns: (k, N) raw mean returns; NaN where a policy was not evaluated.
         bounds: normalisation of returns, with the direction that is better.
-        theta: slope of the linear gap, performance per grid step; used where nothing was measured.
+        theta: slope of the linear gap, performance per grid step; used where no listed context is
+            near.
+        deviations: (k, N) of single episodes, raw units; None: unknown, returns count as exact.
+        episodes: (k,) behind each row; one where not said.
+        risk: share of the contexts, the worst of them, that V is the mean of.
         policy_folders: per policy the folder a trainer saved it in; None if it was not saved.
         policy_format: "mlp", "sb3" or "custom", see `mbtl.trainer.Trainer.policy_format`.
         load: folder -> policy; needed for the format "custom", replaces our own loaders otherwise.
@@ -53,6 +58,9 @@ class Portfolio:
     returns: Array
     bounds: Bounds
     theta: float
+    deviations: Array | None = None
+    episodes: Sequence[int] = ()
+    risk: float = 1.0
     policy_folders: Sequence[Path | None] = ()
     policy_format: str = "custom"
     load: Callable[[Path], Any] | None = None
@@ -64,11 +72,17 @@ class Portfolio:
     def __post_init__(self) -> None:
         returns = np.array(self.returns, dtype=np.float64)
         returns.setflags(write=False)
+        if self.deviations is not None:
+            deviations = np.array(self.deviations, dtype=np.float64)
+            deviations.setflags(write=False)
+            object.__setattr__(self, "deviations", deviations)
         sources = tuple(int(source) for source in self.sources)
         folders = tuple(self.policy_folders) or (None,) * len(sources)
         object.__setattr__(self, "returns", returns)
         object.__setattr__(self, "sources", sources)
         object.__setattr__(self, "policy_folders", folders)
+        episodes = tuple(int(count) for count in self.episodes) or (1,) * len(sources)
+        object.__setattr__(self, "episodes", episodes)
         self._loaded.update(self.in_memory)
         k, n = len(sources), self.space.n
         if k == 0 or returns.shape != (k, n):
@@ -82,9 +96,22 @@ class Portfolio:
             raise InvalidInput(
                 f"policy_folders needs one folder or None per policy, got {len(folders)} for {k}"
             )
+        if self.deviations is not None and self.deviations.shape != returns.shape:
+            raise InvalidInput(
+                f"deviations must have the shape of returns {returns.shape}, got "
+                f"{self.deviations.shape}"
+            )
+        if len(episodes) != k or min(episodes) < 1:
+            raise InvalidInput(
+                f"episodes needs a whole number >= 1 for each of {k} policies, got {episodes}"
+            )
         if np.isinf(returns).any():
             raise InvalidInput(
                 "returns must be finite, or NaN where not evaluated; got an infinite one"
+            )
+        if not np.isfinite(returns).any():
+            raise InvalidInput(
+                "routing needs a return of at least one policy, got none that is known"
             )
         if not (np.isfinite(self.theta) and self.theta >= 0):
             raise InvalidInput(f"theta must be finite and >= 0, got {self.theta!r}")
@@ -99,32 +126,24 @@ class Portfolio:
 
     @property
     def value(self) -> float:
-        """V of the returns held here: weighted mean over contexts of the best performance.
-
-        A policy counts as on the nearest context where it was evaluated.
-        """
-        rows = nearest_filled(self.performance, self.space.steps)
-        return value(generalisation_performance(rows), self.space.weights)
-
-    @cached_property
-    def _judged(self) -> Array:
-        """(k, N) performance that routing compares; one entry alone is left to the gap model."""
-        return nearest_filled(self.performance, self.space.steps, least=2)
-
-    def first(self, k: int) -> Portfolio:
-        """The portfolio as it was after `k` trainings, without the policies themselves."""
-        return Portfolio(self.space, self.sources[:k], self.returns[:k], self.bounds, self.theta)
+        """V of the policies as they are routed, by the returns held here; see `routing`."""
+        return self.routing.value.value
 
     # ---- routing -----------------------------------------------------------------------------
 
     @cached_property
+    def routing(self) -> Routing:
+        """Who serves which listed context, what that is worth, and how sure."""
+        width = self.bounds.high - self.bounds.low
+        scatter = None if self.deviations is None else self.deviations / width
+        return Routing(
+            self.space, self.sources, self.performance, scatter, self.episodes, risk=self.risk
+        )
+
+    @property
     def assignment(self) -> Indices:
         """(N,) position of the policy that serves each listed context: the policy map."""
-        chosen = router.assign(self.space, self.sources, self._judged)
-        for target in np.flatnonzero(chosen < 0):
-            chosen[target] = self.explain(self.space.context(int(target))).policy
-        chosen.setflags(write=False)
-        return chosen
+        return self.routing.route
 
     @property
     def sources_used(self) -> tuple[int, ...]:
@@ -136,29 +155,43 @@ class Portfolio:
 
         Raises:
             ContextMismatch: the context lies outside the axes.
-            InvalidInput: no policy has a measured or predicted return there.
         """
-        seen = router.forecast(self.space, self.sources, self._judged, self.theta, context)
+        beliefs = self.routing.beliefs
+        seen = router.forecast(self.space, self.sources, beliefs, self.theta, context)
         ranking = seen.ranking(self.sources)
-        if not ranking:
-            raise InvalidInput(
-                f"routing needs a policy that was evaluated on its source or near the context, got "
-                f"none for {dict(context)!r}; evaluate the policies first"
-            )
         best, runner_up = ranking[0], ranking[1] if len(ranking) > 1 else None
-        source, basis = self.sources[best], seen.basis[best]
-        returns = self.bounds.denormalise(seen.performance)
-        if basis == "observed":
-            measured = self.returns[:, seen.target]  # the number itself, free of rounding
-            returns = np.where(np.isfinite(measured), measured, returns)
-            basis = basis if np.isfinite(measured[best]) else "interpolated"
-        predicted = float(returns[best])
-        margin = None if runner_up is None else abs(predicted - float(returns[runner_up]))
-        steps = float(seen.distance[best])
-        sentence = explanation(self.space, best, source, predicted, basis, steps, runner_up, margin)
-        return Choice(
-            best, source, self.space.context(source), predicted, basis, runner_up, margin, sentence
+        returns, errors = self.bounds.denormalise(seen.performance), self._errors(seen.error)
+        if seen.target is not None:  # the number itself where it is exact, free of rounding
+            measured = self.returns[:, seen.target]
+            exact = np.isfinite(measured) & (seen.error == 0.0)
+            returns = np.where(exact, measured, returns)
+        predicted, margin, margin_error = float(returns[best]), None, None
+        if runner_up is not None:
+            margin = abs(predicted - float(returns[runner_up]))
+            if errors is not None:
+                margin_error = float(np.hypot(errors[best], errors[runner_up]))
+        source = self.sources[best]
+        choice = Choice(
+            policy=best,
+            source=source,
+            source_context=self.space.context(source),
+            predicted_return=predicted,
+            error=None if errors is None else float(errors[best]),
+            basis=seen.basis[best],
+            runner_up=runner_up,
+            margin=margin,
+            margin_error=margin_error,
+            explanation="",
         )
+        alike = runner_up is not None and seen.distance[best] == seen.distance[runner_up]
+        sentence = explanation(self.space, choice, float(seen.distance[best]), bool(alike))
+        return replace(choice, explanation=sentence)
+
+    def _errors(self, performance: Array) -> Array | None:
+        """Raw units; None where nobody can say: all from one episode, and nothing predicted."""
+        if not self.routing.noise_is_known and not performance.any():
+            return None
+        return performance * (self.bounds.high - self.bounds.low)
 
     def policy_for(self, context: Mapping[str, Value]) -> Any:
         """The policy that serves a context; `explain` gives the reason."""
@@ -213,14 +246,19 @@ class Portfolio:
         record = {
             "cmdp": self.cmdp,
             "space": self.space.to_json(),
-            "bounds": {"low": bounds.low, "high": bounds.high, "direction": bounds.direction},
+            "bounds": {k: v for k, v in asdict(bounds).items() if v is not None},
             "theta": self.theta,
             "sources": list(self.sources),
+            "episodes": list(self.episodes),
+            "risk": self.risk,
             "policy_format": self.policy_format,
             "metadata": dict(self.metadata),
         }
+        arrays = {"returns": self.returns}
+        if self.deviations is not None:
+            arrays["deviations"] = self.deviations
         return write_portfolio(
-            Path(folder), record, self.returns, self._saved_policies(), overwrite=overwrite
+            Path(folder), record, arrays, self._saved_policies(), overwrite=overwrite
         )
 
     @property
@@ -260,14 +298,17 @@ def load_portfolio(folder: Path | str, load: Callable[[Path], Any] | None = None
     Raises:
         StorageError: not a portfolio, a file is missing or changed, or the format is newer.
     """
-    record, returns, folders = read_portfolio(Path(folder))
+    record, arrays, folders = read_portfolio(Path(folder))
     try:
         return Portfolio(
             space=ContextSpace.from_json(record["space"]),
             sources=tuple(record["sources"]),
-            returns=returns,
+            returns=arrays["returns"],
             bounds=Bounds(**record["bounds"]),
             theta=record["theta"],
+            deviations=arrays.get("deviations"),
+            episodes=record.get("episodes", ()),
+            risk=record.get("risk", 1.0),
             policy_folders=folders,
             policy_format=record["policy_format"],
             load=load,

@@ -1,16 +1,15 @@
-"""Routing: which trained policy serves a context, and what return it should earn there.
+"""Routing one context: what each policy should achieve there, on the list of contexts or off it.
 
-On a listed context the measured returns decide; a policy evaluated on some contexts only counts as
-on the nearest of those (`mbtl.objective.nearest_filled`). Elsewhere each is judged by its own row:
+On a listed context beliefs decide (`mbtl.models.beliefs`): what was measured, with its noise
+shrunk, or what the transfer model predicts. Elsewhere each policy is judged by the beliefs around:
 
     grid, one axis    linear interpolation between the grid points around the context (multilinear
                       with more axes; beyond the outermost grid value, that value's return)
     other point list  mean of the 2d nearest listed contexts, weighted by 1 / distance^2 in steps
-    nothing measured  linear gap model: J(pi_i, x_i) - theta |x - x_i|, distance in grid steps
-                      (paper, Assumption 1); also for a categorical level that no listed context has
+    nothing around    linear gap model: J(pi_i, x_i) - theta |x - x_i|, distance in grid steps
+                      (paper, Assumption 1); for a categorical level that no listed context has
 
 Notation (shapes): k policies, N listed contexts.
-    performance  (k, N)   larger is better; NaN where a policy was not evaluated
     sources      (k,)     context index each policy was trained on
     distance     (k,)     Euclidean norm, in grid steps, from each source to the context
 """
@@ -28,11 +27,12 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.contexts import Categorical, ContextSpace, Value
 from mbtl.errors import ContextMismatch
+from mbtl.models.beliefs import Beliefs
+from mbtl.routing import rank
 
-Basis = Literal["observed", "interpolated", "gap model"]
+Basis = Literal["observed", "predicted", "interpolated", "gap model"]
+Bases = tuple[Basis, ...]
 Indices = NDArray[np.intp]
-
-_TIE_DECIMALS = 12  # performances equal to this many decimals are a tie
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,34 +40,33 @@ class Forecast:
     """What each policy should achieve on one context.
 
     Attributes:
-        performance: (k,) NaN where nothing can be said.
+        performance: (k,) expected.
+        error: (k,) standard deviations, of noise and of what was predicted.
         basis: (k,) where each number comes from.
         distance: (k,) grid steps from each source.
         target: index of the context, None off the list.
     """
 
     performance: Array
-    basis: tuple[Basis, ...]
+    error: Array
+    basis: Bases
     distance: Array
     target: int | None
 
     def ranking(self, sources: Sequence[int]) -> list[int]:
-        """Policies from best to worst (ties: distance, source index); unknown ones left out."""
-        order = _order(self.performance, self.distance, np.asarray(sources, dtype=np.intp))
-        return [int(i) for i in order if np.isfinite(self.performance[i])]
+        """Policies from best to worst, as `mbtl.routing` ranks them."""
+        order = rank(self.performance, self.distance, np.asarray(sources, dtype=np.intp))
+        return [int(i) for i in order]
 
 
 def forecast(
     space: ContextSpace,
     sources: Sequence[int],
-    performance: Array,
+    beliefs: Beliefs,
     theta: float,
     context: Mapping[str, Value],
 ) -> Forecast:
     """Performance of every policy on `context`, and how it is known.
-
-    On a listed context that any policy was evaluated on, measured values are all that counts: a
-    policy without one is left out (NaN) rather than compared by a guess.
 
     Raises:
         ContextMismatch: the context lies outside the axes.
@@ -75,45 +74,23 @@ def forecast(
     here = space.encode_steps(context)
     distance = np.linalg.norm(space.steps[list(sources)] - here, axis=1)
     target = _listed(space, context)
-    if target is not None and np.isfinite(performance[:, target]).any():
-        seen_here: tuple[Basis, ...] = tuple("observed" for _ in performance)
-        return Forecast(performance[:, target], seen_here, distance, target)
+    if target is not None:
+        mean, std = (column[:, 0] for column in beliefs.on(np.array([target])))
+        return Forecast(mean, std, _seen(beliefs, target), distance, target)
     nearby, weights = _neighbours(space, here)
-    values = np.empty(len(performance))
-    basis: list[Basis] = []
-    for i, (row, source) in enumerate(zip(performance, sources, strict=True)):
-        seen = np.isfinite(row[nearby]) & (weights > 0)
-        if seen.any():
-            values[i] = np.average(row[nearby][seen], weights=weights[seen])
-            basis.append("interpolated")
-        else:
-            values[i] = row[source] - theta * distance[i]
-            basis.append("gap model")
-    return Forecast(values, tuple(basis), distance, target)
+    if len(nearby):
+        mean, std = beliefs.on(nearby)
+        between: list[Basis] = ["interpolated"] * len(sources)
+        return Forecast(mean @ weights, std @ weights, tuple(between), distance, None)
+    mean, std = beliefs.on(np.asarray(sources, dtype=np.intp))
+    own = np.arange(len(sources))
+    guessed: list[Basis] = ["gap model"] * len(sources)
+    expected = mean[own, own] - theta * distance
+    return Forecast(expected, std[own, own], tuple(guessed), distance, None)
 
 
-def assign(space: ContextSpace, sources: Sequence[int], performance: Array) -> Indices:
-    """(N,) policy of every listed context by measured returns; -1 where none was evaluated.
-
-    The same rule as `forecast(...).ranking(...)[0]`, for all contexts at once.
-    """
-    index = np.asarray(sources, dtype=np.intp)
-    scores = np.round(np.where(np.isfinite(performance), performance, -np.inf), _TIE_DECIMALS)
-    best = scores.max(axis=0)
-    chosen = np.full(space.n, -1, dtype=np.intp)
-    nearest = np.full(space.n, np.inf)
-    for i in np.lexsort(
-        (np.arange(len(index)), index)
-    ):  # lowest source index first, so it wins a tie
-        distance = np.linalg.norm(space.steps - space.steps[index[i]], axis=1)
-        wins = (scores[i] == best) & np.isfinite(best) & (distance < nearest)
-        chosen[wins], nearest[wins] = i, distance[wins]
-    return chosen
-
-
-def _order(performance: Array, distance: Array, sources: Indices) -> Indices:
-    scores = np.round(np.where(np.isfinite(performance), performance, -np.inf), _TIE_DECIMALS)
-    return np.lexsort((np.arange(len(sources)), sources, distance, -scores))
+def _seen(beliefs: Beliefs, target: int) -> Bases:
+    return tuple("observed" if seen else "predicted" for seen in beliefs.measured[:, target])
 
 
 def _listed(space: ContextSpace, context: Mapping[str, Value]) -> int | None:

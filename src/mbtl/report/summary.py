@@ -6,7 +6,7 @@ one: the rows that chose the routes are noisy, so their own maximum is biased up
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,16 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.history import History
 from mbtl.objective import value, worst_share_mean
+from mbtl.routing import Routing, Valuation
 from mbtl.selectors import Auto, Exhausted, Proposal, SelectionProblem
 from mbtl.study import Study
-from mbtl.study.fresh import fresh_curve, fresh_performance
+from mbtl.study.fresh import fresh_value
 
+SURE = 1.96
+"""Standard errors on either side of an interval of 95 %."""
 TENTH = 0.1
+ENOUGH_GAIN = 0.01
+"""Gain in V below which more policies are not worth their trouble."""
 ENOUGH = 0.99
 """Share of the portfolio's gain over its best single policy that counts as all of it."""
 
@@ -33,10 +38,12 @@ class PickSummary:
         source: context index.
         context: the context.
         reason: why the selector chose it.
-        status: "told", "failed: ..." or "open".
-        value: V after this row, on the selecting episodes; None unless told.
+        status: "told", "failed: ...", "open", or "open: ..." for a policy that could not be
+            evaluated.
+        value: V after this row, by the rows that routed the policies; None unless told.
         fresh_value: the same on fresh episodes; None where not measured.
         seconds: wall time of training and evaluation; None when unknown.
+        traceback: of a failure, where it came from; empty where that is not known.
     """
 
     number: int | None
@@ -47,6 +54,7 @@ class PickSummary:
     value: float | None
     fresh_value: float | None
     seconds: float | None
+    traceback: str = ""
 
 
 @dataclass(frozen=True)
@@ -63,12 +71,18 @@ class StudySummary:
         automatic_bounds: the bounds are the range of the returns told so far.
         episodes: episodes behind each entry of a row.
         picks: the sources in order.
-        value: V now, on the selecting episodes; None before the first row.
+        value: V now, by the rows that routed the policies; None before the first row.
+        value_margin: half its 95 % interval: of noise, of what was predicted, of what was sampled;
+            None where all rows are of one episode, which says nothing of chance.
+        measured: share of the weight whose serving policy was evaluated right there.
         fresh_value: V on fresh episodes; None where not measured.
+        fresh_margin: half its 95 % interval; None where unknown.
         worst_tenth: mean performance of the tenth of the contexts, by weight, served worst;
             on fresh episodes where there are any.
         best_single: source of the best single policy.
-        best_single_value: its own V, on the selecting episodes.
+        best_single_value: its own V, by the same rows.
+        single_gain: V less that.
+        single_gain_margin: half its 95 % interval; None where unknown.
         policies_enough: fewest policies that reach 99 % of the way from it to V.
         next_source: where one more training is predicted to gain most, by the model of `auto`
             whatever the selector; None if none is left.
@@ -86,10 +100,15 @@ class StudySummary:
     episodes: int
     picks: tuple[PickSummary, ...]
     value: float | None
+    value_margin: float | None
+    measured: float | None
     fresh_value: float | None
+    fresh_margin: float | None
     worst_tenth: float | None
     best_single: int | None
     best_single_value: float | None
+    single_gain: float | None
+    single_gain_margin: float | None
     policies_enough: int | None
     next_source: int | None
     next_gain: float | None
@@ -106,17 +125,32 @@ class StudySummary:
 
     @property
     def verdict(self) -> str:
-        """Whether one policy or more would do, in a sentence."""
-        if self.value is None or self.best_single_value is None:
+        """Whether one policy or more would do, in a sentence; silent where chance decides."""
+        if self.value is None or self.best_single_value is None or self.single_gain is None:
             return "No policy was trained yet."
-        single = self.best_single_value
-        gain = self.value - single
-        if gain < 0.01:
-            return f"One policy would do: the others add {gain:.4f} to its {single:.4f}."
+        if len(self.told) == 1:
+            return "There is one policy."
+        gain, margin = self.single_gain, self.single_gain_margin
+        if margin is None:
+            return (
+                "Whether one policy would do cannot be said from one episode per context; evaluate "
+                "with more."
+            )
+        bar = f" +- {margin:.4f}" if margin else ""
+        if gain + margin < ENOUGH_GAIN:
+            return (
+                f"One policy would do: the others add {gain:.4f}{bar} to its "
+                f"{self.best_single_value:.4f}."
+            )
+        if gain - margin < ENOUGH_GAIN:
+            return (
+                f"Whether one policy would do is within the noise: the others add {gain:.4f}{bar} "
+                f"to its {self.best_single_value:.4f}."
+            )
         return (
-            f"One policy would not do: the best alone reaches {single:.4f}, all "
-            f"{len(self.told)} reach {self.value:.4f}, and {self.policies_enough} of them give "
-            f"{ENOUGH:.0%} of that gain."
+            f"One policy would not do: the best alone reaches {self.best_single_value:.4f}, all "
+            f"{len(self.told)} reach {self.value:.4f}{bar}. You need {self.policies_enough} "
+            f"policies for {ENOUGH:.0%} of that gain."
         )
 
 
@@ -124,12 +158,9 @@ def summarise_study(study: Study) -> StudySummary:
     """Compute the summary of a study as it stands."""
     state = study.refresh()
     history, weights, space = study.history, study.space.weights, study.space
-    curve, measured = study.curve, fresh_performance(study)
-    risk = study.spec.risk
-    fresh = fresh_curve(study, measured)
-    picks = _picks(study, curve, fresh)
-    bounds = study.bounds
-    best_and_worst = tuple(float(r) for r in bounds.denormalise(np.array([0.0, 1.0])))
+    fresh = fresh_value(study)
+    curve, risk = study.curve, study.spec.risk
+    best_and_worst = tuple(float(r) for r in study.bounds.denormalise(np.array([0.0, 1.0])))
     common: dict[str, Any] = {
         "problem": study.spec.problem,
         "selector": str(study.spec.selector["name"]),
@@ -138,40 +169,41 @@ def summarise_study(study: Study) -> StudySummary:
         "finished": study.stop_reason if study.is_finished else None,
         "bounds": best_and_worst,
         "automatic_bounds": study.spec.bounds is None,
-        "picks": picks,
+        "picks": _picks(study, curve, None if fresh is None else fresh.values),
     }
     if not len(history):
-        return StudySummary(
-            **common,
-            episodes=0,
-            value=None,
-            fresh_value=None,
-            worst_tenth=None,
-            best_single=None,
-            best_single_value=None,
-            policies_enough=None,
-            next_source=None,
-            next_gain=None,
-            serving=(),
-        )
-    rows = history.filled(space.steps)
-    singles = worst_share_mean(rows, weights, risk)
-    best_single = int(singles.argmax())
-    served = rows.max(axis=0) if measured is None else measured[-1]
+        empty: dict[str, Any] = {f.name: None for f in fields(StudySummary)}
+        return StudySummary(**{**empty, "episodes": 0, "serving": (), **common})
+    routing = study.routing
+    now, best_single = routing.value, int(routing.singles.argmax())
+    over = routing.gain_over(best_single)
+    served = routing.served if fresh is None else fresh.served[-1]
     coming = _one_more(study.problem, history)
     return StudySummary(
         **common,
         episodes=state.rows[-1].episodes,
-        value=float(curve[-1]),
-        fresh_value=None if fresh is None else float(fresh[-1]),
+        value=now.value,
+        value_margin=_margin(now, routing),
+        measured=now.measured,
+        fresh_value=None if fresh is None else float(fresh.values[-1]),
+        fresh_margin=None if fresh is None else fresh.margin(),
         worst_tenth=float(worst_share_mean(served, weights, TENTH)),
         best_single=history.sources[best_single],
-        best_single_value=float(singles[best_single]),
-        policies_enough=policies_enough(rows, weights, risk=risk),
+        best_single_value=float(routing.singles[best_single]),
+        single_gain=over.value,
+        single_gain_margin=_margin(over, routing),
+        policies_enough=policies_enough(routing.believed, weights, risk=risk),
         next_source=None if coming is None else coming.source,
         next_gain=None if coming is None else coming.acquisition,
-        serving=tuple(history.sources[i] for i in study.portfolio().assignment),
+        serving=tuple(history.sources[i] for i in routing.route),
     )
+
+
+def _margin(found: Valuation, routing: Routing) -> float | None:
+    """Half a 95 % interval; None where nobody can say."""
+    if found.error == 0.0 and not routing.noise_is_known:
+        return None
+    return SURE * found.error
 
 
 def _one_more(problem: SelectionProblem, history: History) -> Proposal | None:
@@ -227,11 +259,16 @@ def _picks(study: Study, curve: Array, fresh: Array | None) -> tuple[PickSummary
             value=None,
             fresh_value=None,
             seconds=None,
+            traceback=f.traceback,
         )
         for f in state.failures
     ]
-    held = [
-        PickSummary(n, p.source, space.context(p.source), p.reason, "open", None, None, None)
-        for n, p in state.open_picks.items()
-    ]
+    held = []
+    for n, p in state.open_picks.items():
+        cause = state.deferred.get(n)
+        status, trace = (
+            ("open", "") if cause is None else (f"open: {cause.reason}", cause.traceback)
+        )
+        context = space.context(p.source)
+        held.append(PickSummary(n, p.source, context, p.reason, status, None, None, None, trace))
     return (*told, *sorted([*failed, *held], key=lambda pick: pick.number or 0))

@@ -36,27 +36,37 @@ def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) ->
         screen.print(line, markup=False, highlight=False)
 
 
+def show_causes(screen: Console, summary: StudySummary, space: ContextSpace) -> None:
+    """Print where each failure came from, once for all picks that failed the same way."""
+    places: dict[str, list[str]] = {}
+    for pick in summary.picks:
+        if pick.traceback and pick.number is not None:
+            where = f"pick {pick.number + 1} ({space.describe(pick.context)})"
+            places.setdefault(pick.traceback, []).append(where)
+    for trace, picks in places.items():
+        screen.print(f"\n{', '.join(picks)}:", markup=False, highlight=False)
+        screen.print(trace.rstrip(), markup=False, highlight=False, soft_wrap=True)
+
+
 def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     """The sentences under the table."""
     worst, best = summary.bounds
     out = [
-        f"Performance 0 and 1 are returns of {worst:g} and {best:g}; {summary.episodes} episodes a "
-        "target."
+        f"Scores are scaled: a return of {worst:g} counts as 0, one of {best:g} as 1. Every "
+        f"context was evaluated in {_episodes(summary.episodes)}."
     ]
     if summary.automatic_bounds:
         out.append(
-            "Those are the extremes of the returns told so far, so V moves with them and may leave "
-            "0..1 on fresh episodes; give the problem bounds for a fixed scale."
+            "You gave no bounds, so the scale changes as results arrive; set bounds=(low, high)."
         )
     if summary.fresh_value is not None:
         out.append(
-            f"V = {summary.fresh_value:.4f} on fresh episodes "
-            f"(selecting episodes: {summary.value:.4f})."
+            f"V = {_with_margin(summary.fresh_value, summary.fresh_margin)} on fresh episodes."
         )
-    elif summary.value is not None:
+    if summary.value is not None and summary.measured is not None:
         out.append(
-            f"V = {summary.value:.4f} on the selecting episodes, which flatters; "
-            "no fresh ones were run."
+            f"V = {_with_margin(summary.value, summary.value_margin)} by the episodes that chose "
+            f"the policies{_extrapolated(summary.measured)}."
         )
     if summary.worst_tenth is not None:
         out.append(f"The tenth of the contexts served worst: {summary.worst_tenth:.4f}.")
@@ -71,6 +81,22 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     if summary.finished:
         out.append(f"The study is finished: {summary.finished}.")
     return out
+
+
+def _episodes(count: int) -> str:
+    return "one episode" if count == 1 else f"{count} episodes"
+
+
+def _with_margin(value: float, margin: float | None) -> str:
+    if margin is None:
+        return f"{value:.4f} (one episode each, so its error is unknown)"
+    return f"{value:.4f} +- {margin:.4f}" if margin >= _NOTHING else f"{value:.4f}"
+
+
+def _extrapolated(measured: float) -> str:
+    if measured > 1.0 - 1e-9:
+        return ""
+    return f"; {measured:.0%} of it is measured, the rest predicted by the transfer model"
 
 
 def _number(value: float | None) -> str:

@@ -26,13 +26,8 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.priors import PRIORS, prior_without
 from mbtl.models.relevance import Columns, fit_relevance, stretched
-from mbtl.models.transfer_gp import (
-    Pairs,
-    TransferGP,
-    TransferPrior,
-    grid_pairs,
-    likely_noise,
-)
+from mbtl.models.transfer_gp import TransferGP, likely_noise
+from mbtl.models.transfer_kernel import Pairs, TransferPrior, grid_pairs
 from mbtl.selectors.base import (
     Proposal,
     SelectionProblem,
@@ -43,12 +38,15 @@ from mbtl.selectors.base import (
 )
 
 Indices = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 
 _LEADERS, _AROUND = 3, 12
 """So many of the best candidates are looked around, at so many contexts each and round."""
 _MANY = 20_000
 """Contexts through which every round of the search may look."""
 _LONELY = "far from all sources, as every so many-th pick"
+_LEFT = 25
+"""Candidates, and targets, that stand for all when it is asked what is left to gain."""
 _MARGIN = 0.02
 """By how much `top` lies above the best seen, as a share of the range seen."""
 
@@ -106,20 +104,27 @@ class Auto:
             source = farthest_open(problem, history.sources, mask)
             note = f"the transfer model could not be fitted ({error})"
             return Proposal(source, "far from what was tried so far", None, (note,))
+        return self._choose(problem, history, mask, beliefs)
+
+    def _choose(
+        self, problem: SelectionProblem, history: History, mask: Mask, beliefs: _Beliefs
+    ) -> Proposal:
         costs = np.ones(problem.n)
         if problem.costs is not None:  # their unit must not matter to what counts as a tie
             costs = problem.costs / problem.costs.mean()
-        counted = np.flatnonzero(problem.weights > 0)
-        wide = _spread(problem, counted, self.final_targets)
+        wide = _spread(problem, np.flatnonzero(problem.weights > 0), self.final_targets)
         outlook = first = beliefs.row_gain(beliefs.targets)
         if not problem.is_line and len(wide) > len(beliefs.targets):
             # a few targets on several axes are a sample, with its luck; on a line they are even
             outlook = beliefs.row_gain(wide)
         search = partial(_search, problem, np.flatnonzero(mask), self.most_candidates, costs=costs)
         lonely = self._least_covered(problem, history, wide, search, costs)
-        if lonely is not None and problem.least_gain is None:
+        if lonely is not None and problem.least_gain is None and problem.least_left is None:
             return Proposal(lonely, _LONELY, outlook.said(lonely))
         candidates, gain = search(first.expected)
+        left = (
+            None if problem.least_left is None else _chance_left(first, candidates, gain, problem)
+        )
         if outlook is not first:
             few = _finalists(gain / costs[candidates], self.most_candidates, self.finalists)
             candidates = candidates[np.union1d(few, gain.argmax())]
@@ -128,22 +133,10 @@ class Auto:
         if problem.least_gain is not None:
             chance = outlook.chance(int(candidates[gain.argmax()]), problem.least_gain)
         if lonely is not None:
-            return Proposal(lonely, _LONELY, outlook.said(lonely), chance=chance)
-        best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
-        source = int(candidates[best])
-        if gain[best] <= TIE:
-            source = farthest_open(problem, [*history.sources, *history.pending], mask)
-            reason = "no predicted gain anywhere: far from what was tried"
-            return Proposal(source, reason, 0.0, chance=chance)
-        reason = "largest expected gain"
-        if problem.costs is not None:
-            reason += " per cost"
-        if source in history.sources:
-            reason += ", trained again"
-        sampling = outlook.standard_error(source, len(counted))
-        judged = f"gain +- {sampling:.2g}: {len(outlook.targets)} of {len(counted)} targets judged"
-        notes = (judged,) if sampling else ()
-        return Proposal(source, reason, outlook.said(source), notes, chance)
+            chosen = Proposal(lonely, _LONELY, outlook.said(lonely))
+        else:
+            chosen = _largest(problem, history, outlook, candidates, gain, costs)
+        return replace(chosen, chance=chance, chance_left=left)
 
     def _least_covered(
         self,
@@ -228,6 +221,48 @@ class _Beliefs:
         top = np.maximum(highest + _MARGIN * float(np.ptp(self.y)), best)
         weights = self.problem.weights[targets] / self.problem.weights[targets].sum()
         return RowGain(self.expecting, targets, best, top, highest, weights, self.problem.risk)
+
+
+def _largest(
+    problem: SelectionProblem,
+    history: History,
+    outlook: RowGain,
+    candidates: Indices,
+    gain: Array,
+    costs: Array,
+) -> Proposal:
+    """The candidate of the largest gain per cost; far from all where nothing is to be gained."""
+    best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
+    source = int(candidates[best])
+    if gain[best] <= TIE:
+        mask = open_candidates(problem, history, repeats=problem.repeats)
+        source = farthest_open(problem, [*history.sources, *history.pending], mask)
+        return Proposal(source, "no predicted gain anywhere: far from what was tried", 0.0)
+    reason = "largest expected gain"
+    if problem.costs is not None:
+        reason += " per cost"
+    if source in history.sources:
+        reason += ", trained again"
+    counted = int(np.count_nonzero(problem.weights))
+    sampling = outlook.standard_error(source, counted)
+    judged = f"gain +- {sampling:.2g}: {len(outlook.targets)} of {counted} targets judged"
+    return Proposal(source, reason, outlook.said(source), (judged,) if sampling else ())
+
+
+def _chance_left(
+    outlook: RowGain, candidates: Indices, gain: Array, problem: SelectionProblem
+) -> float:
+    """That trainings on all contexts left together gain `least_left` or more.
+
+    The most promising and some spread ones stand for all of them, and few targets for all targets.
+    """
+    assert problem.least_left is not None
+    best = candidates[np.argsort(-gain, kind="stable")[: _LEFT // 2]]
+    rest = np.setdiff1d(candidates, best)
+    sources = np.union1d(best, _spread(problem, rest, _LEFT - len(best)))
+    return outlook.chance_together(
+        sources, _spread(problem, outlook.targets, _LEFT), problem.least_left
+    )
 
 
 def _floor(y: Array) -> float:

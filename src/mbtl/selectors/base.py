@@ -40,6 +40,7 @@ class SelectionProblem:
         cost_budget: of all trainings together; None for no limit.
         risk: share of the targets, the worst of them, that V is the mean of.
         least_gain: gain in V that one more training should be worth; None where that is not asked.
+        least_left: gain in V that all trainings left together should be worth; None: not asked.
         axes: of the context space, D columns together; empty: D linear axes.
     """
 
@@ -53,6 +54,7 @@ class SelectionProblem:
     cost_budget: float | None = None
     risk: float = 1.0
     least_gain: float | None = None
+    least_left: float | None = None
     axes: tuple[Axis, ...] = ()
 
     def __post_init__(self) -> None:
@@ -90,7 +92,7 @@ class SelectionProblem:
             space: the contexts.
             budget: number of trainings K.
             theta: slope of the linear gap.
-            **wishes: `repeats`, `costs`, `cost_budget`, `risk`, `least_gain`.
+            **wishes: `repeats`, `costs`, `cost_budget`, `risk`, `least_gain`, `least_left`.
         """
         slope = default_theta(space.n) if theta is None else theta
         return cls(space.unit, space.steps, space.weights, budget, slope, axes=space.axes, **wishes)
@@ -129,6 +131,8 @@ class Proposal:
         notes: what went differently from the plan (a fit that fell back, ...); kept in the study.
         chance: probability that V gains `least_gain` or more from the most promising training,
             which need not be this one; where the problem asks.
+        chance_left: probability that trainings on all contexts left together gain `least_left` or
+            more; where the problem asks.
     """
 
     source: int
@@ -136,6 +140,7 @@ class Proposal:
     acquisition: float | None = None
     notes: tuple[str, ...] = ()
     chance: float | None = None
+    chance_left: float | None = None
 
 
 @runtime_checkable
@@ -206,17 +211,6 @@ def nearest_distance(points: Array, taken: Array) -> Array:
     for place in taken:  # one after the other: there may be a million points
         nearest = np.minimum(nearest, np.sqrt(((points - place) ** 2).sum(axis=1)))
     return nearest
-
-
-def even_targets(problem: SelectionProblem, source: int, count: int) -> tuple[int, ...]:
-    """`count` targets evenly spaced in the list of contexts, the nearest one moved to the source.
-
-    The same targets for every policy, but for one: policies can then be compared. Targets chosen by
-    expected gain were measured to be worse (docs/studies.md).
-    """
-    every = np.linspace(0, problem.n - 1, count).round().astype(np.intp)
-    every[np.abs(every - source).argmin()] = source
-    return tuple(every.tolist())
 
 
 def first_pick(problem: SelectionProblem, history: History, mask: NDArray[np.bool_]) -> Proposal:

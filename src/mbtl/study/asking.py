@@ -7,10 +7,11 @@ import numpy as np
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import (
     Exhausted,
+    Proposal,
     Selector,
-    even_targets,
     open_candidates,
 )
+from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
 from mbtl.study.pick import StudyFinished
 from mbtl.study.state import StudySpec, StudyState
@@ -77,14 +78,31 @@ def _early_stop(state: StudyState) -> str | None:
     """The level or the cost budget that was reached; picks given back are not trained then."""
     spec = state.spec
     assert spec is not None
-    if spec.stop_value is not None and (now := state.value()) >= spec.stop_value:
-        return f"V = {now:.4f} reaches the level {spec.stop_value:g}"
+    if spec.stop_value is not None and state.rows:
+        now = state.routing().value
+        least = now.at_least(spec.stop_confidence)
+        if least >= spec.stop_value:
+            sure = f" ({least:.4f} or more, surely)" if now.error else ""
+            return f"V = {now.value:.4f}{sure} reaches the level {spec.stop_value:g}"
+    if (reached := _nothing_left(state, spec)) is not None:
+        return reached
     if spec.cost_budget is not None and state.cost >= spec.cost_budget:
         return f"the cost {state.cost:g} reaches the budget of {spec.cost_budget:g}"
     most = np.inf if spec.cost_budget is None else spec.cost_budget * (1.0 + 1e-9)
     if spec.costs is not None and given_back(state) and state.committed > most:
         return f"the picks given back cost more than is left of {spec.cost_budget:g}"
     return None
+
+
+def _nothing_left(state: StudyState, spec: StudySpec) -> str | None:
+    """That V is as large as it can be, where the study knows how large that is."""
+    if spec.stop_left is None or spec.best_return is None or not state.rows:
+        return None
+    now = state.routing().value
+    most = float(state.bounds().normalise(spec.best_return))
+    if most - now.at_least(spec.stop_confidence) >= spec.stop_left:
+        return None
+    return f"V = {now.value:.4f} is within {spec.stop_left:g} of the largest there can be, {most:g}"
 
 
 def _proposal(state: StudyState, selector: Selector) -> Event:
@@ -96,7 +114,7 @@ def _proposal(state: StudyState, selector: Selector) -> Event:
         proposal = selector.propose(problem, history, rng)
     except Exhausted as error:
         raise StudyFinished(f"the study is finished: {error}") from error
-    enough = _enough(spec, proposal.chance)
+    enough = _enough(spec, proposal)
     if enough is not None and len(history) >= LEAST_ROWS:
         return Event("stopped", {"reason": enough})
     source = int(proposal.source)
@@ -109,15 +127,20 @@ def _proposal(state: StudyState, selector: Selector) -> Event:
         "worker": this_worker().to_json(),
     }
     if spec.eval_targets is not None:
-        data["targets"] = list(even_targets(problem, source, spec.eval_targets))
+        data["targets"] = list(spread_targets(problem, source, spec.eval_targets))
     return Event("asked", data)
 
 
-def _enough(spec: StudySpec, chance: float | None) -> str | None:
+def _enough(spec: StudySpec, proposal: Proposal) -> str | None:
     """Why one more training is not worth it; None where it is, or where nobody asked."""
-    if spec.stop_gain is None or chance is None or 1.0 - chance < spec.stop_confidence:
-        return None
-    return (
-        f"one more training gains less than {spec.stop_gain:g} in V with probability "
-        f"{1.0 - chance:.3f}, the selector predicts"
+    asked = (
+        (spec.stop_gain, proposal.chance, "one more training gains"),
+        (spec.stop_left, proposal.chance_left, "all trainings that are left together gain"),
     )
+    for least, chance, who in asked:
+        if least is not None and chance is not None and 1.0 - chance >= spec.stop_confidence:
+            return (
+                f"{who} less than {least:g} in V with probability {1.0 - chance:.3f}, the selector "
+                "predicts"
+            )
+    return None

@@ -27,7 +27,7 @@ class Callback:
         """The row of a pick was recorded."""
 
     def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
-        """A pick gave nothing usable; it was recorded."""
+        """A training failed, or a trained policy could not be evaluated; it was recorded."""
 
     def on_report(self, study: Study) -> None:
         """The policies are now evaluated on fresh seeds."""

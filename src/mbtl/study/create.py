@@ -38,7 +38,7 @@ def create_study(
     *,
     budget: int,
     selector: str | Selector = "auto",
-    bounds: tuple[float, float] | None = None,
+    bounds: tuple[float, float] | Bounds | None = None,
     direction: Direction = "maximize",
     theta: float | None = None,
     seed: int = 0,
@@ -64,7 +64,8 @@ def create_study(
         budget: number of trainings K, 1..N (times `repeats`).
         selector: a registered name, or an object with `propose`. "auto" heeds all that follows;
             of costs, repeats, risk and noise the paper's selectors know nothing.
-        bounds: (low, high) of the returns; None takes the range told so far.
+        bounds: (low, high) of the returns, or `Bounds`, whose direction and floor then count; None
+            takes the range told so far.
         direction: "maximize" or "minimize" the returns.
         theta: slope of the linear gap, performance per grid step; None: 0.005, or 0.5/(N-1) for
             N > 100.
@@ -103,8 +104,11 @@ def create_study(
         )
     budget, seed = _whole("budget", budget), _whole("seed", seed)
     trial = _whole("trial", trial)
+    floor = None
+    if isinstance(bounds, Bounds):
+        direction, floor = bounds.direction, bounds.floor
     if bounds is not None:
-        Bounds(float(bounds[0]), float(bounds[1]), direction)
+        Bounds(float(bounds[0]), float(bounds[1]), direction, floor)
     if direction not in ("maximize", "minimize"):
         raise InvalidInput(f"direction must be 'maximize' or 'minimize', got {direction!r}")
     if stop_value is not None and bounds is None:
@@ -134,6 +138,7 @@ def create_study(
         _target_count(eval_targets, space.n),
         stop_gain,
         stop_confidence,
+        floor=floor,
     )
     spec.selection_problem()  # checks what a selector is to work with
     log: EventLog = MemoryLog() if storage is None else SqlLog(storage, name, create=True)
@@ -254,7 +259,7 @@ def _check_wishes(
     repeats: int,
     stop_gain: float | None,
     stop_confidence: float,
-    bounds: tuple[float, float] | None,
+    bounds: tuple[float, float] | Bounds | None,
 ) -> None:
     """Repeated trainings and the stopping rule need a selector that knows of them."""
     if repeats != 1 and not getattr(selector, "retrains", False):

@@ -6,7 +6,9 @@ asked     the selector proposed a source to a worker
 claimed   a worker took over a pick whose worker is gone
 released  a worker gave its pick back untrained
 told      a transfer row arrived
-failed    a training or evaluation gave nothing that can be used
+deferred  a policy is trained and could not be evaluated; its pick stays open
+failed    a training gave nothing that can be used
+reopened  a failed pick is to be tried again
 stopped   the selector predicts too little gain from one more training
 reported  returns on fresh evaluation seeds, for the V that people are told
 """
@@ -20,7 +22,17 @@ from typing import Any, Literal, get_args
 from mbtl.arrays import Array
 
 Kind = Literal[
-    "created", "extended", "asked", "claimed", "released", "told", "failed", "stopped", "reported"
+    "created",
+    "extended",
+    "asked",
+    "claimed",
+    "released",
+    "told",
+    "deferred",
+    "failed",
+    "reopened",
+    "stopped",
+    "reported",
 ]
 KINDS: tuple[str, ...] = get_args(Kind)
 

@@ -3,16 +3,19 @@
 The rows that choose the routes are noisy, so their maximum is biased upwards. The episodes here
 chose nothing.
 
-Notation (shapes): k policies in training order, N contexts.
+Notation (shapes): k policies in training order, N contexts, E episodes.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
-from mbtl.objective import worst_share_mean
+from mbtl.objective import worst_share_mean, worst_share_weights
+from mbtl.routing import routed
 from mbtl.seeds import Purpose, evaluation_seed
 from mbtl.study.study import Study
 from mbtl.trainer import Trainer, checked_returns
@@ -20,43 +23,83 @@ from mbtl.trainer import Trainer, checked_returns
 Indices = NDArray[np.intp]
 
 
+@dataclass(frozen=True)
+class FreshValue:
+    """V after each training on fresh episodes.
+
+    Attributes:
+        values: (k,) V, performance.
+        errors: (k,) their standard errors, of the episodes; None: unknown, from one episode each.
+        episodes: episodes behind each context; None: unknown.
+        served: (k, N) performance of the policies that serve after each training.
+    """
+
+    values: Array
+    errors: Array | None
+    episodes: int | None
+    served: Array
+
+    def margin(self, confidence: float = 0.95) -> float | None:
+        """Half the width of the interval of the last V, by Student's t; None where unknown."""
+        if self.errors is None or self.episodes is None or self.episodes < 2:
+            return None
+        from scipy.special import stdtrit  # kept out of `import mbtl`
+
+        return float(stdtrit(self.episodes - 1, 0.5 + confidence / 2.0) * self.errors[-1])
+
+
 def can_report(study: Study) -> bool:
     """True when there is something to report and every policy is at hand."""
     state = study.state
     at_hand = all(row.policy or i in study.policies for i, row in enumerate(state.rows))
-    return bool(state.rows) and state.fresh_returns is None and at_hand
+    return bool(state.rows) and state.fresh is None and at_hand
 
 
-def report_fresh_returns(study: Study, trainer: Trainer) -> Array:
-    """Evaluate on fresh seeds each policy where it served at some k; record and return (k, N)."""
+def report_fresh_returns(study: Study, trainer: Trainer) -> None:
+    """Evaluate on fresh seeds each policy where it served at some k, and record it."""
     portfolio = study.portfolio(trainer)  # refreshes; what follows is of this moment
-    history = study.history
+    routes = study.state.routing().routes
     seed = evaluation_seed(study.spec.seed, study.spec.trial, Purpose.REPORT)
-    fresh = np.full(history.rows.shape, np.nan)
-    for i, targets in enumerate(served_targets(routes(study))):
+    found: list[tuple[Indices, Array]] = []
+    for i, targets in enumerate(served_targets(routes)):
+        returns = np.empty((0, 1))
         if targets.size:
             contexts = [study.space.context(int(t)) for t in targets]
-            returns = trainer.evaluate(portfolio.policy(i), contexts, seed)
-            fresh[i, targets] = checked_returns(returns, targets.size).mean(axis=1)
-    study.record_fresh_returns(fresh)
-    return fresh
+            returns = checked_returns(
+                trainer.evaluate(portfolio.policy(i), contexts, seed), targets.size
+            )
+        found.append((targets, returns))
+    counts = {returns.shape[1] for targets, returns in found if targets.size}
+    means = np.full(routes.shape, np.nan)
+    for i, (targets, returns) in enumerate(found):
+        means[i, targets] = returns.mean(axis=1)
+    episodes = counts.pop() if len(counts) == 1 else None
+    errors = None if episodes in (None, 1) else _value_errors(study, routes, means, found)
+    study.record_fresh_returns(means, value_errors=errors, episodes=episodes)
 
 
-def routes(study: Study) -> Indices:
-    """(k, N) row index that serves each target after 1..k trainings, as the portfolio routes it."""
-    rows = study.history.rows
-    if np.isfinite(rows).all():
-        return routes_by_k(rows)
-    whole = study.portfolio()
-    return np.array([whole.first(k).assignment for k in range(1, len(rows) + 1)])
+def _value_errors(
+    study: Study, routes: Indices, means: Array, found: list[tuple[Indices, Array]]
+) -> Array:
+    """(k,) standard error of V after each training, raw units.
 
-
-def routes_by_k(rows: Array) -> Indices:
-    """(k, N) row index that serves each target after 1..k trainings; the first of equals."""
-    running = np.maximum.accumulate(rows, axis=0)
-    improved = np.vstack([np.ones((1, rows.shape[1]), dtype=bool), running[1:] > running[:-1]])
-    index = np.where(improved, np.arange(len(rows))[:, None], 0)
-    return np.asarray(np.maximum.accumulate(index, axis=0))
+    V is computed episode by episode: where all contexts share the episodes, their luck is common,
+    and a mean over contexts does not make it smaller.
+    """
+    sign = 1.0 if study.bounds.direction == "maximize" else -1.0
+    episodes = next(returns.shape[1] for targets, returns in found if targets.size)
+    each = np.full((*means.shape, episodes), np.nan, dtype=np.float32)
+    for i, (targets, returns) in enumerate(found):
+        each[i, targets] = returns
+    every = np.arange(means.shape[1])
+    errors = []
+    for route in routes:
+        counted = worst_share_weights(
+            sign * means[route, every], study.space.weights, study.spec.risk
+        )
+        by_episode = counted @ each[route, every].astype(np.float64)
+        errors.append(by_episode.std(ddof=1) / np.sqrt(episodes))
+    return np.array(errors)
 
 
 def served_targets(routes: Indices) -> list[Indices]:
@@ -64,23 +107,17 @@ def served_targets(routes: Indices) -> list[Indices]:
     return [np.flatnonzero((routes == i).any(axis=0)) for i in range(len(routes))]
 
 
-def fresh_curve(study: Study, routed: Array | None = None) -> Array | None:
-    """(k,) V after each training, routed by the selecting rows, measured on fresh episodes.
-
-    Args:
-        study: that was reported.
-        routed: what `fresh_performance` gives, where it is at hand.
-    """
-    routed = fresh_performance(study) if routed is None else routed
-    if routed is None:
-        return None
-    return worst_share_mean(routed, study.space.weights, study.spec.risk)
-
-
-def fresh_performance(study: Study) -> Array | None:
-    """(k, N) performance after each training where it would be used, on fresh episodes."""
-    fresh = study.state.fresh_returns
+def fresh_value(study: Study) -> FreshValue | None:
+    """V after each training on fresh episodes, routed by the rows; None: not measured."""
+    fresh = study.state.fresh
     if fresh is None:
         return None
-    performance = study.bounds.normalise(fresh)
-    return np.take_along_axis(performance, routes(study), axis=0)
+    bounds = study.bounds
+    served = routed(bounds.normalise(fresh.returns), study.state.routing().routes)
+    errors = fresh.value_errors
+    return FreshValue(
+        worst_share_mean(served, study.space.weights, study.spec.risk),
+        None if errors is None else errors / (bounds.high - bounds.low),
+        fresh.episodes,
+        served,
+    )

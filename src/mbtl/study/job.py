@@ -1,7 +1,7 @@
-"""One job: train on a context, save the policy, evaluate it everywhere. Any process can do it.
+"""One job: train on a context, save the policy, evaluate it. Any process can do it.
 
-A trained policy appears in its folder by one rename before it is evaluated, so a run killed during
-evaluation finds it there and trains nothing again.
+A trained policy appears in its folder by one rename before it is evaluated, so whatever ends a job
+after its training, its policy is found there and nothing is trained again.
 """
 
 from __future__ import annotations
@@ -9,23 +9,50 @@ from __future__ import annotations
 import json
 import shutil
 import time
+import traceback
 import uuid
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import StorageError
+from mbtl.errors import InvalidInput, MissingExtra, StorageError
 from mbtl.trainer import OnProgress, Trainer, checked_returns
 
+NOT_THE_TRAININGS_FAULT = (StorageError, InvalidInput, MissingExtra)
+"""Raised as they are: the pick is given back, to be done once the cause is mended."""
+
+Stage = Literal["training", "saving", "loading", "evaluation"]
+
 _RECEIPT = "trained.json"
+_LONGEST = 8000
+"""Characters of a traceback that are kept: its end, which says what happened."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A trained policy, and whether it is safe in its folder."""
+
+    policy: Any
+    saved: bool = False
 
 
 @dataclass(frozen=True)
 class Job:
-    """One training and its evaluation, complete in itself so that any process can do it."""
+    """One training and its evaluation, complete in itself so that any process can do it.
+
+    Attributes:
+        trainer: does the work.
+        context: to train on.
+        seed: of the training.
+        targets: to evaluate on.
+        evaluation_seed: of the episodes.
+        folder: where the policy is kept; None: it cannot be.
+        kept: the policy, where it was trained before in this process and could not be saved.
+        rehearse: no evaluation of this study has succeeded yet, so a short one goes first.
+    """
 
     trainer: Trainer
     context: Context
@@ -33,6 +60,8 @@ class Job:
     targets: Sequence[Context]
     evaluation_seed: int
     folder: Path | None
+    kept: Kept | None = None
+    rehearse: bool = False
 
 
 @dataclass(frozen=True)
@@ -45,29 +74,105 @@ class Outcome:
     policy: Any = None
 
 
+@dataclass(frozen=True)
+class Trouble:
+    """Why a job gave no returns.
+
+    Attributes:
+        stage: what went wrong; after the training, the policy is there.
+        reason: the error in one line.
+        traceback: where it came from.
+        error: the exception; of another process, only our own travel.
+        kept: the policy, once it is trained: then only the rest is to be done again.
+    """
+
+    stage: Stage
+    reason: str
+    traceback: str
+    error: Exception | None = None
+    kept: Kept | None = None
+
+
 def perform(
-    job: Job, on_progress: OnProgress | None = None, on_trained: Callable[[], None] | None = None
-) -> Outcome:
-    """Train (unless the policy is there already), save, evaluate. Runs in any process."""
+    job: Job,
+    on_progress: OnProgress | None = None,
+    on_trained: Callable[[Kept], None] | None = None,
+    on_evaluation: Callable[[], None] | None = None,
+) -> Outcome | Trouble:
+    """Train (unless the policy is there already), save, evaluate. Runs in any process.
+
+    Args:
+        job: what to do.
+        on_progress: told by the training.
+        on_trained: given the policy at once, so that not even an interrupt loses it.
+        on_evaluation: called when the policy is trained and saved.
+    """
     started = time.perf_counter()
-    policy = _trained_before(job)
-    saved = policy is not None
-    if policy is None:
-        policy = job.trainer.train(dict(job.context), job.seed, on_progress)
-        saved = _save(job, policy)
-    if on_trained is not None:
-        on_trained()
-    returns = job.trainer.evaluate(policy, list(job.targets), job.evaluation_seed)
-    checked = checked_returns(returns, len(job.targets))
-    return Outcome(checked, time.perf_counter() - started, saved, None if saved else policy)
+    stage, kept = _first_stage(job), job.kept
+    try:
+        if stage == "loading":
+            kept = Kept(None, saved=True)
+            kept = Kept(job.trainer.load(_folder(job)), saved=True)
+        if kept is None:
+            kept = Kept(job.trainer.train(dict(job.context), job.seed, on_progress))
+            if on_trained is not None:
+                on_trained(kept)
+        if not kept.saved:
+            stage = "saving"
+            kept = replace(kept, saved=_save(job, kept.policy))
+        if on_evaluation is not None:
+            on_evaluation()
+        if job.rehearse and kept.saved:
+            stage = "loading"  # a policy that cannot be read back is found out with the first one
+            kept = Kept(job.trainer.load(_folder(job)), saved=True)
+        stage = "evaluation"
+        if job.rehearse and len(job.targets) > 2:
+            ends = (job.targets[0], job.targets[-1])
+            evaluated(job.trainer, kept.policy, ends, job.evaluation_seed)
+        returns = evaluated(job.trainer, kept.policy, job.targets, job.evaluation_seed)
+    except Exception as error:
+        return Trouble(stage, reason_of(error), _traceback(error), error, kept)
+    seconds = time.perf_counter() - started
+    return Outcome(returns, seconds, kept.saved, None if kept.saved else kept.policy)
 
 
-def _trained_before(job: Job) -> Any:
-    """The policy of a run that was killed after training; None if there is none of this seed."""
+def perform_elsewhere(job: Job) -> Outcome | Trouble:
+    """As `perform`, for a worker process: what it gives back can travel, whatever was raised."""
+    outcome = perform(job)
+    if isinstance(outcome, Trouble):
+        if not isinstance(outcome.error, NOT_THE_TRAININGS_FAULT):
+            outcome = replace(outcome, error=None)
+        if outcome.kept is not None and outcome.kept.saved:
+            outcome = replace(outcome, kept=Kept(None, saved=True))
+    return outcome
+
+
+def evaluated(trainer: Trainer, policy: Any, targets: Sequence[Context], seed: int) -> Array:
+    """Checked returns (n_targets, n_episodes) of a policy."""
+    return checked_returns(trainer.evaluate(policy, list(targets), seed), len(targets))
+
+
+def reason_of(error: Exception) -> str:
+    """An exception in one line."""
+    return f"{type(error).__name__}: {error}"
+
+
+def _first_stage(job: Job) -> Stage:
+    """Where a job begins: a run that was ended after the training left a policy of this seed."""
+    if job.kept is not None:
+        return "saving"
     if job.folder is None or not (job.folder / _RECEIPT).is_file():
-        return None
-    receipt = json.loads((job.folder / _RECEIPT).read_text())
-    return job.trainer.load(job.folder) if receipt["seed"] == job.seed else None
+        return "training"
+    try:
+        receipt = json.loads((job.folder / _RECEIPT).read_text())
+        return "loading" if receipt["seed"] == job.seed else "training"
+    except (OSError, ValueError, KeyError, TypeError):  # not written by us: no policy of this job
+        return "training"
+
+
+def _folder(job: Job) -> Path:
+    assert job.folder is not None
+    return job.folder
 
 
 def _save(job: Job, policy: Any) -> bool:
@@ -87,11 +192,25 @@ def _save(job: Job, policy: Any) -> bool:
             shutil.rmtree(job.folder, ignore_errors=True)
             temporary.rename(job.folder)
         return saved
+    except NOT_THE_TRAININGS_FAULT:
+        raise
     except OSError as error:
         raise StorageError(
             f"the policy could not be saved in {job.folder.parent} ({error.strerror or error}); "
             "what was told before is kept: free space or mend access, then run the same command "
             "again"
         ) from error
+    except Exception as error:
+        raise StorageError(
+            f"the trained policy could not be saved, save raised {reason_of(error)}; what was told "
+            "before is kept: mend save, then run again"
+        ) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _traceback(error: Exception) -> str:
+    """As Python prints it, without our own frame at its beginning."""
+    below = error.__traceback__.tb_next if error.__traceback__ else None
+    text = "".join(traceback.format_exception(type(error), error, below or error.__traceback__))
+    return text if len(text) <= _LONGEST else "...\n" + text[-_LONGEST:]

@@ -10,9 +10,10 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
-from mbtl.errors import StorageError
-from mbtl.history import History
-from mbtl.objective import Bounds, Direction, value, value_curve
+from mbtl.errors import StorageError, StudyError
+from mbtl.history import History, standard_errors
+from mbtl.objective import Bounds, Direction
+from mbtl.routing import Routing
 from mbtl.selectors.base import SelectionProblem
 from mbtl.study.events import Event
 from mbtl.study.worker import Worker
@@ -41,6 +42,9 @@ class StudySpec:
         eval_targets: targets that each policy is evaluated on; None for all.
         stop_gain: gain in V that one more training should be worth; None: never ends for that.
         stop_confidence: how probable it must be that the gain is smaller.
+        stop_left: gain in V that all trainings left together should be worth; None: never asked.
+        best_return: no policy can return more (less, if minimised); None: not known.
+        floor: return below which none is worse in performance; None: nothing is clipped.
     """
 
     space: ContextSpace
@@ -61,6 +65,9 @@ class StudySpec:
     eval_targets: int | None = None
     stop_gain: float | None = None
     stop_confidence: float = 0.9
+    stop_left: float | None = None
+    best_return: float | None = None
+    floor: float | None = None
 
     def selection_problem(self) -> SelectionProblem:
         """What the selector may know before any training."""
@@ -73,6 +80,7 @@ class StudySpec:
             cost_budget=self.cost_budget,
             risk=self.risk,
             least_gain=self.stop_gain,
+            least_left=self.stop_left,
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -121,7 +129,8 @@ class ToldRow:
         source: context index.
         pick: number of the pick it answers; None for a source nobody asked for.
         returns: (N,) mean returns, raw units; NaN where it was not evaluated.
-        std: (N,) standard deviation over episodes; zero for a single episode, NaN as `returns`.
+        std: (N,) standard deviation over episodes, with n - 1; NaN for a single episode, and as
+            `returns`.
         episodes: episodes behind each mean.
         cost: cost of the training in the user's unit.
         seconds: wall time of training and evaluation; None when unknown.
@@ -142,11 +151,39 @@ class ToldRow:
 
 @dataclass(frozen=True)
 class Failure:
-    """A pick that gave nothing, and why."""
+    """A pick that gave nothing, and why.
+
+    Attributes:
+        source: context index.
+        pick: 0-based number of the pick.
+        reason: the error in one line.
+        traceback: where it came from; empty where nobody said.
+    """
 
     source: int
     pick: int
     reason: str
+    traceback: str = ""
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any]) -> Failure:
+        """As logged; older logs have no traceback."""
+        return cls(data["source"], data["pick"], data["reason"], data.get("traceback", ""))
+
+
+@dataclass(frozen=True)
+class FreshReturns:
+    """What the policies gave on fresh episodes, which chose nothing.
+
+    Attributes:
+        returns: (k, N) means; NaN where a policy serves nobody.
+        value_errors: (k,) standard error of V after each training, raw units; None: unknown.
+        episodes: episodes behind each mean; None: unknown.
+    """
+
+    returns: Array
+    value_errors: Array | None
+    episodes: int | None
 
 
 @dataclass
@@ -162,9 +199,13 @@ class StudyState:
     open_picks: dict[int, PickRecord] = field(default_factory=dict)
     rows: list[ToldRow] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
-    fresh_returns: Array | None = None
+    deferred: dict[int, Failure] = field(default_factory=dict)
+    """Number of an open pick -> why its policy, which is trained, was not evaluated so far."""
+    fresh: FreshReturns | None = None
     stopped: str | None = None
     _history: History | None = field(default=None, repr=False)
+    _routing: Routing | None = field(default=None, repr=False)
+    _routing_seq: int = field(default=-1, repr=False)
 
     def apply(self, event: Event) -> None:
         """Advance by one event."""
@@ -187,19 +228,37 @@ class StudyState:
             self._history = self._make_history()
         return self._history
 
-    def value(self) -> float:
-        """V of the told rows; see `Study.value`."""
+    def routing(self) -> Routing:
+        """Who serves which context after every training, and what that is worth.
+
+        Raises:
+            StudyError: no row was told.
+        """
         assert self.spec is not None
         if not self.rows:
-            return -np.inf
-        best = self.history().served(self.spec.space.steps)
-        return value(best, self.spec.space.weights, self.spec.risk)
+            raise StudyError("routes need the row of at least one policy, and none was told")
+        if self._routing is None or self._routing_seq != self.seq:
+            spec, history = self.spec, self.history()
+            self._routing = Routing(
+                spec.space,
+                history.sources,
+                history.rows,
+                self._deviations(),
+                [row.episodes for row in self.rows],
+                risk=spec.risk,
+                earlier=self._routing,
+            )
+            self._routing_seq = self.seq
+        return self._routing
+
+    def value(self) -> float:
+        """V of the told rows; see `Study.value`."""
+        return self.routing().value.value if self.rows else -np.inf
 
     def curve(self) -> Array:
         """(k,) V after each row; see `Study.curve`."""
-        assert self.spec is not None
-        rows = self.history().filled(self.spec.space.steps)
-        return value_curve(rows, self.spec.space.weights, self.spec.risk)
+        found = self.routing().curve if self.rows else []
+        return np.array([value.value for value in found])
 
     def _make_history(self) -> History:
         assert self.spec is not None
@@ -217,18 +276,23 @@ class StudyState:
             self.committed,
         )
 
+    def _deviations(self) -> Array:
+        """(k, N) of the performance in single episodes; NaN where unknown."""
+        bounds = self.bounds()
+        scatter = np.array([row.std for row in self.rows]).reshape(len(self.rows), -1)
+        return scatter / (bounds.high - bounds.low)
+
     def _standard_errors(self) -> Array | None:
         """(k, N) of the performance; None where no row has several episodes that differ."""
-        scatter = [np.nan_to_num(row.std) / np.sqrt(max(row.episodes - 1, 1)) for row in self.rows]
-        bounds = self.bounds()
-        errors = np.array(scatter) / (bounds.high - bounds.low)
-        return errors if errors.any() else None
+        if not self.rows:
+            return None
+        return standard_errors(self._deviations(), [row.episodes for row in self.rows])
 
     def bounds(self) -> Bounds:
         """The given bounds, or the range of all returns told so far (unit range before any)."""
         assert self.spec is not None
         if self.spec.bounds is not None:
-            return Bounds(*self.spec.bounds, self.spec.direction)
+            return Bounds(*self.spec.bounds, self.spec.direction, self.spec.floor)
         if not self.rows:
             return Bounds(0.0, 1.0, self.spec.direction)
         return Bounds.of([row.returns for row in self.rows], self.spec.direction)
@@ -294,15 +358,15 @@ class StudyState:
 
     def _told(self, event: Event) -> None:
         data = event.data
-        self.open_picks.pop(data["pick"], None)
-        self.fresh_returns = None  # a new policy may serve targets that were not reported
+        self._close(data["pick"])
+        self.fresh = None  # a new policy may serve targets that were not reported
         self.stopped = None  # nor was the prediction made with this row
         self.rows.append(
             ToldRow(
                 data["source"],
                 data["pick"],
                 event.arrays["returns"],
-                event.arrays["std"],
+                _deviations_of(event),
                 data["episodes"],
                 data["cost"],
                 data["seconds"],
@@ -312,16 +376,41 @@ class StudyState:
         )
 
     def _failed(self, event: Event) -> None:
-        data = event.data
-        self.open_picks.pop(data["pick"], None)
-        self.failures.append(Failure(data["source"], data["pick"], data["reason"]))
+        self._close(event.data["pick"])
+        self.failures.append(Failure.of(event.data))
         self.stopped = None  # the prediction believed that this pick would give something
+
+    def _deferred(self, event: Event) -> None:
+        self.deferred[event.data["pick"]] = Failure.of(event.data)
+
+    def _reopened(self, event: Event) -> None:
+        number = event.data["pick"]
+        self.failures = [failure for failure in self.failures if failure.pick != number]
+        self.open_picks[number] = replace(self.picks[number], worker=None)
+
+    def _close(self, number: int | None) -> None:
+        if number is not None:
+            self.open_picks.pop(number, None)
+            self.deferred.pop(number, None)
 
     def _stopped(self, event: Event) -> None:
         self.stopped = event.data["reason"]
 
     def _reported(self, event: Event) -> None:
-        self.fresh_returns = event.arrays["returns"]
+        errors = event.data.get("value_errors")
+        self.fresh = FreshReturns(
+            event.arrays["returns"],
+            None if errors is None else np.array(errors, dtype=np.float64),
+            event.data.get("episodes"),
+        )
+
+
+def _deviations_of(event: Event) -> Array:
+    """Standard deviations with n - 1; older versions wrote them with n, and 0 for one episode."""
+    episodes, written = event.data["episodes"], event.arrays["std"]
+    if event.data.get("ddof") == 1:
+        return written
+    return written * np.sqrt(episodes / (episodes - 1)) if episodes > 1 else written * np.nan
 
 
 def replay(events: Iterable[Event]) -> StudyState:

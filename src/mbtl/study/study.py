@@ -18,9 +18,10 @@ from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.history import History
 from mbtl.objective import Bounds
+from mbtl.routing import Routing
 from mbtl.seeds import training_seed
 from mbtl.selectors import SelectionProblem, Selector
-from mbtl.study import asking
+from mbtl.study import asking, telling
 from mbtl.study.events import Event, Kind
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.state import PickRecord, StudySpec, StudyState
@@ -44,6 +45,8 @@ class Study:
         self.selector = selector
         self.policies: dict[int, Any] = {}
         """Number of the row -> policy, for policies of this process that no trainer could save."""
+        self.untold: dict[int, Any] = {}
+        """Number of the pick -> policy that is trained, not saved, and not evaluated so far."""
         self._log = log
         self._state = StudyState()
         self.refresh()
@@ -114,19 +117,21 @@ class Study:
                 again, or record it with `fail`.
             StudyError: the pick was answered before.
         """
-        source = self._source(pick)
+        source = telling.source_of(self.space, pick)
         if cost is not None and not (np.isfinite(cost) and cost >= 0):
             raise InvalidInput(f"cost must be finite and >= 0, got {cost!r}")
         usual = 1.0 if self.spec.costs is None else self.spec.costs[source]
         if targets is None:
-            targets = self._asked_targets(pick, source)
+            targets = telling.asked_targets(self.refresh(), pick, source)
         evaluated = checked_targets(targets, self.space.n)
         rows = checked_returns(returns, len(evaluated))
         arrays = {name: np.full(self.space.n, np.nan) for name in ("returns", "std")}
         arrays["returns"][evaluated] = rows.mean(axis=1)
-        arrays["std"][evaluated] = rows.std(axis=1)
+        if rows.shape[1] > 1:
+            arrays["std"][evaluated] = rows.std(axis=1, ddof=1)
         data = {
             "source": source,
+            "ddof": 1,
             "episodes": rows.shape[1],
             "seconds": seconds,
             "policy": policy,
@@ -136,7 +141,7 @@ class Study:
         def told(state: StudyState) -> Event:
             nonlocal place
             place = len(state.rows)
-            number = self._answered(state, pick, source)
+            number = telling.answered(state, pick, source)
             expected = 0.0 if number is None else usual
             spent = expected if cost is None else float(cost)
             return Event("told", {**data, "pick": number, "cost": spent}, arrays)
@@ -145,9 +150,32 @@ class Study:
         if policy_object is not None:
             self.policies[place] = policy_object
 
-    def fail(self, pick: Pick, reason: str) -> None:
-        """Record that a pick gave nothing usable; it spends budget and is never proposed again."""
-        self._settle("failed", pick, {"source": pick.source, "reason": reason})
+    def fail(self, pick: Pick, reason: str, *, traceback: str = "") -> None:
+        """Record that a pick gave no policy; it spends budget and is not proposed again.
+
+        Args:
+            pick: what `ask` gave.
+            reason: why, in one line.
+            traceback: where that came from, for people.
+        """
+        about = {"source": pick.source, "reason": reason, "traceback": traceback}
+        self._settle("failed", pick, about)
+
+    def defer(self, pick: Pick, reason: str, *, traceback: str = "") -> None:
+        """Record that a policy is trained and could not be evaluated; the pick stays open."""
+        about = {"source": pick.source, "reason": reason, "traceback": traceback}
+        self._settle("deferred", pick, about)
+
+    def retry(self, pick: Pick | int) -> None:
+        """Open a failed pick again: the next `ask` hands it out, and it spends no further budget.
+
+        Args:
+            pick: what `ask` gave, or its 0-based number (`Pick.number`).
+
+        Raises:
+            StudyError: that pick did not fail, or its source was told since.
+        """
+        self._commit(lambda state: telling.reopening(state, pick))
 
     def extend(self, budget: int) -> None:
         """Raise the budget to `budget` trainings in all, for a few more picks.
@@ -171,13 +199,22 @@ class Study:
         """Give a pick back untrained; the next `ask` hands it out again."""
         self._settle("released", pick, {})
 
-    def record_fresh_returns(self, returns: Array) -> None:
-        """Record (k, N) returns on fresh evaluation seeds; NaN where a policy serves nobody.
+    def record_fresh_returns(
+        self, returns: Array, *, value_errors: Array | None = None, episodes: int | None = None
+    ) -> None:
+        """Record returns on fresh evaluation seeds.
+
+        Args:
+            returns: (k, N) means; NaN where a policy serves nobody.
+            value_errors: (k,) standard errors of V after each training, raw units; None: unknown.
+            episodes: behind each mean; None: unknown.
 
         Raises:
             StudyError: rows were told since; the report would not fit them.
         """
         returns = np.asarray(returns, dtype=np.float64)
+        errors = None if value_errors is None else [float(error) for error in value_errors]
+        data = {"value_errors": errors, "episodes": episodes}
 
         def reported(state: StudyState) -> Event:
             expected = (len(state.rows), self.space.n)
@@ -186,7 +223,7 @@ class Study:
                     f"fresh returns must have shape {expected}, a row per policy told, got "
                     f"{returns.shape}; evaluate again"
                 )
-            return Event("reported", {}, {"returns": returns})
+            return Event("reported", data, {"returns": returns})
 
         self._commit(reported)
 
@@ -199,6 +236,9 @@ class Study:
         parallel: int = 1,
         executor: Executor | None = None,
         on_failure: str = "continue",
+        stop_after_failures: int = 3,
+        retry_failed: bool = False,
+        rehearse: bool = True,
         callbacks: Sequence[Callback] = (),
         report: bool = True,
     ) -> Study:
@@ -217,6 +257,9 @@ class Study:
             parallel=parallel,
             executor=executor,
             on_failure=on_failure,
+            stop_after_failures=stop_after_failures,
+            retry_failed=retry_failed,
+            rehearse=rehearse,
             callbacks=callbacks,
             report=report,
         )
@@ -269,15 +312,25 @@ class Study:
 
     @property
     def value(self) -> float:
-        """V of the told rows, performance; -inf before the first. Biased upwards by noise.
+        """V of the policies as they are routed, performance; -inf before the first row.
 
-        Where a policy was not evaluated, it counts as on the nearest context where it was.
+        By the rows that routed them: noise is shrunk, and what was not evaluated is predicted by
+        the transfer model. How sure that is: `study.routing.value`.
         """
         return self._state.value()
 
     @property
+    def routing(self) -> Routing:
+        """Who serves which context after every training, what that is worth, and how sure.
+
+        Raises:
+            StudyError: no row was told.
+        """
+        return self._state.routing()
+
+    @property
     def curve(self) -> Array:
-        """(k,) V after each row, performance, on the episodes that selected."""
+        """(k,) V after each row, performance, by the rows that routed the policies."""
         return self._state.curve()
 
     @property
@@ -289,6 +342,11 @@ class Study:
     def is_finished(self) -> bool:
         """True when nothing can be asked and nobody works on a pick."""
         return asking.is_finished(self._state)
+
+    @property
+    def has_succeeded(self) -> bool:
+        """True when a pick was told; rows that nobody asked for show no training at work."""
+        return any(row.pick is not None for row in self._state.rows)
 
     @property
     def orphans(self) -> list[int]:
@@ -312,6 +370,9 @@ class Study:
             np.array([row.returns for row in rows]).reshape(-1, self.space.n),
             self.bounds,
             self.problem.theta,
+            deviations=np.array([row.std for row in rows]).reshape(-1, self.space.n),
+            episodes=tuple(row.episodes for row in rows),
+            risk=spec.risk,
             policy_folders=folders,
             policy_format=str(spec.settings.get("policy_format", "custom")),
             load=trainer.load if trainer is not None else None,
@@ -336,53 +397,11 @@ class Study:
             record.number, source, context, seed, record.reason, record.repeat, record.targets
         )
 
-    def _asked_targets(self, pick: Any, source: int) -> tuple[int, ...] | None:
-        """Targets of the pick, or of the open pick with this source."""
-        if isinstance(pick, Pick):
-            return pick.targets
-        open_picks = self.refresh().open_picks.values()
-        return next((p.targets for p in open_picks if p.source == source), None)
-
-    def _source(self, pick: Pick | int | Mapping[str, Any]) -> int:
-        if isinstance(pick, Pick):
-            return pick.source
-        if isinstance(pick, Mapping):
-            return self.space.index(pick)
-        if not isinstance(pick, (int, np.integer)):
-            raise InvalidInput(
-                f"tell takes what ask gave, a context or its index, got {type(pick).__name__} "
-                f"{pick!r}"
-            )
-        if not 0 <= int(pick) < self.space.n:
-            raise InvalidInput(f"context indices run from 0 to {self.space.n - 1}, got {pick}")
-        return int(pick)
-
-    def _answered(self, state: StudyState, pick: Any, source: int) -> int | None:
-        """Number of the open pick that this row answers; None for a row nobody asked for."""
-        if isinstance(pick, Pick):
-            return self._open_number(state, pick)
-        for number, record in state.open_picks.items():
-            if record.source == source:
-                return number
-        told = sum(row.source == source for row in state.rows)
-        if told >= self.spec.repeats:
-            raise StudyError(
-                f"context {source} was told before; a study keeps one row per source, or as many "
-                f"as create_study(repeats=...) allows, here {self.spec.repeats}"
-            )
-        return None
-
     def _settle(self, kind: Kind, pick: Pick, data: dict[str, Any]) -> None:
         def settled(state: StudyState) -> Event:
-            return Event(kind, {"pick": self._open_number(state, pick), **data})
+            return Event(kind, {"pick": telling.open_number(state, pick), **data})
 
         self._commit(settled)
-
-    @staticmethod
-    def _open_number(state: StudyState, pick: Pick) -> int:
-        if pick.number not in state.open_picks:
-            raise StudyError(f"pick {pick.number} is not open: it was answered before, or given up")
-        return pick.number
 
     def _commit(self, decide: Callable[[StudyState], Event]) -> Event:
         """Append what `decide` makes of the newest state; decide anew if somebody was faster."""

@@ -32,7 +32,7 @@ Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
 class JaxTrainer(MLPTrainer):
     """Trains policies with the jax engine (`mbtl.trainer.Trainer`), one or many at once.
 
-        trainer = get_cmdp("cartpole-length", engine="jax").trainer_for("paper")
+        trainer = get_cmdp("cartpole-length", engine="jax").trainer_for("full")
         policy = trainer.train({"length": 0.5}, seed=0)
         returns = trainer.evaluate(policy, space.contexts, seed=1)      # (n_targets, 100)
 
@@ -131,6 +131,15 @@ class JaxTrainer(MLPTrainer):
         weights = {"best": training.best, "final": training.state.weights}
         return {k: engine.export_policies(env, weights[k], recipe.activation) for k in keep}
 
+    def untrained(self, context: Context) -> MLPPolicy:
+        """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
+        import mbtl.training.jax as engine
+
+        env, params = self.problem([context])
+        recipe = self._recipe()
+        weights = engine.start(env, recipe, [0], params).state.weights
+        return engine.export_policies(env, weights, recipe.activation)[0]
+
     def evaluate_many(
         self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seed: int
     ) -> Array:
@@ -144,6 +153,14 @@ class JaxTrainer(MLPTrainer):
         return engine.evaluate(
             env, actors, params, engine.episode_noise(env, seeds), activation=activation
         )
+
+    def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
+        """See `mbtl.trainer.ReferenceTrainer`."""
+        import mbtl.training.jax as engine
+
+        env, params = self.problem(contexts)
+        seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
+        return engine.reference_returns(env, params, seeds)
 
     @property
     def recipe(self) -> dict[str, Any]:

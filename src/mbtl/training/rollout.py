@@ -25,6 +25,7 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.portfolio.heads import DiscreteHead
 from mbtl.portfolio.mlp import MLPPolicy
+from mbtl.seeds import action_seed
 
 ROWS = 32
 """Observations per forward pass. Of 64-64 networks 32 rows cost about twice one row; of the four
@@ -88,7 +89,7 @@ class _Place:
             first, _ = self.env.reset(seed=seed)
             self.observations = [first[a] for a in self.env.agents] if self.is_team else [first]
             self.total, self.steps, self.memory = 0.0, 0, None
-            self.rng = np.random.default_rng(seed)
+            self.rng = np.random.default_rng(action_seed(seed))
             if self.observations:
                 return True
             self.returns.append(float(self.env.summary["score"]))  # nobody ever had to decide

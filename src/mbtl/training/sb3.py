@@ -10,7 +10,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -20,10 +20,11 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, missing_extra, unknown_name
-from mbtl.seeds import Purpose, derive_seed, episode_seed
+from mbtl.seeds import Purpose, action_seed, derive_seed, episode_seed
 from mbtl.trainer import OnProgress, checked_returns
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
 from mbtl.training.isolation import isolated
+from mbtl.training.references import reference_rows
 from mbtl.training.rollout import Job, play
 from mbtl.training.sb3_files import load_sb3, save_sb3
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere
@@ -146,37 +147,11 @@ class SB3Trainer:
             TrainingFailed: the weights or the actions became NaN.
             InvalidInput: a hyperparameter that the algorithm does not have.
         """
-        algorithm = algorithm_class(self.algorithm)
-        settings = checked_hyperparameters(algorithm, self.hyperparameters)
+        algorithm = self._algorithm()  # before torch is needed
         with ExitStack() as stack:
             stack.enter_context(isolated(self.threads))
             best = self._best_checkpoint(context, seed, stack)
-            envs = self._training_envs(context, stack)
-            team = _is_team(envs)
-            on_policy = _on_policy(algorithm)
-            if self.credit == "team" and not (team and on_policy):
-                raise InvalidInput(
-                    "credit='team' needs a PettingZoo parallel environment and an on-policy "
-                    f"algorithm, got {'' if team else 'no '}such environment and "
-                    f"{algorithm.__name__}; choose those, or credit='own'"
-                )
-            if team and on_policy and "rollout_buffer_class" not in settings:
-                settings |= envs.rollout_buffer
-            lengths = {name: _steps(value, envs, name) for name, value in settings.items()}
-            with warnings.catch_warnings():
-                if team or lengths != settings:  # minibatches of episodes are as they come
-                    warnings.filterwarnings("ignore", "You have specified a mini-batch size")
-                model = algorithm(
-                    self._policy(on_policy),
-                    envs,
-                    seed=seed,
-                    device=self.device,
-                    verbose=0,
-                    tensorboard_log=self._log_folder(),
-                    **lengths,
-                )
-            if self.tensorboard is None:
-                log_nowhere(model)
+            model, team = self._model(algorithm, context, seed, stack)
             ends = None if self.episodes is None else "score" if team else "episode"
             watch = Watch(model, self._length, on_progress, best, ends=ends)
             steps = _FOREVER if self.timesteps is None else self.timesteps
@@ -186,6 +161,15 @@ class SB3Trainer:
                 best.restore(model)
             watch.report(self._length)
             return lightened(model)
+
+    def untrained(self, context: Context) -> Any:
+        """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
+        one = replace(self, n_envs=1, processes=False, tensorboard=None)
+        algorithm = self._algorithm()  # before torch is needed
+        with ExitStack() as stack, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what the library says of fewer environments
+            stack.enter_context(isolated(self.threads))
+            return lightened(one._model(algorithm, context, 0, stack)[0])
 
     def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
         """What episodes are worth (see `mbtl.training.rollout`), (n_targets, eval_episodes).
@@ -208,6 +192,12 @@ class SB3Trainer:
             rows = play(jobs, actor, max_envs=self.n_eval_envs or EVALUATION_ENVS)
         returns = np.reshape(rows, (len(jobs), self.eval_episodes))
         return checked_returns(returns, len(jobs))
+
+    def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
+        """See `mbtl.trainer.ReferenceTrainer`; `mbtl.training.references` has what is unguided."""
+        seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
+        envs = self.n_eval_envs or EVALUATION_ENVS
+        return reference_rows(self.make_env, contexts, seeds, max_envs=envs)
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Write the library's zip, and a numpy copy where there is one; no replay buffer."""
@@ -258,6 +248,46 @@ class SB3Trainer:
         if self.clip_actions:
             record["clip_actions"] = True
         return record if self.acting == "mean" else {**record, "acting": self.acting}
+
+    def _algorithm(self) -> tuple[Any, dict[str, Any]]:
+        """The library's class and its keyword arguments."""
+        algorithm = algorithm_class(self.algorithm)
+        return algorithm, checked_hyperparameters(algorithm, self.hyperparameters)
+
+    def _model(
+        self, kind: tuple[Any, dict[str, Any]], context: Context, seed: int, stack: ExitStack
+    ) -> tuple[Any, bool]:
+        """The library's model before its training, and whether it is of a team."""
+        algorithm, settings = kind
+        envs = self._training_envs(context, stack)
+        team = _is_team(envs)
+        on_policy = _on_policy(algorithm)
+        if self.credit == "team" and not (team and on_policy):
+            raise InvalidInput(
+                "credit='team' needs a PettingZoo parallel environment and an on-policy "
+                f"algorithm, got {'' if team else 'no '}such environment and "
+                f"{algorithm.__name__}; choose those, or credit='own'"
+            )
+        if team and on_policy and "rollout_buffer_class" not in settings:
+            settings |= envs.rollout_buffer
+        lengths = {name: _steps(value, envs, name) for name, value in settings.items()}
+        with warnings.catch_warnings():
+            if team or lengths != settings:  # minibatches of episodes are as they come
+                warnings.filterwarnings("ignore", "You have specified a mini-batch size")
+            model = algorithm(
+                self._policy(on_policy),
+                envs,
+                seed=seed,
+                device=self.device,
+                verbose=0,
+                tensorboard_log=self._log_folder(),
+                **lengths,
+            )
+        # explores with other numbers than those that the environments draw
+        model.action_space.seed(action_seed(seed))
+        if self.tensorboard is None:
+            log_nowhere(model)
+        return model, team
 
     def _policy(self, on_policy: bool) -> str | type:
         if not (self.clip_actions and on_policy):

@@ -5,7 +5,8 @@ Nothing of jax is imported before a training or evaluation, as in `mbtl.training
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -27,6 +28,12 @@ _CPU_LANES = 25
 _CHECKPOINTS, _EACH = 20, 2
 """Evaluations of a policy for all contexts, and episodes of each on every context."""
 Acting = Literal["sampled", "mean"]
+
+_REFERENCES: Mapping[str, Literal["random", "none"]] = {
+    "random_actions": "random",
+    "unguided": "none",
+}
+"""How agents act in the rows without a policy."""
 
 Problem = Callable[[Sequence[Context]], tuple[Any, Sequence[Any]]]
 """contexts -> (`mbtl.training.jax.traffic.twin.Twin`, the parameters of each)."""
@@ -106,23 +113,31 @@ class TwinTrainer(MLPTrainer):
             seeds: P training seeds.
             on_progress: told episodes of one policy, and the mean score of the latest evaluations.
             keep: "best" weights, "final" weights, or both.
-            partial: unused: a training takes seconds, it is not worth saving within.
+            partial: file in which to save the trainings now and then, and from which to go on if it
+                is there. Remove it when the policies are safe.
 
         Returns:
             P policies under each name of `keep`.
         """
         import mbtl.training.jax as engine
-        from mbtl.training.jax.traffic.learning import train
-
-        def on_block(block: engine.Block) -> None:
-            if on_progress is not None:
-                latest = float(np.mean(block.training.latest_return))
-                on_progress(Progress(block.steps, block.total, {"score": latest}, "episodes"))
+        from mbtl.training.jax.traffic.learning import start, train
 
         twin, params = self.problem(contexts)
         recipe = self._recipe()
+        saved = engine.SavedTraining(partial)
         policies: dict[str, list[MLPPolicy]] = {name: [] for name in keep}
-        for some, each in _groups(twin, seeds, params):
+        groups = _groups(twin, seeds, params)
+        for number, (some, each) in enumerate(groups):
+            last = number == len(groups) - 1
+
+            def on_block(block: engine.Block, number: int = number, last: bool = last) -> None:
+                if on_progress is not None:
+                    latest = float(np.mean(block.training.latest_return))
+                    on_progress(Progress(block.steps, block.total, {"score": latest}, "episodes"))
+                done = block.steps == block.total and not last
+                saved.save(block.training, number=number, done=done)
+
+            fresh = functools.partial(start, twin, recipe, some, each)
             training = train(
                 twin,
                 recipe,
@@ -133,6 +148,7 @@ class TwinTrainer(MLPTrainer):
                 checkpoint_every=self.checkpoint_every,
                 checkpoint_episodes=self.checkpoint_episodes,
                 acting=self.acting,
+                resume=saved.load(fresh, number=number),
             )
             weights = {"best": training.best, "final": training.state.weights}
             for name in keep:
@@ -193,6 +209,16 @@ class TwinTrainer(MLPTrainer):
         weights = training.best if self.checkpoint == "best" else training.state.weights
         return engine.export_policies(twin, weights, recipe.activation)[0]
 
+    def untrained(self, context: Context) -> MLPPolicy:
+        """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
+        import mbtl.training.jax as engine
+        from mbtl.training.jax.traffic.learning import start
+
+        twin, params = self.problem([context])
+        recipe = self._recipe()
+        weights = start(twin, recipe, [0], params[0]).state.weights
+        return engine.export_policies(twin, weights, recipe.activation)[0]
+
     def evaluate_many(
         self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seed: int
     ) -> Array:
@@ -209,6 +235,26 @@ class TwinTrainer(MLPTrainer):
             for one in params
         ]
         return np.stack(rows, axis=1).astype(np.float64)
+
+    def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
+        """See `mbtl.trainer.ReferenceTrainer`."""
+        import jax.numpy as jnp
+
+        from mbtl.training.jax.traffic.episodes import Actor, scores
+
+        twin, params = self.problem(contexts)
+        nobody = Actor((), jnp.zeros((1, 1)))
+        seeds = [[episode_seed(seed, episode) for episode in range(self.eval_episodes)]]
+        same = np.array(seeds, dtype=np.uint32)
+        return {
+            name: np.stack(
+                [
+                    np.asarray(scores(twin, "tanh", how, nobody, same, one, twin.decisions(one)))[0]
+                    for one in params
+                ]
+            ).astype(np.float64)
+            for name, how in _REFERENCES.items()
+        }
 
     @property
     def recipe(self) -> dict[str, Any]:
@@ -239,12 +285,11 @@ class TwinTrainer(MLPTrainer):
         return self._changed(twin_recipe_named(self.algorithm, self.recipe_name))
 
 
-def _groups(twin: Any, seeds: Sequence[int], params: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+def _groups(twin: Any, seeds: Sequence[int], params: Sequence[Any]) -> list[tuple[Any, Any]]:
     """(seeds, parameters) of the trainings that go together."""
     if not twin.mixes:
-        yield from (([seed], one) for seed, one in zip(seeds, params, strict=True))
-        return
+        return [([seed], one) for seed, one in zip(seeds, params, strict=True)]
     import jax
     import jax.numpy as jnp
 
-    yield list(seeds), jax.tree.map(lambda *x: jnp.stack(x), *params)
+    return [(list(seeds), jax.tree.map(lambda *x: jnp.stack(x), *params))]

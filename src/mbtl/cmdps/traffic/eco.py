@@ -18,8 +18,9 @@ still wait to enter, which nothing else counts) and `collisions`. The spec's end
 (over 150 agents) cannot occur: the region holds fewer.
 
 Visible context: "hidden" nothing (39 numbers); "multiplier" every varied feature over its unit, as
-in all our environments (40 where one varies, be it inflow); "raw" the reference's block:
-penetration, approach and box over 250 m, limit/15, green and red in seconds (44; no inflow).
+in all our environments (40 where one varies); "raw" the reference's block: penetration, approach
+and box over 250 m, limit/15, green and red in seconds (44). The reference does not show the inflow,
+nor does this environment unless the multiplier is asked for.
 
 What SUMO (1.28) does here, for a twin of the lane; a test holds SUMO to it:
 
@@ -119,6 +120,7 @@ class Eco(TrafficTeam):
         "inflow": 400.0,  # cars per hour
         "green": 35.0,  # s
     }
+    HIDDEN = frozenset({"inflow"})
     STEP = STEP
     HORIZON = 1500
     WINDOW = Window(-50.0, -12.0, LENGTH + 4.0, 9.0)

@@ -31,7 +31,7 @@ class Settings(TypedDict, total=False):
     """Arguments that every traffic environment takes beside its context; see `Traffic`."""
 
     unit: Mapping[str, float] | None
-    visibility: Visibility
+    visibility: Visibility | None
     time_limit: TimeLimit
     horizon: int | None
     engine: Engine
@@ -64,7 +64,7 @@ class Traffic(Contextual):
         context: Mapping[str, Value] | None = None,
         *,
         unit: Mapping[str, float] | None = None,
-        visibility: Visibility = "multiplier",
+        visibility: Visibility | None = None,
         time_limit: TimeLimit = "truncation",
         horizon: int | None = None,
         engine: Engine = "auto",
@@ -77,7 +77,8 @@ class Traffic(Contextual):
             context: features that differ from the nominal ones.
             unit: varied features and their value at multiplier 1; missing: those of `context`, at
                 their nominal value.
-            visibility: what of the context the policy sees.
+            visibility: what of the context the policy sees; None: as in the CMDPs, the multipliers
+                of features that are not `HIDDEN`.
             time_limit: whether the end of time is reported as truncation or as a terminal state.
             horizon: most decisions of an episode; missing: `HORIZON`.
             engine: see `Simulation`.

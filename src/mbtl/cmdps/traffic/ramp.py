@@ -12,7 +12,7 @@ road, one shared policy; a PettingZoo parallel environment whose agents come and
     speed         level 0..9, target 30 level/9 m/s, no faster than the road allows
     reward        mean over the hold's steps of (cars that left - 50 collided cars), same for all
     score         mean speed of all cars over the measured part [m/s]: mean over steps of the mean
-                  over cars
+                  over cars; those that have collided are gone from the road and count as standing
 """
 
 from __future__ import annotations
@@ -63,6 +63,7 @@ class Ramp(TrafficTeam):
     """
 
     FEATURES: ClassVar[Mapping[str, float]] = {"hold": 1.0}  # s
+    HIDDEN = frozenset(FEATURES)
     STEP = advisory.STEP
     HORIZON = advisory.HORIZON
     ACTIONS: ClassVar[Actions] = "acceleration"
@@ -211,10 +212,10 @@ class Ramp(TrafficTeam):
         cars = vehicle.getIDList()
         steady = self._advised if self._steps > 0 else ()
         speeds = self._drivers.step(api, cars, steady)
-        if self._steps > advisory.UNMEASURED and speeds:
-            self._means += sum(speeds) / len(speeds)
         collided: int = simulation.getCollidingVehiclesNumber()
         self._collided += collided
+        if self._steps > advisory.UNMEASURED and speeds:
+            self._means += sum(speeds) / (len(speeds) + self._collided)
         return float(simulation.getArrivedNumber()) - COLLISION * collided
 
     def _enrol(self, api: Any, car: str) -> None:

@@ -7,7 +7,8 @@ Notation: v speed of the advised car and u of its leader [m/s]; d front-to-front
     speed         level 0..9, target 10 level/9 m/s
     reward        mean over the hold of v, or -100 at a step in which cars collide, which also ends
                   the episode
-    score         mean speed of all cars over the measured part [m/s]
+    score         mean speed of all cars over the measured part [m/s]; from a collision to the end
+                  of the time they stand
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ class Ring(TrafficEnv):
     """
 
     FEATURES: ClassVar[Mapping[str, float]] = {"hold": 1.0}  # s
+    HIDDEN = frozenset(FEATURES)
     STEP = advisory.STEP
     HORIZON = advisory.HORIZON
     ACTIONS: ClassVar[Actions] = "acceleration"
@@ -161,6 +163,7 @@ class Ring(TrafficEnv):
                 if first is None and self._obs == "stale":
                     first = self._observe(api)
             if collided:
+                self._stand()
                 observation = self._blind()
             else:
                 observation = self._observe(api) if first is None else first
@@ -183,6 +186,11 @@ class Ring(TrafficEnv):
         if self._controlled_steps > advisory.UNMEASURED:
             self._speed_sum += sum(speeds)
             self._speeds_measured += CARS
+
+    def _stand(self) -> None:
+        """Count speeds of 0 for all the time that a collision leaves."""
+        steps = self.episode_steps * self.hold
+        self._speeds_measured = CARS * max(0, steps - advisory.UNMEASURED)
 
     def _observe(self, api: Any) -> Observation:
         vehicle = api.vehicle

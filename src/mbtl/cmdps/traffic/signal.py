@@ -8,7 +8,7 @@ others straight. A green lasts 10 s, after 4 s of yellow if the phase changes.
     action        0 north-south, 1 north-south left, 2 east-west, 3 east-west left
     reward        previous minus present total W of accumulated waiting time [s] over the cars on
                   the approaches; cars that have left are dropped (the reference keeps some)
-    score         -(sum of W over all decisions) / 5400, but not below `LOWEST`
+    score         -(sum of W over all decisions) / 5400
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ the lane leads. On short roads cars that each want the other's lane would else s
 and nobody behind them could move: there is no teleport. Nothing leaves the demand."""
 
 LOWEST = -100.0
-"""Lowest score of an episode, the paper's lower bound: no jam is worse than another. The published
-values cannot hold any below it (docs/traffic.md). An episode that has come to it tells so at once,
-as `info["final_score"]`: who only evaluates need not see the rest."""
+"""Score of performance 0, the paper's lower bound and the CMDPs' floor: no jam is worse than
+another. The published values cannot hold any below it (docs/traffic.md). An episode that has come
+to it tells its score so far at once, as `info["final_score"]`: waiting only adds up, so who only
+evaluates need not see the rest."""
 JAM = -1000.0
-"""-(sum of W) / 5400 at which an episode ends as a jam. Waiting only adds up, so its score is that
-of the whole episode, and SUMO needs ten times as long for hundreds of cars that stand as for
-traffic that flows. Not earlier: whoever tries phases at random in dense traffic is soon at `LOWEST`
-and still has the peak to learn."""
+"""Score at which an episode ends as a jam: SUMO needs ten times as long for hundreds of cars that
+stand as for traffic that flows. Not earlier: whoever tries phases at random in dense traffic is
+soon at `LOWEST` and still has the peak to learn."""
 
 _PHASES = (("NS", False), ("NS", True), ("WE", False), ("WE", True))
 _PLACES = {"W": (-1, 0), "N": (0, 1), "E": (1, 0), "S": (0, -1)}
@@ -71,6 +71,7 @@ class Signal(TrafficEnv):
         "inflow": 1000.0,  # cars per episode
         "speed": 14.0,  # m/s, limit on the roads
     }
+    HIDDEN = frozenset(FEATURES)
     STEP = 1.0
     HORIZON = SECONDS // GREEN
     WINDOW = Window(-110.0, -110.0, 110.0, 110.0)
@@ -148,7 +149,7 @@ class Signal(TrafficEnv):
             jammed = -self._waited <= self._jam
             ended = self._time >= SECONDS or self._left == 0 or jammed
             if -self._waited <= LOWEST:
-                info = {"final_score": LOWEST}
+                info = {"final_score": -self._waited}
             if ended:
                 info |= {**self._summary(api), "jammed": jammed}
         if ended:
@@ -212,14 +213,13 @@ class Signal(TrafficEnv):
     def _summary(self, api: Any) -> dict[str, Any]:
         """Measures of the episode.
 
-        score: see the module; waiting: the same, positive and without a bound; mean_queue: halted
-        cars on the approaches at decisions; mean_speed: of the cars there [m/s]; not_inserted: cars
-        that still wait to enter, which no other measure counts; missed_turns: see `PATIENCE`;
-        collisions.
+        score: see the module; waiting: the same, positive; mean_queue: halted cars on the
+        approaches at decisions; mean_speed: of the cars there [m/s]; not_inserted: cars that still
+        wait to enter, which no other measure counts; missed_turns: see `PATIENCE`; collisions.
         """
         statistic = api.simulation.getParameter("", "stats.safety.collisions")
         return {
-            "score": max(-self._waited, LOWEST),
+            "score": -self._waited,
             "waiting": self._waited,
             "mean_queue": self._queue_sum / self._decisions,
             "mean_speed": self._speed_sum / self._seen if self._seen else 0.0,

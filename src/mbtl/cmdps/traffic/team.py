@@ -52,6 +52,10 @@ class TrafficTeam(Traffic, ParallelEnv):  # type: ignore[misc]  # pettingzoo is 
         """The same for every agent."""
         return self._action_space
 
+    def drive(self) -> Any:
+        """One decision in which nobody is told anything: the unguided baseline."""
+        return self.step({})
+
     def _seed(self, seed: int | None) -> None:
         self.np_random: np.random.Generator = np_random(seed)[0]
 

@@ -1,4 +1,4 @@
-"""Trainers in jax, vectorised over contexts and seeds; import this only where jax is installed.
+"""Trainers in jax, vectorised over contexts and seeds; importing this starts jax (see `flags`).
 
 env = CartPole()
 params = stack_params(env, [derive(...) for each context], visible)
@@ -9,7 +9,7 @@ policies = export_policies(env, training.best)
 
 from __future__ import annotations
 
-from mbtl.training.jax import flags as flags  # isort: skip  # jax reads them when it starts
+from mbtl.training.jax import flags as flags  # isort: skip  # first: it starts jax
 from mbtl.training.jax.cartpole import CartPole
 from mbtl.training.jax.environments import Environment, stack_params
 from mbtl.training.jax.evaluation import episode_noise, evaluate, on_cpu
@@ -32,6 +32,7 @@ from mbtl.training.jax.recipes import (
     multitask_recipe,
     recipe_named,
 )
+from mbtl.training.jax.references import reference_returns
 from mbtl.training.jax.saving import SavedTraining
 
 __all__ = [
@@ -58,6 +59,7 @@ __all__ = [
     "multitask_settings",
     "on_cpu",
     "recipe_named",
+    "reference_returns",
     "run_multitask",
     "stack_params",
     "start",

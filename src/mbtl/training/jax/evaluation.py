@@ -138,7 +138,28 @@ def own_returns(
 def _play(
     env: Environment, activation: Activation, actor: Network, params: Tree, noise: jax.Array
 ) -> jax.Array:
-    """(C, E) returns of one policy; stops when no episode is alive."""
+    """(C, E) returns of one policy."""
+
+    def choose(moment: jax.Array, observations: jax.Array) -> jax.Array:
+        return networks.mode(networks.apply(actor, observations, activation), env.action)
+
+    return play_out(env, choose, params, noise)
+
+
+def play_out(
+    env: Environment,
+    choose: Callable[[jax.Array, jax.Array], jax.Array],
+    params: Tree,
+    noise: jax.Array,
+) -> jax.Array:
+    """(C, E) returns under any rule; stops when no episode is alive. Can be traced.
+
+    Args:
+        env: the dynamics.
+        choose: number of the step, (C, E, f) observations -> actions, leading axes (C, E).
+        params: of C contexts, leading axis.
+        noise: (E, n_noise), see `episode_noise`.
+    """
     start = jax.vmap(jax.vmap(env.initial, (0, None)), (None, 0))
     step = jax.vmap(jax.vmap(env.step, (0, 0, None)))
     observe = jax.vmap(jax.vmap(env.observe, (0, None)))
@@ -153,8 +174,7 @@ def _play(
         carry: tuple[jax.Array, Tree, jax.Array, jax.Array],
     ) -> tuple[jax.Array, Tree, jax.Array, jax.Array]:
         steps, state, alive, total = carry
-        outputs = networks.apply(actor, observe(state, params), activation)
-        new, reward, terminated = step(state, networks.mode(outputs, env.action), params)
+        new, reward, terminated = step(state, choose(steps, observe(state, params)), params)
         total = total + jnp.where(alive, reward, 0.0).astype(jnp.float32)
         return steps + 1, new, alive & ~terminated, total
 

@@ -1,4 +1,4 @@
-"""Settings that must be in the environment before jax starts; importing this module sets them.
+"""Importing this starts jax, with settings that it reads when it makes its first client.
 
 jax 0.10 on few cores can hang for ever in compiled programs with many small parallel operations,
 which its concurrency-optimised scheduler hands to a pool of few threads. Our programs are of that
@@ -6,29 +6,82 @@ kind (a hundred tiny networks), so that scheduler is switched off. It has no say
 Networks of this size are computed faster by one thread than by several that wait for each other
 (`NPROC` is where jax's CPU client reads the number); more cores are used by more processes.
 Another hang, that of batched QR factorisations, is avoided in `networks.init_weights`.
+
+The settings travel in the environment of the process. They are there while jax starts and no
+longer: what a user's program starts later must not inherit them.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import MutableMapping
+import warnings
+from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 
 from mbtl.errors import missing_extra
+from mbtl.processes import usable_cores
 
 SAFE_FLAGS = {"--xla_cpu_enable_concurrency_optimized_scheduler": "false"}
+_FLAGS, _THREADS = "XLA_FLAGS", "NPROC"
+_FEW = 8
+"""Cores on which the scheduler is warned of; hangs were seen on two."""
 
 
-def set_flags(environ: MutableMapping[str, str]) -> None:
-    """Add our flags to `XLA_FLAGS`; a flag the user has set keeps the user's value."""
-    given = environ.get("XLA_FLAGS", "").split()
+def settings(environ: Mapping[str, str]) -> dict[str, str]:
+    """What the environment lacks; a flag, or a number of threads, of the user's own stays."""
+    given = environ.get(_FLAGS, "").split()
     names = {flag.partition("=")[0] for flag in given}
     ours = [f"{name}={value}" for name, value in SAFE_FLAGS.items() if name not in names]
-    environ["XLA_FLAGS"] = " ".join([*given, *ours])
-    environ.setdefault("NPROC", "1")
+    lacking = {_FLAGS: " ".join([*given, *ours])} if ours else {}
+    return lacking if _THREADS in environ else {**lacking, _THREADS: "1"}
+
+
+@contextlib.contextmanager
+def lent(values: Mapping[str, str]) -> Iterator[None]:
+    """These values are in the environment of the process for the block, and gone after it."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def start_jax() -> None:
+    """Start jax with our settings, unless it runs already; then warn where it could hang."""
+    import jax
+
+    if _runs():
+        _warn(jax.default_backend())
+        return
+    with lent(settings(os.environ)):
+        jax.devices()
+
+
+def _runs() -> bool:
+    from jax._src import xla_bridge  # there is no public question of this kind
+
+    return bool(xla_bridge.backends_are_initialized())
+
+
+def _warn(backend: str) -> None:
+    if backend == "cpu" and usable_cores() <= _FEW and _FLAGS in settings(os.environ):
+        flags = " ".join(f"{name}={value}" for name, value in SAFE_FLAGS.items())
+        warnings.warn(
+            f"jax was started before mbtl.training.jax and without {flags}: on few cores its "
+            f"programs can hang; import mbtl.training.jax before jax computes, or set "
+            f"{_FLAGS}={flags} in the environment",
+            RuntimeWarning,
+            stacklevel=2,
+        )
 
 
 for _package in ("jax", "optax"):
     if find_spec(_package) is None:
         raise missing_extra(_package, "jax")
-set_flags(os.environ)
+start_jax()

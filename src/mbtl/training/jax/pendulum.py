@@ -42,6 +42,7 @@ class Pendulum:
     n_features: int = 3
     n_noise: int = 2
     max_return: float = 0.0
+    idle: tuple[float, ...] = (0.0,)
     params: type[PendulumParams] = PendulumParams
 
     def initial(self, noise: jax.Array, params: PendulumParams) -> PendulumState:

@@ -158,7 +158,7 @@ def _trained(
     def on_block(block: Block) -> None:
         if on_progress is not None:
             on_progress(seed, block.steps, block.total, float(block.training.latest_return[0]))
-        saved.save(block.training, now=block.steps == block.total)
+        saved.save(block.training, done=block.steps == block.total)
 
     return train_multitask(
         env,

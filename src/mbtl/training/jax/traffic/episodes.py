@@ -24,8 +24,8 @@ from mbtl.training.jax.recipes import Activation
 from mbtl.training.jax.traffic import random
 from mbtl.training.jax.traffic.twin import Moved, Seen, Twin
 
-Acting = Literal["sampled", "mean", "none"]
-"""How actions follow from a policy: drawn, the most likely one, or no advice at all."""
+Acting = Literal["sampled", "mean", "random", "none"]
+"""How actions follow from a policy: drawn, the most likely one, or not: any, or no advice."""
 
 _ACTION = 1 << 20  # stream of random numbers, apart from those of the twins
 
@@ -152,6 +152,9 @@ def scores(
     def one(moment: jax.Array, state: Tree) -> Tree:
         if how == "none":
             return twin.drive(state, params).state
+        if how == "random":
+            action = _uniform(twin, flat, jnp.uint32(moment))
+            return twin.step(state, action, params).state
         obs = twin.observe(state, params).obs
         outputs = _outputs(actor, obs.reshape(*shape, *obs.shape[1:]), activation)
         if how == "sampled":
@@ -163,6 +166,16 @@ def scores(
 
     state = jax.lax.fori_loop(0, decisions, one, twin.start(flat, params))
     return twin.score(state).reshape(shape)
+
+
+def _uniform(twin: Twin, seeds: jax.Array, moment: jax.Array) -> jax.Array:
+    """(n, A) or (n, A, d) actions, any as likely as another."""
+    if isinstance(twin.action, Discrete):
+        draw = random.uniform(seeds, _ACTION, moment, twin.agents).T
+        return jnp.floor(draw * twin.action.n).astype(jnp.int32)
+    low, high = jnp.asarray(twin.action.low), jnp.asarray(twin.action.high)
+    draw = random.uniform(seeds, _ACTION, moment, twin.agents * len(low)).T
+    return low + (high - low) * draw.reshape(-1, twin.agents, len(low))
 
 
 def _outputs(actor: Actor, obs: jax.Array, activation: Activation) -> jax.Array:

@@ -121,7 +121,8 @@ def learn(
     (flat, moments, _, apart), _ = jax.lax.scan(epoch, first, keys)
     coef = memory.kl_coef * jnp.where(apart > 2.0 * recipe.target_kl, 1.5, 1.0)
     coef = coef * jnp.where(apart < 0.5 * recipe.target_kl, 0.5, 1.0)
-    return unravel(flat), Memory(moments, returns, jnp.clip(coef, 1e-4, 1e2))
+    least = 1e-4 if recipe.kl_coef > 0.0 else 0.0
+    return unravel(flat), Memory(moments, returns, jnp.clip(coef, least, 1e2))
 
 
 def _rows(

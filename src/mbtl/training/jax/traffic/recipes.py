@@ -85,7 +85,8 @@ class EpisodicPPORecipe:
         value_clip: largest move of a value per update.
         value_coef: weight of the value loss.
         entropy_coef: weight of the entropy bonus.
-        kl_coef: first weight of the KL penalty; raised and lowered by the KL of the last update.
+        kl_coef: first weight of the KL penalty; raised and lowered by the KL of the last update. 0:
+            no penalty, for ever.
         target_kl: the update ends when a minibatch is farther than this.
         max_grad_norm: the gradient is scaled down to this norm.
         normalize_advantage: to mean 0 and standard deviation 1 per update.

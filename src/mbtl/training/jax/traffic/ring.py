@@ -47,7 +47,6 @@ class RingState(NamedTuple):
         steps: simulation steps since the warm-up began.
         running: (n,) no cars have collided.
         total: (n,) sum of the driven speeds over cars and measured steps.
-        measured: (n,) measured steps.
         seen: (3, n) what the advised driver saw last, raw.
     """
 
@@ -59,7 +58,6 @@ class RingState(NamedTuple):
     steps: jax.Array
     running: jax.Array
     total: jax.Array
-    measured: jax.Array
     seen: jax.Array
 
 
@@ -169,9 +167,12 @@ class RingTwin:
         return self._hold(state, advise, params)
 
     def score(self, state: RingState) -> jax.Array:
-        """Mean speed of all cars over the measured part [m/s]; 0 where it was not reached."""
-        count = jnp.maximum(state.measured * self.cars, 1)
-        return state.total / count
+        """Mean speed of all cars over the measured part [m/s]; 0 before it and after a collision.
+
+        So many cars stand from the collision on: whoever crashes late does not keep the mean.
+        """
+        measured = state.steps - self.warm_up - self.unmeasured
+        return state.total / (self.cars * jnp.maximum(measured, 1))
 
     # ---- inside ------------------------------------------------------------------------------
 
@@ -194,7 +195,6 @@ class RingTwin:
             steps=jnp.int32(0),
             running=jnp.ones(n, bool),
             total=jnp.zeros(n),
-            measured=jnp.zeros(n, jnp.int32),
             seen=jnp.zeros((3, n)),
         )
 
@@ -246,7 +246,6 @@ class RingTwin:
             steps=state.steps + 1,
             running=running,
             total=state.total + jnp.where(counts, driven.sum(axis=0), 0.0),
-            measured=state.measured + counts,
         )
 
     def _look(self, state: RingState) -> jax.Array:

@@ -1,0 +1,212 @@
+"""What `mbtl matrix build` builds: the folder in which it grows, and the files in which it ends."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from mbtl.benchmark import TransferMatrix, save_shipped
+from mbtl.benchmark.build import ONLY, Build
+from mbtl.benchmark.shipped import DEFAULT, matrix_id, shipped_file
+from mbtl.cli.common import LongWork, console
+from mbtl.cmdps import CMDP
+from mbtl.errors import InvalidInput
+from mbtl.files import claim_of
+from mbtl.processes import usable_cores
+from mbtl.provenance import check_made_by
+from mbtl.settings import first_difference
+from mbtl.trainer import Trainer, recipe_of
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is built, for any seed.
+
+    Attributes:
+        cmdp: the problem.
+        trainer: of its policies.
+        checkpoints: policies of a training that are evaluated, each into a file of its own.
+        lanes: sources trained together.
+        preset: for the record.
+        variant: name of the set.
+        command: that builds it, but for the seed.
+    """
+
+    cmdp: CMDP
+    trainer: Trainer
+    checkpoints: tuple[str, ...]
+    lanes: int
+    preset: str
+    variant: str
+    command: str
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """JSON-able; all that the numbers depend on."""
+        return {
+            "problem": self.cmdp.id,
+            "version": self.cmdp.version,
+            "switches": dict(self.cmdp.settings),
+            "recipe": recipe_of(self.trainer),
+        }
+
+    def of_checkpoint(self, checkpoint: str) -> dict[str, Any]:
+        """`settings` of one of several."""
+        settings = self.settings
+        if checkpoint != ONLY:
+            settings["recipe"] = {**settings["recipe"], "checkpoint": checkpoint}
+        return settings
+
+    def file(self, out: Path, checkpoint: str, seed: int) -> Path:
+        """Where it is to be saved."""
+        return shipped_file(out, self.cmdp.id, named(self.variant, checkpoint), seed)
+
+    def there(self, out: Path, seed: int) -> dict[Path, TransferMatrix]:
+        """The finished files of a seed; empty unless all are there.
+
+        Raises:
+            InvalidInput: one was made with other settings.
+        """
+        found = {}
+        for checkpoint in self.checkpoints:
+            file = self.file(out, checkpoint, seed)
+            if file.is_file():
+                found[file] = TransferMatrix.load(file)
+                self._check(file, found[file].provenance, checkpoint)
+        return found if len(found) == len(self.checkpoints) else {}
+
+    def _check(self, file: Path, record: Mapping[str, Any], checkpoint: str) -> None:
+        try:
+            check_made_by(file, record, self.of_checkpoint(checkpoint))
+        except InvalidInput as error:
+            for name, preset in self.cmdp.presets.items():
+                if preset.formerly == record.get("preset") == self.preset:
+                    raise InvalidInput(f"{error} (its preset is called {name!r} now)") from error
+            raise
+
+    def run(self, building: Build, out: Path, workers: int | None) -> dict[Path, TransferMatrix]:
+        """Train and evaluate what is missing, and write the files of a seed."""
+        seed = building.seed
+        if workers is None:
+            workers = 1 if self.lanes >= self.cmdp.space.n else usable_cores()
+        _perform(building, workers, f"{matrix_id(self.cmdp.id, self.variant)} seed {seed}")
+        built = {}
+        for checkpoint in self.checkpoints:
+            file = self.file(out, checkpoint, seed)
+            built[file] = TransferMatrix.of_episodes(
+                building.returns(checkpoint)[None],
+                references={name: row[None] for name, row in building.references().items()},
+                space=self.cmdp.space,
+                bounds=self.cmdp.normalisation,
+                theta=self.cmdp.theta,
+                direction="max" if self.cmdp.direction == "maximize" else "min",
+                provenance={
+                    **self.of_checkpoint(checkpoint),
+                    "preset": self.preset,
+                    "seed": seed,
+                    "lanes": self.lanes,
+                    "command": f"{self.command} --seeds 1 --first-seed {seed}",
+                    "process_seconds": round(building.seconds(), 1),
+                    "train_seconds": round(building.seconds("train_seconds"), 1),
+                    "nominal": None if self.cmdp.nominal is None else dict(self.cmdp.nominal),
+                    "origins": building.origins(),
+                    "evaluated": building.origins("evaluated"),
+                },
+                name=file.name,
+            )
+            variant = named(self.variant, checkpoint)
+            save_shipped(built[file], out, self.cmdp.id, variant, first_seed=seed)
+        if building.kept is not None:  # its pieces would pass for a later evaluation
+            shutil.rmtree(building.folder, ignore_errors=True)
+        return built
+
+    def building(self, work: Path, seed: int) -> Build:
+        """In the folder of the preset's name, or of its former one if it was begun there."""
+        builds = self._builds(work, seed)
+        return next(
+            (one for one in builds if not _differs(claim_of(one.folder), one.claim)), builds[0]
+        )
+
+    def again(self, work: Path, seed: int) -> Build:
+        """Only the evaluation of what was built before, beside it.
+
+        Raises:
+            InvalidInput: nothing was built there, or by another training.
+        """
+        refusal = None
+        for begun in self._builds(work, seed):
+            claim = claim_of(begun.folder)
+            if claim is None:
+                continue
+            now = {**begun.claim, "recipe": dict(begun.claim["recipe"])}
+            for record in (claim["recipe"], now["recipe"]):
+                record.pop("eval_episodes", None)
+            difference = _differs(claim, now)
+            if difference is None:
+                folder, kept = begun.folder / "evaluated-again", begun.folder / "policies"
+                return replace(begun, folder=folder, kept=kept)
+            name, was, got = difference
+            refusal = refusal or (
+                f"only the number of episodes may change when policies of {begun.folder} are "
+                f"evaluated again: {name} was {was!r}, got {got!r}"
+            )
+        raise InvalidInput(
+            refusal
+            or f"no policies were kept in {self._builds(work, seed)[0].folder}; build without "
+            "--evaluate-again, or give the --work of that build"
+        )
+
+    def _builds(self, work: Path, seed: int) -> list[Build]:
+        name = matrix_id(self.cmdp.id, self.variant)
+        presets = [self.preset, self.cmdp.preset(self.preset).formerly]
+        return [
+            Build(
+                self.trainer,
+                self.cmdp.space,
+                seed,
+                work / f"matrix-{name}-{preset}-seed{seed}",
+                self.settings,
+                self.checkpoints,
+                self.lanes,
+            )
+            for preset in presets
+            if preset
+        ]
+
+
+def _differs(
+    there: Mapping[str, Any] | None, now: Mapping[str, Any]
+) -> tuple[str, Any, Any] | None:
+    """The first setting in which a folder's claim is not today's."""
+    return first_difference(there or {}, json.loads(json.dumps(now)))
+
+
+def _perform(building: Build, workers: int, label: str) -> None:
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=30),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(label, total=building.space.n)
+        log = LongWork(console)
+
+        def on_piece(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+            log.say(f"{label}: {done} of {total} sources")
+
+        building.run(workers, on_piece)
+
+
+def named(variant: str, checkpoint: str) -> str:
+    """Variant of a checkpoint: "final" is named where it stands beside, or instead of, best."""
+    if checkpoint != "final":
+        return variant
+    return "final" if variant == DEFAULT else f"{variant}-final"

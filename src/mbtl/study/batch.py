@@ -1,0 +1,253 @@
+"""Batches of picks: trained together, recorded in pick order, and when failures end the run.
+
+A failed training is recorded and spends budget. A failed evaluation does not: its pick stays open
+and its policy is kept, in its folder or in memory, to be evaluated again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future
+from dataclasses import dataclass, field
+from functools import partial
+from logging import getLogger
+from pathlib import Path
+from typing import Any
+
+from mbtl.errors import StorageError, StudyError, TrainingFailed
+from mbtl.seeds import evaluation_seed
+from mbtl.study.callbacks import Callback
+from mbtl.study.job import (
+    NOT_THE_TRAININGS_FAULT,
+    Job,
+    Kept,
+    Outcome,
+    Trouble,
+    perform,
+    perform_elsewhere,
+    reason_of,
+)
+from mbtl.study.pick import Pick
+from mbtl.study.study import Study
+from mbtl.trainer import Trainer
+
+_logger = getLogger(__name__)
+
+
+@dataclass
+class Batches:
+    """Does batches of picks for one run.
+
+    Attributes:
+        study: is told.
+        trainer: does the work.
+        executor: where; None: in this process.
+        failures_allowed: failures in a row that are borne; one more ends the run.
+        rehearse: the first policy is read back and evaluated on two targets before all else.
+        callbacks: told what happens.
+        held: picks whose policy could not be evaluated. They stay with this process meanwhile, so
+            that nobody tries again at once.
+    """
+
+    study: Study
+    trainer: Trainer
+    executor: Executor | None
+    failures_allowed: int
+    rehearse: bool
+    callbacks: Sequence[Callback]
+    held: list[Pick] = field(default_factory=list)
+    _in_a_row: int = 0
+
+    def do(self, batch: Sequence[Pick]) -> None:
+        """Train a batch and tell it all; on any interrupt give the unanswered picks back.
+
+        Raises:
+            TrainingFailed: failures end the run. What else the batch gave is told.
+        """
+        waiting = list(batch)
+        end: Exception | None = None
+        failed: tuple[Pick, Trouble] | None = None
+        try:
+            for pick in batch:
+                self._announce("on_pick", pick)
+            for pick, outcome in self._outcomes(batch):
+                if isinstance(outcome, Outcome):
+                    self._tell(pick, outcome)
+                    waiting.remove(pick)
+                    self._announce("on_told", pick)
+                    continue
+                self._keep(pick, outcome.kept)
+                if isinstance(outcome.error, NOT_THE_TRAININGS_FAULT):
+                    end = end or outcome.error
+                    continue
+                self._record(pick, outcome)
+                waiting.remove(pick)
+                self._announce("on_failed", pick, _reason(outcome))
+                failed = pick, outcome
+                if self._in_a_row > self.failures_allowed:
+                    row = "failure" if self._in_a_row == 1 else f"{self._in_a_row} in a row"
+                    end = end or self._end(pick, outcome, row)
+        except _CallbackError as wrapped:
+            raise wrapped.error from None
+        finally:
+            self._give_back(waiting)
+        if end is None and failed is not None and not self.study.has_succeeded:
+            end = self._end(*failed, "nothing has succeeded yet")
+        if end is not None:
+            raise end
+
+    def give_back_held(self) -> bool:
+        """Let go of the picks whose policies could not be evaluated; False when there are none."""
+        picks, self.held = self.held, []
+        self._give_back(picks)
+        return bool(picks)
+
+    # ---- inside ------------------------------------------------------------------------------
+
+    def _outcomes(self, batch: Sequence[Pick]) -> Iterator[tuple[Pick, Outcome | Trouble]]:
+        """What each pick gave, in pick order."""
+        jobs = [self._job(pick) for pick in batch]
+        if self.executor is None:
+            for pick, job in zip(batch, jobs, strict=True):
+                yield pick, self._perform_here(pick, job)
+            return
+        futures = [self.executor.submit(perform_elsewhere, job) for job in jobs]
+        for pick, future in zip(batch, futures, strict=True):
+            yield pick, brought_back(future)
+
+    def _perform_here(self, pick: Pick, job: Job) -> Outcome | Trouble:
+        return perform(
+            job,
+            partial(self._announce, "on_progress", pick),
+            partial(self._keep, pick),
+            partial(self._announce, "on_evaluation", pick),
+        )
+
+    def _job(self, pick: Pick) -> Job:
+        study, spec = self.study, self.study.spec
+        folder = study.folder / policy_path(study, pick) if study.folder else None
+        targets = range(study.space.n) if pick.targets is None else pick.targets
+        return Job(
+            self.trainer,
+            pick.context,
+            pick.seed,
+            [study.space.context(target) for target in targets],
+            evaluation_seed(spec.seed, spec.trial),
+            folder,
+            Kept(study.untold[pick.number]) if pick.number in study.untold else None,
+            self.rehearse and not study.has_succeeded,
+        )
+
+    def _keep(self, pick: Pick, kept: Kept | None) -> None:
+        """Hold on to a policy that is nowhere else."""
+        if kept is not None and not kept.saved:
+            self.study.untold[pick.number] = kept.policy
+        else:
+            self.study.untold.pop(pick.number, None)
+
+    def _tell(self, pick: Pick, outcome: Outcome) -> None:
+        self._keep(pick, Kept(outcome.policy, outcome.saved))
+        self.study.tell(
+            pick,
+            outcome.returns,
+            seconds=outcome.seconds,
+            policy=policy_path(self.study, pick).as_posix() if outcome.saved else None,
+            policy_object=outcome.policy,
+        )
+        self.study.untold.pop(pick.number, None)
+        self._in_a_row = 0
+        _logger.info("%s: V = %.4f", self._where(pick), self.study.value)
+
+    def _record(self, pick: Pick, trouble: Trouble) -> None:
+        reason = _reason(trouble)
+        if trouble.kept is None:
+            self.study.fail(pick, reason, traceback=trouble.traceback)
+        else:
+            self.study.defer(pick, reason, traceback=trouble.traceback)
+            self.held.append(pick)
+        self._in_a_row += 1
+        _logger.warning("%s failed: %s", self._where(pick), reason)
+
+    def _end(self, pick: Pick, trouble: Trouble, why: str) -> TrainingFailed:
+        then = "run again: the policy is kept and only evaluated"
+        if trouble.kept is None:
+            then = "run again, with retry_failed=True (--retry-failed) to train there again"
+        elif trouble.stage == "loading" and self.study.folder is not None:
+            folder = self.study.folder / policy_path(self.study, pick)
+            then = f"run again, or remove {folder} to have the policy trained again"
+        return failure(
+            f"{self._where(pick)} failed: {_reason(trouble)}; the run ends here ({why}), so mend "
+            f"the cause and {then}",
+            trouble,
+        )
+
+    def _where(self, pick: Pick) -> str:
+        where = self.study.space.describe(pick.context)
+        return f"pick {pick.number + 1} of {self.study.spec.budget} ({where})"
+
+    def _give_back(self, picks: Sequence[Pick]) -> None:
+        for pick in picks:
+            try:
+                self.study.release(pick)
+            except StorageError:  # the storage is what failed; the pick is taken over later
+                return
+            except StudyError:  # somebody else answered it
+                continue
+
+    def _announce(self, method: str, pick: Pick, *facts: Any) -> None:
+        for callback in self.callbacks:
+            try:
+                getattr(callback, method)(self.study, pick, *facts)
+            except Exception as error:
+                raise _CallbackError(error) from error
+
+
+class _CallbackError(BaseException):
+    """Carries a callback's error past the code that records errors of trainings."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(error)
+        self.error = error
+
+
+def _reason(trouble: Trouble) -> str:
+    """One line; of a policy that is trained it says what could not be done with it."""
+    if trouble.kept is None:
+        return trouble.reason
+    return f"the policy is trained, its {trouble.stage} failed with {trouble.reason}"
+
+
+def failure(message: str, trouble: Trouble) -> TrainingFailed:
+    """The error that ends a run, with where the trouble came from."""
+    error = TrainingFailed(message)
+    error.__cause__ = trouble.error
+    if trouble.error is None:  # it stayed in another process
+        error.add_note(trouble.traceback)
+    return error
+
+
+def brought_back(future: Future[Any]) -> Any:
+    """What a worker process gave.
+
+    Raises:
+        StudyError: the process died, or what it gave cannot travel.
+    """
+    try:
+        return future.result()
+    except BrokenExecutor as error:
+        raise StudyError(
+            "a worker process died (a script without `if __name__ == '__main__':`, killed, "
+            "or out of memory); its picks are given back: run again, with a smaller "
+            "parallel if memory is short"
+        ) from error
+    except Exception as error:
+        raise StudyError(
+            f"a policy trained in another process must be sent back or saved there, got "
+            f"{reason_of(error)}; give save and load functions, or use parallel=1"
+        ) from error
+
+
+def policy_path(study: Study, pick: Pick) -> Path:
+    """Below the study's folder; studies that share it, or a database, keep apart by their uid."""
+    again = f"-{pick.repeat}" if pick.repeat else ""
+    return Path("policies", study.state.uid, f"source-{pick.source:04d}{again}")

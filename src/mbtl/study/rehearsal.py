@@ -1,0 +1,58 @@
+"""Before the first training: can a policy be saved, loaded and evaluated at all?
+
+A slip in `evaluate` costs seconds here, and a training where it is found out later.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mbtl.arrays import Array
+from mbtl.contexts import Context
+from mbtl.study.job import Job, Outcome, Trouble, perform, perform_elsewhere
+from mbtl.trainer import OnProgress, RehearsingTrainer
+
+
+def rehearse(
+    trainer: RehearsingTrainer, targets: Sequence[Context], seed: int, *, here: bool = True
+) -> Trouble | None:
+    """Save, load and evaluate an untrained policy; what went wrong, or None.
+
+    Args:
+        trainer: can make an untrained policy.
+        targets: a few contexts.
+        seed: of the evaluation.
+        here: this process asks; False in a worker process.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "untrained"
+        job = Job(_Untrained(trainer), targets[0], 0, targets, seed, place, rehearse=True)
+        outcome = perform(job) if here else perform_elsewhere(job)
+    return None if isinstance(outcome, Outcome) else outcome
+
+
+@dataclass(frozen=True)
+class _Untrained:
+    """A trainer whose policies are not trained."""
+
+    trainer: RehearsingTrainer
+
+    @property
+    def policy_format(self) -> str:
+        return self.trainer.policy_format
+
+    def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
+        return self.trainer.untrained(context)
+
+    def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
+        return self.trainer.evaluate(policy, contexts, seed)
+
+    def save(self, policy: Any, folder: Path) -> bool:
+        return self.trainer.save(policy, folder)
+
+    def load(self, folder: Path) -> Any:
+        return self.trainer.load(folder)

@@ -1,0 +1,100 @@
+"""What an environment gives without any policy of ours: random actions, and no control at all.
+
+They are played in the same episodes as policies are evaluated in, so a row of policies can be
+compared with them. *Unguided* is the system without a controller: an environment says how it goes
+on by itself with a method `drive()`, which returns what `step` does; many have no such thing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.contexts import Context
+from mbtl.training.rollout import Actor, Job, play
+
+RANDOM_ACTIONS = "random_actions"
+UNGUIDED = "unguided"
+
+
+def reference_rows(
+    make_env: Callable[[Context], Any],
+    contexts: Sequence[Context],
+    seeds: Sequence[int],
+    *,
+    max_envs: int,
+) -> dict[str, Array]:
+    """Returns in every context, (n_contexts, n_episodes) by name.
+
+    Args:
+        make_env: context -> environment, Gymnasium's or PettingZoo's.
+        contexts: where to play.
+        seeds: one per episode.
+        max_envs: environments alive at once.
+    """
+    first = make_env(contexts[0])
+    drives = hasattr(first, "drive")
+    space = first.action_space
+    policy = RandomActions(space("") if callable(space) else space)
+    first.close()
+    actor = Actor(policy, sampled=True)
+    makers: dict[str, Callable[[Context], Any]] = {RANDOM_ACTIONS: make_env}
+    if drives:
+        makers[UNGUIDED] = partial(_unguided, make_env)
+    return {
+        name: np.array(
+            play([Job(partial(make, one), seeds) for one in contexts], actor, max_envs=max_envs)
+        )
+        for name, make in makers.items()
+    }
+
+
+@dataclass(frozen=True)
+class RandomActions:
+    """A policy that looks at nothing.
+
+    Attributes:
+        space: of the actions, of which any is as likely as another.
+    """
+
+    space: Any
+
+    def predict(
+        self, observations: Any, deterministic: bool, rng: np.random.Generator
+    ) -> tuple[list[Any], None]:
+        """One action for each observation, from `rng` alone."""
+        some = next(iter(observations.values())) if isinstance(observations, dict) else observations
+        return [self._draw(rng) for _ in range(len(some))], None
+
+    def _draw(self, rng: np.random.Generator) -> Any:
+        space = self.space
+        if hasattr(space, "low") and np.isfinite([space.low, space.high]).all():
+            return rng.uniform(space.low, space.high).astype(space.dtype)
+        if hasattr(space, "n") and not space.shape:
+            return int(space.start + rng.integers(space.n))
+        space.seed(int(rng.integers(2**31)))
+        return space.sample()
+
+
+class Unguided:
+    """An environment whose decision makers are not heard."""
+
+    def __init__(self, env: Any) -> None:
+        """The environment needs a method `drive`."""
+        self._env = env
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._env, name)
+
+    def step(self, actions: Any) -> Any:
+        """One decision without control."""
+        return self._env.drive()
+
+
+def _unguided(make_env: Callable[[Context], Any], context: Context) -> Unguided:
+    return Unguided(make_env(context))

@@ -1,0 +1,274 @@
+"""Failures cost nothing twice: found early, kept with their cause, done again from where it broke.
+
+`Bench` trains nothing: a policy is the context's number, worth 1 there and less farther away.
+"""
+
+import numpy as np
+import pytest
+
+import mbtl
+from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
+from mbtl.study import Callback
+
+N = 9
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})
+
+
+class Bench:
+    """A trainer that counts, and breaks where it is told to."""
+
+    policy_format = "custom"
+    recipe = {"trainer": "bench"}  # noqa: RUF012
+
+    def __init__(self, train=None, evaluate=None, load=None, save=None, saves=True):
+        self.trained, self.evaluated, self.loaded = [], [], []
+        self.breaks = {"train": train, "evaluate": evaluate, "load": load, "save": save}
+        self.saves = saves
+
+    def _break(self, name, *facts):
+        if self.breaks[name] is not None:
+            return self.breaks[name](*facts)
+        return None
+
+    def train(self, context, seed, on_progress=None):
+        self.trained.append(context["x"])
+        self._break("train", len(self.trained))
+        return context["x"]
+
+    def evaluate(self, policy, contexts, seed):
+        self.evaluated.append((policy, len(contexts)))
+        broken = self._break("evaluate", len(self.trained), contexts)
+        return [1 - abs(policy - c["x"]) for c in contexts] if broken is None else broken
+
+    def save(self, policy, folder):
+        self._break("save", policy)
+        if self.saves:
+            (folder / "policy.txt").write_text(str(policy))
+        return self.saves
+
+    def load(self, folder):
+        self.loaded.append(folder.name)
+        self._break("load", folder)
+        return float((folder / "policy.txt").read_text())
+
+
+class Rehearsing(Bench):
+    def untrained(self, context):
+        return 0.0
+
+
+def study_in(path, **settings):
+    settings = {"budget": 5, "bounds": (0.0, 1.0), "selector": "random", **settings}
+    return mbtl.create_study(
+        SPACE, storage=path and path / "study.db", load_if_exists=True, **settings
+    )
+
+
+def fails(when, error=RuntimeError):
+    def broken(count, *_):
+        if when(count):
+            raise error("licence expired")
+
+    return broken
+
+
+def wrong_shape(_, contexts):
+    return [0.0] * (len(contexts) + 1)
+
+
+@pytest.mark.parametrize(
+    "broken", [{"evaluate": wrong_shape}, {"save": lambda p: 1 / 0}, {"load": lambda f: 1 / 0}]
+)
+def test_a_trainer_that_can_rehearse_trains_nothing_before_all_of_it_works(tmp_path, broken):
+    trainer, study = Rehearsing(**broken), study_in(tmp_path)
+    with pytest.raises((TrainingFailed, StorageError), match=r"shape|ZeroDivisionError"):
+        study.run(trainer=trainer)
+    assert (trainer.trained, study.state.picks) == ([], [])
+    trainer.breaks = dict.fromkeys(trainer.breaks)
+    study.run(trainer=trainer)
+    assert len(study.state.rows) == 5
+
+
+def test_a_rehearsal_is_short_and_can_be_left_out():
+    trainer = Rehearsing()
+    study_in(None, budget=1).run(trainer=trainer, report=False)
+    assert trainer.evaluated == [(0.0, 2), (trainer.trained[0], N)]
+    trainer = Rehearsing()
+    study_in(None, budget=1).run(trainer=trainer, report=False, rehearse=False)
+    assert trainer.evaluated == [(trainer.trained[0], N)]
+
+
+@pytest.mark.parametrize("saves", [True, False])
+def test_a_wrong_shape_costs_one_training_at_most_and_its_policy_is_kept(tmp_path, saves):
+    trainer, study = Bench(evaluate=wrong_shape, saves=saves), study_in(tmp_path)
+    with pytest.raises(TrainingFailed, match=r"the policy is trained.*only evaluated") as raised:
+        study.run(trainer=trainer)
+    assert isinstance(raised.value.__cause__, TrainingFailed)  # where it came from
+    assert trainer.evaluated == [(trainer.trained[0], 2)]
+    assert len(study.state.picks) == 1
+    assert not study.state.failures
+    assert "checked_returns" in study.state.deferred[0].traceback
+    trainer.breaks["evaluate"] = None
+    study.run(trainer=trainer)
+    assert len(study.state.rows) == len(trainer.trained) == 5
+    assert not study.state.deferred
+
+
+def test_another_process_evaluates_what_one_has_trained(tmp_path):
+    with pytest.raises(TrainingFailed):
+        study_in(tmp_path).run(trainer=Bench(evaluate=wrong_shape))
+    later = Bench()
+    study = study_in(tmp_path).run(trainer=later)
+    assert len(study.state.rows) == 5
+    assert len(later.trained) == 4
+
+
+def test_the_first_failed_training_ends_the_run_and_its_cause_is_in_the_log(tmp_path):
+    trainer = Bench(train=fails(lambda count: True))
+    with pytest.raises(TrainingFailed, match=r"pick 1 of 5 \(x = .*licence expired.*nothing has"):
+        study_in(tmp_path).run(trainer=trainer)
+    assert len(trainer.trained) == 1
+    (failure,) = mbtl.load_study(tmp_path).state.failures
+    assert failure.reason == "RuntimeError: licence expired"
+    assert failure.traceback.startswith("Traceback")
+    assert "in broken" in failure.traceback
+
+
+def test_a_licence_that_expires_after_the_first_training_ends_the_run_after_three(tmp_path):
+    """It used to give 1 row and 14 failures, and a normal return."""
+    trainer = Bench(train=fails(lambda count: count > 1))
+    study = study_in(tmp_path)
+    with pytest.raises(TrainingFailed, match="3 in a row"):
+        study.run(trainer=trainer)
+    assert (len(study.state.rows), len(study.state.failures)) == (1, 3)
+    trainer.breaks["train"] = None
+    study = study_in(tmp_path).run(trainer=trainer, retry_failed=True)
+    assert (len(study.state.rows), len(study.state.failures)) == (5, 0)
+    assert len(study.state.picks) == 5  # what failed spent no budget twice
+
+
+def test_failures_with_successes_between_do_not_end_the_run(tmp_path):
+    trainer = Bench(train=fails(lambda count: count % 3 == 0))
+    study = study_in(tmp_path, budget=8).run(trainer=trainer)
+    assert (len(study.state.rows), len(study.state.failures)) == (6, 2)
+    trainer = Bench(train=fails(lambda count: count % 3 == 0))
+    with pytest.raises(TrainingFailed, match="ends here"):
+        study_in(None, budget=8).run(trainer=trainer, stop_after_failures=1)
+    assert len(trainer.trained) == 3
+
+
+def test_a_failed_evaluation_spends_nothing_and_is_done_again_at_the_end(tmp_path):
+    trainer = Bench(evaluate=lambda count, _: wrong_shape(0, []) if count == 2 else None)
+    heard = []
+
+    class Ear(Callback):
+        def on_failed(self, study, pick, reason):
+            heard.append((pick.number, reason))
+
+    study = study_in(tmp_path).run(trainer=trainer, callbacks=[Ear()])
+    assert (len(study.state.rows), len(study.state.failures)) == (5, 0)
+    assert len(trainer.trained) == 5
+    assert study.state.rows[-1].pick == 1
+    assert heard[0][0] == 1
+    assert "the policy is trained, its evaluation failed" in heard[0][1]
+
+
+@pytest.mark.parametrize("saves", [True, False])
+def test_an_evaluation_that_fails_twice_waits_for_the_next_run(tmp_path, saves):
+    trainer, lost = Bench(saves=saves), []
+
+    def evaluate(count, contexts):
+        policy = trainer.evaluated[-1][0]
+        if count == 2 and not lost:
+            lost.append(policy)
+        if lost == [policy]:
+            raise RuntimeError("no display")
+
+    trainer.breaks["evaluate"] = evaluate
+    study = study_in(tmp_path).run(trainer=trainer)
+    assert len(study.state.rows) == 4
+    assert list(study.state.deferred) == [1]
+    assert not study.is_finished
+    trainer.breaks["evaluate"] = None
+    study.run(trainer=trainer)
+    assert study.is_finished
+    assert len(trainer.trained) == len(study.state.rows) == 5
+    assert not study.untold
+
+
+def test_a_policy_that_cannot_be_read_back_is_not_trained_again(tmp_path):
+    stops = [KeyboardInterrupt]
+
+    def interrupted(count, contexts):
+        if count == 2 and stops:
+            raise stops.pop()
+
+    trainer = Bench(evaluate=interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        study_in(tmp_path).run(trainer=trainer)
+    trainer.breaks["load"] = fails(lambda folder: True)
+    study = study_in(tmp_path).run(trainer=trainer, report=False)
+    assert list(study.state.deferred) == [1]
+    assert "its loading failed with RuntimeError" in study.state.deferred[1].reason
+    trainer.breaks["load"] = None
+    study.run(trainer=trainer)
+    assert len(trainer.trained) == len(study.state.rows) == 5
+
+
+def test_a_policy_that_could_not_be_saved_is_kept_for_the_next_run_of_the_process(tmp_path):
+    trainer, study = Bench(save=lambda policy: 1 / 0), study_in(tmp_path)
+    with pytest.raises(StorageError, match="save raised ZeroDivisionError"):
+        study.run(trainer=trainer)
+    trainer.breaks["save"] = None
+    study.run(trainer=trainer)
+    assert len(trainer.trained) == 5
+    assert all(row.policy for row in study.state.rows)
+
+
+def test_an_interrupt_during_the_evaluation_keeps_a_policy_that_cannot_be_saved():
+    trainer, study = Bench(saves=False, evaluate=fails(bool, KeyboardInterrupt)), study_in(None)
+    with pytest.raises(KeyboardInterrupt):
+        study.run(trainer=trainer)
+    trainer.breaks["evaluate"] = None
+    study.run(trainer=trainer)
+    assert len(trainer.trained) == 5
+
+
+def test_only_a_failed_pick_is_opened_again_once():
+    study = study_in(None)
+    pick, other = study.ask(2)
+    study.fail(pick, "diverged")
+    with pytest.raises(StudyError, match="pick 2, which did not fail"):
+        study.retry(other)
+    study.retry(0)
+    assert not study.state.failures
+    assert study.ask() == pick  # the same training, with the same seed
+    with pytest.raises(StudyError, match="pick 1, which did not fail"):
+        study.retry(pick)
+    study.fail(pick, "diverged again")
+    study.tell(pick.source, np.ones(N))
+    with pytest.raises(StudyError, match="was told since"):
+        study.retry(pick)
+
+
+def test_a_batch_is_told_before_one_of_its_failures_ends_the_run(tmp_path):
+    from concurrent.futures import ThreadPoolExecutor
+
+    def broken(context, seed):
+        if context["x"] == first:
+            raise RuntimeError("out of memory")
+        return context["x"]
+
+    study = study_in(tmp_path)
+    first = SPACE.context(study_in(None).ask().source)["x"]
+    evaluate = Bench().evaluate
+    with ThreadPoolExecutor(2) as pool, pytest.raises(TrainingFailed, match="out of memory") as end:
+        study.run(broken, evaluate, parallel=2, executor=pool, on_failure="stop")
+    assert len(study.state.rows) == 1
+    assert "in broken" in end.value.__notes__[0]  # the exception itself stays in the worker
+
+
+@pytest.mark.parametrize("change", [{"stop_after_failures": 0}, {"parallel": 0}])
+def test_limits_below_one_are_refused(change):
+    with pytest.raises(InvalidInput, match="must be >= 1, got 0"):
+        study_in(None).run(trainer=Bench(), **change)

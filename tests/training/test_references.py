@@ -1,0 +1,91 @@
+"""What an environment gives without a policy: random actions, and no control at all."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+import gymnasium
+from gymnasium import spaces
+
+from mbtl.cmdps import get_cmdp
+from mbtl.training.references import RandomActions, reference_rows
+from mbtl.training.rollout import Actor, Job, play
+
+
+class Gauge(gymnasium.Env):
+    """Four steps; a step is worth its action times the context, without control 10."""
+
+    observation_space = spaces.Box(-1, 1, (1,), np.float32)
+    action_space = spaces.Box(0.0, 1.0, (1,), np.float32)
+
+    def __init__(self, context):
+        self.scale = context["x"]
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.left = 4
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        return self._gain(self.scale * float(action[0]))
+
+    def _gain(self, reward):
+        self.left -= 1
+        return np.zeros(1, np.float32), reward, False, self.left == 0, {}
+
+
+class Guided(Gauge):
+    def drive(self):
+        return self._gain(10.0)
+
+
+CONTEXTS = [{"x": 1.0}, {"x": 3.0}]
+
+
+def test_random_actions_are_any_and_those_of_an_episode_the_same_everywhere():
+    rows = reference_rows(Gauge, CONTEXTS, range(40), max_envs=8)
+    assert list(rows) == ["random_actions"]
+    assert rows["random_actions"].shape == (2, 40)
+    assert rows["random_actions"][1] == pytest.approx(3.0 * rows["random_actions"][0])
+    assert rows["random_actions"][0].mean() == pytest.approx(2.0, abs=0.3)
+    again = reference_rows(Gauge, CONTEXTS, range(40), max_envs=1)
+    np.testing.assert_array_equal(again["random_actions"], rows["random_actions"])
+
+
+def test_unguided_is_what_an_environment_does_by_itself():
+    rows = reference_rows(Guided, CONTEXTS, range(2), max_envs=2)
+    assert rows["unguided"].tolist() == [[40.0, 40.0], [40.0, 40.0]]
+
+
+@pytest.mark.parametrize(
+    "space",
+    [spaces.Discrete(3, start=2), spaces.MultiDiscrete([2, 3]), spaces.Box(-np.inf, 1.0, (2,))],
+)
+def test_actions_of_any_space_are_within_it(space):
+    actions, _ = RandomActions(space).predict(np.zeros((50, 1)), False, np.random.default_rng(0))
+    assert all(space.contains(action) for action in actions)
+    assert len({str(action) for action in actions}) > 2
+
+
+def test_a_pendulum_hangs_and_swings_without_torque_in_both_engines():
+    pytest.importorskip("jax", reason="the jax extra is not installed")
+    contexts = [{"length": 0.3}, {"length": 2.0}]
+    rows = {}
+    for engine in ("gymnasium", "jax"):
+        trainer = get_cmdp("pendulum-length", engine=engine).trainer_for(eval_episodes=3)
+        rows[engine] = trainer.reference_rows(contexts, seed=1)
+    assert rows["jax"]["unguided"] == pytest.approx(rows["gymnasium"]["unguided"], rel=1e-2)
+    assert rows["jax"]["random_actions"].shape == (2, 3)
+    assert set(rows["gymnasium"]) == {"random_actions", "unguided"}
+
+
+def test_cartpole_falls_under_random_actions_and_has_no_way_to_go_on_by_itself():
+    pytest.importorskip("jax", reason="the jax extra is not installed")
+    trainer = get_cmdp("cartpole-length", engine="jax").trainer_for(eval_episodes=50)
+    rows = trainer.reference_rows([{"length": 0.5}], seed=1)
+    assert list(rows) == ["random_actions"]
+    jobs = [Job(lambda: get_cmdp("cartpole-length").make_env({"length": 0.5}), range(50))]
+    (peer,) = play(jobs, Actor(RandomActions(spaces.Discrete(2)), sampled=True), max_envs=1)
+    spread = np.hypot(peer.std(), rows["random_actions"].std()) / np.sqrt(50)
+    assert abs(peer.mean() - rows["random_actions"].mean()) < 4 * spread
