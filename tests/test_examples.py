@@ -9,9 +9,16 @@ import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NEEDS = {"own_sumo_network": ("sumo", "libsumo", "stable_baselines3")}
+LONG = {"own_sumo_network"}  # three trainings in SUMO
 
 
-@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=[pytest.mark.long] * (path.stem in LONG))
+        for path in sorted(EXAMPLES.glob("*.py"))
+    ],
+)
 def test_an_example_runs(path, tmp_path):
     for package in NEEDS.get(path.stem, ()):
         pytest.importorskip(package)

@@ -56,6 +56,7 @@ def test_an_interrupted_multitask_baseline_keeps_its_policy(mbtl_command, tmp_pa
     assert "other settings: episodes was 1, got 2" in mbtl_command(*command, 2)[2]
 
 
+@pytest.mark.long
 def test_a_multitask_policy_of_a_twin_keeps_through_an_interruption(mbtl_command, tmp_path):
     command = (
         "matrix", "multitask", "ring-vel", "--preset", "quick", "--episodes", 2, "--factor", 2,
@@ -81,6 +82,7 @@ def test_a_multitask_policy_of_a_twin_keeps_through_an_interruption(mbtl_command
     np.testing.assert_array_equal(again.returns, first.returns)
 
 
+@pytest.mark.long
 def test_both_checkpoints_of_all_hundred_sources(mbtl_command):
     """The smallest whole matrix of real training: 100 policies in four programs of 25."""
     command = (

@@ -57,6 +57,7 @@ def test_a_signal_is_run_in_sumo(mbtl_command, tmp_path):
     assert (returns[np.isfinite(returns)] <= 0.0).all()
 
 
+@pytest.mark.long
 def test_eco_driving_is_run_in_the_twin(mbtl_command, tmp_path):
     code, out, _ = mbtl_command("run", "eco-green", *TINY, "--episodes", "2", "--study", "c")
     assert code == 0

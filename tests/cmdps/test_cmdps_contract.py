@@ -14,6 +14,10 @@ class TestOurs(CMDPContract):
 
 
 class TestOursWithOtherSwitches(TestOurs):
+    @pytest.mark.long
+    def test_trains_and_transfers(self, cmdp):
+        super().test_trains_and_transfers(cmdp)
+
     @pytest.fixture(
         params=[
             ("cartpole-length", {"visibility": "raw", "time_limit": "terminal"}),

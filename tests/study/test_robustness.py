@@ -62,10 +62,15 @@ class Fails(Callback):
 
 
 @pytest.mark.parametrize(
-    ("method", "parallel"),  # trainings in other processes do not report their evaluation
-    [("on_pick", 1), ("on_evaluation", 1), ("on_told", 1), ("on_pick", 2), ("on_told", 2)],
+    ("method", "parallel", "error"),  # trainings in other processes do not report their evaluation
+    [
+        ("on_pick", 1, RuntimeError("plot")),
+        ("on_evaluation", 1, OSError("disk")),
+        ("on_told", 1, KeyboardInterrupt()),
+        ("on_told", 2, KeyboardInterrupt()),
+        pytest.param("on_pick", 2, OSError("disk"), marks=pytest.mark.long),
+    ],
 )
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError("disk"), RuntimeError("plot")])
 def test_a_broken_callback_ends_the_run_and_nothing_is_lost(tmp_path, method, error, parallel):
     study = new(tmp_path / "study.db")
     with pytest.raises(type(error)):

@@ -1,6 +1,7 @@
 """A2C in jax: RMSprop and a whole gradient step are Stable-Baselines3's, and it learns."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,8 +18,10 @@ from mbtl.errors import InvalidInput, UnknownName
 from mbtl.training.jax import a2c, rollout
 from mbtl.training.jax.clock import clock_at
 
-TINY = engine.A2CRecipe(n_envs=32, n_steps=4)  # two rollouts in an update
+TINY = engine.A2CRecipe(n_envs=32, n_steps=4, anneal=True)  # two rollouts in an update
 ENV = engine.CartPole(horizon=9)  # shorter than an update, so that episodes are cut off
+CARTPOLE = engine.CartPole()
+FAST = replace(engine.recipe_named("A2C", "fast"), anneal=False)  # compiled once, with P = 2
 
 
 def params_of(lengths, env=ENV):
@@ -84,23 +87,26 @@ def test_rmsprop_is_what_stable_baselines3_offers(tensorflow):
 # ---- one gradient step ---------------------------------------------------------------------------
 
 
+update = jax.jit(partial(a2c.update, ENV, TINY))
+
+
 def test_an_update_is_its_rollouts_one_after_another():
     state, params = single(TINY)
     key, noise = rollout.draw(ENV, state.key, (2, 4, 32))
+    play, learn = (jax.jit(partial(f, ENV, TINY)) for f in (rollout.play, a2c.learn))
     by_hand = state._replace(key=key)
     for k in range(2):
         part = jax.tree.map(lambda x, k=k: x[k], noise)
-        by_hand, played = rollout.play(ENV, TINY, by_hand, params, part)
-        by_hand = a2c.learn(ENV, TINY, by_hand, played, jnp.float32(1.0))
-    updated = a2c.update(ENV, TINY, state, params, clock_at(jnp.int32(0), jnp.int32(10)))
+        by_hand, played = play(by_hand, params, part)
+        by_hand = learn(by_hand, played, jnp.float32(1.0))
+    updated = update(state, params, clock_at(jnp.int32(0), jnp.int32(10)))
     for a, b in zip(jax.tree.leaves(updated), jax.tree.leaves(by_hand), strict=True):
         np.testing.assert_allclose(a, b, rtol=2e-4, atol=2e-6)
 
 
 def test_annealing_ends_at_no_learning():
-    state, params = single(replace(TINY, anneal=True))
-    late = clock_at(jnp.int32(10), jnp.int32(10))
-    updated = a2c.update(ENV, replace(TINY, anneal=True), state, params, late)
+    state, params = single(TINY)
+    updated = update(state, params, clock_at(jnp.int32(10), jnp.int32(10)))
     assert_same(updated.weights, state.weights)
     assert not np.array_equal(updated.elapsed, state.elapsed)
 
@@ -167,8 +173,8 @@ def test_a_gradient_step_is_stable_baselines3s(time_limit):
 
 
 def test_a_policy_does_not_depend_on_its_company():
-    mixed = engine.train(ENV, TINY, [3, 7], params_of([0.5, 0.1]), 1024, checkpoint_every=512)
-    other = engine.train(ENV, TINY, [3, 9], params_of([0.5, 4.0]), 1024, checkpoint_every=512)
+    mixed = engine.train(CARTPOLE, FAST, [3, 7], params_of([0.5, 0.1]), 1024)
+    other = engine.train(CARTPOLE, FAST, [3, 9], params_of([0.5, 4.0]), 1024)
     assert_same(first(mixed.state), first(other.state))
     second = jax.tree.map(lambda x: x[1], mixed.state.weights)
     assert not np.array_equal(second.actor[0][0], first(mixed.state.weights).actor[0][0])
@@ -180,7 +186,7 @@ def test_a_resumed_training_ends_where_it_would_have():
     def save(block):
         saved.append(engine.to_arrays(block.training))
 
-    arguments = (ENV, TINY, [0, 1], params_of([0.5, 1.0]), 1000)
+    arguments = (CARTPOLE, FAST, [0, 1], params_of([0.5, 1.0]), 1000)
     whole = engine.train(*arguments, on_block=save, checkpoint_every=512)
     assert len(saved) == 2
     assert int(whole.updates) == 4
@@ -189,14 +195,13 @@ def test_a_resumed_training_ends_where_it_would_have():
 
 
 def test_cartpole_is_learnt():
-    env = engine.CartPole()
-    recipe = replace(engine.recipe_named("A2C", "fast"), anneal=False)
     training = engine.train(
-        env, recipe, [0, 1], params_of([0.5, 0.5], env), 200_000, checkpoint_every=20_000
+        CARTPOLE, FAST, [0, 1], params_of([0.5, 0.5]), 200_000, checkpoint_every=20_000
     )
     assert (np.asarray(training.best_return) >= 400).all()
 
 
+@pytest.mark.long
 def test_pendulum_takes_a_step_with_a_gaussian():
     from mbtl.cmdps import pendulum
 

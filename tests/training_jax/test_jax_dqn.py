@@ -24,6 +24,11 @@ TINY = engine.DQNRecipe(
     exploration_fraction=0.5, learning_rate=1e-3, hidden=(8,),
 )  # fmt: skip
 ENV = engine.CartPole(horizon=7)  # episodes are cut off
+CARTPOLE = engine.CartPole()
+FAST = replace(  # compiled once, with P = 2; for fewer steps than the recipe is for
+    engine.recipe_named("DQN", "fast"), batch_size=64, gradient_steps=4, learning_rate=1e-3,
+    target_every=512, exploration_fraction=0.2,
+)  # fmt: skip
 FEATURES = 4
 
 
@@ -147,6 +152,7 @@ def test_truncated_transitions_bootstrap_and_end_where_they_were_cut_off(time_li
     np.testing.assert_array_equal(batch.reward, 1.0)
 
 
+@pytest.mark.long
 def test_the_ring_is_never_copied():
     recipe = replace(TINY, buffer_size=2**19)
     params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params_of([0.4, 0.5]))
@@ -235,8 +241,8 @@ def test_initial_weights_are_uniform_as_pytorchs():
 
 
 def test_a_policy_does_not_depend_on_its_company():
-    mixed = engine.train(ENV, TINY, [3, 7], params_of([0.5, 0.1]), 2048, checkpoint_every=1024)
-    other = engine.train(ENV, TINY, [3, 9], params_of([0.5, 4.0]), 2048, checkpoint_every=1024)
+    mixed = engine.train(CARTPOLE, FAST, [3, 7], params_of([0.5, 0.1]), 2048)
+    other = engine.train(CARTPOLE, FAST, [3, 9], params_of([0.5, 4.0]), 2048)
     assert_same(first(mixed.state), first(other.state))
     assert not same(first(mixed.state.weights), jax.tree.map(lambda x: x[1], mixed.state.weights))
 
@@ -247,7 +253,7 @@ def test_a_resumed_training_ends_where_it_would_have():
     def save(block):
         saved.append(engine.to_arrays(block.training))
 
-    arguments = (ENV, TINY, [0, 1], params_of([0.5, 1.0]), 2000)
+    arguments = (CARTPOLE, FAST, [0, 1], params_of([0.5, 1.0]), 2000)
     whole = engine.train(*arguments, on_block=save, checkpoint_every=1024)
     assert len(saved) == 2
     assert int(whole.updates) == 8
@@ -256,18 +262,13 @@ def test_a_resumed_training_ends_where_it_would_have():
 
 
 def test_cartpole_is_learnt_and_the_policy_acts_in_numpy():
-    env = engine.CartPole()
-    recipe = replace(  # for fewer steps than the recipe is for
-        engine.recipe_named("DQN", "fast"), batch_size=64, gradient_steps=4, learning_rate=1e-3,
-        target_every=512, exploration_fraction=0.2,
-    )  # fmt: skip
     training = engine.train(
-        env, recipe, [0, 1], params_of([0.5, 0.5], env), 40_000, checkpoint_every=4_000
+        CARTPOLE, FAST, [0, 1], params_of([0.5, 0.5]), 40_000, checkpoint_every=4_000
     )
     assert (np.asarray(training.best_return) >= 120).all()  # at random: 20
     observations = np.random.default_rng(0).normal(size=(200, 5)).astype(np.float32)
     values = networks.apply(first(training.best.actor), jnp.asarray(observations), "relu")
-    policy = engine.export_policies(env, training.best, recipe.activation)[0]
+    policy = engine.export_policies(CARTPOLE, training.best, FAST.activation)[0]
     clear = np.abs(np.diff(values)[:, 0]) > 1e-4
     assert clear.mean() > 0.9
     actions, _ = policy.predict(observations)

@@ -144,12 +144,14 @@ def test_cars_stay_in_order_and_no_car_is_lost(twin):
     assert there.sum(axis=0).max() > twin.few[0]  # long rows were in use
 
 
+@pytest.mark.long
 def test_rows_that_nobody_needs_change_nothing(twin, small):
     short, long = (after(each, [{}] * 8, 400) for each in (twin, small))
     np.testing.assert_allclose(short.main.x, long.main.x, atol=0.01)
     assert (np.asarray(short.main.x[0]) > 0.0).any()
 
 
+@pytest.mark.long
 def test_agents_are_the_foremost_controlled_cars_in_the_region(small):
     state = after(small, [{"penetration": 1.0}] * 8, 300)
     rows, x = np.asarray(state.row), np.asarray(state.main.x)
@@ -162,6 +164,7 @@ def test_agents_are_the_foremost_controlled_cars_in_the_region(small):
     assert (rows >= 0).sum() > 8
 
 
+@pytest.mark.long
 def test_an_agent_that_is_told_to_brake_does_and_pays_for_it(twin):
     contexts = [{"penetration": 1.0}] * 8
     state, (params, *_) = after(twin, contexts, 300), EcoProblem()(contexts)[1]

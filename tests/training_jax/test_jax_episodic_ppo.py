@@ -10,6 +10,7 @@ import mbtl.training.jax as engine  # noqa: F401  isort: skip  # before jax: it 
 import jax
 import jax.numpy as jnp
 
+from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic.corridor import LIMIT
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
@@ -41,8 +42,11 @@ def setting(acting, **changes):
     return recipe, weights, lived
 
 
+learn = jax.jit(ppo.learn, static_argnums=(0, 1))
+
+
 def updated(recipe, weights, lived, number=0):
-    return ppo.learn(BOX, recipe, weights, ppo.start(recipe, weights), lived, jnp.int32(number))
+    return learn(BOX, recipe, weights, ppo.start(recipe, weights), lived, jnp.int32(number))
 
 
 EVERYBODY = jnp.ones((D, 1, A), bool)
@@ -112,10 +116,22 @@ def test_minibatches_must_fill_the_rows():
         EpisodicPPORecipe(rows=100, minibatches=40)
 
 
+def test_the_ring_is_trained_by_it_too():
+    trainer = get_cmdp("ring-acc", engine="jax").trainer_for(
+        "quick", algorithm="PPO", recipe_name="fast", episodes=4, eval_episodes=2,
+        checkpoint_episodes=2,
+        hyperparameters={"n_episodes": 2, "rows": 32, "minibatches": 4, "hidden": (8,)},
+    )  # fmt: skip
+    heard = []
+    policy = trainer.train({"hold": 20.0}, 1, heard.append)
+    assert [progress.step for progress in heard] == [2, 4]
+    (scores,) = trainer.evaluate(policy, [{"hold": 20.0}], seed=2)
+    assert scores.shape == (2,)
+    assert ((scores > 0.0) & (scores < 4.5)).all()
+
+
 @pytest.mark.long
 def test_contexts_of_eco_driving_are_trained_together():
-    from mbtl.cmdps import get_cmdp
-
     trainer = get_cmdp("eco-green", engine="jax").trainer_for(
         "quick", episodes=2, eval_episodes=2, checkpoint_episodes=1
     )

@@ -210,7 +210,14 @@ class Learnt(NamedTuple):
         )
 
 
-@pytest.fixture(scope="module", params=["ppo", "paco", "moore"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param("ppo", marks=pytest.mark.long),
+        pytest.param("paco", marks=pytest.mark.long),
+        "moore",
+    ],
+)
 def learnt(request):
     ppo = engine.PPORecipe(n_envs=10, n_steps=64, batch_size=128, n_epochs=4, learning_rate=2e-3)
     learnt = Learnt(engine.MultiTaskRecipe(request.param, ppo, 2), None, {}, [])

@@ -108,17 +108,15 @@ def test_only_the_networks_come_from_the_given_weights(recipe, lengths):
 
 
 def test_a_training_goes_on_from_the_given_weights_and_leaves_them_to_their_owner():
-    """With a rate of zero nothing is learnt: the best policy is the given one."""
-    still = replace(ON_SETS, ppo=replace(TINY, learning_rate=0.0))
-    params = params_of([[0.5, 1.0], [0.1, 0.2]])
-    given = engine.start(CARTPOLE, still, [8, 9], params).state.weights
+    params = params_of([[0.5, 1.0, 1.5, 2.0], [0.1] * 4])
+    given = engine.start(CARTPOLE, ON_SETS, [8, 9], params).state.weights
     copy = jax.tree.map(np.array, given)
-    training = engine.train(
-        CARTPOLE, still, [0, 1], params, 64, checkpoint_episodes=2, weights=given
-    )
+    begun = engine.start(CARTPOLE, ON_SETS, [0, 1], params, given)
+    train = partial(engine.train, CARTPOLE, ON_SETS, [0, 1], params, 192, checkpoint_episodes=4)
+    training = train(weights=given)
     assert_same(given, copy)
-    assert_same(training.best, copy)
-    assert (np.asarray(training.best_return) > 0).all()
+    assert_same(training, train(resume=begun))
+    assert not np.array_equal(training.best.actor[0][0], train().best.actor[0][0])
 
 
 def test_weights_of_another_shape_are_refused():

@@ -89,6 +89,7 @@ def test_the_policy_is_told_the_context_and_a_file_cut_off_only_costs_time(tmp_p
         train_on_all(trainer, [], 3)
 
 
+@pytest.mark.long
 def test_an_interrupted_trainer_goes_on_to_the_same_policy(tmp_path, monkeypatch):
     monkeypatch.setattr(saving, "_SECONDS", 0.0)
     cmdp = get_cmdp("ring-vel", engine="jax", visibility="multiplier")

@@ -27,7 +27,10 @@ TINY = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32, n_epochs=2, learnin
 CARTPOLE = engine.CartPole()
 PENDULUM = engine.Pendulum()
 # compiling a program takes longer than running it, so most tests share these, with P = 2
-RECIPE = {"cartpole": TINY, "pendulum": replace(TINY, anneal=True, entropy_coef=0.01)}
+RECIPE = {
+    "cartpole": replace(engine.recipe_named("PPO", "fast"), anneal=False),
+    "pendulum": replace(TINY, anneal=True, entropy_coef=0.01),
+}
 
 
 def cartpole_params(lengths):
@@ -51,8 +54,9 @@ def assert_same(one, other):
 
 
 def test_a_policy_does_not_depend_on_its_company():
-    mixed = engine.train(CARTPOLE, TINY, [3, 7], cartpole_params([0.5, 0.1]), 256)
-    other = engine.train(CARTPOLE, TINY, [3, 9], cartpole_params([0.5, 4.0]), 256)
+    recipe = RECIPE["cartpole"]
+    mixed = engine.train(CARTPOLE, recipe, [3, 7], cartpole_params([0.5, 0.1]), 2048)
+    other = engine.train(CARTPOLE, recipe, [3, 9], cartpole_params([0.5, 4.0]), 2048)
     first, again = (jax.tree.map(lambda x: x[0], t.state) for t in (mixed, other))
     assert_same(first, again)
     second = jax.tree.map(lambda x: x[1], mixed.state.weights)
@@ -65,21 +69,22 @@ def test_a_training_resumed_from_saved_arrays_ends_where_it_would_have(name, tmp
         "cartpole": (CARTPOLE, cartpole_params([0.5, 1.0])),
         "pendulum": (PENDULUM, pendulum_params([1.0, 2.0])),
     }[name]
-    recipe, settings = RECIPE[name], {"checkpoint_every": 128}
-    seen = []
+    recipe, seen = RECIPE[name], []
+    two = 2 * recipe.steps_per_update
+    steps, settings = 3 * two - 34, {"checkpoint_every": two}
 
     def save_first(block):
         seen.append((block.steps, block.total))
         if len(seen) == 1:
             np.savez(tmp_path / "training.npz", **engine.to_arrays(block.training))
 
-    whole = engine.train(env, recipe, [0, 1], params, 350, on_block=save_first, **settings)
-    assert seen == [(128, 384), (256, 384), (384, 384)]
+    whole = engine.train(env, recipe, [0, 1], params, steps, on_block=save_first, **settings)
+    assert seen == [(two, 3 * two), (2 * two, 3 * two), (3 * two, 3 * two)]
     template = engine.start(env, recipe, [0, 1], params)
     with np.load(tmp_path / "training.npz") as arrays:
         halfway = engine.from_arrays(template, arrays)
     assert int(halfway.updates) == 2
-    assert_same(whole, engine.train(env, recipe, [0, 1], params, 350, resume=halfway, **settings))
+    assert_same(whole, engine.train(env, recipe, [0, 1], params, steps, resume=halfway, **settings))
 
 
 def test_saved_arrays_of_another_training_are_refused():
@@ -92,11 +97,10 @@ def test_saved_arrays_of_another_training_are_refused():
 
 
 def test_cartpole_is_learnt_and_the_best_checkpoint_is_kept():
-    recipe = replace(engine.recipe_named("PPO", "fast"), anneal=False)
     bests = []
     training = engine.train(
         CARTPOLE,
-        recipe,
+        RECIPE["cartpole"],
         [0, 1],
         cartpole_params([0.5, 0.5]),
         60_000,

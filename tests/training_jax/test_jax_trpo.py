@@ -130,6 +130,9 @@ def test_living_on_at_a_cost_is_worth_less_where_lives_end():
 # ---- one update ----------------------------------------------------------------------------------
 
 
+learn = jax.jit(trpo.learn, static_argnums=(0, 1))
+
+
 def one_update(bounds=1e9, **changes):
     recipe = TRPORecipe(**changes)
     weights = networks.init_weights(0, 2, BOX, (8,))
@@ -142,13 +145,13 @@ def one_update(bounds=1e9, **changes):
     data = lived(np.zeros(50))._replace(obs=obs, outputs=outputs, action=action)
     data = data._replace(reward=jnp.clip(action[..., 0], -1.0, 1.0))  # larger actions pay
     memory = trpo.start(recipe, weights)
-    new, _ = trpo.learn(BOX, recipe, weights, memory, data, jnp.int32(0))
+    new, _ = learn(BOX, recipe, weights, memory, data, jnp.int32(0))
     after = networks.apply(new.actor, obs)
     moved = kl(outputs, weights.log_std, after, new.log_std, BOX).mean()
     return float(moved), float((after - outputs).mean())
 
 
-@pytest.mark.parametrize("max_kl", [0.001, 0.01, 0.05])
+@pytest.mark.parametrize("max_kl", [0.001, 0.05])
 def test_a_step_uses_the_trust_region_and_stays_in_it(max_kl):
     moved, shift = one_update(max_kl=max_kl, gae_lambda=0.0, normalize_reward=False)
     assert 0.2 * max_kl < moved <= max_kl
