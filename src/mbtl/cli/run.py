@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from mbtl.arrays import Array
-from mbtl.cli.common import JsonFlag, console, print_json, printer
+from mbtl.cli.common import JsonFlag, console, plain_warnings, print_json, printer
 from mbtl.cli.progress import LiveProgress
 from mbtl.cmdps import CMDP, resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
@@ -165,7 +165,7 @@ def run(
         load_if_exists=True,
     )
     _announce(running, folder)
-    with LiveProgress(running, console) as live:
+    with plain_warnings(), LiveProgress(running, console) as live:
         callbacks: list[Callback] = [live]
         if tensorboard is not None:
             from mbtl.training.tensorboard import TensorBoardCallback

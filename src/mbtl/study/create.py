@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import operator
 import uuid
 from collections.abc import Callable, Mapping
@@ -17,17 +16,16 @@ from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.objective import Bounds, Direction, direction_named
 from mbtl.selectors import Selector, get_selector, selector_names
-from mbtl.settings import first_difference
+from mbtl.settings import as_json, first_difference
 from mbtl.study.checks import check_spec
 from mbtl.study.events import Event
+from mbtl.study.places import fixed_url, policy_folder
 from mbtl.study.state import StudySpec, replay
 from mbtl.study.storage import (
     Conflict,
     EventLog,
     MemoryLog,
     SqlLog,
-    as_url,
-    sqlite_path,
     study_names,
 )
 from mbtl.study.study import Study
@@ -53,6 +51,7 @@ def create_study(
     stop_gain: float | None = None,
     stop_confidence: float = 0.9,
     storage: str | Path | None = None,
+    artifacts: str | Path | None = None,
     name: str = "study",
     problem: str = "",
     settings: Mapping[str, Any] | None = None,
@@ -85,6 +84,8 @@ def create_study(
         stop_confidence: ... with at least this probability, as the selector predicts it after
             three rows or more.
         storage: path of an SQLite file or an SQLAlchemy URL; None keeps the study in memory.
+        artifacts: folder that policies are saved below; None: the one of the database, where that
+            is a file. Give it again to `load_study`.
         name: name of the study within its storage.
         problem: id of the problem, to refuse a study of another one.
         settings: JSON-able record of the training recipe, to refuse a study of another one.
@@ -137,7 +138,7 @@ def create_study(
         stop_value,
         cost_budget,
         problem,
-        _json_like(settings or {}),
+        as_json("settings", settings or {}),
         _whole("repeats", repeats),
         _costs(costs, space),
         _real("risk", risk),
@@ -147,13 +148,15 @@ def create_study(
         floor=floor,
     )
     check_spec(spec)
-    log: EventLog = MemoryLog() if storage is None else SqlLog(storage, name, create=True)
+    address = None if storage is None else fixed_url(storage)
+    log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
+    folder = policy_folder(address, artifacts)
     created = {"spec": spec.to_json(), "version": __version__, "uid": uuid.uuid4().hex[:8]}
     event = Event("created", created)
     try:
         log.append(event, after=0)
     except Conflict:
-        study = Study(log, chosen, folder=_folder(storage), name=name)
+        study = Study(log, chosen, folder=folder, name=name)
         if not load_if_exists:
             raise StudyError(
                 f"a study named {name!r} exists in {storage}; pass load_if_exists=True to go on "
@@ -164,11 +167,15 @@ def create_study(
             study.extend(spec.budget)
         _check_same(study.spec, spec)
         return study
-    return Study(log, chosen, folder=_folder(storage), name=name)
+    return Study(log, chosen, folder=folder, name=name)
 
 
 def load_study(
-    storage: str | Path, name: str | None = None, *, selector: Selector | None = None
+    storage: str | Path,
+    name: str | None = None,
+    *,
+    selector: Selector | None = None,
+    artifacts: str | Path | None = None,
 ) -> Study:
     """Open an existing study.
 
@@ -176,6 +183,7 @@ def load_study(
         storage: path of the SQLite file (or of the folder that holds `study.db`), or a URL.
         name: name of the study; needed only when the storage holds several.
         selector: the selector object, for studies made with one that has no registered name.
+        artifacts: folder that policies are saved below, as it was given to `create_study`.
 
     Raises:
         StorageError: no database there, or a damaged one.
@@ -184,6 +192,7 @@ def load_study(
     place = storage
     if "://" not in str(storage) and Path(storage).is_dir():
         place = Path(storage) / "study.db"
+    place = fixed_url(place)
     if name is None:
         names = study_names(place)
         if len(names) != 1:
@@ -209,7 +218,7 @@ def load_study(
             f"this study was made with the selector {dict(spec.selector)}, got "
             f"{describe_selector(selector)}; give the same one as selector="
         )
-    return Study(log, selector, folder=_folder(place), name=name)
+    return Study(log, selector, folder=policy_folder(place, artifacts), name=name)
 
 
 def describe_selector(selector: Selector) -> dict[str, Any]:
@@ -296,13 +305,6 @@ def _target_count(count: int | None, n: int) -> int | None:
     return count
 
 
-def _folder(storage: str | Path | None) -> Path | None:
-    if storage is None:
-        return None
-    path = sqlite_path(as_url(storage))
-    return path.parent if path else None
-
-
 def _whole(name: str, number: Any) -> int:
     try:
         return operator.index(number)
@@ -349,17 +351,6 @@ def _pair(name: str, pair: tuple[float, ...] | None) -> tuple[float, float] | No
         return float(low), float(high)
     except (TypeError, ValueError, OverflowError):
         raise InvalidInput(f"{name} must be two numbers (low, high), got {pair!r}") from None
-
-
-def _json_like(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings as they will read back from the log."""
-    try:
-        plain: dict[str, Any] = json.loads(json.dumps(settings, allow_nan=False))
-    except (TypeError, ValueError) as error:
-        raise InvalidInput(
-            f"settings must be JSON-able, got {dict(settings)!r} ({error})"
-        ) from error
-    return plain
 
 
 def _check_same(stored: StudySpec, given: StudySpec) -> None:
