@@ -143,8 +143,8 @@ class StudyView:
         """The trained policies with their router.
 
         Args:
-            trainer: reads the saved policies, all of them: give the one that wrote them; None: the
-                study's.
+            trainer: reads the saved policies, all of them: give the one that wrote them. None: the
+                study's own, if they are of a format of its own ("custom").
             trust: without a trainer, also read files that can execute code; set it if the study
                 is your own, or of somebody you trust.
 
@@ -153,14 +153,15 @@ class StudyView:
         """
         from mbtl.portfolio import Portfolio
 
-        trainer = self.trainer if trainer is None else trainer
-
         rows, spec = self.refresh().rows, self.spec
         folders = [
             inside(self.folder, r.policy, "a study") if self.folder and r.policy else None
             for r in rows
         ]
         made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}
+        policy_format = str((self.state.equipment or {}).get("policy_format", "custom"))
+        if trainer is None and policy_format == "custom":
+            trainer = self.trainer
         return Portfolio(
             self.space,
             tuple(row.source for row in rows),
@@ -171,7 +172,7 @@ class StudyView:
             episodes=tuple(row.episodes for row in rows),
             risk=spec.risk,
             policy_folders=folders,
-            policy_format=str((self.state.equipment or {}).get("policy_format", "custom")),
+            policy_format=policy_format,
             load=trainer.load if trainer is not None else None,
             in_memory=dict(self.policies),
             cmdp=spec.problem or None,
