@@ -111,7 +111,7 @@ def test_the_summary_says_what_a_person_wants_to_know(mbtl_command, own):
     assert code == 0
     for words in (
         "fresh episodes",
-        "One policy would",
+        "policy would",
         "One more training, at mass =",
         "no reference curves",
     ):
