@@ -135,6 +135,8 @@ def test_reference_curves_need_the_same_recipe(tmp_path, monkeypatch):
     same, _ = reference_curves(study_of(1, settings={"recipe": {"timesteps": 5}}))
     assert same.random.shape == same.greedy.shape == same.oracle.shape == (2, 6)
     assert (same.oracle[:, -1] >= same.random[:, -1]).all()
+    grand_mean = returns.mean()
+    assert f"random policy {grand_mean:.4f}." in same.said
 
 
 def test_pictures_are_drawn_from_the_summary(tmp_path):

@@ -277,7 +277,7 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
         except StorageError as error:
             notes.append(f"no portfolio: {error}")
         curves, note = reference_curves(study)
-        notes.append(note)
+        notes += [note] if curves is None else [curves.said, note]
         try:
             files["curve"] = str(plot_curve(summary, folder / "curve.png", curves))
             serving = portfolio.routing.served

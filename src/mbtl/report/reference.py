@@ -5,12 +5,14 @@ They are shown only when the matrix was trained by the recipe of the study.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.benchmark import compare, load_matrix, reference, shipped_matrices
+from mbtl.benchmark import compare, load_matrix, reference, reference_levels, shipped_matrices
+from mbtl.benchmark.references import NAMES
 from mbtl.study import Study
 
 _SAME = ("recipe", "version", "switches")
@@ -26,12 +28,21 @@ class ReferenceCurves:
         random: (S, K) Random, exact expectation.
         greedy: (S, K) Greedy; empty where the contexts have more than one axis.
         oracle: (S, K) Sequential Oracle.
+        levels: V of what needs no selection, mean over seeds, by name for people: random actions,
+            the system without a controller, the nominal context's policy, one random policy.
     """
 
     matrix: str
     random: Array
     greedy: Array
     oracle: Array
+    levels: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def said(self) -> str:
+        """The levels in a sentence."""
+        values = ", ".join(f"{name} {value:.4f}" for name, value in self.levels.items())
+        return f"Without selection, on the shipped matrix: {values}."
 
 
 def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
@@ -57,7 +68,12 @@ def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
     if study.problem.is_line:
         runs = compare(["greedy"], [matrix], budget, 1).results
         greedy = np.array([run.performance for run in runs])
+    levels = [reference_levels(matrix, seed) for seed in seeds]
     curves = ReferenceCurves(
-        name, np.array([k.random for k in known]), greedy, np.array([k.oracle.curve for k in known])
+        name,
+        np.array([k.random for k in known]),
+        greedy,
+        np.array([k.oracle.curve for k in known]),
+        {NAMES.get(n, n): float(np.mean([one[n] for one in levels])) for n in levels[0]},
     )
     return curves, f"reference curves: the shipped matrix of {name!r}, {matrix.n_seeds} seeds"
