@@ -8,12 +8,15 @@ would use.
 "regret" is the distance to Oracle Transfer in V, as a share of that of one random policy.
 
     noise     Gaussian noise on every entry that the selector sees: told its size, or not
-    partial   each policy evaluated on so many targets: evenly spaced, or random ones
+    partial   each policy evaluated on so many targets: spread, or random ones
+    axes      the same with one, two and three axes, and whether V is what a study says it is
     costs     a training costs 1 to 10, rising along the contexts; budget 30: heeded, or not
     repeats   a context may be trained again (the rows of the other seeds): allowed, or not
     batches   n picks at a time, each without the rows of the others
     stopping  the study ends when auto says that one more training gains < 0.01 with 90 %: how many
               trainings, and how often the next one gained less indeed
+    nothing   ... that all trainings left together gain < 0.005 with 90 %, as `mbtl run` does: how
+              many trainings, and what those left out would have gained
 """
 
 from __future__ import annotations
@@ -29,11 +32,14 @@ from typing import Any
 
 import numpy as np
 from learn_prior import halved
+from several_axes import World
 
 from mbtl.arrays import Array
-from mbtl.benchmark.shipped import family_of
+from mbtl.benchmark.shipped import family_of, load_by_id
+from mbtl.contexts import ContextSpace, Linear
 from mbtl.history import History
-from mbtl.objective import nearest_filled, value
+from mbtl.objective import value
+from mbtl.routing import Routing
 from mbtl.selectors import Auto, SelectionProblem
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.asking import LEAST_ROWS
@@ -52,14 +58,22 @@ def worlds(name: str, budget: int = K) -> Iterator[tuple[SelectionProblem, list[
         yield part, every[s:] + every[:s]
 
 
-def regret(truth: Rows, trained: list[Array], seen: Array) -> float:
-    """Of the policies that rows `seen` (k, N) choose per target, NaN where not evaluated.
+def regret(truth: Rows, history: History, sd: float | None = None) -> float:
+    """Of the policies that a study would route by this history, measured on the true rows."""
+    n = truth.shape[1]
+    space = ContextSpace.grid({Linear("x", 0.0, n - 1.0): n})
+    served = routing(space, history, sd).route
+    return share_left(truth, truth[list(history.sources)][served, np.arange(n)])
 
-    As a portfolio does: a policy counts as on the nearest target where it was evaluated.
-    """
-    steps = np.arange(seen.shape[1], dtype=np.float64)[:, None]
-    routes = nearest_filled(seen, steps).argmax(axis=0)
-    reached = np.take_along_axis(np.stack(trained), routes[None], axis=0)[0]
+
+def routing(space: ContextSpace, history: History, sd: float | None = None) -> Routing:
+    """As a study has it, told that every entry has noise of `sd` (as from ten episodes)."""
+    known = None if sd is None else np.full(history.rows.shape, sd * np.sqrt(10.0))
+    return Routing(space, history.sources, history.rows, known, [10] * len(history))
+
+
+def share_left(truth: Rows, reached: Array) -> float:
+    """Distance to Oracle Transfer as a share of that of one random policy."""
     low, high = truth.mean(), truth.max(axis=0).mean()
     return float((high - reached.mean()) / (high - low))
 
@@ -70,30 +84,73 @@ def auto(name: str) -> Auto:
 
 def noise(name: str, sd: float, told: bool) -> Iterator[float]:
     for problem, rows in worlds(name):
-        rng, history, trained = np.random.default_rng(0), History(problem.n), []
+        rng, history = np.random.default_rng(0), History(problem.n)
         for _ in range(K):
             source = auto(name).propose(problem, history, rng).source
-            trained.append(rows[0][source])
-            seen = np.vstack([history.rows, trained[-1] + sd * rng.standard_normal(problem.n)])
+            noisy = rows[0][source] + sd * rng.standard_normal(problem.n)
+            seen = np.vstack([history.rows, noisy])
             errors = np.full(seen.shape, sd) if told else None
             history = History(problem.n, (*history.sources, source), seen, errors=errors)
-        yield regret(rows[0], trained, history.rows)
+        yield regret(rows[0], history, sd if told else None)
 
 
 def partial(name: str, count: int, how: str) -> Iterator[float]:
     for problem, rows in worlds(name):
-        rng, history, trained = np.random.default_rng(0), History(problem.n), []
-        for _ in range(K):
-            source = auto(name).propose(problem, history, rng).source
-            if how == "even":
-                chosen = spread_targets(problem, source, count)
-            else:
-                chosen = (source, *rng.choice(problem.n, count - 1, replace=False))
-            row = np.full(problem.n, np.nan)
-            row[list(chosen)] = rows[0][source][list(chosen)]
-            history = history.with_row(source, row)
-            trained.append(rows[0][source])
-        yield regret(rows[0], trained, history.rows)
+        yield regret(rows[0], few(auto(name), problem, lambda i, own=rows[0]: own[i], count, how))
+
+
+def few(
+    selector: Auto,
+    problem: SelectionProblem,
+    row_of: Callable[[int], Array],
+    count: int,
+    how: str = "spread",
+) -> History:
+    """K picks, each evaluated on few targets."""
+    rng, history = np.random.default_rng(0), History(problem.n)
+    for _ in range(K):
+        source = selector.propose(problem, history, rng).source
+        if how == "spread":
+            chosen = spread_targets(problem, source, count)
+        else:
+            chosen = (source, *rng.choice(problem.n, count - 1, replace=False))
+        row = np.full(problem.n, np.nan)
+        row[list(chosen)] = row_of(source)[list(chosen)]
+        history = history.with_row(source, row)
+    return history
+
+
+def axes(which: str, count: int) -> Iterator[tuple[float, float, float]]:
+    """Regret, |V said - V true|, and whether V is within its interval; one world after another."""
+    for source in several(which):
+        problem, space = source.problem(K), source.space
+        every = np.arange(source.n)
+        for seed in range(source.n_seeds):
+            truth = source.rows(seed, every)
+            own = auto(source.name)
+            history = few(own, problem, lambda i, truth=truth: truth[i], count)
+            found = routing(space, history)
+            reached = truth[list(history.sources)][found.route, every]
+            wrong = abs(found.value.value - reached.mean())
+            yield share_left(truth, reached), wrong, wrong <= 1.96 * found.value.error
+
+
+def several(which: str) -> list[Any]:
+    """Worlds with one, two or three axes: shipped matrices, and ones of known structure."""
+    if which == "1 axis":
+        return [load_by_id(name) for name in ("cartpole-length", "pendulum-length", "ring-acc")]
+    square = ContextSpace.grid({Linear(name, 0, 1): 12 for name in "ab"})
+    cube = ContextSpace.grid({Linear(name, 0, 1): 6 for name in "abc"})
+    reach = {"a": 0.3, "b": 0.3}
+    if which == "2 axes":
+        return [
+            World("2 axes, both matter", square, reach),
+            World("2 axes, 1 matters, 1 hard", square, {"a": 0.2}, {"b": 0.4}),
+        ]
+    return [
+        World("3 axes, all matter", cube, {**reach, "c": 0.3}),
+        World("3 axes, 2 matter, 1 hard", cube, reach, {"c": 0.4}),
+    ]
 
 
 def costs(name: str, heeded: bool) -> Iterator[float]:
@@ -106,7 +163,7 @@ def costs(name: str, heeded: bool) -> Iterator[float]:
             asked = replace(problem, costs=told, cost_budget=left if heeded else 1.0)
             source = auto(name).propose(asked, history, np.random.default_rng(0)).source
             history, left = history.with_row(source, rows[0][source]), left - price[source]
-        yield regret(rows[0], list(history.rows), history.rows)
+        yield regret(rows[0], history)
 
 
 def repeats(name: str, times: int) -> Iterator[float]:
@@ -117,7 +174,7 @@ def repeats(name: str, times: int) -> Iterator[float]:
             source = auto(name).propose(allowed, history, np.random.default_rng(0)).source
             again = history.sources.count(source)
             history = history.with_row(source, rows[again][source])
-        yield regret(rows[0], list(history.rows), history.rows)
+        yield share_left(rows[0], history.best)
 
 
 def batches(name: str, size: int) -> Iterator[float]:
@@ -130,26 +187,29 @@ def batches(name: str, size: int) -> Iterator[float]:
                 waiting = waiting.with_pending(pick)
             for pick in waiting.pending:
                 history = history.with_row(pick, rows[0][pick])
-        yield regret(rows[0], list(history.rows), history.rows)
+        yield regret(rows[0], history)
 
 
-def stopping(name: str, least: float = 0.01, confidence: float = 0.9) -> Iterator[Array]:
-    """Trainings until it says so, whether the next gained less, regret then; with K = 30."""
+def stopping(name: str, rule: str, least: float, confidence: float = 0.9) -> Iterator[Array]:
+    """Trainings until a rule ends the study, what was gained after that, regret then; K = 30.
+
+    What was gained is that of the next training ("one"), or of all contexts together ("all").
+    """
+    wishes = {"one": "least_gain", "all": "least_left"}
     for problem, rows in worlds(name, 30):
-        history = History(problem.n)
-        wish = replace(problem, least_gain=least)
+        history, wish = History(problem.n), replace(problem, **{wishes[rule]: least})
         while len(history) < 30:
             proposal = auto(name).propose(wish, history, np.random.default_rng(0))
             row = rows[0][proposal.source]
-            enough = proposal.chance is not None and 1.0 - proposal.chance >= confidence
-            gain = value(np.maximum(history.best, row)) - value(history.best)
-            if enough and len(history) >= LEAST_ROWS:
-                left = regret(rows[0], list(history.rows), history.rows)
-                yield np.array([len(history), gain < least, left])
+            chance = proposal.chance if rule == "one" else proposal.chance_left
+            if chance is not None and 1.0 - chance >= confidence and len(history) >= LEAST_ROWS:
+                coming = row if rule == "one" else rows[0].max(axis=0)
+                gain = value(np.maximum(history.best, coming)) - value(history.best)
+                yield np.array([len(history), gain, share_left(rows[0], history.best)])
                 break
             history = history.with_row(proposal.source, row)
         else:
-            yield np.array([31.0, np.nan, regret(rows[0], list(history.rows), history.rows)])
+            yield np.array([31.0, np.nan, share_left(rows[0], history.best)])
 
 
 Plays = dict[str, tuple[Any, ...]]
@@ -160,11 +220,11 @@ def played(play: Callable[..., Iterator[Any]], name: str, *how: Any) -> Array:
     return np.mean(list(play(name, *how)), axis=0)
 
 
-def ended(name: str) -> tuple[float, float, float]:
-    """Means over seeds; of those that ended by the rule how many did so rightly, NaN if none."""
-    k, less, left = np.array(list(stopping(name))).T
-    right = float("nan") if np.isnan(less).all() else float(np.nanmean(less))
-    return float(k.mean()), right, float(left.mean())
+def ended(name: str, rule: str, least: float) -> tuple[float, float, float]:
+    """Means over seeds; of those that ended by the rule what was left to gain, NaN if none."""
+    k, gain, left = np.array(list(stopping(name, rule, least))).T
+    gained = float("nan") if np.isnan(gain).all() else float(np.nanmean(gain))
+    return float(k.mean()), gained, float(left.mean())
 
 
 def table(pool: Pool, title: str, names: list[str], plays: Plays) -> None:
@@ -178,7 +238,8 @@ def table(pool: Pool, title: str, names: list[str], plays: Plays) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--parts", default="noise,partial,costs,repeats,batches,stopping")
+    every = "noise,partial,axes,costs,repeats,batches,stopping,nothing"
+    parser.add_argument("--parts", default=every)
     parser.add_argument("--sets", default=SETS)
     args = parser.parse_args()
     names, parts = args.sets.split(","), args.parts.split(",")
@@ -196,7 +257,7 @@ def main() -> None:
             {
                 f"{count} {how}": (partial, count, how)
                 for count in (5, 10, 20)
-                for how in ("even", "random")
+                for how in ("spread", "random")
             }
             | {"all": (noise, 0.0, False)},
         ),
@@ -216,13 +277,43 @@ def main() -> None:
     with Pool(mp_context=get_context("spawn")) as pool:
         for title, plays in (tables[part] for part in parts if part in tables):
             table(pool, title, names, plays)
-        if "stopping" in parts:
-            print("\nStopping at a gain < 0.01 with 90 %, K = 30\n")
-            print("| | trainings | next one gained less | regret then |\n|---|---|---|---|")
-            for name, run in [(name, pool.submit(ended, name)) for name in names]:
-                k, right, left = run.result()
-                said = "-" if np.isnan(right) else f"{right:.2f}"
-                print(f"| {name} | {k:.1f} | {said} | {left:.3f} |", flush=True)
+        if "axes" in parts:
+            few_targets(pool)
+        for part, rule, least in (("stopping", "one", 0.01), ("nothing", "all", 0.005)):
+            if part in parts:
+                ends(pool, names, rule, least)
+
+
+def few_targets(pool: Pool) -> None:
+    """By number of axes and of targets: regret, error of V, and how often its interval holds it."""
+    print(f"\nFew targets, K = {K}\n")
+    print("| axes | targets | regret | error of V | V within its 95 % interval |")
+    print("|---|---|---|---|---|")
+    asked = [(which, n) for which in ("1 axis", "2 axes", "3 axes") for n in (5, 10, 20)]
+    runs = [pool.submit(listed, axes, *how) for how in asked]
+    for (which, count), run in zip(asked, runs, strict=True):
+        left, wrong, inside = np.array(run.result()).T
+        held = f"{int(inside.sum())} of {len(inside)}"
+        print(
+            f"| {which} | {count} | {left.mean():.3f} | {wrong.mean():.3f} | {held} |", flush=True
+        )
+
+
+def listed(play: Callable[..., Iterator[Any]], *how: Any) -> list[Any]:
+    return list(play(*how))
+
+
+def ends(pool: Pool, names: list[str], rule: str, least: float) -> None:
+    """Table of a stopping rule."""
+    who = "the next one" if rule == "one" else "all left together"
+    print(
+        f"\nStopping where {who} gain{'s' if rule == 'one' else ''} < {least:g} with 90 %, K = 30\n"
+    )
+    print(f"| | trainings | {who} gained | regret then |\n|---|---|---|---|")
+    for name, run in [(name, pool.submit(ended, name, rule, least)) for name in names]:
+        k, gained, left = run.result()
+        said = "-" if np.isnan(gained) else f"{gained:.4f}"
+        print(f"| {name} | {k:.1f} | {said} | {left:.3f} |", flush=True)
 
 
 if __name__ == "__main__":
