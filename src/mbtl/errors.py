@@ -54,6 +54,10 @@ class CheckFailed(MbtlError):
     """A CMDP breaks the contract that `mbtl check` tests."""
 
 
+class UnsavedPolicies(UserWarning):
+    """A study that is stored makes policies that are not."""
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str], *, hint: str = "") -> UnknownName:
     """Build the error for a mistyped name, with the nearest known one.
 

@@ -1,9 +1,29 @@
-"""Settings compared: whether what is stored was made with those of today."""
+"""Settings as JSON, compared: whether what is stored was made with those of today."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
+
+from mbtl.errors import InvalidInput
+
+
+def as_json(what: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings as they will read back from a log.
+
+    Args:
+        what: they are, for the message.
+        settings: mappings, lists, texts and numbers.
+
+    Raises:
+        InvalidInput: something else is among them.
+    """
+    try:
+        plain: dict[str, Any] = json.loads(json.dumps(settings, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(f"{what} must be JSON-able, got {dict(settings)!r} ({error})") from error
+    return plain
 
 
 def first_difference(

@@ -18,6 +18,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.settings import as_json
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,10 @@ class Trainer(Protocol):
         ...
 
     def save(self, policy: Any, folder: Path) -> bool:
-        """Write `policy` into the empty `folder`; False when this trainer cannot save."""
+        """Write `policy` into the empty `folder`; False when this trainer cannot save.
+
+        Such a trainer says so before it trains, too, by an attribute `saves` that is False.
+        """
         ...
 
     def load(self, folder: Path) -> Any:
@@ -144,6 +148,11 @@ class FunctionTrainer:
                 "save and load come together, got only one of them; give both or neither"
             )
 
+    @property
+    def saves(self) -> bool:
+        """Whether policies can be saved."""
+        return self.save_fn is not None
+
     def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
         """Call `train_fn`; plain functions report no progress."""
         return self.train_fn(context, seed)
@@ -224,3 +233,13 @@ def recipe_of(trainer: Trainer) -> dict[str, Any]:
     """
     given = getattr(trainer, "recipe", None)
     return dict(given) if given is not None else {"trainer": type(trainer).__name__}
+
+
+def equipment_of(trainer: Trainer) -> dict[str, Any]:
+    """Recipe and policy format, as they read back from a log.
+
+    Raises:
+        InvalidInput: the recipe is not JSON-able.
+    """
+    recipe = as_json("the recipe of a trainer", recipe_of(trainer))
+    return {"recipe": recipe, "policy_format": trainer.policy_format}

@@ -434,8 +434,9 @@ def test_policies_without_save_functions_are_said_to_end(mbtl_command, tmp_path)
         "problem = mbtl.CMDP.from_functions('kept', space, train=lambda c, s: c['x'], budget=2,\n"
         "    evaluate=lambda p, cs, s: [1 - abs(c['x'] - p) for c in cs])\n"
     )
-    code, out, _ = mbtl_command("run", "kept.py:problem")
+    code, out, err = mbtl_command("run", "kept.py:problem")
     assert code == 0
+    assert "warning: this study is stored, but its policies will be in memory only" in err
     assert "no save and load functions" in " ".join(out.split())
 
 

@@ -167,8 +167,8 @@ def test_any_damage_to_the_facts_gets_a_sentence(study):
             raise
         used(opened)
 
-    assert refusals(attempt, 200) > 100
-    assert set(refused) == {e["kind"] for e in whole} - {"reported"}  # which holds arrays alone
+    assert refusals(attempt, 200) > 80
+    assert set(refused) == {e["kind"] for e in whole}
     assert all(re.search(r"event \d+ |newer mbtl", said) for said in refused.values())
 
 

@@ -10,6 +10,7 @@ import mbtl
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
 from mbtl.study import Callback
 
+pytestmark = pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
 N = 9
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})
 

@@ -3,6 +3,7 @@
 import os
 import signal
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
@@ -96,7 +97,7 @@ def test_a_killed_worker_gives_its_picks_back(tmp_path):
     study = new(tmp_path / "study.db")
     pool = ProcessPoolExecutor(1, mp_context=get_context("fork"))
     with pool, pytest.raises(StudyError, match="worker process died"):
-        study.run(_die, quick_problem.evaluate, parallel=2, executor=pool)
+        study.run(trainer=replace(quick_problem.TRAINER, train_fn=_die), parallel=2, executor=pool)
     assert not study.state.failures
     study.run(trainer=quick_problem.TRAINER)
     assert len(study.state.rows) == 4
@@ -160,7 +161,7 @@ def test_a_report_that_fails_does_not_hide_the_study(tmp_path):
             raise RuntimeError("licence expired")
         return quick_problem.evaluate(policy, contexts, seed)
 
-    trainer = FunctionTrainer(quick_problem.train, evaluate)
+    trainer = FunctionTrainer(quick_problem.train, evaluate, quick_problem.save, quick_problem.load)
     study = new(tmp_path / "s.db").run(trainer=trainer, callbacks=[Ear()])
     assert study.is_finished
     assert said == ["RuntimeError: licence expired"]

@@ -6,7 +6,7 @@ import pytest
 import quick_problem
 
 import mbtl
-from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.errors import InvalidInput, TrainingFailed, UnsavedPolicies
 from mbtl.seeds import evaluation_seed
 from mbtl.study import Callback
 from mbtl.study.fresh import fresh_value, served_targets
@@ -192,13 +192,23 @@ def test_callbacks_hear_everything(tmp_path):
             on_progress(Progress(7, 10))
             return super().train(context, seed)
 
-    trainer = Reporting(quick_problem.train, quick_problem.evaluate)
+    functions = (
+        quick_problem.train,
+        quick_problem.evaluate,
+        quick_problem.save,
+        quick_problem.load,
+    )
+    trainer = Reporting(*functions)
     study_at(tmp_path, budget=2).run(trainer=trainer, callbacks=[Ear()])
     assert heard == ["pick", 7, "evaluation", "told"] * 2 + ["report", "end"]
 
 
-def test_policies_that_cannot_be_saved_stay_in_memory(tmp_path):
-    study = study_at(tmp_path).run(quick_problem.train, quick_problem.evaluate)
+def test_policies_that_cannot_be_saved_stay_in_memory_and_that_is_said_at_once(tmp_path, caplog):
+    study = study_at(tmp_path)
+    with pytest.warns(UnsavedPolicies, match="give save and load functions") as warned:
+        study.run(quick_problem.train, quick_problem.evaluate)
+    assert warned[0].filename == __file__  # the user's line, not ours
+    assert "in memory only" in caplog.text
     policy = study.portfolio().policy_for({"mass": 1.0})
     assert policy.shape == (2,)
     later = mbtl.load_study(tmp_path).portfolio()

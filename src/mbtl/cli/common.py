@@ -10,13 +10,17 @@ import json
 import sys
 import time
 import traceback
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 from rich.console import Console
+
+from mbtl.errors import UnsavedPolicies
 
 console = Console(stderr=True)
 """Progress, notes and errors: always standard error."""
@@ -46,6 +50,22 @@ def interruptible(command: Callable[..., None]) -> Callable[..., None]:
             raise typer.Exit(1) from None
 
     return wrapped
+
+
+@contextmanager
+def plain_warnings() -> Iterator[None]:
+    """In the block, what a user should know at once is a line and not a place in our code."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UnsavedPolicies)
+        usual = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if not issubclass(category, UnsavedPolicies):
+                return usual(message, category, *where, **more)
+            console.print(f"warning: {message}", style="yellow", markup=False, soft_wrap=True)
+
+        warnings.showwarning = show
+        yield
 
 
 def print_origin(error: BaseException) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from mbtl.arrays import Array
-from mbtl.cli.common import JsonFlag, console, print_json, printer
+from mbtl.cli.common import JsonFlag, console, plain_warnings, print_json, printer
 from mbtl.cli.progress import LiveProgress
 from mbtl.cmdps import CMDP, resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
@@ -23,6 +23,9 @@ from mbtl.selectors import get_selector
 from mbtl.study import Callback, Study, create_study
 from mbtl.study.runner import check_options
 from mbtl.trainer import Trainer, recipe_of
+
+NOTHING_LEFT = 0.005
+"""Gain in V of all trainings left together that is not worth one of them."""
 
 
 def run(
@@ -75,6 +78,12 @@ def run(
     stop_confidence: Annotated[
         float, typer.Option(help="How probable that has to be, as the selector predicts it.")
     ] = 0.9,
+    whole_budget: Annotated[
+        bool,
+        typer.Option(
+            "--all", help="Spend the whole budget, also where nothing seems left to gain."
+        ),
+    ] = False,
     repeats: Annotated[
         int, typer.Option(help="Trainings allowed on one context, where another try may pay.")
     ] = 1,
@@ -153,6 +162,8 @@ def run(
         stop_value=stop_value,
         stop_gain=stop_gain,
         stop_confidence=stop_confidence,
+        stop_left=None if whole_budget or cmdp.bounds is None else NOTHING_LEFT,
+        best_return=cmdp.best_return,
         repeats=repeats,
         eval_targets=eval_targets,
         costs=None if costs is None else _numbers(costs),
@@ -165,7 +176,7 @@ def run(
         load_if_exists=True,
     )
     _announce(running, folder)
-    with LiveProgress(running, console) as live:
+    with plain_warnings(), LiveProgress(running, console) as live:
         callbacks: list[Callback] = [live]
         if tensorboard is not None:
             from mbtl.training.tensorboard import TensorBoardCallback

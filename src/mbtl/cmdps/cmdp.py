@@ -85,6 +85,8 @@ class CMDP:
             `Bounds` the direction and the floor count, too.
         direction: whether larger or smaller returns are better.
         floor: return below which none is worse in performance; returns themselves are not clipped.
+        best_return: the largest return there is (smallest, if minimised); None: not known. A study
+            ends where V reaches what it is worth.
         theta: slope of the linear gap, performance per grid step; None: the library's default.
         version: raised when results could change.
         make_env: context -> Gymnasium environment; None for problems given as functions.
@@ -121,6 +123,7 @@ class CMDP:
     settings: Mapping[str, Any] = field(default_factory=dict)
     description: str = ""
     floor: float | None = None
+    best_return: float | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.bounds, Bounds):

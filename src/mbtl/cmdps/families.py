@@ -129,6 +129,7 @@ FAMILIES: Mapping[str, Family] = {
         entry_point="mbtl.cmdps.cartpole:CartPole",
         horizon=500,
         bounds=(0.0, 500.0),
+        best_return=500.0,
         theta=0.005,
         presets=_CARTPOLE,
         jax=_jax("CartPole", 5_000_000, {"gamma": 0.99}),

@@ -56,6 +56,7 @@ class Family:
         visibility_on_all: likewise, of one policy for all contexts.
         check_steps: environment steps of a rollout of `mbtl check`; fewer where steps are long.
         floor: return below which none is worse in performance.
+        best_return: the largest return there is; None: not known.
     """
 
     entry_point: str
@@ -70,6 +71,7 @@ class Family:
     visibility_on_all: str = "multiplier"
     check_steps: int | None = None
     floor: float | None = None
+    best_return: float | None = None
 
 
 @dataclass(frozen=True)

@@ -118,6 +118,7 @@ def get_cmdp(
         trainer,
         bounds=family.bounds,
         floor=family.floor,
+        best_return=family.best_return,
         theta=family.theta if variant.theta is None else variant.theta,
         version=variant.version,
         make_env=make_env,

@@ -116,6 +116,10 @@ class Portfolio:
             raise InvalidInput(
                 "routing needs a return of at least one policy, got none that is known"
             )
+        if not (isinstance(self.risk, (int, float)) and 0.0 < self.risk <= 1.0):
+            raise InvalidInput(
+                f"risk is the share of the worst contexts, in (0, 1], got {self.risk!r}"
+            )
         if not (np.isfinite(self.theta) and self.theta >= 0):
             raise InvalidInput(f"theta must be finite and >= 0, got {self.theta!r}")
 

@@ -202,6 +202,7 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
             "seconds": _NUMBER,
             "policy": _POLICY,
         },
+        "equipped": {"recipe": (_is_record, "a record"), "policy_format": _TEXT},
         "failed": failure,
         "deferred": failure,
         "reopened": {

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import operator
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, overload
 
@@ -17,17 +16,16 @@ from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.objective import Bounds, Direction, direction_named
 from mbtl.selectors import Selector, get_selector, selector_names
-from mbtl.settings import first_difference
+from mbtl.settings import as_json, first_difference
 from mbtl.study.checks import check_spec
 from mbtl.study.events import Event
+from mbtl.study.places import fixed_url, policy_folder
 from mbtl.study.state import StudySpec, replay
 from mbtl.study.storage import (
     Conflict,
     EventLog,
     MemoryLog,
     SqlLog,
-    as_url,
-    sqlite_path,
     study_names,
 )
 from mbtl.study.study import Study
@@ -52,7 +50,10 @@ def create_study(
     eval_targets: int | None = None,
     stop_gain: float | None = None,
     stop_confidence: float = 0.9,
+    stop_left: float | None = None,
+    best_return: float | None = None,
     storage: str | Path | None = None,
+    artifacts: str | Path | None = None,
     name: str = "study",
     problem: str = "",
     settings: Mapping[str, Any] | None = None,
@@ -83,8 +84,13 @@ def create_study(
             (`Pick.targets`); None for all.
         stop_gain: end when one more training gains less than this in V ...
         stop_confidence: ... with at least this probability, as the selector predicts it after
-            three rows or more.
+            three rows or more. V counts as what it surely is, with this probability.
+        stop_left: end when nothing is left to gain: V is so near to what `best_return` is worth, or
+            the selector predicts that all trainings left together gain less than this in V.
+        best_return: the largest return there is (smallest, if minimised), if you know it.
         storage: path of an SQLite file or an SQLAlchemy URL; None keeps the study in memory.
+        artifacts: folder that policies are saved below; None: the one of the database, where that
+            is a file. Give it again to `load_study`.
         name: name of the study within its storage.
         problem: id of the problem, to refuse a study of another one.
         settings: JSON-able record of the training recipe, to refuse a study of another one.
@@ -109,7 +115,7 @@ def create_study(
     floor = None
     if isinstance(bounds, Bounds):
         direction, floor = bounds.direction, bounds.floor
-    pair = _pair("bounds", None if bounds is None else tuple(bounds))
+    pair = _pair("bounds", bounds)
     if pair is not None:
         Bounds(*pair, direction, floor)
     stop_value = _finite("stop_value", stop_value)
@@ -125,6 +131,8 @@ def create_study(
     if seed < 0 or trial < 0:
         raise InvalidInput(f"seed and trial must be >= 0, got {seed} and {trial}")
     _check_wishes(chosen, repeats, stop_gain, stop_confidence, bounds)
+    if stop_left is not None and bounds is None:
+        raise InvalidInput("stop_left is in performance, so it needs bounds=(low, high); got none")
     spec = StudySpec(
         space,
         budget,
@@ -137,23 +145,27 @@ def create_study(
         stop_value,
         cost_budget,
         problem,
-        _json_like(settings or {}),
+        as_json("settings", settings or {}),
         _whole("repeats", repeats),
         _costs(costs, space),
         _real("risk", risk),
         _target_count(eval_targets, space.n),
         stop_gain,
         stop_confidence,
-        floor=floor,
+        _real("stop_left", stop_left),
+        _finite("best_return", best_return),
+        floor,
     )
     check_spec(spec)
-    log: EventLog = MemoryLog() if storage is None else SqlLog(storage, name, create=True)
+    address = None if storage is None else fixed_url(storage)
+    log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
+    folder = policy_folder(address, artifacts)
     created = {"spec": spec.to_json(), "version": __version__, "uid": uuid.uuid4().hex[:8]}
     event = Event("created", created)
     try:
         log.append(event, after=0)
     except Conflict:
-        study = Study(log, chosen, folder=_folder(storage), name=name)
+        study = Study(log, chosen, folder=folder, name=name)
         if not load_if_exists:
             raise StudyError(
                 f"a study named {name!r} exists in {storage}; pass load_if_exists=True to go on "
@@ -164,11 +176,15 @@ def create_study(
             study.extend(spec.budget)
         _check_same(study.spec, spec)
         return study
-    return Study(log, chosen, folder=_folder(storage), name=name)
+    return Study(log, chosen, folder=folder, name=name)
 
 
 def load_study(
-    storage: str | Path, name: str | None = None, *, selector: Selector | None = None
+    storage: str | Path,
+    name: str | None = None,
+    *,
+    selector: Selector | None = None,
+    artifacts: str | Path | None = None,
 ) -> Study:
     """Open an existing study.
 
@@ -176,6 +192,7 @@ def load_study(
         storage: path of the SQLite file (or of the folder that holds `study.db`), or a URL.
         name: name of the study; needed only when the storage holds several.
         selector: the selector object, for studies made with one that has no registered name.
+        artifacts: folder that policies are saved below, as it was given to `create_study`.
 
     Raises:
         StorageError: no database there, or a damaged one.
@@ -184,6 +201,7 @@ def load_study(
     place = storage
     if "://" not in str(storage) and Path(storage).is_dir():
         place = Path(storage) / "study.db"
+    place = fixed_url(place)
     if name is None:
         names = study_names(place)
         if len(names) != 1:
@@ -209,7 +227,7 @@ def load_study(
             f"this study was made with the selector {dict(spec.selector)}, got "
             f"{describe_selector(selector)}; give the same one as selector="
         )
-    return Study(log, selector, folder=_folder(place), name=name)
+    return Study(log, selector, folder=policy_folder(place, artifacts), name=name)
 
 
 def describe_selector(selector: Selector) -> dict[str, Any]:
@@ -296,13 +314,6 @@ def _target_count(count: int | None, n: int) -> int | None:
     return count
 
 
-def _folder(storage: str | Path | None) -> Path | None:
-    if storage is None:
-        return None
-    path = sqlite_path(as_url(storage))
-    return path.parent if path else None
-
-
 def _whole(name: str, number: Any) -> int:
     try:
         return operator.index(number)
@@ -341,7 +352,7 @@ def _float(name: str, number: Any) -> float:
         raise InvalidInput(f"{name} must be a number, got {number!r}") from None
 
 
-def _pair(name: str, pair: tuple[float, ...] | None) -> tuple[float, float] | None:
+def _pair(name: str, pair: Iterable[float] | None) -> tuple[float, float] | None:
     if pair is None:
         return None
     try:
@@ -349,17 +360,6 @@ def _pair(name: str, pair: tuple[float, ...] | None) -> tuple[float, float] | No
         return float(low), float(high)
     except (TypeError, ValueError, OverflowError):
         raise InvalidInput(f"{name} must be two numbers (low, high), got {pair!r}") from None
-
-
-def _json_like(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings as they will read back from the log."""
-    try:
-        plain: dict[str, Any] = json.loads(json.dumps(settings, allow_nan=False))
-    except (TypeError, ValueError) as error:
-        raise InvalidInput(
-            f"settings must be JSON-able, got {dict(settings)!r} ({error})"
-        ) from error
-    return plain
 
 
 def _check_same(stored: StudySpec, given: StudySpec) -> None:

@@ -2,6 +2,7 @@
 
 created   the problem and the settings; always the first
 extended  the budget was raised
+equipped  a run brought its trainer: recipe and format of the policies
 asked     the selector proposed a source to a worker
 claimed   a worker took over a pick whose worker is gone
 released  a worker gave its pick back untrained
@@ -24,6 +25,7 @@ from mbtl.arrays import Array
 Kind = Literal[
     "created",
     "extended",
+    "equipped",
     "asked",
     "claimed",
     "released",

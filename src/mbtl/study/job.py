@@ -1,7 +1,7 @@
 """One job: train on a context, save the policy, evaluate it. Any process can do it.
 
-A trained policy appears in its folder by one rename before it is evaluated, so whatever ends a job
-after its training, its policy is found there and nothing is trained again.
+A trained policy appears in its folder by one rename, and is on the disk, before it is evaluated. So
+whatever ends a job after its training, its policy is found there and nothing is trained again.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from typing import Any, Literal
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, MissingExtra, StorageError
-from mbtl.trainer import OnProgress, Trainer, checked_returns
+from mbtl.files import sync_entries, sync_folder
+from mbtl.trainer import OnProgress, Trainer, checked_returns, equipment_of
 
 NOT_THE_TRAININGS_FAULT = (StorageError, InvalidInput, MissingExtra)
 """Raised as they are: the pick is given back, to be done once the cause is mended."""
@@ -96,7 +97,7 @@ class Trouble:
 def perform(
     job: Job,
     on_progress: OnProgress | None = None,
-    on_trained: Callable[[Kept], None] | None = None,
+    on_kept: Callable[[Kept], None] = lambda kept: None,
     on_evaluation: Callable[[], None] | None = None,
 ) -> Outcome | Trouble:
     """Train (unless the policy is there already), save, evaluate. Runs in any process.
@@ -104,7 +105,8 @@ def perform(
     Args:
         job: what to do.
         on_progress: told by the training.
-        on_trained: given the policy at once, so that not even an interrupt loses it.
+        on_kept: given the policy at once, so that not even an interrupt loses it, and again when
+            it is saved.
         on_evaluation: called when the policy is trained and saved.
     """
     started = time.perf_counter()
@@ -115,11 +117,11 @@ def perform(
             kept = Kept(job.trainer.load(_folder(job)), saved=True)
         if kept is None:
             kept = Kept(job.trainer.train(dict(job.context), job.seed, on_progress))
-            if on_trained is not None:
-                on_trained(kept)
+            on_kept(kept)
         if not kept.saved:
             stage = "saving"
             kept = replace(kept, saved=_save(job, kept.policy))
+            on_kept(kept)
         if on_evaluation is not None:
             on_evaluation()
         if job.rehearse and kept.saved:
@@ -165,7 +167,10 @@ def _first_stage(job: Job) -> Stage:
         return "training"
     try:
         receipt = json.loads((job.folder / _RECEIPT).read_text())
-        return "loading" if receipt["seed"] == job.seed else "training"
+        made = equipment_of(job.trainer)
+        same = receipt["seed"] == job.seed and receipt["format"] == made["policy_format"]
+        same = same and receipt.get("recipe", made["recipe"]) == made["recipe"]
+        return "loading" if same else "training"
     except (OSError, ValueError, KeyError, TypeError):  # not written by us: no policy of this job
         return "training"
 
@@ -183,14 +188,15 @@ def _save(job: Job, policy: Any) -> bool:
         temporary.mkdir(parents=True)
         saved = job.trainer.save(policy, temporary)
         if saved:
-            receipt = {
-                "seed": job.seed,
-                "context": dict(job.context),
-                "format": job.trainer.policy_format,
-            }
+            made = equipment_of(job.trainer)
+            receipt = {"seed": job.seed, "context": dict(job.context)}
+            receipt |= {"format": made["policy_format"], "recipe": made["recipe"]}
             (temporary / _RECEIPT).write_text(json.dumps(receipt))
+            sync_folder(temporary)
             shutil.rmtree(job.folder, ignore_errors=True)
             temporary.rename(job.folder)
+            for place in list(job.folder.parents)[:3]:  # the study's own is the third
+                sync_entries(place)
         return saved
     except NOT_THE_TRAININGS_FAULT:
         raise

@@ -6,11 +6,19 @@ It loses at most the training in flight; see `mbtl.study.job` and `mbtl.study.ba
 from __future__ import annotations
 
 import pickle
+import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
+from logging import getLogger
 
-from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
+from mbtl.errors import (
+    InvalidInput,
+    StorageError,
+    StudyError,
+    TrainingFailed,
+    UnsavedPolicies,
+)
 from mbtl.processes import worker_pool
 from mbtl.seeds import evaluation_seed
 from mbtl.study.batch import Batches, brought_back, failure
@@ -21,6 +29,8 @@ from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.rehearsal import rehearse as rehearsed
 from mbtl.study.study import Study
 from mbtl.trainer import RehearsingTrainer, Trainer
+
+_logger = getLogger(__name__)
 
 
 def run(
@@ -64,6 +74,7 @@ def run(
         with _workers(parallel, executor) as pooled:
             if pooled is not None:
                 _check_can_travel(pooled, trainer)
+            _warn_of_unsaved(study, trainer)
             for failed in list(study.refresh().failures) if retry_failed else []:
                 study.retry(failed.pick)
             first_policy = rehearse
@@ -72,6 +83,8 @@ def run(
                 first_policy = False
             allowed = 0 if on_failure == "stop" else stop_after_failures - 1
             batches = Batches(study, trainer, pooled, allowed, first_policy, callbacks)
+            if study.state.equipment is not None or not study.is_finished:
+                study.equip(trainer)
             try:
                 _do_all(study, batches, parallel)
                 if batches.give_back_held():
@@ -182,6 +195,21 @@ def _next_batch(study: Study, size: int) -> list[Pick]:
         if not study.orphans and len(study.state.picks) % size == 0:
             break
     return batch
+
+
+def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
+    """Before the first training: what is stored should not outlive its policies unnoticed."""
+    if not study.is_durable or study.is_finished:
+        return
+    if not getattr(trainer, "saves", True):
+        fix = "give save and load functions, or make the study without storage"
+    elif study.folder is None:
+        fix = "its database is no file, so give artifacts=<a folder> where the study is made"
+    else:
+        return
+    words = f"this study is stored, but its policies will be in memory only: {fix}"
+    _logger.warning("%s", words)
+    warnings.warn(words, UnsavedPolicies, stacklevel=4)
 
 
 def _check_can_travel(executor: Executor, trainer: Trainer) -> None:

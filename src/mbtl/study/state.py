@@ -17,6 +17,7 @@ from mbtl.routing import Routing
 from mbtl.selectors.base import SelectionProblem
 from mbtl.study.checks import check_event, check_spec
 from mbtl.study.events import Event
+from mbtl.study.records import Failure, FreshReturns, PickRecord, ToldRow
 from mbtl.study.worker import Worker
 from mbtl.untrusted import MALFORMED
 
@@ -110,86 +111,6 @@ class StudySpec:
         return spec
 
 
-@dataclass(frozen=True)
-class PickRecord:
-    """One proposal of the selector, as logged."""
-
-    number: int
-    source: int
-    reason: str
-    acquisition: float | None
-    notes: tuple[str, ...]
-    worker: Worker | None
-    asked_at: float
-    repeat: int = 0
-    targets: tuple[int, ...] | None = None
-
-
-@dataclass(frozen=True)
-class ToldRow:
-    """One transfer row, as logged.
-
-    Attributes:
-        source: context index.
-        pick: number of the pick it answers; None for a source nobody asked for.
-        returns: (N,) mean returns, raw units; NaN where it was not evaluated.
-        std: (N,) standard deviation over episodes, with n - 1; NaN for a single episode, and as
-            `returns`.
-        episodes: episodes behind each mean.
-        cost: cost of the training in the user's unit.
-        seconds: wall time of training and evaluation; None when unknown.
-        policy: folder of the saved policy, relative to the study; None when not saved.
-        told_at: seconds since the epoch.
-    """
-
-    source: int
-    pick: int | None
-    returns: Array
-    std: Array
-    episodes: int
-    cost: float
-    seconds: float | None
-    policy: str | None
-    told_at: float
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A pick that gave nothing, and why.
-
-    Attributes:
-        source: context index.
-        pick: 0-based number of the pick.
-        reason: the error in one line.
-        traceback: where it came from; empty where nobody said.
-    """
-
-    source: int
-    pick: int
-    reason: str
-    traceback: str = ""
-
-    @classmethod
-    def of(cls, data: Mapping[str, Any]) -> Failure:
-        """As logged; older logs have no traceback."""
-        return cls(data["source"], data["pick"], data["reason"], data.get("traceback", ""))
-
-
-@dataclass(frozen=True)
-class FreshReturns:
-    """What the policies gave on fresh episodes, which chose nothing.
-
-    Attributes:
-        returns: (k, N) means; NaN where a policy serves nobody.
-        value_errors: (k,) standard error of V after each training, raw units; None: unknown.
-        episodes: episodes behind each mean; None: unknown.
-    """
-
-    returns: Array
-    value_errors: Array | None
-    episodes: int | None
-
-
 @dataclass
 class StudyState:
     """Everything the events say; `apply` takes the next one."""
@@ -206,6 +127,8 @@ class StudyState:
     deferred: dict[int, Failure] = field(default_factory=dict)
     """Number of an open pick -> why its policy, which is trained, was not evaluated so far."""
     fresh: FreshReturns | None = None
+    equipment: Mapping[str, Any] | None = None
+    """Recipe and format of the policies; None: not known so far."""
     stopped: str | None = None
     _history: History | None = field(default=None, repr=False)
     _routing: Routing | None = field(default=None, repr=False)
@@ -336,6 +259,12 @@ class StudyState:
         self.version = event.data["version"]
         self.uid = event.data["uid"]
         self.created_at = event.time
+        settings = self.spec.settings
+        if {"recipe", "policy_format"} <= settings.keys():  # as `mbtl run` and `CMDP.study` do
+            self.equipment = {name: settings[name] for name in ("recipe", "policy_format")}
+
+    def _equipped(self, event: Event) -> None:
+        self.equipment = dict(event.data)
 
     def _extended(self, event: Event) -> None:
         assert self.spec is not None

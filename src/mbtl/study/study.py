@@ -14,44 +14,46 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
-from mbtl.contexts import Context, ContextSpace
-from mbtl.errors import InvalidInput, StudyError
-from mbtl.history import History
-from mbtl.objective import Bounds
-from mbtl.routing import Routing
+from mbtl.contexts import Context
+from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.seeds import training_seed
-from mbtl.selectors import SelectionProblem, Selector
+from mbtl.selectors import Selector
+from mbtl.settings import first_difference
 from mbtl.study import asking, telling
 from mbtl.study.checks import check_event
 from mbtl.study.events import Event, Kind
 from mbtl.study.pick import Pick, StudyFinished
-from mbtl.study.state import PickRecord, StudySpec, StudyState
+from mbtl.study.records import PickRecord
+from mbtl.study.state import StudyState
 from mbtl.study.storage import Conflict, EventLog
-from mbtl.trainer import Trainer, checked_returns, checked_targets
-from mbtl.untrusted import inside
+from mbtl.study.view import StudyView
+from mbtl.trainer import (
+    FunctionTrainer,
+    Trainer,
+    checked_returns,
+    checked_targets,
+    equipment_of,
+)
 
 if TYPE_CHECKING:
-    from mbtl.portfolio import Portfolio
     from mbtl.study.callbacks import Callback
 
 
-class Study:
+class Study(StudyView):
     """One selection run over an event log. Make one with `create_study` or `load_study`."""
 
     def __init__(
-        self, log: EventLog, selector: Selector, *, folder: Path | None, name: str = "study"
+        self,
+        log: EventLog,
+        selector: Selector,
+        *,
+        folder: Path | None,
+        name: str = "study",
+        trainer: Trainer | None = None,
     ) -> None:
         """Use `create_study` or `load_study`; the log must hold a `created` event."""
-        self.name = name
-        self.folder = folder
+        super().__init__(log, folder=folder, name=name, trainer=trainer)
         self.selector = selector
-        self.policies: dict[int, Any] = {}
-        """Number of the row -> policy, for policies of this process that no trainer could save."""
-        self.untold: dict[int, Any] = {}
-        """Number of the pick -> policy that is trained, not saved, and not evaluated so far."""
-        self._log = log
-        self._state = StudyState()
-        self.refresh()
 
     # ---- ask and tell ------------------------------------------------------------------------
 
@@ -181,6 +183,26 @@ class Study:
         """
         self._commit(lambda state: telling.reopening(state, pick))
 
+    def equip(self, trainer: Trainer) -> None:
+        """Record what the policies of this study are made with, or check that it is the same.
+
+        Raises:
+            StudyMismatch: policies were made with another recipe or format before.
+        """
+        given, state = equipment_of(trainer), self.refresh()
+        known = state.equipment
+        if known == given:
+            return
+        if known is None or not (self.has_succeeded or state.deferred):
+            self._commit(lambda _: Event("equipped", given))
+            self.untold.clear()  # of another recipe
+            return
+        key, was, now = first_difference(known, given) or ("recipe", known, given)
+        raise StudyMismatch(
+            f"the policies of a study are made with one recipe: {key} was {was!r}, got {now!r}; "
+            "use the same trainer, or start another study (--new, or another name)"
+        )
+
     def extend(self, budget: int) -> None:
         """Raise the budget to `budget` trainings in all, for a few more picks.
 
@@ -236,6 +258,8 @@ class Study:
         train: Callable[[Context, int], Any] | None = None,
         evaluate: Callable[[Any, Sequence[Context], int], Any] | None = None,
         *,
+        save: Callable[[Any, Path], None] | None = None,
+        load: Callable[[Path], Any] | None = None,
         trainer: Trainer | None = None,
         parallel: int = 1,
         executor: Executor | None = None,
@@ -246,15 +270,36 @@ class Study:
         callbacks: Sequence[Callback] = (),
         report: bool = True,
     ) -> Study:
-        """Train and evaluate until the study is finished; see `mbtl.study.runner.run`."""
+        """Train and evaluate until the study is finished; see `mbtl.study.runner.run`.
+
+        Args:
+            train: context, seed -> policy.
+            evaluate: policy, contexts, seed -> returns, (n_targets,) or (n_targets, n_episodes).
+            save: policy, empty folder -> None; without it policies end with this process.
+            load: folder -> policy.
+            trainer: instead of these functions; None: the one that the study was made with.
+            parallel: see `mbtl.study.runner.run`, as for all that follows.
+            executor: runs the trainings when parallel > 1.
+            on_failure: "continue", or "stop" at the first failure.
+            stop_after_failures: so many failures in a row end the run.
+            retry_failed: train again where trainings failed.
+            rehearse: try the evaluation before the first training.
+            callbacks: told what happens.
+            report: evaluate the routed policies on fresh seeds at the end.
+
+        Raises:
+            StudyMismatch: the study was run with another recipe or policy format before.
+        """
         from mbtl.study.runner import run  # the runner joins study, trainer and executor
 
+        given = [f for f in (train, evaluate, save, load) if f is not None]
+        if given and trainer is not None:
+            raise InvalidInput("run takes functions or a trainer, got both; leave one out")
+        trainer = self.trainer if trainer is None and not given else trainer
         if trainer is None:
-            from mbtl.trainer import FunctionTrainer
-
             if train is None or evaluate is None:
                 raise InvalidInput("run needs train and evaluate functions, or a trainer")
-            trainer = FunctionTrainer(train, evaluate)
+            trainer = FunctionTrainer(train, evaluate, save, load)
         run(
             self,
             trainer,
@@ -268,131 +313,6 @@ class Study:
             report=report,
         )
         return self
-
-    def __repr__(self) -> str:
-        told, spec = len(self._state.rows), self.spec
-        return f"Study({self.name!r}: {told} of {spec.budget} trainings told, {spec.space!r})"
-
-    # ---- reading -----------------------------------------------------------------------------
-
-    def refresh(self) -> StudyState:
-        """Apply what other processes appended, and return the state."""
-        for event in self._log.read(self._state.seq):
-            self._state.apply(event)
-        if self._state.spec is None:
-            raise StudyError(f"there is no study {self.name!r} in this storage; create it first")
-        return self._state
-
-    @property
-    def spec(self) -> StudySpec:
-        """What the study was created with."""
-        assert self._state.spec is not None
-        return self._state.spec
-
-    @property
-    def state(self) -> StudyState:
-        """Everything recorded, as of the last `refresh`."""
-        return self._state
-
-    @property
-    def space(self) -> ContextSpace:
-        """The contexts."""
-        return self.spec.space
-
-    @property
-    def problem(self) -> SelectionProblem:
-        """What the selector may know before any training."""
-        return self.spec.selection_problem()
-
-    @property
-    def history(self) -> History:
-        """The rows told so far, as performance."""
-        return self._state.history()
-
-    @property
-    def bounds(self) -> Bounds:
-        """Normalisation in force: given, or the range of the returns told so far."""
-        return self._state.bounds()
-
-    @property
-    def value(self) -> float:
-        """V of the policies as they are routed, performance; -inf before the first row.
-
-        By the rows that routed them: noise is shrunk, and what was not evaluated is predicted by
-        the transfer model. How sure that is: `study.routing.value`.
-        """
-        return self._state.value()
-
-    @property
-    def routing(self) -> Routing:
-        """Who serves which context after every training, what that is worth, and how sure.
-
-        Raises:
-            StudyError: no row was told.
-        """
-        return self._state.routing()
-
-    @property
-    def curve(self) -> Array:
-        """(k,) V after each row, performance, by the rows that routed the policies."""
-        return self._state.curve()
-
-    @property
-    def stop_reason(self) -> str | None:
-        """Why nothing more can be asked; None while something can."""
-        return asking.stop_reason(self._state)
-
-    @property
-    def is_finished(self) -> bool:
-        """True when nothing can be asked and nobody works on a pick."""
-        return asking.is_finished(self._state)
-
-    @property
-    def has_succeeded(self) -> bool:
-        """True when a pick was told; rows that nobody asked for show no training at work."""
-        return any(row.pick is not None for row in self._state.rows)
-
-    @property
-    def orphans(self) -> list[int]:
-        """Numbers of open picks that nobody works on: given back, or their process is gone."""
-        return asking.orphans(self._state)
-
-    def portfolio(self, trainer: Trainer | None = None, *, trust: bool = False) -> Portfolio:
-        """The trained policies with their router.
-
-        Args:
-            trainer: reads the saved policies, all of them: give the one that wrote them.
-            trust: without a trainer, also read files that can execute code; set it if the study
-                is your own, or of somebody you trust.
-
-        Raises:
-            StorageError: a policy's folder is not inside the study's, or is reached by a link.
-        """
-        from mbtl.portfolio import Portfolio
-
-        rows, spec = self.refresh().rows, self.spec
-        folders = [
-            inside(self.folder, r.policy, "a study") if self.folder and r.policy else None
-            for r in rows
-        ]
-        made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}
-        return Portfolio(
-            self.space,
-            tuple(row.source for row in rows),
-            np.array([row.returns for row in rows]).reshape(-1, self.space.n),
-            self.bounds,
-            self.problem.theta,
-            deviations=np.array([row.std for row in rows]).reshape(-1, self.space.n),
-            episodes=tuple(row.episodes for row in rows),
-            risk=spec.risk,
-            policy_folders=folders,
-            policy_format=str(spec.settings.get("policy_format", "custom")),
-            load=trainer.load if trainer is not None else None,
-            in_memory=dict(self.policies),
-            cmdp=spec.problem or None,
-            metadata={"study": self.name, **made},
-            trust=trust,
-        )
 
     # ---- inside ------------------------------------------------------------------------------
 

@@ -1,0 +1,180 @@
+"""Reading a study: what its log says, and what follows from that. Nothing here changes it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.contexts import ContextSpace
+from mbtl.errors import StudyError
+from mbtl.history import History
+from mbtl.objective import Bounds
+from mbtl.routing import Routing
+from mbtl.selectors import SelectionProblem
+from mbtl.study import asking
+from mbtl.study.state import StudySpec, StudyState
+from mbtl.study.storage import EventLog, MemoryLog
+from mbtl.trainer import Trainer
+from mbtl.untrusted import inside
+
+if TYPE_CHECKING:
+    from mbtl.portfolio import Portfolio
+
+
+class StudyView:
+    """What a study knows; `mbtl.study.Study` asks and tells.
+
+    Attributes:
+        name: within its storage.
+        folder: absolute; policies are saved below it. None: they cannot be.
+        trainer: trains and reads policies where no other is given.
+        policies: number of the row -> policy, for policies of this process that were not saved.
+        untold: number of the pick -> policy that is trained, not saved, and not evaluated so far.
+    """
+
+    def __init__(
+        self, log: EventLog, *, folder: Path | None, name: str, trainer: Trainer | None
+    ) -> None:
+        """The log must hold a `created` event."""
+        self.name = name
+        self.folder = None if folder is None else folder.absolute()
+        self.trainer = trainer
+        self.policies: dict[int, Any] = {}
+        self.untold: dict[int, Any] = {}
+        self._log = log
+        self._state = StudyState()
+        self.refresh()
+
+    def __repr__(self) -> str:
+        told, spec = len(self._state.rows), self.spec
+        return f"Study({self.name!r}: {told} of {spec.budget} trainings told, {spec.space!r})"
+
+    def refresh(self) -> StudyState:
+        """Apply what other processes appended, and return the state."""
+        for event in self._log.read(self._state.seq):
+            self._state.apply(event)
+        if self._state.spec is None:
+            raise StudyError(f"there is no study {self.name!r} in this storage; create it first")
+        return self._state
+
+    @property
+    def spec(self) -> StudySpec:
+        """What the study was created with."""
+        assert self._state.spec is not None
+        return self._state.spec
+
+    @property
+    def state(self) -> StudyState:
+        """Everything recorded, as of the last `refresh`."""
+        return self._state
+
+    @property
+    def space(self) -> ContextSpace:
+        """The contexts."""
+        return self.spec.space
+
+    @property
+    def problem(self) -> SelectionProblem:
+        """What the selector may know before any training."""
+        return self.spec.selection_problem()
+
+    @property
+    def history(self) -> History:
+        """The rows told so far, as performance."""
+        return self._state.history()
+
+    @property
+    def bounds(self) -> Bounds:
+        """Normalisation in force: given, or the range of the returns told so far."""
+        return self._state.bounds()
+
+    @property
+    def value(self) -> float:
+        """V of the policies as they are routed, performance; -inf before the first row.
+
+        By the rows that routed them: noise is shrunk, and what was not evaluated is predicted by
+        the transfer model. How sure that is: `study.routing.value`.
+        """
+        return self._state.value()
+
+    @property
+    def routing(self) -> Routing:
+        """Who serves which context after every training, what that is worth, and how sure.
+
+        Raises:
+            StudyError: no row was told.
+        """
+        return self._state.routing()
+
+    @property
+    def curve(self) -> Array:
+        """(k,) V after each row, performance, by the rows that routed the policies."""
+        return self._state.curve()
+
+    @property
+    def is_durable(self) -> bool:
+        """True when the study outlives this process."""
+        return not isinstance(self._log, MemoryLog)
+
+    @property
+    def stop_reason(self) -> str | None:
+        """Why nothing more can be asked; None while something can."""
+        return asking.stop_reason(self._state)
+
+    @property
+    def is_finished(self) -> bool:
+        """True when nothing can be asked and nobody works on a pick."""
+        return asking.is_finished(self._state)
+
+    @property
+    def has_succeeded(self) -> bool:
+        """True when a pick was told; rows that nobody asked for show no training at work."""
+        return any(row.pick is not None for row in self._state.rows)
+
+    @property
+    def orphans(self) -> list[int]:
+        """Numbers of open picks that nobody works on: given back, or their process is gone."""
+        return asking.orphans(self._state)
+
+    def portfolio(self, trainer: Trainer | None = None, *, trust: bool = False) -> Portfolio:
+        """The trained policies with their router.
+
+        Args:
+            trainer: reads the saved policies, all of them: give the one that wrote them; None: the
+                study's.
+            trust: without a trainer, also read files that can execute code; set it if the study
+                is your own, or of somebody you trust.
+
+        Raises:
+            StorageError: a policy's folder is not inside the study's, or is reached by a link.
+        """
+        from mbtl.portfolio import Portfolio
+
+        trainer = self.trainer if trainer is None else trainer
+
+        rows, spec = self.refresh().rows, self.spec
+        folders = [
+            inside(self.folder, r.policy, "a study") if self.folder and r.policy else None
+            for r in rows
+        ]
+        made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}
+        return Portfolio(
+            self.space,
+            tuple(row.source for row in rows),
+            np.array([row.returns for row in rows]).reshape(-1, self.space.n),
+            self.bounds,
+            self.problem.theta,
+            deviations=np.array([row.std for row in rows]).reshape(-1, self.space.n),
+            episodes=tuple(row.episodes for row in rows),
+            risk=spec.risk,
+            policy_folders=folders,
+            policy_format=str((self.state.equipment or {}).get("policy_format", "custom")),
+            load=trainer.load if trainer is not None else None,
+            in_memory=dict(self.policies),
+            cmdp=spec.problem or None,
+            metadata={"study": self.name, **made},
+            trust=trust,
+        )

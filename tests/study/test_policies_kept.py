@@ -1,0 +1,194 @@
+"""Policies are never lost: they are saved where the study says, whatever the process does then."""
+
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+import mbtl
+from mbtl.errors import InvalidInput, StudyMismatch, UnsavedPolicies
+from mbtl.study import job, places
+from mbtl.trainer import FunctionTrainer
+
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
+
+
+def train(context, seed):
+    return np.array([context["x"]])
+
+
+def evaluate(policy, contexts, seed):
+    return [1 - abs(c["x"] - policy[0]) for c in contexts]
+
+
+def save(policy, folder):
+    np.save(folder / "x.npy", policy)
+
+
+def load(folder):
+    return np.load(folder / "x.npy")
+
+
+TRAINER = FunctionTrainer(train, evaluate, save, load)
+
+
+class Recipe(FunctionTrainer):
+    """Another recipe, in another format."""
+
+    def __init__(self, policy_format="custom", **recipe):
+        super().__init__(train, evaluate, save, load, policy_format)
+        object.__setattr__(self, "recipe", recipe)
+
+
+def study_at(storage, **settings):
+    settings = {"budget": 2, "bounds": (0.0, 1.0), "selector": "random", **settings}
+    return mbtl.create_study(SPACE, storage=storage, load_if_exists=True, **settings)
+
+
+def policies_in(folder):
+    return sorted(path.parent.name for path in folder.rglob("x.npy"))
+
+
+def test_functions_that_save_and_load_keep_the_policies(tmp_path):
+    study_at(tmp_path / "s.db").run(train, evaluate, save=save, load=load)
+    later = mbtl.load_study(tmp_path / "s.db")
+    assert len(policies_in(tmp_path / "policies")) == 2
+    policy = later.portfolio(TRAINER).policy(0)
+    assert policy[0] == SPACE.context(later.history.sources[0])["x"]
+    with pytest.raises(InvalidInput, match="come together"):
+        later.run(train, evaluate, save=save)
+    with pytest.raises(InvalidInput, match="functions or a trainer, got both"):
+        later.run(train, evaluate, trainer=TRAINER)
+
+
+@pytest.mark.parametrize("relative", ["s.db", "sqlite:///s.db", "sqlite:///file:s.db?uri=true"])
+def test_the_working_folder_may_change_while_a_study_runs(tmp_path, monkeypatch, relative):
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    study = study_at(relative)
+
+    def wandering(context, seed):
+        os.chdir(tmp_path / "there")
+        return train(context, seed)
+
+    study.run(wandering, evaluate, save=save, load=load)
+    assert study.portfolio(TRAINER).policy(1) == pytest.approx(study.portfolio(TRAINER).policy(1))
+    assert not any((tmp_path / "there").iterdir())
+    again = mbtl.load_study(tmp_path / "here" / "s.db")
+    assert [row.policy.split("/")[0] for row in again.state.rows] == ["policies", "policies"]
+    assert len(policies_in(tmp_path / "here")) == 2
+
+
+@pytest.mark.parametrize(
+    ("address", "file"),
+    [
+        ("sqlite:////data/s.db", "/data/s.db"),
+        ("sqlite+pysqlite:////data/s.db", "/data/s.db"),
+        ("sqlite:///file:/data/a%20b.db?mode=ro&uri=true", "/data/a b.db"),
+        ("sqlite:///file:///data/s.db?uri=true", "/data/s.db"),
+        ("sqlite:///file:s?mode=memory&uri=true", None),
+        ("sqlite://", None),
+        ("duckdb:////data/s.duckdb", "/data/s.duckdb"),
+        ("postgresql://host/studies", None),
+        ("postgresql:///studies", None),
+        ("no url", None),
+    ],
+)
+def test_the_file_behind_a_url(address, file):
+    found = places.database_file(address)
+    assert (None if found is None else found.as_posix()) == file
+
+
+def test_artifacts_say_where_policies_go(tmp_path):
+    study = study_at(tmp_path / "s.db", artifacts=tmp_path / "kept").run(trainer=TRAINER)
+    assert len(policies_in(tmp_path / "kept" / "policies")) == 2
+    assert not (tmp_path / "policies").exists()
+    shutil.move(tmp_path / "kept", tmp_path / "moved")
+    found = mbtl.load_study(tmp_path / "s.db", artifacts=tmp_path / "moved").portfolio(TRAINER)
+    assert found.policy(0) == pytest.approx(train(SPACE.context(study.history.sources[0]), 0))
+    memory = study_at(None, artifacts=tmp_path / "memory").run(trainer=TRAINER)
+    assert all(row.policy for row in memory.state.rows)
+
+
+def test_a_database_that_is_no_file_needs_artifacts(tmp_path, monkeypatch):
+    monkeypatch.setattr(places, "database_file", lambda address: None)  # as of a server
+    study = study_at(tmp_path / "s.db")
+    with pytest.warns(UnsavedPolicies, match="give artifacts="):
+        study.run(trainer=TRAINER)
+    assert study.portfolio().policy_for({"x": 0.0}) is not None
+    other = study_at(tmp_path / "s.db", name="other", artifacts=tmp_path).run(trainer=TRAINER)
+    assert all(row.policy for row in other.state.rows)
+
+
+def test_a_policy_is_on_the_disk_before_its_row_is_told(tmp_path, monkeypatch):
+    order = []
+    monkeypatch.setattr(job, "sync_folder", lambda folder: order.append(policies_in(folder)))
+    monkeypatch.setattr(job, "sync_entries", lambda folder: order.append(folder.name))
+    study = study_at(tmp_path / "s.db", budget=1)
+    tell, name = study.tell, f"source-{study.ask().source:04d}"
+    monkeypatch.setattr(
+        study, "tell", lambda *a, **facts: (order.append("told"), tell(*a, **facts))
+    )
+    study.release(study._pick(study.state.picks[0]))
+    study.run(trainer=TRAINER)
+    assert len(order[0]) == 1  # the policy, before it has its name
+    assert order[1:] == [study.state.uid, "policies", tmp_path.name, "told"]
+    assert policies_in(tmp_path) == [name]
+
+
+def test_the_recipe_enters_the_log_and_another_one_is_refused(tmp_path):
+    study_at(tmp_path / "s.db").run(trainer=Recipe("mlp", net=(64, 64), steps=10))
+    again = mbtl.load_study(tmp_path / "s.db")
+    assert again.state.equipment == {
+        "recipe": {"net": [64, 64], "steps": 10},
+        "policy_format": "mlp",
+    }
+    assert again.portfolio().policy_format == "mlp"
+    again.extend(3)
+    with pytest.raises(StudyMismatch, match=r"recipe\.steps was 10, got 20"):
+        again.run(trainer=Recipe("mlp", net=(64, 64), steps=20))
+    with pytest.raises(StudyMismatch, match="policy_format was 'mlp', got 'custom'"):
+        again.run(trainer=Recipe(net=(64, 64), steps=10))
+    assert len(again.run(trainer=Recipe("mlp", net=[64, 64], steps=10)).state.rows) == 3
+
+
+def test_a_recipe_can_be_mended_until_it_has_made_a_policy(tmp_path):
+    class Typo(Recipe):
+        def train(self, context, seed, on_progress=None):
+            raise InvalidInput("no such hyperparameter")
+
+    study = study_at(tmp_path / "s.db")
+    with pytest.raises(InvalidInput, match="no such"):
+        study.run(trainer=Typo(lerning_rate=1))
+    study.run(trainer=Recipe(learning_rate=1))
+    assert study.state.equipment["recipe"] == {"learning_rate": 1}
+
+
+def test_a_policy_left_by_a_killed_run_counts_only_with_its_own_recipe(tmp_path):
+    stopped = FunctionTrainer(train, lambda *a: os.kill(os.getpid(), 2), save, load)
+    study = study_at(tmp_path / "s.db")
+    with pytest.raises(KeyboardInterrupt):
+        study.run(trainer=stopped)
+    assert len(policies_in(tmp_path)) == 1
+    trained = []
+
+    class Counting(Recipe):
+        def train(self, context, seed, on_progress=None):
+            trained.append(seed)
+            return train(context, seed)
+
+    study.run(trainer=Counting(steps=20))
+    assert len(trained) == 2
+
+
+def test_a_study_of_an_older_version_takes_the_recipe_of_its_next_run(tmp_path):
+    """Logs written before had no such event."""
+    study = study_at(tmp_path / "s.db")
+    pick = study.ask()
+    study.tell(pick, evaluate(train(pick.context, 0), SPACE.contexts, 0))
+    assert study.state.equipment is None
+    study.run(trainer=Recipe(steps=10))
+    with pytest.raises(StudyMismatch):
+        study.run(trainer=Recipe(steps=20))
