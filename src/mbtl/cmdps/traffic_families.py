@@ -307,7 +307,7 @@ TRAFFIC_VARIANTS: Mapping[str, Variant] = {
         description="Traffic signal; the speed limit varies",
     ),
     "eco-penetration": line(
-        "eco", "penetration", "share", "0.02", 0.2, n=50,
+        "eco", "penetration", "share", "0.02", 0.2, n=50, version=1,
         description="Eco-driving; the share of controlled cars varies",
     ),
     "eco-inflow": line(
@@ -315,7 +315,7 @@ TRAFFIC_VARIANTS: Mapping[str, Variant] = {
         description="Eco-driving; the demand varies",
     ),
     "eco-green": line(
-        "eco", "green", "s", "1", 35.0, n=50, paper_step="3.5",
+        "eco", "green", "s", "1", 35.0, n=50, paper_step="3.5", version=1,
         description="Eco-driving; the green time varies",
     ),
     "ring-acc": _hold("ring-acc", "Ring road, accelerations advised; the hold varies"),
