@@ -106,6 +106,25 @@ def test_costs_that_are_no_numbers_of_contexts_are_refused(
     assert not (tmp_path / "runs").exists()
 
 
+def test_a_run_ends_where_nothing_is_left_to_gain_unless_all_is_asked_for(mbtl_command, own):
+    Path("own.py").write_text(
+        Path("own.py")
+        .read_text()
+        .replace(
+            "bounds=(-20.0, 0.0),",
+            """
+    bounds=(-2000.0, 0.0), best_return=0.0,""",
+        )
+    )
+    code, out, _ = mbtl_command("run", own, "--json")
+    assert code == 0
+    found = json.loads(out)
+    assert len(found["picks"]) < 4
+    assert "within 0.005 of the largest there can be" in found["finished"]
+    code, out, _ = mbtl_command("run", own, "--all", "--new", "--json")
+    assert len(json.loads(out)["picks"]) == 4
+
+
 def test_the_summary_says_what_a_person_wants_to_know(mbtl_command, own):
     code, out, _ = mbtl_command("run", own)
     assert code == 0

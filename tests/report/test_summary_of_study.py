@@ -185,3 +185,23 @@ def test_a_picture_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(mbtl.MbtlError, match="choose another place"):
         plot_curve(summarise_study(study_of(2)), tmp_path / "file" / "x.png")
+
+
+def test_report_portfolio_and_fresh_episodes_follow_the_same_routes_also_where_policies_tie():
+    """Two policies that are equally good in the episodes seen; afresh each is good near its own."""
+    study = mbtl.create_study(SPACE, budget=2, bounds=(0.0, 1.0), selector="mbtl")
+    sources = []
+    for _ in range(2):
+        pick = study.ask()
+        sources.append(pick.source)
+        study.tell(pick, np.full((N, 2), 0.9))
+    fresh = np.array([np.where(abs(np.arange(N) - s) < N / 2, 1.0, 0.0) for s in sources])
+    portfolio = study.portfolio()
+    nearest = np.abs(np.arange(N)[:, None] - np.array(sources)).argmin(axis=1)
+    assert portfolio.assignment.tolist() == nearest.tolist()
+    study.record_fresh_returns(fresh)
+    summary = summarise_study(study)
+    assert summary.serving == tuple(sources[i] for i in nearest)
+    assert summary.fresh_value == pytest.approx(fresh[nearest, np.arange(N)].mean())
+    for k in (1, 2):  # and so for every prefix
+        assert study.routing.routes[k - 1].max() < k
