@@ -126,7 +126,7 @@ def test_another_process_evaluates_what_one_has_trained(tmp_path):
 
 def test_the_first_failed_training_ends_the_run_and_its_cause_is_in_the_log(tmp_path):
     trainer = Bench(train=fails(lambda count: True))
-    with pytest.raises(TrainingFailed, match=r"pick 1 of 5 \(x = .*licence expired.*nothing has"):
+    with pytest.raises(TrainingFailed, match=r"pick 1 of 5: x = .*licence expired.*nothing has"):
         study_in(tmp_path).run(trainer=trainer)
     assert len(trainer.trained) == 1
     (failure,) = mbtl.load_study(tmp_path).state.failures

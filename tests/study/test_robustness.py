@@ -223,7 +223,7 @@ def test_a_budget_can_be_raised_and_goes_on_as_if_it_had_been_larger(tmp_path):
     [
         (lambda: new(None, budget=2.5), "budget must be a whole number, got 2.5"),
         (lambda: new(None, seed="a"), "seed must be a whole number"),
-        (lambda: mbtl.create_study([1, 2], budget=1), "must be a ContextSpace, got list"),
+        (lambda: mbtl.create_study([1, 2], budget=1), "must be a ContextSpace or a CMDP, got list"),
         (lambda: mbtl.ContextSpace.grid({"g": 5}), "axes as keys"),
         (lambda: SPACE.encode(7.3), "a context is a mapping"),
         (lambda: new(None).tell("p", np.zeros(15)), "tell takes what ask gave"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from types import TracebackType
 
 from rich.console import Console
@@ -11,6 +12,8 @@ from rich.progress import Progress as Bars
 
 from mbtl.cli.common import LongWork
 from mbtl.study import Callback, Pick, Study
+from mbtl.study.callbacks import shared_words
+from mbtl.study.worker import Worker
 from mbtl.trainer import Progress
 
 
@@ -47,6 +50,11 @@ class LiveProgress(Callback):
         trace: TracebackType | None,
     ) -> None:
         self._bars.stop()
+
+    def on_shared(self, study: Study, others: Sequence[Worker]) -> None:
+        """One line that stays."""
+        words = shared_words(others)
+        self._console.print(words, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
     def on_pick(self, study: Study, pick: Pick) -> None:
         """A bar for the new pick."""

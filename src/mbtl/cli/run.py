@@ -15,17 +15,17 @@ import typer
 from mbtl.arrays import Array
 from mbtl.cli.common import JsonFlag, console, plain_warnings, print_json, printer
 from mbtl.cli.progress import LiveProgress
-from mbtl.cmdps import CMDP, resolve_cmdp
+from mbtl.cmdps import resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
 from mbtl.report import reference_curves, summarise_study
 from mbtl.report.plots import plot_curve, plot_policy_map
 from mbtl.report.text import show_summary
 from mbtl.selectors import get_selector
 from mbtl.settings import first_difference
-from mbtl.study import Callback, Study, create_study
+from mbtl.study import Callback, Study
 from mbtl.study.runner import check_options
 from mbtl.study.storage import SqlLog
-from mbtl.trainer import Trainer, recipe_of
+from mbtl.trainer import Trainer
 
 NOTHING_LEFT = 0.005
 """Gain in V of all trainings left together that is not worth one of them."""
@@ -147,7 +147,7 @@ def run(
         "tensorboard": tensorboard,
     }
     trainer = cmdp.trainer_for(preset, **{k: v for k, v in overrides.items() if v is not None})
-    settings = _settings(cmdp, preset, trainer)
+    settings: Mapping[str, Any] = cmdp.facts(preset, trainer).settings
     folder = study or Path("runs") / f"{cmdp.id}-{settings['preset']}-seed{seed}"
     former = cmdp.preset(preset).formerly
     begun = Path("runs") / f"{cmdp.id}-{former}-seed{seed}"
@@ -159,19 +159,16 @@ def run(
         raise InvalidInput(
             f"{folder} holds something that is not a study; choose another with --study"
         )
-    running = create_study(
-        cmdp.space,
-        budget=cmdp.preset(preset).budget if budget is None else budget,
+    running = cmdp.study(
+        preset,
+        trainer=trainer,
+        budget=budget,
         selector=selector,
-        bounds=cmdp.normalisation,
-        direction=cmdp.direction,
-        theta=cmdp.theta,
         seed=seed,
         stop_value=stop_value,
         stop_gain=stop_gain,
         stop_confidence=stop_confidence,
         stop_left=None if whole_budget or cmdp.bounds is None else NOTHING_LEFT,
-        best_return=cmdp.best_return,
         repeats=repeats,
         eval_targets=eval_targets,
         costs=None if costs is None else _numbers(costs),
@@ -179,7 +176,6 @@ def run(
         risk=risk,
         storage=folder / "study.db",
         name=folder.resolve().name,
-        problem=cmdp.id,
         settings=settings,
         load_if_exists=True,
     )
@@ -191,12 +187,12 @@ def run(
 
             callbacks.append(TensorBoardCallback(tensorboard))
         running.run(
-            trainer=trainer,
             parallel=parallel,
             on_failure="stop" if stop_on_failure else "continue",
             stop_after_failures=stop_after_failures,
             retry_failed=retry_failed,
             rehearse=not no_rehearsal,
+            progress=False,
             callbacks=callbacks,
         )
     _finish(running, trainer, folder, as_json=as_json)
@@ -218,17 +214,6 @@ def _numbers(file: Path) -> Array:
             "--costs takes a text file of numbers, one per context, with spaces or new lines "
             f"between them, got {file}: {error}"
         ) from error
-
-
-def _settings(cmdp: CMDP, preset: str | None, trainer: Trainer) -> dict[str, Any]:
-    """What makes two runs the same problem; a stored study goes on only with equal settings."""
-    return {
-        "preset": preset or cmdp.default_preset,
-        "version": cmdp.version,
-        "switches": dict(cmdp.settings),
-        "recipe": recipe_of(trainer),
-        "policy_format": trainer.policy_format,
-    }
 
 
 def _is_there(folder: Path, settings: Mapping[str, Any], preset: str) -> bool:

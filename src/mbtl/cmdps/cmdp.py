@@ -18,7 +18,9 @@ from typing import Any, Literal, cast
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
 from mbtl.objective import Bounds, Direction, direction_named
-from mbtl.trainer import FunctionTrainer, Trainer
+from mbtl.study import Study, create_study
+from mbtl.study.problem import ProblemFacts
+from mbtl.trainer import FunctionTrainer, Trainer, recipe_of
 
 DEFAULT_BUDGET = 10
 """Trainings K of a problem that does not say."""
@@ -280,6 +282,46 @@ class CMDP:
             overrides["hyperparameters"] = {**inherited, **overrides["hyperparameters"]}
         options |= overrides
         return self._with_options(options) if options else self.trainer
+
+    def facts(self, preset: str | None = None, trainer: Trainer | None = None) -> ProblemFacts:
+        """What a study takes from this problem.
+
+        Args:
+            preset: name of the recipe; None: the default one.
+            trainer: where it differs from the recipe, e.g. `trainer_for(preset, timesteps=100)`.
+        """
+        trainer = self.trainer_for(preset) if trainer is None else trainer
+        settings = {
+            "preset": preset or self.default_preset,
+            "version": self.version,
+            "switches": dict(self.settings),
+            "recipe": recipe_of(trainer),
+            "policy_format": trainer.policy_format,
+        }
+        return ProblemFacts(
+            self.space,
+            self.preset(preset).budget,
+            self.normalisation,
+            self.direction,
+            self.theta,
+            self.best_return,
+            self.id,
+            settings,
+            trainer,
+        )
+
+    def study(self, preset: str | None = None, **settings: Any) -> Study:
+        """Start a study of this problem; `study.run()` then trains with the recipe.
+
+        Args:
+            preset: name of the recipe; None: the default one.
+            **settings: further arguments of `mbtl.create_study`, e.g. `storage`, `seed`, `budget`.
+
+        Raises:
+            UnknownName: no such recipe.
+            StudyError: as of `mbtl.create_study`, for a study that exists.
+        """
+        return create_study(self, preset=preset, **settings)
 
     def every(self, step: int) -> CMDP:
         """The same on a coarser grid: each `step`-th value per axis (`ContextSpace.every`)."""

@@ -15,7 +15,7 @@ from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
 from mbtl.study.pick import StudyFinished
 from mbtl.study.state import StudySpec, StudyState
-from mbtl.study.worker import this_worker
+from mbtl.study.worker import Worker, this_worker
 
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
@@ -72,6 +72,15 @@ def orphans(state: StudyState) -> list[int]:
     """Numbers of open picks that nobody works on: given back, or their process is gone."""
     picks = sorted(state.open_picks.items())
     return [number for number, p in picks if p.worker is None or p.worker.is_gone]
+
+
+def others(state: StudyState) -> list[Worker]:
+    """Other processes that work on picks, as far as can be known."""
+    held = {pick.worker for pick in state.open_picks.values() if pick.worker is not None}
+    return sorted(
+        (worker for worker in held - {this_worker()} if not worker.is_gone),
+        key=lambda worker: (worker.host, worker.pid),
+    )
 
 
 def _early_stop(state: StudyState) -> str | None:

@@ -16,7 +16,7 @@ from typing import Any
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed
 from mbtl.seeds import evaluation_seed
-from mbtl.study.callbacks import Callback
+from mbtl.study.callbacks import Callback, where
 from mbtl.study.job import (
     NOT_THE_TRAININGS_FAULT,
     Job,
@@ -158,7 +158,7 @@ class Batches:
         )
         self.study.untold.pop(pick.number, None)
         self._in_a_row = 0
-        _logger.info("%s: V = %.4f", self._where(pick), self.study.value)
+        _logger.info("%s, V = %.4f", where(self.study, pick), self.study.value)
 
     def _record(self, pick: Pick, trouble: Trouble) -> None:
         reason = _reason(trouble)
@@ -168,7 +168,7 @@ class Batches:
             self.study.defer(pick, reason, traceback=trouble.traceback)
             self.held.append(pick)
         self._in_a_row += 1
-        _logger.warning("%s failed: %s", self._where(pick), reason)
+        _logger.warning("%s failed: %s", where(self.study, pick), reason)
 
     def _end(self, pick: Pick, trouble: Trouble, why: str) -> TrainingFailed:
         then = "run again: the policy is kept and only evaluated"
@@ -178,14 +178,10 @@ class Batches:
             folder = self.study.folder / policy_path(self.study, pick)
             then = f"run again, or remove {folder} to have the policy trained again"
         return failure(
-            f"{self._where(pick)} failed: {_reason(trouble)}; the run ends here ({why}), so mend "
-            f"the cause and {then}",
+            f"{where(self.study, pick)} failed: {_reason(trouble)}; the run ends here ({why}), so "
+            f"mend the cause and {then}",
             trouble,
         )
-
-    def _where(self, pick: Pick) -> str:
-        where = self.study.space.describe(pick.context)
-        return f"pick {pick.number + 1} of {self.study.spec.budget} ({where})"
 
     def _give_back(self, picks: Sequence[Pick]) -> None:
         for pick in picks:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, TextIO
 
 from mbtl.trainer import Progress
 
 if TYPE_CHECKING:
     from mbtl.study.pick import Pick
     from mbtl.study.study import Study
+    from mbtl.study.worker import Worker
 
 
 class Callback:
     """Base with methods that do nothing; exceptions in a callback end the run, nothing is lost."""
+
+    def on_shared(self, study: Study, others: Sequence[Worker]) -> None:
+        """The run begins while other processes work on the same study; they share its picks."""
 
     def on_pick(self, study: Study, pick: Pick) -> None:
         """A pick was asked for and its training starts."""
@@ -37,3 +43,46 @@ class Callback:
 
     def on_end(self, study: Study) -> None:
         """The run ends, also by an interrupt."""
+
+
+class PrintProgress(Callback):
+    """A line per pick, for people: `pick 3 of 5: gravity = 7.5 m/s2, V = 0.8312 (gain 0.0210)`.
+
+    Args:
+        file: to print to; None: standard error, as it is at that moment.
+    """
+
+    def __init__(self, file: TextIO | None = None) -> None:
+        self._file = file
+
+    def on_shared(self, study: Study, others: Sequence[Worker]) -> None:
+        """Who else works here."""
+        self._say(shared_words(others))
+
+    def on_told(self, study: Study, pick: Pick) -> None:
+        """V, and what the new policy added to it."""
+        curve = study.curve
+        gain = f" (gain {curve[-1] - curve[-2]:.4f})" if len(curve) > 1 else ""
+        self._say(f"{where(study, pick)}, V = {curve[-1]:.4f}{gain}")
+
+    def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
+        """Why there is no V."""
+        self._say(f"{where(study, pick)} failed: {reason}")
+
+    def on_report_failed(self, study: Study, reason: str) -> None:
+        """Why V stays what the selecting episodes say."""
+        self._say(f"V on fresh episodes could not be measured: {reason}")
+
+    def _say(self, line: str) -> None:
+        print(line, file=sys.stderr if self._file is None else self._file, flush=True)
+
+
+def where(study: Study, pick: Pick) -> str:
+    """A pick for people, who count from 1: "pick 3 of 5: gravity = 7.5 m/s2"."""
+    return f"pick {pick.number + 1} of {study.spec.budget}: {study.space.describe(pick.context)}"
+
+
+def shared_words(others: Sequence[Worker]) -> str:
+    """That other processes work on a study, in a sentence."""
+    who = ", ".join(f"process {worker.pid} on {worker.host}" for worker in others)
+    return f"{who} works on this study, too: joining it, each trains other picks"

@@ -183,7 +183,6 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
     failure = {"pick": one_open, "source": source, "reason": _TEXT, "traceback": _MAYBE_TEXT}
     table: dict[Kind, dict[str, Rule]] = {
         "extended": {"budget": (lambda b: _COUNT[0](b) and b <= most, f"from 1 to {most}")},
-        "equipped": {"recipe": (_is_record, "a record"), "policy_format": _TEXT},
         "asked": {
             "pick": (lambda i: _is_whole(i) and i == asked, f"the number {asked} of the next pick"),
             "source": source,

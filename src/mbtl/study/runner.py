@@ -21,8 +21,9 @@ from mbtl.errors import (
 )
 from mbtl.processes import worker_pool
 from mbtl.seeds import evaluation_seed
+from mbtl.study import asking
 from mbtl.study.batch import Batches, brought_back, failure
-from mbtl.study.callbacks import Callback
+from mbtl.study.callbacks import Callback, shared_words
 from mbtl.study.fresh import can_report, report_fresh_returns
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, reason_of
 from mbtl.study.pick import Pick, StudyFinished
@@ -75,6 +76,7 @@ def run(
             if pooled is not None:
                 _check_can_travel(pooled, trainer)
             _warn_of_unsaved(study, trainer)
+            _announce_others(study, callbacks)
             for failed in list(study.refresh().failures) if retry_failed else []:
                 study.retry(failed.pick)
             first_policy = rehearse
@@ -210,6 +212,16 @@ def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
     words = f"this study is stored, but its policies will be in memory only: {fix}"
     _logger.warning("%s", words)
     warnings.warn(words, UnsavedPolicies, stacklevel=4)
+
+
+def _announce_others(study: Study, callbacks: Sequence[Callback]) -> None:
+    """A second process joins on purpose or by mistake; people should know which."""
+    others = asking.others(study.refresh())
+    if not others:
+        return
+    _logger.warning("%s", shared_words(others))
+    for callback in callbacks:
+        callback.on_shared(study, others)
 
 
 def _check_can_travel(executor: Executor, trainer: Trainer) -> None:

@@ -267,6 +267,7 @@ class Study(StudyView):
         stop_after_failures: int = 3,
         retry_failed: bool = False,
         rehearse: bool = True,
+        progress: bool = True,
         callbacks: Sequence[Callback] = (),
         report: bool = True,
     ) -> Study:
@@ -284,12 +285,14 @@ class Study(StudyView):
             stop_after_failures: so many failures in a row end the run.
             retry_failed: train again where trainings failed.
             rehearse: try the evaluation before the first training.
+            progress: print a line per pick to standard error.
             callbacks: told what happens.
             report: evaluate the routed policies on fresh seeds at the end.
 
         Raises:
             StudyMismatch: the study was run with another recipe or policy format before.
         """
+        from mbtl.study.callbacks import PrintProgress
         from mbtl.study.runner import run  # the runner joins study, trainer and executor
 
         given = [f for f in (train, evaluate, save, load) if f is not None]
@@ -309,7 +312,7 @@ class Study(StudyView):
             stop_after_failures=stop_after_failures,
             retry_failed=retry_failed,
             rehearse=rehearse,
-            callbacks=callbacks,
+            callbacks=(*callbacks, *([PrintProgress()] if progress else [])),
             report=report,
         )
         return self

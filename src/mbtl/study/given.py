@@ -1,0 +1,120 @@
+"""Settings of a study as they were given: made plain, or refused with the rule that they break.
+
+Each function raises `InvalidInput`.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterable
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mbtl.contexts import Context, ContextSpace
+from mbtl.errors import InvalidInput
+from mbtl.objective import Bounds
+from mbtl.selectors import Selector
+
+
+def costs_of(
+    costs: ArrayLike | Callable[[Context], float] | None, space: ContextSpace
+) -> tuple[float, ...] | None:
+    """(N,) numbers, or None."""
+    if costs is None:
+        return None
+    given = [costs(context) for context in space.contexts] if callable(costs) else costs
+    try:
+        array = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(f"costs must be numbers, one per context ({error})") from error
+    if array.shape != (space.n,):
+        raise InvalidInput(f"costs must be {space.n} numbers, one per context, got {array.shape}")
+    return tuple(array.tolist())
+
+
+def check_wishes(
+    selector: Selector,
+    repeats: int,
+    stop_gain: float | None,
+    stop_confidence: float,
+    bounds: tuple[float, float] | Bounds | None,
+) -> None:
+    """Repeated trainings and the stopping rule need a selector that knows of them."""
+    if repeats != 1 and not getattr(selector, "retrains", False):
+        raise InvalidInput(
+            f"repeats needs a selector that trains a context again, such as 'auto', got "
+            f"{selector.name!r} with repeats={repeats!r}"
+        )
+    if not stop_confidence < 1.0:
+        raise InvalidInput(f"stop_confidence is a probability in (0, 1), got {stop_confidence!r}")
+    if stop_gain is None:
+        return
+    if bounds is None:
+        raise InvalidInput("stop_gain is in performance, so it needs bounds=(low, high); got none")
+    if not getattr(selector, "predicts_chances", False):
+        raise InvalidInput(
+            f"stop_gain needs a selector that predicts chances of a gain, such as 'auto', got "
+            f"{selector.name!r}"
+        )
+
+
+def target_count(count: int | None, n: int) -> int | None:
+    """A whole number from 1 to `n`, or None."""
+    if count is None:
+        return None
+    count = whole("eval_targets", count)
+    if not 1 <= count <= n:
+        raise InvalidInput(f"eval_targets must be from 1 to {n}, got {count}")
+    return count
+
+
+def whole(name: str, number: Any) -> int:
+    """A whole number, as Python's own."""
+    try:
+        return operator.index(number)
+    except TypeError:
+        raise InvalidInput(f"{name} must be a whole number, got {number!r}") from None
+
+
+@overload
+def real(name: str, number: None) -> None: ...
+
+
+@overload
+def real(name: str, number: float) -> float: ...
+
+
+def real(name: str, number: float | None) -> float | None:
+    """A finite number > 0, as Python's own, or None."""
+    value = None if number is None else _float(name, number)
+    if value is not None and not (np.isfinite(value) and value > 0):
+        raise InvalidInput(f"{name} must be finite and > 0, got {number!r}")
+    return value
+
+
+def finite(name: str, number: float | None) -> float | None:
+    """A finite number, as Python's own, or None."""
+    value = None if number is None else _float(name, number)
+    if value is not None and not np.isfinite(value):
+        raise InvalidInput(f"{name} must be finite, got {number!r}")
+    return value
+
+
+def _float(name: str, number: Any) -> float:
+    try:
+        return float(number)
+    except (TypeError, ValueError, OverflowError):
+        raise InvalidInput(f"{name} must be a number, got {number!r}") from None
+
+
+def pair_of(name: str, pair: Iterable[float] | None) -> tuple[float, float] | None:
+    """Two numbers, or None."""
+    if pair is None:
+        return None
+    try:
+        low, high = pair
+        return float(low), float(high)
+    except (TypeError, ValueError, OverflowError):
+        raise InvalidInput(f"{name} must be two numbers (low, high), got {pair!r}") from None

@@ -1,0 +1,93 @@
+"""What a study takes from a problem: a CMDP, or anything else that can say the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+from mbtl.contexts import ContextSpace
+from mbtl.errors import InvalidInput, StudyMismatch
+from mbtl.objective import Bounds, Direction
+from mbtl.settings import first_difference
+from mbtl.study.state import StudySpec
+from mbtl.trainer import Trainer
+
+
+@dataclass(frozen=True)
+class ProblemFacts:
+    """Settings of a study that belong to its problem.
+
+    Attributes:
+        space: the contexts.
+        budget: trainings K; None: not said.
+        bounds: normalisation of the returns; None: the range told so far.
+        direction: "maximize" or "minimize".
+        theta: slope of the linear gap; None: the default.
+        best_return: the largest return there is (smallest, if minimised); None: not known.
+        id: short name; empty for none.
+        settings: JSON-able record of version, switches and recipe.
+        trainer: trains where no other is given; None: there is none.
+    """
+
+    space: ContextSpace
+    budget: int | None = None
+    bounds: Bounds | None = None
+    direction: Direction = "maximize"
+    theta: float | None = None
+    best_return: float | None = None
+    id: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    trainer: Trainer | None = None
+
+
+@runtime_checkable
+class Problem(Protocol):
+    """A problem that knows how it is studied, such as `mbtl.CMDP`."""
+
+    def facts(self, preset: str | None = None, trainer: Trainer | None = None) -> ProblemFacts:
+        """Its facts with the recipe `preset`, or with a trainer that differs from it."""
+        ...
+
+
+def facts_of(
+    problem: ContextSpace | Problem, preset: str | None = None, trainer: Trainer | None = None
+) -> ProblemFacts:
+    """The facts of a problem; of bare contexts there are few.
+
+    Raises:
+        InvalidInput: it is neither, or a preset of bare contexts.
+    """
+    if isinstance(problem, ContextSpace):
+        if preset is not None:
+            raise InvalidInput(
+                f"presets belong to a CMDP, got preset={preset!r} with a ContextSpace; give the "
+                "CMDP itself"
+            )
+        return ProblemFacts(problem, trainer=trainer)
+    if isinstance(problem, Problem):
+        return problem.facts(preset, trainer)
+    raise InvalidInput(
+        f"space must be a ContextSpace or a CMDP, got {type(problem).__name__}; build one with "
+        "ContextSpace.grid, ContextSpace.points, CMDP.from_functions or CMDP.from_env"
+    )
+
+
+def check_problem(spec: StudySpec, facts: ProblemFacts) -> None:
+    """Refuse a problem that a stored study is not of; recipes are compared when it is run.
+
+    Raises:
+        StudyMismatch: another space, id, version or switch.
+    """
+    names = [name for name in ("version", "switches") if name in spec.settings]
+    stored = {"problem": spec.problem, **{name: spec.settings[name] for name in names}}
+    given = {"problem": facts.id, **{name: facts.settings.get(name) for name in names}}
+    difference = first_difference(stored, given)
+    if spec.space != facts.space:
+        difference = ("space", spec.space, facts.space)
+    if difference is not None:
+        name, was, now = difference
+        raise StudyMismatch(
+            f"a study is opened with the problem it was made for: {name} was {was!r}, got {now!r}; "
+            "give that problem, or leave it out"
+        )
