@@ -90,6 +90,7 @@ def test_rmsprop_is_what_stable_baselines3_offers(tensorflow):
 update = jax.jit(partial(a2c.update, ENV, TINY))
 
 
+@pytest.mark.long
 def test_an_update_is_its_rollouts_one_after_another():
     state, params = single(TINY)
     key, noise = rollout.draw(ENV, state.key, (2, 4, 32))

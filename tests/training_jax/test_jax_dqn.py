@@ -133,7 +133,9 @@ def test_the_ring_wraps_and_keeps_the_latest_transitions():
     np.testing.assert_array_equal(small[-1].replay[:256], large[1024:])  # the fifth
 
 
-@pytest.mark.parametrize("time_limit", ["truncation", "terminal"])
+@pytest.mark.parametrize(
+    "time_limit", ["truncation", pytest.param("terminal", marks=pytest.mark.long)]
+)
 def test_truncated_transitions_bootstrap_and_end_where_they_were_cut_off(time_limit):
     env = engine.CartPole(horizon=7, time_limit=time_limit)
     state, params = single(TINY, env)

@@ -42,6 +42,7 @@ def assert_same(one, other):
 # ---- sets ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_set_of_equal_contexts_is_the_context():
     """Random numbers and learning are the same, so only rounding differs."""
     sets = engine.train(

@@ -151,7 +151,7 @@ def one_update(bounds=1e9, **changes):
     return float(moved), float((after - outputs).mean())
 
 
-@pytest.mark.parametrize("max_kl", [0.001, 0.05])
+@pytest.mark.parametrize("max_kl", [0.001, pytest.param(0.05, marks=pytest.mark.long)])
 def test_a_step_uses_the_trust_region_and_stays_in_it(max_kl):
     moved, shift = one_update(max_kl=max_kl, gae_lambda=0.0, normalize_reward=False)
     assert 0.2 * max_kl < moved <= max_kl
@@ -171,6 +171,7 @@ def test_a_step_that_would_not_pay_is_not_made():
 # ---- whole trainings -----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_training_is_reproducible_and_goes_on_where_it_was():
     trainer = get_cmdp("ring-acc", engine="jax").trainer_for("quick")
     twin, (params,) = trainer.problem([{"hold": 20.0}])
