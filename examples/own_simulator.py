@@ -1,9 +1,10 @@
 """Your own simulator without any RL library: a cart on a track, policies by random search.
 
     python examples/own_simulator.py
-    mbtl run examples/own_simulator.py:problem --budget 4
+    mbtl run examples/own_simulator.py:problem --budget 4 --parallel 2
 
-Two functions are all that mbtl needs; save and load let a study keep its policies.
+Two functions are all that mbtl needs; save and load let a study keep its policies. They are named
+functions rather than lambdas, so that they can be sent to other processes.
 """
 
 import numpy as np
@@ -33,19 +34,27 @@ def evaluate(policy, contexts, seed):
     return [simulate(policy, context["mass"], starts) for context in contexts]
 
 
+def save(policy, folder):
+    np.save(folder / "gains.npy", policy)
+
+
+def load(folder):
+    return np.load(folder / "gains.npy")
+
+
 problem = mbtl.CMDP.from_functions(
     "cart",
     mbtl.ContextSpace.grid({mbtl.Log("mass", 0.1, 10.0, unit="kg"): 30}),
     train=train,
     evaluate=evaluate,
-    save=lambda policy, folder: np.save(folder / "gains.npy", policy),
-    load=lambda folder: np.load(folder / "gains.npy"),
+    save=save,
+    load=load,
+    bounds=(-4.0, 0.0),
     budget=5,
 )
 
 if __name__ == "__main__":
-    study = mbtl.create_study(problem.space, budget=5).run(trainer=problem.trainer)
-    portfolio = study.portfolio()
+    portfolio = problem.study().run().portfolio()
     masses = [problem.space.context(source)["mass"] for source in portfolio.sources]
     print("trained on masses", np.round(masses, 2))
     print(portfolio.explain({"mass": 1.7}).explanation)

@@ -1,9 +1,10 @@
 """A traffic light under any demand on one of its roads, in your own SUMO network or a crossing.
 
-python examples/own_sumo_network.py [yours.net.xml]         # needs mbtl[traffic,train]
+NET=yours.net.xml python examples/own_sumo_network.py       # needs mbtl[traffic,train]
+NET=yours.net.xml mbtl check examples/own_sumo_network.py:problem
 """
 
-import sys
+import os
 from types import SimpleNamespace
 
 import gymnasium as gym
@@ -24,7 +25,7 @@ class Light(gym.Env):
     """Every 10 s for 10 minutes: 0 keeps the green, 1 goes on in the light's own program."""
 
     def __init__(self, context):
-        net = sys.argv[1] if sys.argv[1:] else str(networks.network(CROSSING, "--tls.set", "x"))
+        net = os.environ.get("NET") or str(networks.network(CROSSING, "--tls.set", "x"))
         self.context, self.simulation = context, simulation.Simulation(net, step_length=1.0)
         light = sumolib.net.readNet(net).getTrafficLights()[0]
         links = [(a.getEdge().getID(), b.getEdge().getID()) for a, b, _ in light.getConnections()]
@@ -58,15 +59,15 @@ class Light(gym.Env):
         return seen, -self.queues[-1] / 20, False, ended, score
 
 
+problem = mbtl.CMDP.from_env(
+    "own-light", mbtl.ContextSpace.grid({mbtl.Linear("demand", 40, 400, unit="veh/h"): 10}),
+    make_env=Light, algorithm="DQN", timesteps=3000, eval_episodes=2, bounds=(-40.0, 0.0), budget=3,
+    hyperparameters={"gamma": 0.9, "learning_rate": 1e-3, "target_update_interval": 200},
+    trainer_options={"n_eval_envs": 1},  # libsumo holds one simulation
+)  # fmt: skip
+
 if __name__ == "__main__":
-    space = mbtl.ContextSpace.grid({mbtl.Linear("demand", 40, 400, unit="veh/h"): 10})
-    problem = mbtl.CMDP.from_env(
-        "own-light", space, make_env=Light, algorithm="DQN", timesteps=3000, eval_episodes=2,
-        trainer_options={"n_eval_envs": 1},  # libsumo holds one simulation
-        hyperparameters={"gamma": 0.9, "learning_rate": 1e-3, "target_update_interval": 200},
-    )  # fmt: skip
-    study = mbtl.create_study(space, budget=3).run(trainer=problem.trainer)
-    portfolio, context = study.portfolio(problem.trainer), {"demand": 250}
+    portfolio, context = problem.study().run().portfolio(), {"demand": 250}
     program = SimpleNamespace(predict=lambda seen, **_: ([None] * len(seen), None))
     for name, policy in {"portfolio": portfolio.policy_for(context), "program": program}.items():
         print(name, "cars waiting:", -problem.trainer.evaluate(policy, [context], seed=1).mean())

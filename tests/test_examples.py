@@ -1,6 +1,7 @@
 """The examples run as they stand, and do what their text says."""
 
 import importlib.util
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -42,7 +43,8 @@ def test_the_traffic_light_runs_in_a_network_of_the_user(tmp_path, monkeypatch):
     fork = {"nodes": f"<nodes>{nodes}</nodes>", "edges": f"<edges>{edges}</edges>"}
     own = tmp_path / "mine.net.xml"
     own.write_bytes(networks.network(fork, "--tls.set", "m").read_bytes())
-    monkeypatch.setattr(sys, "argv", ["own_sumo_network.py", str(own)])
+    monkeypatch.setenv("NET", str(own))
+    monkeypatch.setattr(sys, "argv", ["mbtl", "check", "own_sumo_network.py:problem"])
     queues = []
     for demand in (40.0, 1500.0):
         env = example.Light({"demand": demand})
@@ -55,6 +57,14 @@ def test_the_traffic_light_runs_in_a_network_of_the_user(tmp_path, monkeypatch):
         queues.append(-info["score"])
         env.close()
     assert queues[1] > 1.5 * queues[0]  # the context reaches the network's first road
+
+
+def test_an_example_can_be_sent_to_other_processes():
+    """`mbtl run examples/own_simulator.py:problem --parallel 2`."""
+    from mbtl.cmdps import resolve_cmdp
+
+    problem = resolve_cmdp(f"{EXAMPLES / 'own_simulator.py'}:problem")
+    assert pickle.loads(pickle.dumps(problem.trainer)) == problem.trainer
 
 
 def test_an_example_is_short():

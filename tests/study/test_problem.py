@@ -135,7 +135,7 @@ def test_a_selector_in_a_file_is_named_in_the_log_and_never_run_from_it(tmp_path
     reference = "own_selector.py:Last"
     study = problem().study(selector=reference, storage="s.db").run(report=False)
     assert study.history.sources == (8, 7, 6)
-    with pytest.raises(StudyError, match=r"'last'; give selector='own_selector\.py:Last'"):
+    with pytest.raises(StudyError, match=r"'last'; give it as selector='own_selector\.py:Last'"):
         mbtl.load_study("s.db")
     assert mbtl.load_study("s.db", selector=reference).is_finished
     elsewhere = f"{tmp_path}/own_selector.py:Last"  # the same, by another path
@@ -157,6 +157,8 @@ def test_a_line_per_pick_is_for_people_who_count_from_1(capsys):
     assert len(lines) == 3
     problem().study(selector="equidistant").run(report=False, progress=False)
     assert capsys.readouterr() == ("", "")
+    study = problem().study()
+    assert str(study.ask()) == "pick 1: gravity = 5.0 (middle of the range)"
     study = problem().study()
     PrintProgress(said := io.StringIO()).on_failed(study, study.ask(), "licence expired")
     assert said.getvalue() == "pick 1 of 3: gravity = 5 m/s2 failed: licence expired\n"

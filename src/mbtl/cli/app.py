@@ -14,6 +14,7 @@ from mbtl.cli.bench import bench
 from mbtl.cli.check import check
 from mbtl.cli.cmdps import cmdps
 from mbtl.cli.common import console, interruptible, interrupts, print_origin
+from mbtl.cli.interrupts import keep_interrupts
 from mbtl.cli.matrix import matrix_app
 from mbtl.cli.play import play
 from mbtl.cli.reproduce import reproduce_command
@@ -57,12 +58,13 @@ def program() -> None:
     """What the installed command runs: `main`, and after an interrupt in jax an end without ado.
 
     XLA's threads go on computing then, and the interpreter, taken down around them, crashes.
-    A batch system's SIGTERM is an interrupt, too, and so is the end of the terminal.
+    A batch system's SIGTERM is an interrupt, too, and so is the end of the terminal. None is lost.
     """
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup
             signal.signal(number, signal.default_int_handler)
+    keep_interrupts()
     try:
         main()
     except SystemExit:

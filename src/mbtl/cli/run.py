@@ -22,7 +22,7 @@ from mbtl.report.plots import plot_curve, plot_policy_map
 from mbtl.report.text import show_summary
 from mbtl.selectors import get_selector
 from mbtl.settings import first_difference
-from mbtl.study import Callback, Study
+from mbtl.study import Callback, Study, asking
 from mbtl.study.runner import check_options
 from mbtl.study.storage import SqlLog
 from mbtl.trainer import Trainer
@@ -243,6 +243,11 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
     summary = summarise_study(study)
     files: dict[str, str] = {}
     notes: list[str] = []
+    if under_way := len(asking.others(study.state)):
+        notes.append(
+            f"{under_way} other {'process works' if under_way == 1 else 'processes work'} on this "
+            "study, so more may come; the same command shows it later"
+        )
     if study.state.failures:
         count = len(study.state.failures)
         notes.append(

@@ -219,8 +219,8 @@ class Portfolio:
             if folder is None:
                 source = self.space.describe(self.space.context(self.sources[i]))
                 raise StorageError(
-                    f"policy {i} (trained on {source}) was not saved and is no longer in memory; "
-                    "give the problem save and load functions and train it again"
+                    f"policy {i + 1} (trained on {source}) was not saved and is no longer in "
+                    "memory; give the problem save and load functions and train it again"
                 )
             self._loaded[i] = load_policy(
                 Path(folder), self.policy_format, self.load, trust=self.trust

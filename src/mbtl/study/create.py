@@ -258,9 +258,10 @@ def _selector_then(spec: StudySpec, given: str | Selector | None) -> Selector:
     stored = dict(spec.selector)
     name = str(stored["name"])
     if given is None and (FROM in stored or name not in selector_names()):
-        again = repr(stored[FROM]) if FROM in stored else "the same object"
+        again = repr(stored[FROM]) if FROM in stored else "<the object>"
         raise StudyError(
-            f"this study was made with a selector of your own, {name!r}; give selector={again}"
+            f"this study was made with a selector of your own, {name!r}; give it as "
+            f"selector={again}"
         )
     chosen = get_selector(name if given is None else given)
     if describe_selector(chosen) != without_origin(stored):

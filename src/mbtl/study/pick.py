@@ -17,7 +17,7 @@ class Pick:
     """A source to train on.
 
     Attributes:
-        number: 0-based number of the pick in its study.
+        number: 0-based number of the pick in its study; what people are shown counts from 1.
         source: context index.
         context: the context itself, axis name -> value.
         seed: training seed; it depends on the source, not on the pick number.
@@ -33,3 +33,7 @@ class Pick:
     reason: str
     repeat: int = 0
     targets: tuple[int, ...] | None = None
+
+    def __str__(self) -> str:
+        where = ", ".join(f"{name} = {value}" for name, value in self.context.items())
+        return f"pick {self.number + 1}: {where} ({self.reason})"

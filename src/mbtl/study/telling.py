@@ -29,8 +29,8 @@ def answered(state: StudyState, pick: Any, source: int) -> int | None:
     told = sum(row.source == source for row in state.rows)
     if told >= state.spec.repeats:
         raise StudyError(
-            f"context {source} was told before; a study keeps one row per source, or as many "
-            f"as create_study(repeats=...) allows, here {state.spec.repeats}"
+            f"{_where(state, source)} was told before; a study keeps one row per source, or as "
+            f"many as create_study(repeats=...) allows, here {state.spec.repeats}"
         )
     return None
 
@@ -46,8 +46,8 @@ def open_number(state: StudyState, pick: Pick) -> int:
     asked = state.open_picks[pick.number].source
     if pick.source != asked:
         raise StudyError(
-            f"pick {pick.number + 1} of this study trains on context {asked}, got a pick of "
-            f"context {pick.source}; tell the study that gave it, or give the context instead"
+            f"pick {pick.number + 1} of this study trains on {_where(state, asked)}, got a pick of "
+            f"{dict(pick.context)}; tell the study that gave it, or give the context instead"
         )
     return pick.number
 
@@ -85,5 +85,12 @@ def reopening(state: StudyState, pick: Pick | int) -> Event:
         )
     same = [row.source == failed.source for row in state.rows]
     if sum(same) >= state.spec.repeats:
-        raise StudyError(f"context {failed.source} was told since pick {number + 1} failed there")
+        where = _where(state, failed.source)
+        raise StudyError(f"{where} was told since pick {number + 1} failed there")
     return Event("reopened", {"pick": number})
+
+
+def _where(state: StudyState, source: int) -> str:
+    """A context for people, to whom its index says nothing."""
+    assert state.spec is not None
+    return state.spec.space.describe(state.spec.space.context(source))
