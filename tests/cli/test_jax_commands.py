@@ -32,6 +32,7 @@ def test_a_multitask_baseline_becomes_a_file_beside_the_matrices(mbtl_command, t
     assert mbtl_command("matrix", "multitask", "cartpole-length", "--factor", 0)[0] == 2
 
 
+@pytest.mark.long
 def test_an_interrupted_multitask_baseline_keeps_its_policy(mbtl_command, tmp_path):
     pytest.importorskip("libsumo", reason="the traffic extra is not installed")
     pytest.importorskip("sb3_contrib", reason="the sb3 extra is not installed")
