@@ -219,7 +219,7 @@ class Last:
 def test_a_users_own_selector_runs_and_is_asked_for_when_loading(tmp_path):
     study = told(new(tmp_path, selector=Last()), 3)
     assert [p.source for p in study.state.picks] == [19, 18, 17]
-    with pytest.raises(StudyError, match="give selector="):
+    with pytest.raises(StudyError, match="give it as selector="):
         mbtl.load_study(tmp_path)
     assert told(mbtl.load_study(tmp_path, selector=Last()), 1).state.picks[-1].source == 16
 
