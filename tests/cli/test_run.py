@@ -400,7 +400,7 @@ def test_failures_end_the_run_say_why_and_are_trained_again_when_asked(mbtl_comm
     command = simulator(train=LICENCE)
     code, out, err = mbtl_command(*command, "--retry-failed")
     assert code == 1
-    assert "3 in a row" in err
+    assert "3 failures in a row" in err
     _, out, _ = mbtl_command("study", "show", "runs/sim-default-seed0")
     assert out.count("Traceback") == 1  # one cause for three picks
     assert out.count("licence [x] expired") > 1
@@ -429,6 +429,22 @@ def test_a_policy_that_was_not_evaluated_is_said_and_waits(mbtl_command, simulat
 def test_parallel_0_leaves_nothing_behind(mbtl_command, own, tmp_path):
     assert mbtl_command("run", own, "--parallel", "0")[0] == 2
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_selector_of_a_file_goes_on_when_it_is_named_again(mbtl_command, simulator, tmp_path):
+    (tmp_path / "picks.py").write_text(
+        "from mbtl.selectors import Proposal\n"
+        "class Last:\n"
+        "    name = 'last'\n"
+        "    def propose(self, problem, history, rng):\n"
+        "        return Proposal(problem.n - 1 - len(history), 'from the end')\n"
+    )
+    command = (*simulator()[:2], "--selector", "picks.py:Last", "--json")
+    for budget in ("2", "3"):
+        code, out, err = mbtl_command(*command, "--budget", budget)
+        assert code == 0, err
+    assert [pick["source"] for pick in json.loads(out)["picks"]] == [10, 9, 8]
+    assert mbtl_command("study", "show", "runs/sim-default-seed0")[0] == 0
 
 
 def test_a_larger_budget_extends_a_finished_study(mbtl_command, own):

@@ -139,7 +139,7 @@ def test_a_licence_that_expires_after_the_first_training_ends_the_run_after_thre
     """It used to give 1 row and 14 failures, and a normal return."""
     trainer = Bench(train=fails(lambda count: count > 1))
     study = study_in(tmp_path)
-    with pytest.raises(TrainingFailed, match="3 in a row"):
+    with pytest.raises(TrainingFailed, match="3 failures in a row"):
         study.run(trainer=trainer)
     assert (len(study.state.rows), len(study.state.failures)) == (1, 3)
     trainer.breaks["train"] = None
@@ -153,7 +153,7 @@ def test_failures_with_successes_between_do_not_end_the_run(tmp_path):
     study = study_in(tmp_path, budget=8).run(trainer=trainer)
     assert (len(study.state.rows), len(study.state.failures)) == (6, 2)
     trainer = Bench(train=fails(lambda count: count % 3 == 0))
-    with pytest.raises(TrainingFailed, match="ends here"):
+    with pytest.raises(TrainingFailed, match="1 failure in a row"):
         study_in(None, budget=8).run(trainer=trainer, stop_after_failures=1)
     assert len(trainer.trained) == 3
 

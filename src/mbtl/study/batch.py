@@ -86,7 +86,8 @@ class Batches:
                 self._announce("on_failed", pick, _reason(outcome))
                 failed = pick, outcome
                 if self._in_a_row > self.failures_allowed:
-                    row = "failure" if self._in_a_row == 1 else f"{self._in_a_row} in a row"
+                    failures = "failure" if self._in_a_row == 1 else "failures"
+                    row = f"{self._in_a_row} {failures} in a row"
                     end = end or self._end(pick, outcome, row)
         except _CallbackError as wrapped:
             raise wrapped.error from None
