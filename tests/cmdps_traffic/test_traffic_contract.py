@@ -16,11 +16,13 @@ from mbtl.cmdps.traffic_families import TRAFFIC_VARIANTS
 from mbtl.testing.cmdps import CMDPContract
 
 ONE = {"episodes": 1, "eval_episodes": 1, "checkpoint_episodes": 1}
+HERE = {**ONE, "processes": False}  # as a test of the command starts them, they are in others
+SMALL = {"policy_kwargs": {"net_arch": [8]}}
 SUMO = {
-    "ring-acc": ONE,
-    "ramp-vel": ONE,
-    "signal-length": {**ONE, "hyperparameters": {"gradient_steps": 2}},
-    "eco-inflow": {**ONE, "hyperparameters": {"n_epochs": 1}},
+    "ring-acc": {**HERE, "hyperparameters": SMALL},
+    "ramp-vel": {**HERE, "hyperparameters": SMALL},
+    "signal-length": {**HERE, "hyperparameters": {"gradient_steps": 2}},
+    "eco-inflow": {**HERE, "hyperparameters": {"n_epochs": 1, **SMALL}},
 }
 
 

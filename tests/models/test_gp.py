@@ -47,7 +47,9 @@ def pick(gp, x, y, n):
     return argmax_open(gain, mask) if mask.any() else None
 
 
-@pytest.mark.parametrize("block", range(10))
+@pytest.mark.parametrize(
+    "block", [0, *(pytest.param(k, marks=pytest.mark.long) for k in range(1, 10))]
+)
 def test_no_likelihood_is_below_scikit_learn_and_picks_are_equal_where_it_agrees(block):
     """500 data sets in ten blocks, 15 restarts each: the fit finds the global optimum."""
     for seed in range(50 * block, 50 * block + 50):

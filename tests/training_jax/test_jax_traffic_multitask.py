@@ -33,15 +33,17 @@ def test_an_episode_within_a_longer_program_is_the_same_and_teaches_the_same():
     twin, (_, _, params) = ring()
     state = learning.start(twin, RECIPE, [5], params).state
     actor, seeds = Actor(state.weights.actor, state.weights.log_std), np.array([[1, 2]], np.uint32)
-    own = record(twin, "tanh", 10, actor, seeds, params)
-    within = record(twin, "tanh", 13, actor, seeds, params, jnp.int32(10))
+    played = jax.jit(record, static_argnums=(0, 1, 2))
+    own = played(twin, "tanh", 10, actor, seeds, params)
+    within = played(twin, "tanh", 13, actor, seeds, params, jnp.int32(10))
     assert not within.acting[:, :3].any()
     assert within.acting[:, 3:].all()
     for name in ("obs", "outputs", "action", "reward"):
         np.testing.assert_allclose(getattr(within, name)[:, 3:], getattr(own, name), atol=1e-5)
     np.testing.assert_allclose(within.score, own.score, atol=1e-5)
+    learn = jax.jit(trpo.learn, static_argnums=(0, 1))
     taught = [
-        trpo.learn(twin.action, RECIPE, *jax.tree.map(lambda x: x[0], (*state[:2], lived)), 0)[0]
+        learn(twin.action, RECIPE, *jax.tree.map(lambda x: x[0], (*state[:2], lived)), 0)[0]
         for lived in (own, within)
     ]
     before = jax.tree.leaves(jax.tree.map(lambda x: x[0], state.weights))
