@@ -62,7 +62,15 @@ def test_a_class_shows_of_its_context_what_the_cmdp_shows(id):
     assert len(kind(cmdp.nominal).visible) == len(cmdp.make_env(cmdp.nominal).visible)
 
 
-@pytest.mark.parametrize("id", ["ring-vel", "ramp-acc", "signal-length", "eco-green"])
+@pytest.mark.parametrize(
+    "id",
+    [
+        pytest.param("ring-vel", marks=pytest.mark.long),
+        pytest.param("ramp-acc", marks=pytest.mark.long),
+        "signal-length",
+        "eco-green",
+    ],
+)
 @pytest.mark.filterwarnings("ignore:.*space (minimum|maximum) value is -?infinity")
 @pytest.mark.filterwarnings("ignore:.*symmetric and normalized space")
 def test_gymnasium_s_own_checker_agrees(id):
