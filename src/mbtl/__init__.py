@@ -17,7 +17,7 @@ from mbtl.study import Callback, Pick, Study, create_study, load_study
 from mbtl.version import __version__
 
 if TYPE_CHECKING:
-    from mbtl.benchmark import TransferMatrix, compare, load_matrix
+    from mbtl.benchmark import TransferMatrix, compare, load_curves, load_matrix
     from mbtl.cmdps import CMDP, check_cmdp, get_cmdp
 
 # outside the core: imported when first used, so that `import mbtl` stays light
@@ -27,6 +27,7 @@ _LAZY = {
     "get_cmdp": "mbtl.cmdps",
     "TransferMatrix": "mbtl.benchmark",
     "compare": "mbtl.benchmark",
+    "load_curves": "mbtl.benchmark",
     "load_matrix": "mbtl.benchmark",
 }
 
@@ -49,6 +50,7 @@ __all__ = [
     "compare",
     "create_study",
     "get_cmdp",
+    "load_curves",
     "load_matrix",
     "load_portfolio",
     "load_study",

@@ -99,7 +99,7 @@ class ManyTrainer(Protocol):
         keep: Sequence[str] = ...,
         partial: Path | None = None,
     ) -> dict[str, list[Any]]:
-        """One policy per (context, seed), for each checkpoint of `keep` ("best", "final").
+        """One policy per (context, seed), for each name of `keep` (`mbtl.checkpoints`).
 
         `partial` is a file for the state of an interrupted training, to go on from; the caller
         removes it once the policies are safe.

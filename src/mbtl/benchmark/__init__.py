@@ -3,6 +3,7 @@
 from mbtl.benchmark.base import Levels, RowSource, levels
 from mbtl.benchmark.catalogue import open_matrix, synthetic_ids, synthetic_world
 from mbtl.benchmark.compare import compare
+from mbtl.benchmark.curves import TransferCurves, load_curves
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.oracle import (
     OracleRun,
@@ -26,10 +27,12 @@ __all__ = [
     "Run",
     "Summary",
     "SyntheticWorld",
+    "TransferCurves",
     "TransferMatrix",
     "compare",
     "levels",
     "linear_gap_world",
+    "load_curves",
     "load_matrix",
     "open_matrix",
     "random_curve",

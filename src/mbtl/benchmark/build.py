@@ -15,23 +15,25 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.benchmark.entries import Floats
 from mbtl.benchmark.npz import read_npz, read_text, text_array, write_npz
+from mbtl.checkpoints import Along
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StorageError, StudyError, cannot_write
 from mbtl.files import claimed_folder, whole_file
 from mbtl.processes import worker_pool
 from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
-from mbtl.trainer import ManyTrainer, ReferenceTrainer, Trainer, checked_returns
+from mbtl.trainer import ManyTrainer, Progress, ReferenceTrainer, Trainer, checked_returns
 
 ONLY = "policy"
 """Name of the one checkpoint of a trainer that does not offer several."""
@@ -52,6 +54,7 @@ class Piece:
         path: where its rows go.
         policies: folder of the policies kept.
         train: train where policies are not kept.
+        along: rows along the trainings, if any. Their policies are not kept.
     """
 
     trainer: Trainer
@@ -64,6 +67,13 @@ class Piece:
     path: Path
     policies: Path
     train: bool = True
+    along: Along | None = None
+
+    @property
+    def checkpoints(self) -> tuple[str, ...]:
+        """All that its trainings must leave behind."""
+        more = self.along.names.values() if self.along else ()
+        return tuple(dict.fromkeys([*self.keep, *(name for names in more for name in names)]))
 
     @property
     def note(self) -> Path:
@@ -88,6 +98,7 @@ class Build:
         keep: checkpoints to evaluate, of a trainer that offers several (`ManyTrainer`).
         lanes: sources trained together, P.
         kept: folder of policies that are only to be evaluated again; None: train.
+        along: rows along the trainings, of a `ManyTrainer`, if any.
     """
 
     trainer: Trainer
@@ -98,15 +109,22 @@ class Build:
     keep: tuple[str, ...] = (ONLY,)
     lanes: int = 1
     kept: Path | None = None
+    along: Along | None = None
 
     def __post_init__(self) -> None:
         if self.lanes < 1:
             raise InvalidInput(f"lanes must be >= 1, got {self.lanes}")
+        if self.along and not isinstance(self.trainer, ManyTrainer):
+            raise InvalidInput(
+                "rows along a training need a trainer that keeps weights on the way (the jax "
+                f"engine and the traffic twins do), got {type(self.trainer).__name__}"
+            )
 
     @property
     def claim(self) -> dict[str, Any]:
         """JSON-able; what a folder must have been begun with to go on."""
-        return {**self.settings, "seed": self.seed, "lanes": self.lanes, "keep": self.keep}
+        own = {"seed": self.seed, "lanes": self.lanes, "keep": self.keep}
+        return {**self.settings, **own, **({"along": asdict(self.along)} if self.along else {})}
 
     def pieces(self) -> list[Piece]:
         """All of the matrix, done or not."""
@@ -126,6 +144,7 @@ class Build:
                 self.folder / f"sources-{first:05d}.npz",
                 self.kept or self.folder / "policies",
                 self.kept is None,
+                self.along,
             )
             for first in range(0, self.space.n, self.lanes)
         ]
@@ -164,6 +183,14 @@ class Build:
             StorageError: pieces are missing, or were written by an older version.
         """
         return np.concatenate(self._entries(f"{checkpoint}_returns"))
+
+    def along_returns(self) -> Floats:
+        """(2, L, N, N, E) of the rows along the trainings, in the order of `Along.names`."""
+        return np.concatenate(self._entries("along_returns"), axis=2)
+
+    def lasted(self) -> NDArray[np.int64]:
+        """(N, 3) environment steps, or episodes, of each training: done, planned, of an update."""
+        return np.concatenate(self._entries("lasted"))
 
     def seconds(self, key: str = "seconds") -> float:
         """Wall time of all pieces together, seconds of one process; of the training alone by
@@ -231,15 +258,20 @@ def perform(piece: Piece) -> None:
     begin = time.perf_counter()
     policies = _kept(piece)
     if policies is None:
-        policies = _train(piece)
-        note: dict[str, Any] = {"origin": here(), "seconds": time.perf_counter() - begin}
+        policies, lasted = _train(piece)
+        note: dict[str, Any] = {
+            "origin": here(), "seconds": time.perf_counter() - begin, "lasted": lasted
+        }  # fmt: skip
         _write_note(piece, note)
     else:
         note = _read_note(piece)
     arrays: dict[str, Any] = {
-        f"{checkpoint}_returns": _evaluate(piece, some).astype(np.float32)
-        for checkpoint, some in policies.items()
+        f"{checkpoint}_returns": _evaluate(piece, policies[checkpoint]).astype(np.float32)
+        for checkpoint in piece.keep
     }
+    if piece.along:
+        arrays["along_returns"] = _along(piece, piece.along, policies).astype(np.float32)
+        arrays["lasted"] = np.array(note["lasted"])
     arrays["seconds"] = np.array(time.perf_counter() - begin)
     arrays["train_seconds"] = np.array(note["seconds"])
     arrays["origin"] = text_array(note["origin"])
@@ -257,27 +289,35 @@ def _partial(piece: Piece) -> Path:
     return piece.path.with_suffix(".partial.npz")
 
 
-def _train(piece: Piece) -> Policies:
+def _train(piece: Piece) -> tuple[Policies, list[list[int]]]:
+    """Policies, and of each training: done, planned, and of one update; in steps or episodes."""
     if not piece.train:
         raise StudyError(
             f"evaluating again needs the policy of every source, got none of source "
             f"{piece.sources[0]} in {piece.policies}; build without --evaluate-again"
         )
     trainer = piece.trainer
+    lasted = [0, 0]
+
+    def on_progress(progress: Progress) -> None:
+        lasted[:] = progress.step, progress.total
+
     if isinstance(trainer, ManyTrainer):
         policies: Policies = trainer.train_many(
             piece.contexts,
             piece.seeds,
-            keep=piece.keep,
+            on_progress,
+            keep=piece.checkpoints,
             partial=_partial(piece),
         )
     else:
         pairs = zip(piece.contexts, piece.seeds, strict=True)
         policies = {ONLY: [trainer.train(dict(context), seed) for context, seed in pairs]}
-    for checkpoint, some in policies.items():
-        for source, policy in zip(piece.sources, some, strict=True):
+    for checkpoint in piece.keep:
+        for source, policy in zip(piece.sources, policies[checkpoint], strict=True):
             _keep(trainer, policy, piece.policy_folder(checkpoint, source))
-    return policies
+    lasted.append(getattr(trainer, "update_length", 1))
+    return policies, [lasted] * len(piece.sources)
 
 
 def _keep(trainer: Any, policy: Any, place: Path) -> None:
@@ -320,7 +360,7 @@ def _read_note(piece: Piece) -> dict[str, Any]:
 
 def _kept(piece: Piece) -> Policies | None:
     """The policies of a piece, if all were kept."""
-    folders = {c: [piece.policy_folder(c, s) for s in piece.sources] for c in piece.keep}
+    folders = {c: [piece.policy_folder(c, s) for s in piece.sources] for c in piece.checkpoints}
     if not all(folder.is_dir() for some in folders.values() for folder in some):
         return None
     load = piece.trainer.load
@@ -335,6 +375,23 @@ def _evaluate(piece: Piece, policies: Sequence[Any]) -> Array:
     else:
         rows = [trainer.evaluate(policy, targets, piece.evaluation) for policy in policies]
     return np.stack([checked_returns(row, len(targets)) for row in rows])
+
+
+def _along(piece: Piece, along: Along, policies: Policies) -> Array:
+    """(2, L, P, N, E) returns of the rows along the trainings; equal policies play once."""
+    trainer = replace(piece.trainer, eval_episodes=along.episodes)  # type: ignore[type-var]
+    few = replace(piece, trainer=trainer)
+    distinct: dict[bytes, Any] = {}
+    names: list[list[list[bytes]]] = []
+    for kind in along.names.values():
+        names.append([])
+        for checkpoint in kind:
+            some = policies[checkpoint]
+            keys = [b"".join(x.tobytes() for x in (*p.weights, *p.biases)) for p in some]
+            distinct |= dict(zip(keys, some, strict=True))
+            names[-1].append(keys)
+    rows = dict(zip(distinct, _evaluate(few, list(distinct.values())), strict=True))
+    return np.array([[[rows[key] for key in keys] for keys in kind] for kind in names])
 
 
 def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Piece]:

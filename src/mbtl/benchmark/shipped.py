@@ -171,14 +171,20 @@ def _small(entry: Floats, seed: int) -> Floats:
     return entry[seed : seed + 1].astype(np.float32)
 
 
-def _files(folder: str | Path | None) -> dict[str, dict[int, Path]]:
-    """Matrix id -> seed -> file."""
-    place = (
-        Path(str(resources.files("mbtl.benchmark") / "data")) if folder is None else Path(folder)
-    )
+def data_folder() -> Path:
+    """Of what comes with the library."""
+    return Path(str(resources.files("mbtl.benchmark") / "data"))
+
+
+def seed_files(place: Path) -> dict[str, dict[int, Path]]:
+    """Matrix id -> seed -> file, of the files in a folder."""
     found: dict[str, dict[int, Path]] = {}
     for path in sorted(place.glob("*.npz")):
         match = _FILE.fullmatch(path.name)
         if match:
             found.setdefault(match["id"], {})[int(match["seed"])] = path
     return found
+
+
+def _files(folder: str | Path | None) -> dict[str, dict[int, Path]]:
+    return seed_files(data_folder() if folder is None else Path(folder))

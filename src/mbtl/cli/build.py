@@ -12,6 +12,7 @@ import typer
 from mbtl.benchmark import TransferMatrix, levels
 from mbtl.benchmark.build import ONLY
 from mbtl.benchmark.shipped import DEFAULT
+from mbtl.checkpoints import Along
 from mbtl.cli.common import JsonFlag, console, print_json
 from mbtl.cli.job import Job
 from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp, resolve_cmdp
@@ -64,6 +65,16 @@ def build(
             help="Policies to evaluate: best, final, or both (two sets from one training)."
         ),
     ] = None,
+    along: Annotated[
+        int,
+        typer.Option(
+            help="Also rows along each training, at 1/64, 1/32, ... of its length, of so many "
+            "episodes; into the folder `curves`. 0: none."
+        ),
+    ] = 0,
+    halvings: Annotated[
+        int, typer.Option(help="Of the shortest length of --along: 6 is 1/64 of a training.")
+    ] = 6,
     evaluate_again: Annotated[
         bool,
         typer.Option(
@@ -131,8 +142,11 @@ def build(
                 "algorithm": algorithm,
                 "recipe": recipe,
                 "checkpoint": checkpoint,
+                "along": along or None,
+                "halvings": halvings if along else None,
             },
         ),
+        along=Along(along, halvings) if along else None,
     )
     numbers = range(first_seed, first_seed + seeds)
     # before anything is trained

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mbtl.benchmark import TransferMatrix, save_shipped
 from mbtl.benchmark.build import ONLY, Build
+from mbtl.benchmark.curves import FOLDER, TransferCurves
 from mbtl.benchmark.shipped import DEFAULT, matrix_id, shipped_file
+from mbtl.checkpoints import Along
 from mbtl.cli.common import LongWork, console
 from mbtl.cmdps import CMDP
-from mbtl.errors import InvalidInput
+from mbtl.errors import InvalidInput, cannot_write
 from mbtl.files import claim_of
 from mbtl.processes import usable_cores
 from mbtl.provenance import check_made_by
@@ -36,6 +40,7 @@ class Job:
         preset: for the record.
         variant: name of the set.
         command: that builds it, but for the seed.
+        along: rows along the trainings, if any.
     """
 
     cmdp: CMDP
@@ -45,6 +50,7 @@ class Job:
     preset: str
     variant: str
     command: str
+    along: Along | None = None
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -67,6 +73,10 @@ class Job:
         """Where it is to be saved."""
         return shipped_file(out, self.cmdp.id, named(self.variant, checkpoint), seed)
 
+    def curves_file(self, out: Path, seed: int) -> Path:
+        """Where the rows along its trainings are to be saved."""
+        return shipped_file(out / FOLDER, self.cmdp.id, self.variant, seed)
+
     def there(self, out: Path, seed: int) -> dict[Path, TransferMatrix]:
         """The finished files of a seed; empty unless all are there.
 
@@ -79,7 +89,10 @@ class Job:
             if file.is_file():
                 found[file] = TransferMatrix.load(file)
                 self._check(file, found[file].provenance, checkpoint)
-        return found if len(found) == len(self.checkpoints) else {}
+        complete = len(found) == len(self.checkpoints)
+        if self.along and not self.curves_file(out, seed).is_file():
+            complete = False
+        return found if complete else {}
 
     def _check(self, file: Path, record: Mapping[str, Any], checkpoint: str) -> None:
         try:
@@ -106,25 +119,49 @@ class Job:
                 bounds=self.cmdp.normalisation,
                 theta=self.cmdp.theta,
                 direction="max" if self.cmdp.direction == "maximize" else "min",
-                provenance={
-                    **self.of_checkpoint(checkpoint),
-                    "preset": self.preset,
-                    "seed": seed,
-                    "lanes": self.lanes,
-                    "command": f"{self.command} --seeds 1 --first-seed {seed}",
-                    "process_seconds": round(building.seconds(), 1),
-                    "train_seconds": round(building.seconds("train_seconds"), 1),
-                    "nominal": None if self.cmdp.nominal is None else dict(self.cmdp.nominal),
-                    "origins": building.origins(),
-                    "evaluated": building.origins("evaluated"),
-                },
+                provenance={**self.of_checkpoint(checkpoint), **self._record(building)},
                 name=file.name,
             )
             variant = named(self.variant, checkpoint)
             save_shipped(built[file], out, self.cmdp.id, variant, first_seed=seed)
+        if building.along is not None:
+            self._write_curves(building, building.along, out)
         if building.kept is not None:  # its pieces would pass for a later evaluation
             shutil.rmtree(building.folder, ignore_errors=True)
         return built
+
+    def _record(self, building: Build) -> dict[str, Any]:
+        """Of what a matrix is, beside the settings that its numbers depend on."""
+        return {
+            "preset": self.preset,
+            "seed": building.seed,
+            "lanes": self.lanes,
+            "command": f"{self.command} --seeds 1 --first-seed {building.seed}",
+            "process_seconds": round(building.seconds(), 1),
+            "train_seconds": round(building.seconds("train_seconds"), 1),
+            "nominal": None if self.cmdp.nominal is None else dict(self.cmdp.nominal),
+            "origins": building.origins(),
+            "evaluated": building.origins("evaluated"),
+        }
+
+    def _write_curves(self, building: Build, along: Along, out: Path) -> None:
+        file = self.curves_file(out, building.seed)
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise cannot_write(file, error) from error
+        done, (planned, *_), (update, *_) = building.lasted().T.tolist()
+        TransferCurves.of_episodes(
+            building.along_returns(),
+            np.array(done),
+            [math.ceil(planned // update * share) * update for share in along.shares],
+            name=file.name,
+            space=self.cmdp.space,
+            bounds=self.cmdp.normalisation,
+            theta=self.cmdp.theta,
+            unit="steps" if "timesteps" in self.settings["recipe"] else "episodes",
+            provenance={**self.settings, **self._record(building)},
+        ).save(file)
 
     def building(self, work: Path, seed: int) -> Build:
         """In the folder of the preset's name, or of its former one if it was begun there."""
@@ -150,7 +187,7 @@ class Job:
             difference = _differs(claim, now)
             if difference is None:
                 folder, kept = begun.folder / "evaluated-again", begun.folder / "policies"
-                return replace(begun, folder=folder, kept=kept)
+                return replace(begun, folder=folder, kept=kept, along=None)
             name, was, got = difference
             refusal = refusal or (
                 f"only the number of episodes may change when policies of {begun.folder} are "
@@ -174,6 +211,7 @@ class Job:
                 self.settings,
                 self.checkpoints,
                 self.lanes,
+                along=self.along,
             )
             for preset in presets
             if preset

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mbtl.arrays import Array
+from mbtl.checkpoints import Checkpoint, shares_of
 from mbtl.contexts import Context
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
@@ -82,6 +83,11 @@ class JaxTrainer(MLPTrainer):
             return 1 << 20
         return 1 if self.algorithm == "PPO" else 25
 
+    @property
+    def update_length(self) -> int:
+        """Environment steps of one update."""
+        return int(self._recipe().steps_per_update)
+
     def train_many(
         self,
         contexts: Sequence[Context],
@@ -97,7 +103,8 @@ class JaxTrainer(MLPTrainer):
             contexts: P sources; repeat one to train it with several seeds.
             seeds: P training seeds.
             on_progress: told steps of one policy, and the mean return of the latest evaluations.
-            keep: "best" weights, "final" weights, or both; the best alone may need fewer steps.
+            keep: names of checkpoints (`mbtl.checkpoints`); without "final" a training may need
+                fewer steps.
             partial: file in which to save the training now and then, and from which to go on if it
                 is there. Remove it when the policies are safe.
 
@@ -107,7 +114,7 @@ class JaxTrainer(MLPTrainer):
         import mbtl.training.jax as engine
 
         env, params = self.problem(contexts)
-        recipe = self._recipe()
+        recipe, marks = self._recipe(), shares_of(keep)
         saved = engine.SavedTraining(partial)
 
         def on_block(block: engine.Block) -> None:
@@ -126,10 +133,17 @@ class JaxTrainer(MLPTrainer):
             checkpoint_every=self.checkpoint_every,
             checkpoint_episodes=self.checkpoint_episodes,
             only_best="final" not in keep,
-            resume=saved.load(lambda: engine.start(env, recipe, seeds, params)),
+            marks=marks,
+            resume=saved.load(lambda: engine.start(env, recipe, seeds, params, marks=marks)),
         )
-        weights = {"best": training.best, "final": training.state.weights}
-        return {k: engine.export_policies(env, weights[k], recipe.activation) for k in keep}
+        return {
+            name: engine.export_policies(
+                env,
+                engine.weights_of(training, Checkpoint.named(name), marks),
+                recipe.activation,
+            )
+            for name in keep
+        }
 
     def untrained(self, context: Context) -> MLPPolicy:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""

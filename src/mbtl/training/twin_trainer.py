@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mbtl.arrays import Array
+from mbtl.checkpoints import Checkpoint, shares_of
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
@@ -97,6 +98,11 @@ class TwinTrainer(MLPTrainer):
             return 1
         return _CPU_LANES if on_cpu() else 1 << 20
 
+    @property
+    def update_length(self) -> int:
+        """Episodes of one update."""
+        return int(self._recipe().n_episodes)
+
     def train_many(
         self,
         contexts: Sequence[Context],
@@ -112,7 +118,7 @@ class TwinTrainer(MLPTrainer):
             contexts: P sources; repeat one to train it with several seeds.
             seeds: P training seeds.
             on_progress: told episodes of one policy, and the mean score of the latest evaluations.
-            keep: "best" weights, "final" weights, or both.
+            keep: names of checkpoints (`mbtl.checkpoints`).
             partial: file in which to save the trainings now and then, and from which to go on if it
                 is there. Remove it when the policies are safe.
 
@@ -123,7 +129,7 @@ class TwinTrainer(MLPTrainer):
         from mbtl.training.jax.traffic.learning import start, train
 
         twin, params = self.problem(contexts)
-        recipe = self._recipe()
+        recipe, marks = self._recipe(), shares_of(keep)
         saved = engine.SavedTraining(partial)
         policies: dict[str, list[MLPPolicy]] = {name: [] for name in keep}
         groups = _groups(twin, seeds, params)
@@ -137,7 +143,7 @@ class TwinTrainer(MLPTrainer):
                 done = block.steps == block.total and not last
                 saved.save(block.training, number=number, done=done)
 
-            fresh = functools.partial(start, twin, recipe, some, each)
+            fresh = functools.partial(start, twin, recipe, some, each, marks)
             training = train(
                 twin,
                 recipe,
@@ -148,11 +154,12 @@ class TwinTrainer(MLPTrainer):
                 checkpoint_every=self.checkpoint_every,
                 checkpoint_episodes=self.checkpoint_episodes,
                 acting=self.acting,
+                marks=marks,
                 resume=saved.load(fresh, number=number),
             )
-            weights = {"best": training.best, "final": training.state.weights}
             for name in keep:
-                policies[name] += engine.export_policies(twin, weights[name], recipe.activation)
+                weights = engine.weights_of(training, Checkpoint.named(name), marks)
+                policies[name] += engine.export_policies(twin, weights, recipe.activation)
         return policies
 
     def train_on_all(

@@ -10,11 +10,12 @@ policies = export_policies(env, training.best)
 from __future__ import annotations
 
 from mbtl.training.jax import flags as flags  # isort: skip  # first: it starts jax
+from mbtl.training.jax.blocks import Block, Training, from_arrays, to_arrays, weights_of
 from mbtl.training.jax.cartpole import CartPole
 from mbtl.training.jax.environments import Environment, stack_params
 from mbtl.training.jax.evaluation import episode_noise, evaluate, on_cpu
 from mbtl.training.jax.export import export_policies, import_actors
-from mbtl.training.jax.loop import Block, Training, from_arrays, start, to_arrays, train
+from mbtl.training.jax.loop import start, train
 from mbtl.training.jax.multitask.run import MultiTaskRun, multitask_settings, run_multitask
 from mbtl.training.jax.multitask.training import (
     evaluate_multitask,
@@ -67,4 +68,5 @@ __all__ = [
     "to_arrays",
     "train",
     "train_multitask",
+    "weights_of",
 ]

@@ -1,65 +1,34 @@
-"""Many trainings at once, in blocks of updates with an evaluation after each.
-
-Contexts and seeds are one axis of P policies. Everything that decides the future is in `Training`,
-so a run that is stopped after a block goes on from it with the same result as if it had not been.
-"""
+"""Many trainings at once: contexts and seeds are one axis of P policies."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from fractions import Fraction
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from mbtl.errors import InvalidInput, StorageError, TrainingFailed
+from mbtl.errors import InvalidInput
 from mbtl.seeds import Purpose, derive_seed
 from mbtl.training.jax.algorithms import algorithm_of
+from mbtl.training.jax.blocks import (
+    Block,
+    Schedule,
+    Training,
+    beginning,
+    finite_policies,
+    in_blocks,
+    keep_better,
+)
 from mbtl.training.jax.clock import clock_at
 from mbtl.training.jax.environments import Environment, Tree
 from mbtl.training.jax.evaluation import episode_noise, own_returns
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import Recipe, check_lengths
-
-BLOCKS = 50
-"""Evaluations per training unless told otherwise: one every 2 % of the steps."""
-
-
-class Training(NamedTuple):
-    """P trainings between two blocks.
-
-    Attributes:
-        state: the algorithm's; `state.weights` are the latest ones.
-        best: weights of the best evaluation so far, the earliest of equals.
-        best_return: (P,) mean return of that evaluation; optimistic, being a maximum.
-        latest_return: (P,) mean return of the last evaluation.
-        updates: updates done.
-    """
-
-    state: Any
-    best: Weights
-    best_return: jax.Array
-    latest_return: jax.Array
-    updates: jax.Array
-
-
-class Block(NamedTuple):
-    """What `on_block` is told.
-
-    Attributes:
-        steps: environment steps done, per policy.
-        total: environment steps planned, per policy.
-        training: everything, e.g. to save it with `to_arrays`. Read it before returning: its
-            memory is used again by the next block.
-    """
-
-    steps: int
-    total: int
-    training: Training
 
 
 def start(
@@ -68,6 +37,7 @@ def start(
     seeds: Sequence[int],
     params: Tree,
     weights: Weights | None = None,
+    marks: Sequence[Fraction] = (),
 ) -> Training:
     """Trainings before their first update; arguments as in `train`.
 
@@ -84,13 +54,7 @@ def start(
     state = init(env, recipe, seeds, params)
     if weights is not None:
         state = init(env, recipe, seeds, params, _fitting(weights, state.weights))
-    return Training(
-        state,
-        jax.tree.map(jnp.copy, state.weights),
-        jnp.full(n_contexts, -jnp.inf, dtype=jnp.float32),
-        jnp.full(n_contexts, -jnp.inf, dtype=jnp.float32),
-        jnp.int32(0),
-    )
+    return beginning(state, len(marks))
 
 
 def train(
@@ -105,6 +69,7 @@ def train(
     checkpoint_episodes: int = 10,
     only_best: bool = False,
     weights: Weights | None = None,
+    marks: Sequence[Fraction] = (),
     resume: Training | None = None,
 ) -> Training:
     """Train one policy per (context, seed), all of them together.
@@ -129,6 +94,8 @@ def train(
             is (`env.max_return`): the best weights, the earliest of equals, cannot change any more.
         weights: P networks to begin from, e.g. `best` of trainings on other contexts; the optimiser
             knows nothing of their past, and they are no checkpoint themselves. None for fresh ones.
+        marks: (L,) shares of the training at which weights are kept, `along`; where it ends early,
+            those of its end stand for all that were to come.
         resume: what an interrupted call had reached (given again with the same arguments).
 
     Returns:
@@ -146,21 +113,21 @@ def train(
             f"checkpoint_episodes must be a multiple of the {shared_by} contexts of each policy, "
             f"got {checkpoint_episodes}"
         )
-    every = checkpoint_every or math.ceil(timesteps / BLOCKS)
-    per_update = recipe.steps_per_update
-    total, block = math.ceil(timesteps / per_update), math.ceil(every / per_update)
+    schedule = Schedule.of(timesteps, recipe.steps_per_update, checkpoint_every, marks)
     params = _float32(params)
     noise = np.stack([_checkpoint_noise(env, seed, checkpoint_episodes) for seed in seeds])
-    training = start(env, recipe, seeds, params, weights) if resume is None else resume
-    done = int(training.updates)
-    while done < total and not (only_best and _nothing_to_gain(env, training)):
-        count = min(block, total - done)
-        training, finite = _run_block(env, recipe, training, params, noise, count, total)
-        done += count
-        check_finite(finite, done * per_update)
-        if on_block is not None:
-            on_block(Block(done * per_update, total * per_update, training))
-    return training
+
+    def advance(training: Training, count: int) -> tuple[Training, jax.Array]:
+        block: tuple[Training, jax.Array] = _run_block(
+            env, recipe, training, params, noise, count, schedule.total
+        )
+        return block
+
+    def nothing_to_gain(training: Training) -> bool:
+        return only_best and _at_most(env, training)
+
+    training = start(env, recipe, seeds, params, weights, marks) if resume is None else resume
+    return in_blocks(schedule, training, advance, on_block, nothing_to_gain)
 
 
 @partial(jax.jit, static_argnums=(0, 1), donate_argnums=2)
@@ -186,59 +153,6 @@ def _run_block(
     return keep_better(training, latest), finite_policies(state.weights)
 
 
-@partial(jax.jit)
-def keep_better(training: Training, latest: jax.Array) -> Training:
-    """After an evaluation with mean returns `latest`, (P,): weights better than the best so far."""
-    better = latest > training.best_return
-
-    def keep(new: jax.Array, old: jax.Array) -> jax.Array:
-        return jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
-    return training._replace(
-        best=jax.tree.map(keep, training.state.weights, training.best),
-        best_return=jnp.where(better, latest, training.best_return),
-        latest_return=latest,
-    )
-
-
-def finite_policies(weights: Tree) -> jax.Array:
-    """(P,) whether all weights of a policy are finite."""
-    each = [jnp.isfinite(x.reshape(len(x), -1)).all(axis=1) for x in jax.tree.leaves(weights)]
-    return jnp.stack(each).all(axis=0)
-
-
-def to_arrays(training: Training) -> dict[str, NDArray[Any]]:
-    """Plain arrays to be saved, e.g. with `numpy.savez`."""
-    return {f"leaf_{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(training))}
-
-
-def from_arrays(template: Training, arrays: Mapping[str, NDArray[Any]]) -> Training:
-    """What `to_arrays` took apart.
-
-    Args:
-        template: what `start` gives for the same arguments.
-        arrays: as saved.
-
-    Raises:
-        StorageError: the arrays belong to other arguments.
-    """
-    leaves, structure = jax.tree.flatten(template)
-    try:
-        loaded = [np.asarray(arrays[f"leaf_{i}"]) for i in range(len(leaves))]
-    except KeyError as error:
-        raise StorageError(
-            f"a saved training must hold {error}, which is missing; start anew"
-        ) from error
-    for old, new in zip(leaves, loaded, strict=True):
-        if old.shape != new.shape or old.dtype != new.dtype:
-            raise StorageError(
-                f"a saved training must fit its recipe and contexts, got {new.dtype}{new.shape} "
-                f"where {old.dtype}{old.shape} belongs; start anew"
-            )
-    restored: Training = jax.tree.unflatten(structure, [jnp.asarray(x) for x in loaded])
-    return restored
-
-
 def _fitting(weights: Weights, fresh: Weights) -> Weights:
     """A copy, since the training takes over its memory."""
     given, needed = ([np.shape(x) for x in jax.tree.leaves(w)] for w in (weights, fresh))
@@ -251,7 +165,7 @@ def _fitting(weights: Weights, fresh: Weights) -> Weights:
     return copy
 
 
-def _nothing_to_gain(env: Environment, training: Training) -> bool:
+def _at_most(env: Environment, training: Training) -> bool:
     if env.max_return is None:
         return False
     return bool((np.asarray(training.best_return) >= env.max_return).all())
@@ -263,19 +177,3 @@ def _checkpoint_noise(env: Environment, seed: int, episodes: int) -> NDArray[np.
 
 def _float32(params: Tree) -> Tree:
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params)
-
-
-def check_finite(finite: ArrayLike, step: int) -> None:
-    """Refuse to go on with weights that are lost.
-
-    Raises:
-        TrainingFailed: one of the (P,) policies has weights that are not finite.
-    """
-    finite = np.asarray(finite)
-    if not finite.all():
-        bad = np.flatnonzero(~finite)
-        raise TrainingFailed(
-            f"training must keep finite weights, got NaN or infinity by step {step} in policies "
-            f"{', '.join(map(str, bad[:10]))} ({len(bad)} in all); lower the learning rate, or "
-            "check the contexts"
-        )

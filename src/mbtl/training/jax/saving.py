@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mbtl.errors import MbtlError
 from mbtl.files import whole_file
-from mbtl.training.jax.loop import Training, from_arrays, to_arrays
+from mbtl.training.jax.blocks import Training, from_arrays, to_arrays
 from mbtl.untrusted import read_arrays
 
 _SECONDS = 30.0

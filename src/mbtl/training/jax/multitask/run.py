@@ -24,9 +24,9 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.files import claimed_folder, whole_file
 from mbtl.seeds import MATRIX_TRIAL, episode_seed, evaluation_seed, training_seed
+from mbtl.training.jax.blocks import Block, Training
 from mbtl.training.jax.environments import Environment, Tree
 from mbtl.training.jax.evaluation import episode_noise
-from mbtl.training.jax.loop import Block, Training
 from mbtl.training.jax.multitask.training import (
     CHECKPOINT_EPISODES,
     evaluate_multitask,

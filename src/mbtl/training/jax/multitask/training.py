@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import loop
+from mbtl.training.jax.blocks import Block, Training
 from mbtl.training.jax.environments import Environment, Tree
 from mbtl.training.jax.evaluation import evaluate
-from mbtl.training.jax.loop import Block, Training
 from mbtl.training.jax.multitask.table import with_place
 from mbtl.training.jax.recipes import MultiTaskRecipe
 

@@ -1,13 +1,9 @@
-"""Many trainings in a twin, in blocks of updates with an evaluation after each.
-
-As in `mbtl.training.jax.loop`, all that decides the future is in a `Training`, so a run that is
-stopped after a block goes on from it with the same result. A return here is a score.
-"""
+"""Many trainings in a twin, in blocks of updates; a return here is a score."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,17 +14,22 @@ import numpy as np
 from mbtl.errors import InvalidInput
 from mbtl.seeds import Purpose, derive_seed
 from mbtl.training.jax import networks
+from mbtl.training.jax.blocks import (
+    Block,
+    Schedule,
+    Training,
+    beginning,
+    finite_policies,
+    in_blocks,
+    keep_better,
+)
 from mbtl.training.jax.environments import Tree
-from mbtl.training.jax.loop import Block, Training, check_finite, finite_policies, keep_better
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import check_lengths
 from mbtl.training.jax.traffic import ppo, random, trpo
 from mbtl.training.jax.traffic.episodes import Acting, Actor, Episodes, record, scores
 from mbtl.training.jax.traffic.recipes import EpisodicPPORecipe, TRPORecipe, TwinRecipe
 from mbtl.training.jax.traffic.twin import Twin
-
-BLOCKS = 50
-"""Evaluations per training unless told otherwise: one every 2 % of the episodes."""
 
 _ALGORITHMS: Mapping[type, Any] = {TRPORecipe: trpo, EpisodicPPORecipe: ppo}
 """Modules with `start(recipe, weights)` and `learn(...)`, of one policy."""
@@ -50,7 +51,13 @@ class State(NamedTuple):
     seed: jax.Array
 
 
-def start(twin: Twin, recipe: TwinRecipe, seeds: Sequence[int], params: Tree) -> Training:
+def start(
+    twin: Twin,
+    recipe: TwinRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    marks: Sequence[Fraction] = (),
+) -> Training:
     """Trainings before their first update; see `train`."""
     n_inputs = twin.n_features + params.visible.shape[-1]
     each = [
@@ -62,9 +69,7 @@ def start(twin: Twin, recipe: TwinRecipe, seeds: Sequence[int], params: Tree) ->
     weights = networks.stack(each)
     memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))(weights)
     state = State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))
-    nothing = jnp.full(len(seeds), -jnp.inf, dtype=jnp.float32)
-    best = jax.tree.map(jnp.copy, weights)
-    return Training(state, best, nothing, jnp.copy(nothing), jnp.int32(0))
+    return beginning(state, len(marks))
 
 
 def train(
@@ -78,6 +83,7 @@ def train(
     checkpoint_every: int | None = None,
     checkpoint_episodes: int = 10,
     acting: Acting = "sampled",
+    marks: Sequence[Fraction] = (),
     resume: Training | None = None,
 ) -> Training:
     """Train P policies, in one context or, where the twin can mix them, each in its own.
@@ -92,6 +98,7 @@ def train(
         checkpoint_every: episodes between two evaluations, rounded up; None for 2 % of `episodes`.
         checkpoint_episodes: of an evaluation, the same at every one.
         acting: how actions are chosen there.
+        marks: (L,) shares of the training at which weights are kept, `along`.
         resume: what an interrupted call had reached (given again with the same arguments).
 
     Returns:
@@ -112,51 +119,20 @@ def train(
         [[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers] for seed in seeds], np.uint32
     )
 
-    def learn(training: Training, count: int) -> Training:
-        learnt: Training = _updates(twin, recipe, decisions, training, params, count)
-        return learnt
-
-    def judge(actor: Actor) -> jax.Array:
+    def advance(training: Training, count: int) -> tuple[Training, jax.Array]:
+        training = _updates(twin, recipe, decisions, training, params, count)
+        actor = actor_of(training.state)
         found = scores(twin, recipe.activation, acting, actor, tests, test_params, decisions)
-        return found.mean(axis=1)
+        return judged(training, found.mean(axis=1))
 
-    training = start(twin, recipe, seeds, params) if resume is None else resume
-    every = checkpoint_every or math.ceil(episodes / BLOCKS)
-    return in_blocks(recipe, training, (episodes, every), learn, judge, on_block)
+    schedule = Schedule.of(episodes, recipe.n_episodes, checkpoint_every, marks)
+    training = start(twin, recipe, seeds, params, marks) if resume is None else resume
+    return in_blocks(schedule, training, advance, on_block)
 
 
-def in_blocks(
-    recipe: TwinRecipe,
-    training: Training,
-    lengths: tuple[int, int],
-    learn: Callable[[Training, int], Training],
-    judge: Callable[[Actor], jax.Array],
-    on_block: Callable[[Block], None] | None,
-) -> Training:
-    """Learn and be judged in turns, and keep the best weights.
-
-    Args:
-        recipe: hyper-parameters.
-        training: from which to go on.
-        lengths: episodes per policy, and those between two judgements; rounded up to whole updates.
-        learn: training and a number of updates -> training.
-        judge: P policies -> (P,) mean scores.
-        on_block: told after each judgement.
-
-    Raises:
-        TrainingFailed: weights are no longer finite.
-    """
-    total, block = (math.ceil(count / recipe.n_episodes) for count in lengths)
-    done = int(training.updates)
-    while done < total:
-        count = min(block, total - done)
-        training = learn(training, count)
-        training = keep_better(training, judge(actor_of(training.state)))
-        done += count
-        check_finite(finite_policies(training.state.weights), done * recipe.n_episodes)
-        if on_block is not None:
-            on_block(Block(done * recipe.n_episodes, total * recipe.n_episodes, training))
-    return training
+def judged(training: Training, scores: jax.Array) -> tuple[Training, jax.Array]:
+    """After an evaluation with mean scores (P,): `keep_better`, and whether weights are finite."""
+    return keep_better(training, scores), finite_policies(training.state.weights)
 
 
 def _per_episode(params: Tree, episodes: int) -> Tree:

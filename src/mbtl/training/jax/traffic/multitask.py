@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.seeds import Purpose, derive_seed
+from mbtl.training.jax.blocks import Block, Schedule, Training, in_blocks
 from mbtl.training.jax.environments import Tree
-from mbtl.training.jax.loop import Block, Training
 from mbtl.training.jax.recipes import Activation, check_lengths
 from mbtl.training.jax.traffic import random
-from mbtl.training.jax.traffic.episodes import Acting, Actor, Episodes, record, scores
+from mbtl.training.jax.traffic.episodes import Acting, Episodes, record, scores
 from mbtl.training.jax.traffic.learning import (
     State,
     actor_of,
     episode_seeds,
-    in_blocks,
+    judged,
     learnt,
     start,
 )
@@ -79,7 +79,7 @@ def train_on_all(
     numbers = range(checkpoint_episodes)
     tests = np.array([[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers]], np.uint32)
 
-    def learn(training: Training, count: int) -> Training:
+    def advance(training: Training, count: int) -> tuple[Training, jax.Array]:
         for number in range(int(training.updates), int(training.updates) + count):
             met = _drawn(seed, number, len(contexts), recipe.n_episodes)
             seeds = _seeds(recipe, training.state, training.updates)
@@ -91,18 +91,16 @@ def train_on_all(
                 for k, i in enumerate(met.tolist())
             ]  # fmt: skip
             training = _updated(twin, recipe, training, lived)
-        return training
-
-    def judge(actor: Actor) -> jax.Array:
+        actor = actor_of(training.state)
         found = [
             scores(twin, recipe.activation, acting, actor, tests, one, decisions).mean(axis=1)
             for one, decisions in zip(contexts, lasting, strict=True)
         ]
-        return jnp.stack(found).mean(axis=0)
+        return judged(training, jnp.stack(found).mean(axis=0))
 
     training = start(twin, recipe, [seed], contexts[0]) if resume is None else resume
-    lengths = episodes, math.ceil(episodes / checkpoints)
-    return in_blocks(recipe, training, lengths, learn, judge, on_block)
+    schedule = Schedule.of(episodes, recipe.n_episodes, math.ceil(episodes / checkpoints))
+    return in_blocks(schedule, training, advance, on_block)
 
 
 def _drawn(seed: int, number: int, contexts: int, count: int) -> NDArray[np.int64]:

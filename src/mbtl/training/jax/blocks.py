@@ -1,0 +1,284 @@
+"""Training in blocks of updates with an evaluation after each, whatever is trained.
+
+All that decides the future is in a `Training`, so a run that is stopped after a block goes on from
+it with the same result as if it had not been.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbtl.checkpoints import Checkpoint
+from mbtl.errors import InvalidInput, StorageError, TrainingFailed
+from mbtl.training.jax.environments import Tree
+from mbtl.training.jax.networks import Weights
+
+BLOCKS = 50
+"""Evaluations per training unless told otherwise: one every 2 % of it."""
+
+
+class Along(NamedTuple):
+    """Weights kept on the way, leading axes (L, P).
+
+    Attributes:
+        best: of the best evaluation so far; before the first one the latest.
+        latest: as they were.
+    """
+
+    best: Weights
+    latest: Weights
+
+
+class Training(NamedTuple):
+    """P trainings between two blocks.
+
+    Attributes:
+        state: the algorithm's; `state.weights` are the latest ones.
+        best: weights of the best evaluation so far, the earliest of equals.
+        best_return: (P,) mean return of that evaluation; optimistic, being a maximum.
+        latest_return: (P,) mean return of the last evaluation.
+        updates: updates done.
+        along: weights at the marks that have been passed; None without marks.
+    """
+
+    state: Any
+    best: Weights
+    best_return: jax.Array
+    latest_return: jax.Array
+    updates: jax.Array
+    along: Along | None = None
+
+
+class Block(NamedTuple):
+    """What `on_block` is told.
+
+    Attributes:
+        steps: environment steps done, per policy.
+        total: environment steps planned, per policy.
+        training: everything, e.g. to save it with `to_arrays`. Read it before returning: its
+            memory is used again by the next block.
+    """
+
+    steps: int
+    total: int
+    training: Training
+
+
+class Schedule(NamedTuple):
+    """When what happens, in updates.
+
+    Attributes:
+        total: of the whole training.
+        every: between two evaluations.
+        marks: (L,) at which weights are kept, as shares of the training, 0 < share <= 1.
+        unit: environment steps or episodes of an update.
+    """
+
+    total: int
+    every: int
+    unit: int
+    marks: Sequence[Fraction] = ()
+
+    @classmethod
+    def of(
+        cls, length: int, unit: int, every: int | None = None, marks: Sequence[Fraction] = ()
+    ) -> Schedule:
+        """From steps or episodes, rounded up to whole updates.
+
+        Args:
+            length: of the training.
+            unit: steps or episodes of an update.
+            every: between two evaluations; None for one every 2 % of the training.
+            marks: shares of the training.
+
+        Raises:
+            InvalidInput: a mark is not a share.
+        """
+        if not all(0 < mark <= 1 for mark in marks):
+            raise InvalidInput(f"marks are shares of a training, > 0 and <= 1, got {list(marks)}")
+        every = every or math.ceil(length / BLOCKS)
+        return cls(math.ceil(length / unit), math.ceil(every / unit), unit, tuple(marks))
+
+    def between(self, done: int, end: int) -> list[int]:
+        """Updates in done < update <= end after which there is a mark, and `end` itself."""
+        marked = {math.ceil(self.total * mark) for mark in self.marks}
+        return sorted({update for update in marked if done < update < end} | {end})
+
+    def marks_at(self, update: int, *, over: bool = False) -> list[int]:
+        """Indices of the marks after `update`, and of all later ones if the training is over."""
+        at = [math.ceil(self.total * mark) for mark in self.marks]
+        return [i for i, mark in enumerate(at) if mark == update or (over and mark > update)]
+
+
+def beginning(state: Any, marks: int = 0) -> Training:
+    """Before the first update, with room for the weights at as many marks."""
+    weights = state.weights
+    nothing = jnp.full(len(weights.log_std), -jnp.inf, dtype=jnp.float32)
+    room = jax.tree.map(lambda x: jnp.zeros((marks, *x.shape), x.dtype), weights)
+    return Training(
+        state,
+        jax.tree.map(jnp.copy, weights),
+        nothing,
+        jnp.copy(nothing),
+        jnp.int32(0),
+        Along(room, jax.tree.map(jnp.copy, room)) if marks else None,
+    )
+
+
+def in_blocks(
+    schedule: Schedule,
+    training: Training,
+    advance: Callable[[Training, int], tuple[Training, ArrayLike]],
+    on_block: Callable[[Block], None] | None = None,
+    nothing_to_gain: Callable[[Training], bool] = lambda training: False,
+) -> Training:
+    """Learn and be judged in turns, and keep the best weights.
+
+    A mark between two evaluations stops the learning there, but what is judged then does not count:
+    with and without marks the same weights are the best.
+
+    Args:
+        schedule: when.
+        training: from which to go on.
+        advance: training, number of updates -> training after them and `keep_better`, and (P,)
+            whether all weights are finite. It may use the memory of the first again.
+        on_block: told after each judgement, and once where nothing is left to do.
+        nothing_to_gain: whether to end before the last update.
+
+    Raises:
+        TrainingFailed: weights are no longer finite.
+    """
+    done, planned = int(training.updates), schedule.total * schedule.unit
+    over = done >= schedule.total or nothing_to_gain(training)
+    if over and on_block is not None:  # it went on from its end
+        on_block(Block(done * schedule.unit, planned, training))
+    while not over:
+        end = min(done - done % schedule.every + schedule.every, schedule.total)
+        for stop in schedule.between(done, end):
+            kept, along = None if stop == end else _judged(training), training.along
+            training, finite = advance(training._replace(along=None), stop - done)
+            done = stop
+            check_finite(finite, done * schedule.unit)
+            training = training._replace(along=along, **(kept or {}))
+            training = _marked(training, schedule.marks_at(done))
+        if on_block is not None:
+            on_block(Block(done * schedule.unit, planned, training))
+        over = done == schedule.total or nothing_to_gain(training)
+    return _marked(training, schedule.marks_at(done, over=True))
+
+
+def _judged(training: Training) -> dict[str, Any]:
+    """A copy of what evaluations have found so far."""
+    fields = ("best", "best_return", "latest_return")
+    return {name: jax.tree.map(jnp.copy, getattr(training, name)) for name in fields}
+
+
+def _marked(training: Training, marks: Sequence[int]) -> Training:
+    """With the weights of this moment at some marks."""
+    if training.along is None or not marks:
+        return training
+    at = np.array(marks)
+    judged = training.best_return > -jnp.inf
+
+    def so_far(best: jax.Array, latest: jax.Array) -> jax.Array:
+        return jnp.where(judged.reshape(-1, *[1] * (best.ndim - 1)), best, latest)
+
+    latest = training.state.weights
+    best = jax.tree.map(so_far, training.best, latest)
+
+    def put(room: jax.Array, now: jax.Array) -> jax.Array:
+        return room.at[at].set(now)
+
+    along = training.along
+    return training._replace(
+        along=Along(jax.tree.map(put, along.best, best), jax.tree.map(put, along.latest, latest))
+    )
+
+
+@partial(jax.jit)
+def keep_better(training: Training, latest: jax.Array) -> Training:
+    """After an evaluation with mean returns `latest`, (P,): weights better than the best so far."""
+    better = latest > training.best_return
+
+    def keep(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+    return training._replace(
+        best=jax.tree.map(keep, training.state.weights, training.best),
+        best_return=jnp.where(better, latest, training.best_return),
+        latest_return=latest,
+    )
+
+
+def finite_policies(weights: Tree) -> jax.Array:
+    """(P,) whether all weights of a policy are finite."""
+    each = [jnp.isfinite(x.reshape(len(x), -1)).all(axis=1) for x in jax.tree.leaves(weights)]
+    return jnp.stack(each).all(axis=0)
+
+
+def check_finite(finite: ArrayLike, step: int) -> None:
+    """Refuse to go on with weights that are lost.
+
+    Raises:
+        TrainingFailed: one of the (P,) policies has weights that are not finite.
+    """
+    finite = np.asarray(finite)
+    if not finite.all():
+        bad = np.flatnonzero(~finite)
+        raise TrainingFailed(
+            f"training must keep finite weights, got NaN or infinity by step {step} in policies "
+            f"{', '.join(map(str, bad[:10]))} ({len(bad)} in all); lower the learning rate, or "
+            "check the contexts"
+        )
+
+
+def weights_of(training: Training, checkpoint: Checkpoint, shares: Sequence[Fraction]) -> Weights:
+    """The weights that a checkpoint names, (P, ...); `shares` are the marks of the training."""
+    if checkpoint.on_the_way and training.along is not None:
+        mark = shares.index(checkpoint.share)
+        kept = training.along.best if checkpoint.kind == "best" else training.along.latest
+        some: Weights = jax.tree.map(lambda x: x[mark], kept)
+        return some
+    latest: Weights = training.state.weights
+    return training.best if checkpoint.kind == "best" else latest
+
+
+def to_arrays(training: Training) -> dict[str, NDArray[Any]]:
+    """Plain arrays to be saved, e.g. with `numpy.savez`."""
+    return {f"leaf_{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(training))}
+
+
+def from_arrays(template: Training, arrays: Mapping[str, NDArray[Any]]) -> Training:
+    """What `to_arrays` took apart.
+
+    Args:
+        template: a beginning with the same arguments.
+        arrays: as saved.
+
+    Raises:
+        StorageError: the arrays belong to other arguments.
+    """
+    leaves, structure = jax.tree.flatten(template)
+    try:
+        loaded = [np.asarray(arrays[f"leaf_{i}"]) for i in range(len(leaves))]
+    except KeyError as error:
+        raise StorageError(
+            f"a saved training must hold {error}, which is missing; start anew"
+        ) from error
+    for old, new in zip(leaves, loaded, strict=True):
+        if old.shape != new.shape or old.dtype != new.dtype:
+            raise StorageError(
+                f"a saved training must fit its recipe and contexts, got {new.dtype}{new.shape} "
+                f"where {old.dtype}{old.shape} belongs; start anew"
+            )
+    restored: Training = jax.tree.unflatten(structure, [jnp.asarray(x) for x in loaded])
+    return restored
