@@ -35,13 +35,13 @@ from mbtl.training.jax.traffic.eco_state import (
 from mbtl.training.jax.traffic.eco_view import view
 from mbtl.training.jax.traffic.lane import Cars, Incomer
 from mbtl.training.jax.traffic.signal import Light
-from mbtl.training.jax.traffic.twin import Moved, Seen
+from mbtl.training.jax.traffic.twin import Moved, Seeded, Seen
 
 _FIRST_CARS = jnp.uint32(1 << 20)  # moment of random numbers, apart from those of steps
 
 
 @dataclass(frozen=True)
-class EcoTwin:
+class EcoTwin(Seeded):
     """Cars on their way through a light; constants are those of the SUMO environment.
 
     Attributes:
