@@ -158,7 +158,8 @@ def build(
     results = []
     for seed, files in there.items():
         if files:
-            console.print(f"{', '.join(map(str, files))}: there already", markup=False, soft_wrap=True)
+            names = ", ".join(map(str, files))
+            console.print(f"{names}: there already", markup=False, soft_wrap=True)
         else:
             files = job.run(builds[seed], out, workers)
         results += [_shown(file, matrix) for file, matrix in files.items()]
