@@ -35,7 +35,7 @@ from mbtl.training.jax.traffic.eco_state import (
 from mbtl.training.jax.traffic.eco_view import view
 from mbtl.training.jax.traffic.lane import Cars, Incomer
 from mbtl.training.jax.traffic.signal import Light
-from mbtl.training.jax.traffic.twin import Moved, Seen
+from mbtl.training.jax.traffic.twin import Moved, Seen, everyone
 
 _FIRST_CARS = jnp.uint32(1 << 20)  # moment of random numbers, apart from those of steps
 
@@ -122,7 +122,17 @@ class EcoTwin:
 
     def observe(self, state: EcoState, params: EcoParams) -> Seen:
         """The layout of `mbtl.cmdps.traffic.eco.LAYOUT`, then the visible features."""
-        return view(self.road, self.light, self.look, self.dt, state, params)
+        return everyone(self, state, params)
+
+    def acting(self, state: EcoState) -> jax.Array:
+        """See `mbtl.training.jax.traffic.twin.Crowd`."""
+        return (state.row >= 0).T
+
+    def views(
+        self, state: EcoState, params: EcoParams, simulation: jax.Array, place: jax.Array
+    ) -> jax.Array:
+        """See `mbtl.training.jax.traffic.twin.Crowd`."""
+        return view(self.road, self.light, self.look, self.dt, state, params, simulation, place)
 
     def step(self, state: EcoState, action: jax.Array, params: EcoParams) -> Moved:
         """One step in which agents accelerate as they are told."""
