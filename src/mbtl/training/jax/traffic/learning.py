@@ -183,7 +183,7 @@ def episode_seeds(recipe: TwinRecipe, state: State, number: jax.Array) -> jax.Ar
 
 def actor_of(state: State) -> Actor:
     """What plays."""
-    return Actor(state.weights.actor, state.weights.log_std)
+    return Actor(state.weights.actor, state.weights.log_std, state.weights.critic)
 
 
 def learnt(

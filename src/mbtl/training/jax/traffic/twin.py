@@ -8,9 +8,10 @@ score of an episode, not the sum of its rewards, is the entry of a transfer matr
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 
 from mbtl.training.jax.environments import Box, Discrete, TimeLimit, Tree
 
@@ -89,3 +90,25 @@ class Twin(Protocol):
     def score(self, state: Tree) -> jax.Array:
         """(n,) matrix entry of episodes that have ended; larger is better."""
         ...
+
+
+@runtime_checkable
+class Crowd(Twin, Protocol):
+    """A twin of many agents that can show some of them: only those who act are looked at."""
+
+    def acting(self, state: Tree) -> jax.Array:
+        """(n, A) there is an agent, and it decides."""
+        ...
+
+    def views(
+        self, state: Tree, params: Tree, simulation: jax.Array, place: jax.Array
+    ) -> jax.Array:
+        """(..., f) observations of the agents in some places, (...), of some simulations, (...)."""
+        ...
+
+
+def everyone(twin: Crowd, state: Tree, params: Tree) -> Seen:
+    """What `Twin.observe` gives, in terms of `Crowd.views`."""
+    acting = twin.acting(state)
+    simulation, place = jnp.indices(acting.shape)
+    return Seen(twin.views(state, params, simulation, place), acting)
