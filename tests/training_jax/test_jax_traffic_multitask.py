@@ -16,7 +16,7 @@ from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import saving
 from mbtl.training.jax.traffic import multitask, trpo
-from mbtl.training.jax.traffic.episodes import Actor, record
+from mbtl.training.jax.traffic.episodes import actor_of, record
 from mbtl.training.jax.traffic.recipes import TRPORecipe
 from mbtl.training.multitask import train_on_all
 
@@ -33,13 +33,14 @@ def ring(contexts=HOLDS):
 def test_an_episode_within_a_longer_program_is_the_same_and_teaches_the_same():
     twin, (_, _, params) = ring()
     state = engine.start(twin, RECIPE, [5], params).state
-    actor, seeds = Actor(state.weights.actor, state.weights.log_std), np.array([[1, 2]], np.uint32)
+    actor, seeds = actor_of(state.weights), np.array([[1, 2]], np.uint32)
     played = jax.jit(record, static_argnums=(0, 1, 2))
     own = played(twin, "tanh", 10, actor, seeds, params)
     within = played(twin, "tanh", 13, actor, seeds, params, jnp.int32(10))
     assert not within.acting[:, :3].any()
     assert within.acting[:, 3:].all()
-    for name in ("obs", "outputs", "action", "reward"):
+    np.testing.assert_allclose(within.obs[0][within.row[0, 3:]], own.obs[0][own.row[0]], atol=1e-5)
+    for name in ("outputs", "action", "value", "reward"):
         np.testing.assert_allclose(getattr(within, name)[:, 3:], getattr(own, name), atol=1e-5)
     np.testing.assert_allclose(within.score, own.score, atol=1e-5)
     learn = jax.jit(trpo.learn, static_argnums=(0, 1))

@@ -107,7 +107,7 @@ def own_scores(
         seeds: (P, E), the first of them for the first context.
         params: of one context, which serves all; (P, ...); or (P, N, ...).
     """
-    drawn = world.draws(seeds)
+    drawn, actor = world.draws(seeds), actor._replace(critic=())
     if world.apart:
         return _own(world, activation, how, actor, seeds, drawn, params)
     every = of_simulations(params, seeds.shape[1])
@@ -155,7 +155,7 @@ def evaluate(
         rows = (CPU_ROWS if world.apart else n_policies * len(seeds)) if on_cpu() else DEVICE_ROWS
     width = max(1, min(n_contexts, rows // len(seeds))) if world.apart else 1
     height = max(1, min(n_policies, rows // (width * len(seeds))))
-    own = np.array(seeds, np.uint32)
+    own, actor = np.array(seeds, np.uint32), actor._replace(critic=())
     returns = np.empty((n_policies, n_contexts, len(seeds)))
     done = 0
     for p in range(0, n_policies, height):

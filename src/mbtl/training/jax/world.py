@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -126,6 +126,28 @@ class World(Protocol):
     def score(self, state: Tree) -> jax.Array:
         """(n,) matrix entry of episodes that have ended; larger is better."""
         ...
+
+
+@runtime_checkable
+class Crowd(World, Protocol):
+    """A world of many agents that can show some of them: only those who act are looked at."""
+
+    def acting(self, state: Tree) -> jax.Array:
+        """(n, A) there is an agent, and it decides."""
+        ...
+
+    def views(
+        self, state: Tree, params: Tree, simulation: jax.Array, place: jax.Array
+    ) -> jax.Array:
+        """(..., f) observations of the agents in some places, (...), of some simulations, (...)."""
+        ...
+
+
+def everyone(world: Crowd, state: Tree, params: Tree) -> Seen:
+    """What `World.observe` gives, in terms of `Crowd.views`."""
+    acting = world.acting(state)
+    simulation, place = jnp.indices(acting.shape)
+    return Seen(world.views(state, params, simulation, place), acting)
 
 
 class Seeded:

@@ -20,14 +20,20 @@ from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.loop import checkpoint_seeds, judged, start
 from mbtl.training.jax.recipes import Activation, check_lengths
 from mbtl.training.jax.traffic import random
-from mbtl.training.jax.traffic.episodes import Acting, Episodes, actor_of, record, scores
+from mbtl.training.jax.traffic.episodes import (
+    Acting,
+    Episodes,
+    actor_of,
+    delayed,
+    joined,
+    record,
+    scores,
+)
 from mbtl.training.jax.traffic.learning import State, episode_seeds, learnt
 from mbtl.training.jax.traffic.recipes import TwinRecipe
 from mbtl.training.jax.traffic.twin import Twin
 
 _CONTEXT = 1 << 22  # stream of random numbers: the contexts of updates
-_BY_DECISION = ("obs", "outputs", "action", "acting", "reward", "done")
-"""Fields of `Episodes` with axes (P, D, E, ...); the others have (P, E, ...)."""
 
 
 def train_on_all(
@@ -121,22 +127,11 @@ def _lived(
 ) -> Episodes:
     """Episodes of `lasting` decisions, `most` at most, as if there were `longest`."""
     lived = record(twin, activation, most, actor_of(state.weights), seeds, params, lasting)
-    before = longest - most
-
-    def later(x: jax.Array) -> jax.Array:
-        return jnp.pad(x, [(0, 0), (before, 0)] + [(0, 0)] * (x.ndim - 2))
-
-    return lived._replace(**{name: later(getattr(lived, name)) for name in _BY_DECISION})
+    return delayed(lived, longest - most)
 
 
 @partial(jax.jit, static_argnums=(0, 1), donate_argnums=2)
 def _updated(twin: Twin, recipe: TwinRecipe, training: Training, lived: list[Episodes]) -> Training:
     """One update with an episode of each of the contexts met."""
-
-    def joined(name: str) -> jax.Array:
-        fields = [getattr(one, name) for one in lived]
-        return jnp.concatenate(fields, axis=2 if name in _BY_DECISION else 1)
-
-    together = Episodes(*map(joined, Episodes._fields))
-    state = learnt(twin, recipe, training.state, training.updates, together)
+    state = learnt(twin, recipe, training.state, training.updates, joined(lived))
     return training._replace(state=state, updates=training.updates + 1)
