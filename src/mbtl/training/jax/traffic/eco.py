@@ -36,13 +36,13 @@ from mbtl.training.jax.traffic.eco_state import (
 from mbtl.training.jax.traffic.eco_view import view
 from mbtl.training.jax.traffic.lane import Cars, Incomer
 from mbtl.training.jax.traffic.signal import Light
-from mbtl.training.jax.traffic.twin import Moved, Seen, everyone
+from mbtl.training.jax.traffic.twin import Moved, Seeded, Seen, everyone
 
 _FIRST_CARS = jnp.uint32(1 << 20)  # moment of random numbers, apart from those of steps
 
 
 @dataclass(frozen=True)
-class EcoTwin:
+class EcoTwin(Seeded):
     """Cars on their way through a light; constants are those of the SUMO environment.
 
     Attributes:

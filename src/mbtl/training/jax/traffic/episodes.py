@@ -45,6 +45,11 @@ class Actor(NamedTuple):
     critic: Network = ()
 
 
+def actor_of(weights: Any) -> Actor:
+    """What P policies have learnt, as it plays and watches."""
+    return Actor(weights.actor, weights.log_std, weights.critic)
+
+
 def import_actor(policies: list[MLPPolicy]) -> Actor:
     """The acting part of policies of one shape."""
     stds = [p.head.log_std if isinstance(p.head, BoxHead) else np.zeros(0) for p in policies]
@@ -270,21 +275,28 @@ def scores(
     how: Acting,
     actor: Actor,
     seeds: jax.Array,
+    drawn: jax.Array,
     params: Tree,
     decisions: jax.Array,
 ) -> jax.Array:
-    """(P, E) scores; arguments as in `record`, `decisions` a scalar.
+    """(P, E) scores; arguments as in `record`, `drawn` is `World.draws` of the seeds.
 
-    One compiled program serves all contexts.
+    One compiled program serves all contexts; it ends as soon as all episodes have.
     """
     shape, flat = seeds.shape, seeds.reshape(-1)
     watch = partial(_watched, twin, activation, params, shape, (actor.network,))
+
+    def going_on(carry: tuple[jax.Array, Tree]) -> jax.Array:
+        return (carry[0] < decisions) & ~twin.over(carry[1]).all()
+
+    def next_one(carry: tuple[jax.Array, Tree]) -> tuple[jax.Array, Tree]:
+        return carry[0] + 1, one(*carry)
 
     def one(moment: jax.Array, state: Tree) -> Tree:
         if how == "none":
             return twin.drive(state, params).state
         if how == "random":
-            action = _uniform(twin, flat, jnp.uint32(moment))
+            action = twin.any_actions(flat, moment)
             return twin.step(state, action, params).state
         (outputs,) = watch(state, None, None)[0].found
         if how == "sampled":
@@ -294,18 +306,9 @@ def scores(
             action = networks.mode(outputs, twin.action)
         return twin.step(state, action.reshape(-1, *action.shape[2:]), params).state
 
-    state = jax.lax.fori_loop(0, decisions, one, twin.start(flat, params))
+    first = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
+    _, state = jax.lax.while_loop(going_on, next_one, (jnp.int32(0), first))
     return twin.score(state).reshape(shape)
-
-
-def _uniform(twin: Twin, seeds: jax.Array, moment: jax.Array) -> jax.Array:
-    """(n, A) or (n, A, d) actions, any as likely as another."""
-    if isinstance(twin.action, Discrete):
-        draw = random.uniform(seeds, _ACTION, moment, twin.agents).T
-        return jnp.floor(draw * twin.action.n).astype(jnp.int32)
-    low, high = jnp.asarray(twin.action.low), jnp.asarray(twin.action.high)
-    draw = random.uniform(seeds, _ACTION, moment, twin.agents * len(low)).T
-    return low + (high - low) * draw.reshape(-1, twin.agents, len(low))
 
 
 def _each(activation: Activation, network: Network, obs: jax.Array) -> jax.Array:
