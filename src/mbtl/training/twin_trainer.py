@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -59,6 +59,8 @@ class TwinTrainer(MLPTrainer):
         checkpoint: "final" weights, or the "best" of periodic evaluations on the own context.
         checkpoint_every: episodes between those evaluations; default 2 % of `episodes`.
         checkpoint_episodes: episodes of each.
+        reward: what training is rewarded by, a name that the twin knows; None: by the CMDP's own
+            reward. It changes no score.
 
     Raises:
         InvalidInput: a number is not positive, or `checkpoint` is neither "final" nor "best".
@@ -76,6 +78,7 @@ class TwinTrainer(MLPTrainer):
     checkpoint: Literal["final", "best"] = "best"
     checkpoint_every: int | None = None
     checkpoint_episodes: int = 10
+    reward: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hyperparameters", dict(self.hyperparameters or {}))
@@ -128,7 +131,7 @@ class TwinTrainer(MLPTrainer):
         import mbtl.training.jax as engine
         from mbtl.training.jax.traffic.learning import start, train
 
-        twin, params = self.problem(contexts)
+        twin, params = self._lessons(contexts)
         recipe, marks = self._recipe(), shares_of(keep)
         saved = engine.SavedTraining(partial)
         policies: dict[str, list[MLPPolicy]] = {name: [] for name in keep}
@@ -199,7 +202,7 @@ class TwinTrainer(MLPTrainer):
                 on_progress(Progress(block.steps, block.total, {"score": score}, "episodes"))
             saved.save(block.training)
 
-        twin, params = self.problem(contexts)
+        twin, params = self._lessons(contexts)
         recipe = self._recipe()
         training = train_on_all(
             twin,
@@ -277,6 +280,7 @@ class TwinTrainer(MLPTrainer):
             "checkpoint_every": self.checkpoint_every,
             "checkpoint_episodes": self.checkpoint_episodes,
             "eval_episodes": self.eval_episodes,
+            **({} if self.reward is None else {"reward": self.reward}),
         }
 
     @property
@@ -284,6 +288,16 @@ class TwinTrainer(MLPTrainer):
         """As `recipe`, of `train_on_all`."""
         own = {"contexts": "uniform, one per episode", "checkpoint_every": f"1/{_CHECKPOINTS}"}
         return {**self.recipe, **own, "checkpoint_episodes": f"{_EACH} per context"}
+
+    def _lessons(self, contexts: Sequence[Context]) -> tuple[Any, Sequence[Any]]:
+        """The twin as it teaches, and the parameters of each context."""
+        twin, params = self.problem(contexts)
+        if self.reward is None:
+            return twin, params
+        known = getattr(twin, "rewards", ())
+        if self.reward not in known:
+            raise unknown_name("reward of this twin", self.reward, known)
+        return replace(twin, reward=self.reward), params
 
     def _recipe(self) -> Any:
         import mbtl.training.jax  # noqa: F401  first: flags of jax

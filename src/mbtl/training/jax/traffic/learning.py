@@ -62,7 +62,13 @@ def start(
     n_inputs = twin.n_features + params.visible.shape[-1]
     each = [
         networks.init_weights(
-            seed, n_inputs, twin.action, recipe.hidden, recipe.log_std, recipe.critic_gain
+            seed,
+            n_inputs,
+            twin.action,
+            recipe.hidden,
+            recipe.log_std,
+            recipe.critic_gain,
+            recipe.first_action,
         )
         for seed in seeds
     ]
