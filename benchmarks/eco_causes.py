@@ -20,7 +20,18 @@ import measure  # first: threads
 from typing import Any  # isort: skip
 
 import numpy as np
-from eco_play import GLIDE, HARD, accelerate, capped, glide, never_again, run, searched
+from eco_play import (
+    GLIDE,
+    HARD,
+    accelerate,
+    any_rule,
+    capped,
+    glide,
+    never_again,
+    row_of,
+    run,
+    searched,
+)
 from measure import digits, note
 
 NOMINAL = {"penetration": 0.2, "inflow": 400.0, "green": 35.0}
@@ -43,14 +54,14 @@ CONTEXTS = {
     "penetration .4": at(penetration=0.4),
     "penetration 1": at(penetration=1.0),
 }
-RULES: dict[str, tuple[Any, list[float]]] = {
-    "always accelerate": (accelerate, [HARD]),
-    "keep the speed": (accelerate, [0.0]),
-    "10 m/s at most": (capped, [10.0]),
-    "never start again": (never_again, [0.5]),
-    "glide": (glide, [2.0, 1.0, 2.0, 0.0, 300.0, 20.0, -1.0]),
-    "glide, slow first": (glide, [2.0, 0.7, 2.0, 0.0, 300.0, 20.0, -1.0]),
-    "glide, hurry to green": (glide, [1.0, 0.5, 1.7, -2.7, 240.0, 8.0, 1.0]),
+RULES = {
+    "always accelerate": row_of(accelerate, HARD),
+    "keep the speed": row_of(accelerate, 0.0),
+    "10 m/s at most": row_of(capped, 10.0),
+    "never start again": row_of(never_again, 0.5),
+    "glide": row_of(glide, 2.0, 1.0, 2.0, 0.0, 300.0, 20.0, -1.0),
+    "glide, slow first": row_of(glide, 2.0, 0.7, 2.0, 0.0, 300.0, 20.0, -1.0),
+    "glide, try for green": row_of(glide, 1.0, 0.55, 1.7, -2.7, 250.0, 7.5, 2.0),
 }
 SEARCHED = ("nominal", "green 16 s", "green 26 s", "inflow 1000", "penetration .4", "penetration 1")
 FRESH = 1000  # seeds of evaluations begin here; those of the search at 0
@@ -78,13 +89,20 @@ HEAD = f"| {' | '.join(_COLUMNS)} |\n{'|---' * len(_COLUMNS)}|"
 
 def rules(seeds: int) -> tuple[list[str], Any]:
     """Hand-written controllers in all contexts, and what the reward says of them."""
-    contexts, drawn = list(CONTEXTS.values()), range(FRESH, FRESH + seeds)
-    note("unguided ...")
-    base = run(None, contexts, drawn)
-    plays = {"unguided": base}
-    for name, (rule, numbers) in RULES.items():
+    plays: dict[str, dict[str, Any]] = {}
+    for name, context in CONTEXTS.items():
         note(f"{name} ...")
-        plays[name] = run(rule, contexts, drawn, numbers)
+        drawn = range(FRESH, FRESH + seeds)
+        base = run(None, [context], drawn)
+        found = run(any_rule, [context] * len(RULES), drawn, np.stack(list(RULES.values())))
+        for rule, k in [("unguided", None), *((rule, k) for k, rule in enumerate(RULES))]:
+            one = base if k is None else {key: x[[k]] for key, x in found.items()}
+            for key, x in one.items():
+                plays.setdefault(rule, {}).setdefault(key, []).append(x)
+    plays = {
+        rule: {key: np.concatenate(x) for key, x in each.items()} for rule, each in plays.items()
+    }
+    base = plays["unguided"]
     lines, document = [], {}
     for k, context in enumerate(CONTEXTS):
         lines += ["", context, HEAD]
@@ -112,7 +130,8 @@ def search(rounds: int, seeds: int) -> tuple[list[str], Any]:
     """The best `glide` of each context, judged on fresh seeds."""
     contexts, drawn = [CONTEXTS[name] for name in SEARCHED], range(FRESH, FRESH + seeds)
     numbers = searched(contexts, rounds)
-    base, found = run(None, contexts, drawn), run(glide, contexts, drawn, numbers)
+    base = run(None, contexts, drawn)
+    found = run(any_rule, contexts, drawn, np.insert(numbers, 0, 0.0, axis=1))
     lines, document = [HEAD], {}
     for k, name in enumerate(SEARCHED):
         for way, each in ((f"{name}, unguided", base), (f"{name}, found", found)):

@@ -132,6 +132,20 @@ def glide(obs: Any, numbers: Any) -> Any:
     return jnp.where(acts, told, HARD)
 
 
+KINDS = (glide, accelerate, capped, never_again)
+
+
+def any_rule(obs: Any, numbers: Any) -> Any:
+    """One of `KINDS`, by its index in the first column: one program plays them all."""
+    kind = numbers[:, :1].astype(int)
+    return jnp.choose(kind, [rule(obs, numbers[:, 1:]) for rule in KINDS], mode="clip")
+
+
+def row_of(kind: Rule, *numbers: float) -> Any:
+    """Numbers of `any_rule`."""
+    return np.array([KINDS.index(kind), *numbers, *[0.0] * (len(GLIDE) - len(numbers))])
+
+
 START = np.array([2.0, 0.7, 2.0, 0.0, 230.0, 6.0, 0.0])
 SPREAD = np.array([3.0, 0.25, 1.5, 3.0, 60.0, 4.0, 15.0])
 LEAST = np.array([-5.0, 0.2, 0.0, -8.0, 20.0, 0.3, -1.0])
@@ -155,7 +169,9 @@ def searched(
         rows[:, 0] = mean
         drawn = range(number * seeds, (number + 1) * seeds)
         many = [c for c in contexts for _ in range(tries)]
-        score = run(glide, many, drawn, rows.reshape(-1, 7))["score"].mean(axis=1)
+        kinds = np.zeros((len(many), 1))
+        numbers = np.concatenate([kinds, rows.reshape(-1, 7)], axis=1)
+        score = run(any_rule, many, drawn, numbers)["score"].mean(axis=1)
         for k, order in enumerate(np.argsort(-score.reshape(n, tries), axis=1)[:, :best]):
             mean[k] = 0.3 * mean[k] + 0.7 * rows[k, order].mean(axis=0)
             spread[k] = 0.3 * spread[k] + 0.7 * rows[k, order].std(axis=0) + 0.02 * SPREAD
