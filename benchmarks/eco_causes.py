@@ -7,6 +7,8 @@ come with 95 % intervals. Every line has CO2 [g] and stops of a trip, completed 
     rules     hand-written controllers, no training; and how the reward of a trip and the score are
               related over them
     search    the best `glide` rule that a cross-entropy search finds on the score, per context
+    axes      one `glide` rule for all contexts, on every fifth context of each axis
+    matrices  how many policies of the shipped matrices beat unguided traffic; nothing is played
     training  PPO with one change at a time: reward, first action, exploration; also before the
               first update
 
@@ -63,6 +65,8 @@ RULES = {
     "glide, slow first": row_of(glide, 2.0, 0.7, 2.0, 0.0, 300.0, 20.0, -1.0),
     "glide, try for green": row_of(glide, 1.0, 0.55, 1.7, -2.7, 250.0, 7.5, 2.0),
 }
+BEST = "glide, try for green"
+ECO = ("eco-green", "eco-inflow", "eco-penetration")
 SEARCHED = ("nominal", "green 16 s", "green 26 s", "inflow 1000", "penetration .4", "penetration 1")
 FRESH = 1000  # seeds of evaluations begin here; those of the search at 0
 
@@ -142,6 +146,55 @@ def search(rounds: int, seeds: int) -> tuple[list[str], Any]:
     return lines, document
 
 
+def axes(seeds: int) -> tuple[list[str], Any]:
+    """Means over every fifth context of an axis; intervals are over seeds, which contexts share."""
+    from mbtl.cmdps import get_cmdp
+
+    lines, document = [HEAD], {}
+    for cmdp in ECO:
+        note(f"{cmdp} ...")
+        contexts = [{**NOMINAL, **context} for context in get_cmdp(cmdp).space.contexts[4::5]]
+        drawn = range(FRESH, FRESH + seeds)
+        base = run(None, contexts, drawn)
+        found = run(any_rule, contexts, drawn, RULES[BEST])
+        base, found = (
+            {key: x.mean(axis=0, keepdims=True) for key, x in each.items()}
+            for each in (base, found)
+        )
+        for way, each in (("unguided", base), (BEST, found)):
+            text, document[f"{cmdp}: {way}"] = line(f"{cmdp}: {way}", each, base, 0)
+            lines.append(text)
+    return lines, document
+
+
+def matrices() -> tuple[list[str], Any]:
+    """Entries beside the reference row, which has the same episodes."""
+    from mbtl.benchmark import load_matrix
+
+    names = ("unguided", "own policy", "any policy", "best one policy", "oracle transfer")
+    shares = ("own policy beats unguided", "any policy does")
+    lines = ["| | " + " | ".join((*names, *shares)) + " |", "|---" * 8 + "|"]
+    document = {}
+    for cmdp in ECO:
+        matrix = load_matrix(cmdp)
+        rows = np.asarray(matrix.returns, float)
+        alone = np.asarray(matrix.references["unguided"], float)
+        alone = alone.reshape(len(rows), -1, rows.shape[2]).mean(axis=1)
+        own = np.diagonal(rows, axis1=1, axis2=2)
+        means = (
+            alone.mean(),
+            own.mean(),
+            rows.mean(),
+            rows.mean(axis=2).max(axis=1).mean(),
+            rows.max(axis=1).mean(),
+        )
+        wins = ((own > alone).mean(), (rows > alone[:, None]).mean())
+        document[cmdp] = [digits(float(x), 3) for x in (*means, *wins)]
+        cells = [f"{x:.2f}" for x in means] + [f"{100.0 * x:.0f} %" for x in wins]
+        lines.append(f"| {cmdp} | {' | '.join(cells)} |")
+    return lines, document
+
+
 def training(names: list[str], episodes: int, seeds: int) -> tuple[list[str], Any]:
     """Policies before and after training, by way; of the first and of the last weights."""
     from eco_training import FRESH as FIRST
@@ -167,7 +220,8 @@ def training(names: list[str], episodes: int, seeds: int) -> tuple[list[str], An
 def main() -> None:
     """Play and print."""
     parser = measure.parser(__doc__)
-    parser.add_argument("--part", choices=("rules", "search", "training"), default="rules")
+    parts = ("rules", "search", "axes", "matrices", "training")
+    parser.add_argument("--part", choices=parts, default="rules")
     parser.add_argument("--seeds", type=int, default=32, help="episodes per line")
     parser.add_argument("--rounds", type=int, default=8, help="of the search")
     parser.add_argument("--episodes", type=int, default=240, help="of a training")
@@ -179,6 +233,10 @@ def main() -> None:
         lines, document = rules(args.seeds)
     elif args.part == "search":
         lines, document = search(args.rounds, args.seeds)
+    elif args.part == "axes":
+        lines, document = axes(args.seeds)
+    elif args.part == "matrices":
+        lines, document = matrices()
     else:
         lines, document = training(args.contexts, args.episodes, args.seeds)
     whole = {"part": args.part, "lines": document, "machine": measure.machine("jax")}
