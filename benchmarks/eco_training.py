@@ -8,18 +8,18 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from eco_play import PROBLEM, TWIN, play, stacked
+from eco_play import TWIN, play, stacked
+from measure import note
 
 import jax  # isort: skip  # after eco_play, which sets the flags of jax
 import jax.numpy as jnp
 
 from mbtl.cmdps.traffic.twins import EcoProblem
-from mbtl.training.jax import networks
-from mbtl.training.jax.blocks import beginning
+from mbtl.training.jax import loop, networks
 from mbtl.training.jax.traffic import learning
 from mbtl.training.jax.traffic.eco import EcoTwin
-from mbtl.training.jax.traffic.episodes import Actor, scores
-from mbtl.training.jax.traffic.recipes import twin_recipe_named
+from mbtl.training.jax.traffic.episodes import actor_of, scores
+from mbtl.training.jax.traffic.recipes import TWIN_RECIPES
 
 SEEDS = 2
 """Trainings per way; a way's seeds are the same as another's."""
@@ -28,7 +28,7 @@ AGENTS = 16
 FRESH = 5000
 """Seeds of evaluations begin here."""
 
-RECIPE = replace(twin_recipe_named("PPO", "fast"), gamma=0.99, gae_lambda=0.97)
+RECIPE = replace(TWIN_RECIPES["PPO"]["fast"], gamma=0.99, gae_lambda=0.97)
 """Of the preset `standard` as it was."""
 
 
@@ -79,31 +79,30 @@ def trained(context: Mapping[str, float], ways: Sequence[Way], episodes: int) ->
     twin = Mixed(**own, taught=tuple(way.reward for way in many))
     params = stacked([context] * len(many), 1)
 
-    def start() -> Any:
-        each = [
-            learning.start(
-                twin,
-                replace(RECIPE, first_action=way.first_action, log_std=way.log_std),
-                [100 + seed],
-                PROBLEM([dict(context)])[1][0],
-            )
-            for way in ways
-            for seed in range(SEEDS)
-        ]
-        return beginning(jax.tree.map(lambda *x: jnp.concatenate(x), *[one.state for one in each]))
-
-    after = learning.train(
+    each = [
+        learning.init(
+            twin,
+            replace(RECIPE, first_action=way.first_action, log_std=way.log_std),
+            [100 + seed],
+            params,
+        )
+        for way in ways
+        for seed in range(SEEDS)
+    ]
+    first = jax.tree.map(lambda *x: jnp.concatenate(x), *[one.weights for one in each])
+    after = loop.train(
         twin,
         RECIPE,
-        range(len(many)),
+        [100 + k % SEEDS for k in range(len(many))],
         params,
         episodes,
         acting="mean",
-        resume=start(),
+        weights=first,
         checkpoint_every=max(24, episodes // 10),
         checkpoint_episodes=4,
+        on_block=lambda block: note(f"{block.steps} of {block.total} episodes"),
     )
-    return start().state.weights, after.state.weights
+    return first, after.state.weights
 
 
 def acting(weights: Any, context: Mapping[str, float], seeds: int) -> dict[str, Any]:
@@ -118,7 +117,9 @@ def acting(weights: Any, context: Mapping[str, float], seeds: int) -> dict[str, 
     drawn = np.tile(np.arange(FRESH, FRESH + seeds, dtype=np.uint32), (n, 1))
     params = stacked([context] * n, seeds)
     found = play(rule, TWIN, jnp.asarray(drawn.reshape(-1)), params, jnp.zeros((drawn.size, 0)))
-    actor = Actor(weights.actor, weights.log_std)
-    sampled = scores(TWIN, "tanh", "sampled", actor, jnp.asarray(drawn), params, TWIN.horizon)
+    actor = actor_of(weights)._replace(critic=())
+    sampled = scores(
+        TWIN, "tanh", "sampled", actor, jnp.asarray(drawn), TWIN.draws(drawn), params, TWIN.horizon
+    )
     shaped = {name: np.asarray(x, float).reshape(n, seeds) for name, x in found.items()}
     return shaped | {"sampled": np.asarray(sampled, float)}

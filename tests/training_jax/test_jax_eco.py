@@ -62,7 +62,7 @@ def twin():
 def small():
     """Four agents at most, and long rows only."""
     twin = EcoProblem(agents=4)([{}])[0]
-    return replace(twin, few=(twin.rows, twin.side_rows))
+    return replace(twin, few=())
 
 
 # ---- car-following -------------------------------------------------------------------------------
@@ -141,7 +141,7 @@ def test_cars_stay_in_order_and_no_car_is_lost(twin):
     gone = np.asarray(state.entered).sum(axis=0) - on_road
     uncounted = gone - np.asarray(state.totals.completed)
     assert ((uncounted >= 0) & (uncounted < 25)).all()  # those of the warm-up
-    assert there.sum(axis=0).max() > twin.few[0]  # long rows were in use
+    assert there.sum(axis=0).max() > twin.few[0][0]  # long rows were in use
 
 
 @pytest.mark.long

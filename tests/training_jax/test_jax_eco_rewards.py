@@ -46,7 +46,7 @@ def test_a_platoon_is_an_agent_and_the_cars_behind_it_up_to_the_next_agent():
 
 
 def test_each_reward_is_given_to_agents_only(cmdp):
-    twin, (params,) = cmdp.trainer.problem([CONTEXT])
+    twin, params = cmdp.trainer.problem([CONTEXT])
     state = twin.start(jnp.arange(1, dtype=jnp.uint32), params)
     speed = jnp.full_like(state.main.x, 7.0).at[2].set(0.0)
     main = state.main._replace(x=jnp.full_like(state.main.x, -1e4).at[:4, 0].set(
@@ -76,5 +76,5 @@ def test_another_reward_is_part_of_the_recipe_and_an_unknown_one_is_refused(cmdp
     with pytest.raises(UnknownName, match="delay, paper, platoon"):
         cmdp.trainer_for("standard", reward="speed").train(CONTEXT, 0)
     ring = get_cmdp("ring-acc", engine="jax").trainer_for("quick", reward="delay")
-    with pytest.raises(UnknownName, match="reward of this twin"):
+    with pytest.raises(UnknownName, match="reward of this world"):
         ring.train({"hold": 5.0}, 0)

@@ -36,9 +36,18 @@ def setting(acting, **changes):
     action = outputs + jnp.asarray(rng.standard_normal((D, 1, A, 1)), jnp.float32)
     reward = jnp.where(acting, action[..., 0], 0.0)
     lived = Episodes(
-        obs, outputs, action, acting, reward, acting & ~jnp.roll(acting, -1, axis=0),
-        obs[0], jnp.zeros((1, A), bool), jnp.zeros(1),
-    )  # fmt: skip
+        obs=obs.reshape(-1, 2),
+        row=jnp.arange(D * A).reshape(D, 1, A),
+        outputs=outputs,
+        action=action,
+        value=networks.apply(weights.critic, obs)[..., 0],
+        acting=acting,
+        reward=reward,
+        done=acting & ~jnp.roll(acting, -1, axis=0),
+        last_value=jnp.zeros((1, A)),
+        last_acting=jnp.zeros((1, A), bool),
+        score=jnp.zeros(1),
+    )
     return recipe, weights, lived
 
 
@@ -56,7 +65,7 @@ FEW = EVERYBODY.at[:, :, 1:].set(False).at[20:].set(False)  # 20 decisions
 @pytest.mark.parametrize(("acting", "count"), [(EVERYBODY, 64), (FEW, 20)])
 def test_rows_are_decisions_of_agents_and_nothing_else(acting, count):
     recipe, weights, lived = setting(acting)
-    marked = lived._replace(obs=jnp.where(acting[..., None], lived.obs, 77.0))
+    marked = lived._replace(obs=jnp.where(acting.reshape(-1, 1), lived.obs, 77.0))
     batch, _ = ppo._rows(BOX, recipe, weights, Returns.empty(), marked, jax.random.PRNGKey(0))
     assert int(batch.weight.sum()) == count
     used = np.asarray(batch.obs)[np.asarray(batch.weight) == 1.0]
@@ -68,7 +77,7 @@ def test_a_place_without_an_agent_changes_nothing():
     results = []
     for filler in (0.0, 5.0):
         recipe, weights, lived = setting(FEW)
-        other = jnp.where(FEW[..., None], lived.obs, filler)
+        other = jnp.where(FEW.reshape(-1, 1), lived.obs, filler)
         results.append(updated(recipe, weights, lived._replace(obs=other))[0])
     for a, b in zip(*map(jax.tree.leaves, results), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-6)
@@ -76,7 +85,7 @@ def test_a_place_without_an_agent_changes_nothing():
 
 def moved(recipe, weights, lived):
     new, memory = updated(recipe, weights, lived)
-    after = networks.apply(new.actor, lived.obs)
+    after = networks.apply(new.actor, lived.obs)[lived.row]
     apart = kl(lived.outputs, weights.log_std, after, new.log_std, BOX).mean()
     return float(apart), float((after - lived.outputs).mean()), memory
 

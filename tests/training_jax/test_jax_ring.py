@@ -31,9 +31,9 @@ def ring(hold=2.0, **options):
 
 def unguided(twin, params, seeds):
     seeds = np.array([seeds], np.uint32)
-    return np.asarray(scores(twin, "tanh", "none", NOBODY, seeds, params, twin.decisions(params)))[
-        0
-    ]
+    return np.asarray(
+        scores(twin, "tanh", "none", NOBODY, seeds, seeds, params, twin.decisions(params))
+    )[0]
 
 
 # ---- car-following -------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import evaluation_seed, training_seed
 from mbtl.study import create_study
 from mbtl.study.rehearsal import rehearse
-from mbtl.training import JaxTrainer, SB3Trainer
+from mbtl.training import SB3Trainer, WorldTrainer
 from mbtl.training.jax import saving
 
 SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
@@ -50,7 +50,7 @@ def test_the_named_recipes_never_change():
 def test_it_is_the_default_where_there_is_an_environment_in_jax():
     for name, gamma in (("cartpole-masspole", 0.99), ("pendulum-timestep", 0.95)):
         trainer = get_cmdp(name).trainer
-        assert isinstance(trainer, JaxTrainer)
+        assert isinstance(trainer, WorldTrainer)
         assert trainer.recipe["hyperparameters"]["gamma"] == gamma
     assert isinstance(get_cmdp("cartpole-length", engine="gymnasium").trainer, SB3Trainer)
 

@@ -14,38 +14,36 @@ from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.training.jax import networks, saving
 from mbtl.training.jax.environments import Box, Discrete
-from mbtl.training.jax.traffic import learning, trpo
+from mbtl.training.jax.traffic import trpo
 from mbtl.training.jax.traffic.distributions import kl
-from mbtl.training.jax.traffic.episodes import Actor, Episodes, record
-from mbtl.training.jax.traffic.recipes import TRPORecipe, twin_recipe_named
+from mbtl.training.jax.traffic.episodes import Episodes, actor_of, record
+from mbtl.training.jax.traffic.recipes import TRPORecipe
 from mbtl.training.jax.traffic.returns import Returns, advantages
 
 BOX = Box((-1.0,), (1.0,))
 RAW = {"normalize_reward": False, "center_reward": False}
 
 
-def lived(rewards, acting=None, done=None, last_acting=False):
-    """Episodes of one agent, (D, 1, 1), with zeros to observe."""
+def lived(rewards, acting=None, done=None, last_acting=False, value=0.0):
+    """Episodes of one agent, (D, 1, 1), with zeros to observe; everything is worth `value`."""
     d = len(rewards)
 
     def column(x, dtype):
         return jnp.asarray(np.reshape(x, (d, 1, 1)), dtype)
 
     return Episodes(
-        obs=jnp.zeros((d, 1, 1, 2)),
+        obs=jnp.zeros((d, 2)),
+        row=jnp.arange(d).reshape(d, 1, 1),
         outputs=jnp.zeros((d, 1, 1, 1)),
         action=jnp.zeros((d, 1, 1, 1)),
+        value=column([value] * d, jnp.float32),
         acting=column([True] * d if acting is None else acting, bool),
         reward=column(rewards, jnp.float32),
         done=column([False] * d if done is None else done, bool),
-        last_obs=jnp.zeros((1, 1, 2)),
+        last_value=jnp.full((1, 1), value),
         last_acting=jnp.full((1, 1), last_acting),
         score=jnp.zeros(1),
     )
-
-
-def critic(value):
-    return ((jnp.zeros((2, 1)), jnp.full(1, value)),)
 
 
 # ---- parts ---------------------------------------------------------------------------------------
@@ -74,7 +72,7 @@ def test_kl_of_gaussians_and_of_choices():
 def test_advantages_are_discounted_sums_less_the_value():
     recipe = TRPORecipe(gamma=0.5, **RAW)
     advantage, target, _ = advantages(
-        recipe, critic(1.0), Returns.empty(), lived([1.0, 2.0, 4.0], last_acting=True)
+        recipe, Returns.empty(), lived([1.0, 2.0, 4.0], last_acting=True, value=1.0)
     )
     # the end of time is worth V = 1: 4 + .5, 2 + .5 (4.5), 1 + .5 (4.25)
     np.testing.assert_allclose(target[:, 0, 0], [3.125, 4.25, 4.5])
@@ -85,9 +83,8 @@ def test_an_ended_life_is_worth_nothing_more_and_the_next_one_starts_afresh():
     recipe = TRPORecipe(gamma=0.5, **RAW)
     _, target, _ = advantages(
         recipe,
-        critic(1.0),
         Returns.empty(),
-        lived([1.0, 2.0, 9.0, 4.0], acting=[1, 1, 0, 1], done=[0, 1, 0, 0]),
+        lived([1.0, 2.0, 9.0, 4.0], acting=[1, 1, 0, 1], done=[0, 1, 0, 0], value=1.0),
     )
     np.testing.assert_allclose(target[:2, 0, 0], [2.0, 2.0])
     assert float(target[3, 0, 0]) == 4.0  # nobody is there at the end
@@ -112,7 +109,7 @@ def test_running_statistics_are_those_of_all_decisions_together():
 
 def test_centred_rewards_are_scaled_by_the_deviation_of_their_own_sums():
     recipe = TRPORecipe(gamma=0.5)
-    _, target, returns = advantages(recipe, critic(0.0), Returns.empty(), lived([1.0, 2.0, 6.0]))
+    _, target, returns = advantages(recipe, Returns.empty(), lived([1.0, 2.0, 6.0]))
     sums = np.array([-2.0, -2.0, 2.0])  # of -2, -1, 3
     assert float(returns.reward_mean) == pytest.approx(3.0)
     assert float(returns.variance) == pytest.approx(sums.var(), rel=1e-5)
@@ -121,9 +118,9 @@ def test_centred_rewards_are_scaled_by_the_deviation_of_their_own_sums():
 
 def test_living_on_at_a_cost_is_worth_less_where_lives_end():
     """Of rewards of -1, less their mean, six moments would be worth no less than two."""
-    recipe = twin_recipe_named("PPO", "fast")
+    recipe = engine.recipe_named("PPO", "fast", "episodes")
     life = lived([-1.0] * 8, done=[0, 1, 0, 0, 0, 0, 0, 1])
-    _, target, _ = advantages(recipe, critic(0.0), Returns.empty(), life)
+    _, target, _ = advantages(recipe, Returns.empty(), life)
     assert float(target[2, 0, 0]) < 2.0 * float(target[0, 0, 0]) < 0.0
 
 
@@ -142,7 +139,7 @@ def one_update(bounds=1e9, **changes):
     outputs = networks.apply(weights.actor, obs)
     action = outputs + jnp.asarray(rng.standard_normal((50, 1, 1, 1)), jnp.float32)
     action = jnp.clip(action, -bounds, bounds)
-    data = lived(np.zeros(50))._replace(obs=obs, outputs=outputs, action=action)
+    data = lived(np.zeros(50))._replace(obs=obs[:, 0, 0], outputs=outputs, action=action)
     data = data._replace(reward=jnp.clip(action[..., 0], -1.0, 1.0))  # larger actions pay
     memory = trpo.start(recipe, weights)
     new, _ = learn(BOX, recipe, weights, memory, data, jnp.int32(0))
@@ -171,10 +168,15 @@ def test_a_step_that_would_not_pay_is_not_made():
 # ---- whole trainings -----------------------------------------------------------------------------
 
 
+def one_context(trainer, context):
+    twin, params = trainer.problem([context])
+    return twin, engine.context_of(params, 0)
+
+
 @pytest.mark.long
 def test_training_is_reproducible_and_goes_on_where_it_was():
     trainer = get_cmdp("ring-acc", engine="jax").trainer_for("quick")
-    twin, (params,) = trainer.problem([{"hold": 20.0}])
+    twin, params = one_context(trainer, {"hold": 20.0})
     recipe = TRPORecipe(n_episodes=2, hidden=(8,))
     saved = []
 
@@ -182,9 +184,9 @@ def test_training_is_reproducible_and_goes_on_where_it_was():
         saved.append(engine.to_arrays(block.training))
 
     options = {"checkpoint_every": 4, "checkpoint_episodes": 2}
-    whole = learning.train(twin, recipe, [1, 2], params, 8, on_block=keep, **options)
-    template = learning.start(twin, recipe, [1, 2], params)
-    rest = learning.train(
+    whole = engine.train(twin, recipe, [1, 2], params, 8, on_block=keep, **options)
+    template = engine.start(twin, recipe, [1, 2], params)
+    rest = engine.train(
         twin, recipe, [1, 2], params, 8, resume=engine.from_arrays(template, saved[0]), **options
     )
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(rest), strict=True):
@@ -217,17 +219,19 @@ def test_interrupted_trainings_of_several_holds_go_on_to_the_same_policies(tmp_p
 
 def test_episodes_record_what_was_done():
     trainer = get_cmdp("ring-vel", engine="jax").trainer_for("quick")
-    twin, (params,) = trainer.problem([{"hold": 40.0}])
+    twin, params = one_context(trainer, {"hold": 40.0})
     recipe = TRPORecipe()
-    weights = learning.start(twin, recipe, [5], params).state.weights
+    state = engine.start(twin, recipe, [5], params).state
     seeds = np.arange(3, dtype=np.uint32)[None]
-    got = record(twin, "tanh", 10, Actor(weights.actor, weights.log_std), seeds, params)
-    assert got.obs.shape == (1, 10, 3, 1, 3)
+    got = record(twin, "tanh", 10, actor_of(state.weights), seeds, params)
+    obs = got.obs[:, got.row[0]]
+    assert obs.shape == (1, 10, 3, 1, 3)
     assert set(np.unique(got.action)) <= set(range(10))
     assert got.acting.all()
-    np.testing.assert_allclose(
-        got.outputs, jax.vmap(networks.apply)(weights.actor, got.obs), atol=1e-6
-    )
+    found = (got.outputs, state.weights.actor), (got.value[..., None], state.weights.critic)
+    for of_moment, network in found:
+        whole = jax.vmap(networks.apply)(network, obs)
+        np.testing.assert_allclose(of_moment, whole, atol=1e-6)
 
 
 @pytest.mark.long

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, get_args
 
 import jax
@@ -37,13 +38,13 @@ from mbtl.training.jax.traffic.eco_state import (
 from mbtl.training.jax.traffic.eco_view import view
 from mbtl.training.jax.traffic.lane import Cars, Incomer
 from mbtl.training.jax.traffic.signal import Light
-from mbtl.training.jax.traffic.twin import Moved, Seen
+from mbtl.training.jax.traffic.twin import Moved, Seeded, Seen, everyone
 
 _FIRST_CARS = jnp.uint32(1 << 20)  # moment of random numbers, apart from those of steps
 
 
 @dataclass(frozen=True)
-class EcoTwin:
+class EcoTwin(Seeded):
     """Cars on their way through a light; constants are those of the SUMO environment.
 
     Attributes:
@@ -61,7 +62,7 @@ class EcoTwin:
         rows: cars of the straight feeder and the region; while there are as many, none enters.
         side_rows: cars of the side feeder, likewise.
         agents: A.
-        few: rows of `main` and `side` that are computed while no simulation needs more.
+        few: rows of `main` and `side` that are computed while no simulation needs more, ascending.
         reward: what agents are taught by; it changes no score.
         time_limit: how the end of an episode is reported.
     """
@@ -80,7 +81,7 @@ class EcoTwin:
     rows: int
     side_rows: int
     agents: int
-    few: tuple[int, int] = (40, 10)
+    few: tuple[tuple[int, int], ...] = ((28, 10), (64, 16))
     reward: Reward = "paper"
     time_limit: TimeLimit = "truncation"
     n_features: int = 39
@@ -113,21 +114,26 @@ class EcoTwin:
             seed=seeds,
             steps=jnp.int32(0),
         )
-        few = _cut(state, self.few)  # more do not come in the warm-up
+        short = _cut(state, _FIRST_ROWS)
         warm: EcoState = jax.lax.fori_loop(
-            0, self.warm_up, lambda _, state: self._step(state, None, params).state, few
+            0, self.warm_up, lambda _, state: self._step(state, None, params).state, short
         )
-        main, trip, side = jax.tree.map(
-            lambda all, rows: all.at[: len(rows)].set(rows),
-            (state.main, state.trip, state.side),
-            (warm.main, warm.trip, warm.side),
-        )
-        trip = trip._replace(counts=jnp.int32(main.x <= 0.0))
-        return warm._replace(main=main, trip=trip, side=side)
+        state = _put(state, warm)
+        return state._replace(trip=state.trip._replace(counts=jnp.int32(state.main.x <= 0.0)))
 
     def observe(self, state: EcoState, params: EcoParams) -> Seen:
         """The layout of `mbtl.cmdps.traffic.eco.LAYOUT`, then the visible features."""
-        return view(self.road, self.light, self.look, self.dt, state, params)
+        return everyone(self, state, params)
+
+    def acting(self, state: EcoState) -> jax.Array:
+        """See `mbtl.training.jax.traffic.twin.Crowd`."""
+        return (state.row >= 0).T
+
+    def views(
+        self, state: EcoState, params: EcoParams, simulation: jax.Array, place: jax.Array
+    ) -> jax.Array:
+        """See `mbtl.training.jax.traffic.twin.Crowd`."""
+        return view(self.road, self.light, self.look, self.dt, state, params, simulation, place)
 
     def step(self, state: EcoState, action: jax.Array, params: EcoParams) -> Moved:
         """One step in which agents accelerate as they are told."""
@@ -159,22 +165,19 @@ class EcoTwin:
     def _advance(self, state: EcoState, told: jax.Array | None, params: EcoParams) -> Moved:
         """One simulation step; `told` are accelerations of the agents, (A, n)."""
 
-        def short(state: EcoState) -> Moved:
-            moved = self._step(_cut(state, self.few), told, params)
-            new, keep = moved.state, (state.main, state.trip, state.side)
-            main, trip, side = jax.tree.map(
-                lambda old, rows: old.at[: len(rows)].set(rows),
-                keep,
-                (new.main, new.trip, new.side),
-            )
-            return moved._replace(state=new._replace(main=main, trip=trip, side=side))
+        def shortened(size: tuple[int, int], state: EcoState) -> Moved:
+            moved = self._step(_cut(state, size), told, params)
+            return moved._replace(state=_put(state, moved.state))
 
-        # each step adds at most two cars to `main` and one to `side`
-        occupied = state.main.x[self.few[0] - 2] > 0.5 * lane.EMPTY
-        occupied |= state.side.x[self.few[1] - 1] > 0.5 * lane.EMPTY
-        moved: Moved = jax.lax.cond(
-            occupied.any(), lambda state: self._step(state, told, params), short, state
-        )
+        def crowded(size: tuple[int, int]) -> jax.Array:
+            # each step adds at most two cars to `main` and one to `side`
+            occupied = state.main.x[size[0] - 2] > 0.5 * lane.EMPTY
+            return (occupied | (state.side.x[size[1] - 1] > 0.5 * lane.EMPTY)).any()
+
+        sizes = [partial(shortened, size) for size in self.few]
+        whole = partial(self._step, told=told, params=params)
+        level = jnp.int32(sum(crowded(size) for size in self.few))
+        moved: Moved = jax.lax.switch(level, [*sizes, whole], state)
         return moved
 
     def _step(self, state: EcoState, told: jax.Array | None, params: EcoParams) -> Moved:
@@ -342,15 +345,26 @@ class EcoTwin:
 
 
 _EPSILON = 0.1  # metres: SUMO lets tails enter, and fronts leave, that far from a road's end
+_FIRST_ROWS = (40, 10)  # of `main` and `side`: more cars do not come in the warm-up
 _RESERVE = 8  # rows kept for cars from the side feeder
 _UNBORN = Trip(0, -1, 0, 0.0, 0.0, 0, 0, 1)
 
 
-def _cut(state: EcoState, few: tuple[int, int]) -> EcoState:
+def _cut(state: EcoState, size: tuple[int, int]) -> EcoState:
     """The state with so many rows."""
-    main, trip = jax.tree.map(lambda field: field[: few[0]], (state.main, state.trip))
-    side = jax.tree.map(lambda field: field[: few[1]], state.side)
+    main, trip = jax.tree.map(lambda field: field[: size[0]], (state.main, state.trip))
+    side = jax.tree.map(lambda field: field[: size[1]], state.side)
     return state._replace(main=main, trip=trip, side=side)
+
+
+def _put(state: EcoState, few: EcoState) -> EcoState:
+    """The second state, behind its rows those of the first."""
+    main, trip, side = jax.tree.map(
+        lambda all, rows: all.at[: len(rows)].set(rows),
+        (state.main, state.trip, state.side),
+        (few.main, few.trip, few.side),
+    )
+    return few._replace(main=main, trip=trip, side=side)
 
 
 def _at(field: jax.Array, rows: jax.Array) -> jax.Array:

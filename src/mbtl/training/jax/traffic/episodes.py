@@ -9,7 +9,7 @@ Random actions too are functions of the episode's seed, which makes it independe
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,8 @@ from mbtl.training.jax.export import import_actors
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
 from mbtl.training.jax.traffic import random
-from mbtl.training.jax.traffic.twin import Moved, Seen, Twin
+from mbtl.training.jax.traffic.packing import Agents, chunk_size, most_rows
+from mbtl.training.jax.traffic.twin import Crowd, Moved, Twin
 
 Acting = Literal["sampled", "mean", "random", "none"]
 """How actions follow from a policy: drawn, the most likely one, or not: any, or no advice."""
@@ -36,10 +37,17 @@ class Actor(NamedTuple):
     Attributes:
         network: leading axis P.
         log_std: (P, d) of a Gaussian, (P, 0) for discrete actions.
+        critic: leading axis P; () where nobody learns.
     """
 
     network: Network
     log_std: jax.Array
+    critic: Network = ()
+
+
+def actor_of(weights: Any) -> Actor:
+    """What P policies have learnt, as it plays and watches."""
+    return Actor(weights.actor, weights.log_std, weights.critic)
 
 
 def import_actor(policies: list[MLPPolicy]) -> Actor:
@@ -52,26 +60,57 @@ class Episodes(NamedTuple):
     """What was lived through; leading axes (P, D, E, A) unless said otherwise.
 
     Attributes:
-        obs: (..., f).
+        obs: (P, rows, f) of agents that decided, one after the other; then nonsense.
+        row: of `obs`; any where nobody decided.
         outputs: (..., m) of the actor that played.
         action: integers, or (..., d).
+        value: of the critic that watched.
         acting: there was an agent that decided.
         reward: until the next decision.
         done: the life of the agent ended then.
-        last_obs: (P, E, A, f) after the last decision.
+        last_value: (P, E, A) after the last decision.
         last_acting: (P, E, A) whose life goes on then; nobody's at a time limit that is terminal.
         score: (P, E).
     """
 
     obs: jax.Array
+    row: jax.Array
     outputs: jax.Array
     action: jax.Array
+    value: jax.Array
     acting: jax.Array
     reward: jax.Array
     done: jax.Array
-    last_obs: jax.Array
+    last_value: jax.Array
     last_acting: jax.Array
     score: jax.Array
+
+
+BY_DECISION = ("row", "outputs", "action", "value", "acting", "reward", "done")
+"""Fields of `Episodes` with axes (P, D, E, ...); but for `obs` the others have (P, E, ...)."""
+
+
+def delayed(lived: Episodes, decisions: int) -> Episodes:
+    """The same episodes after so many decisions of nobody."""
+
+    def later(x: jax.Array) -> jax.Array:
+        return jnp.pad(x, [(0, 0), (decisions, 0)] + [(0, 0)] * (x.ndim - 2))
+
+    return lived._replace(**{name: later(getattr(lived, name)) for name in BY_DECISION})
+
+
+def joined(each: list[Episodes]) -> Episodes:
+    """Episodes of the same policies and of as many decisions, side by side."""
+    first, rows = 0, []
+    for lived in each:
+        rows.append(lived._replace(row=lived.row + first))
+        first += lived.obs.shape[1]
+
+    def together(name: str) -> jax.Array:
+        axis = 2 if name in BY_DECISION else 1
+        return jnp.concatenate([getattr(lived, name) for lived in rows], axis=axis)
+
+    return Episodes(*map(together, Episodes._fields))
 
 
 def record(
@@ -89,48 +128,144 @@ def record(
         twin: the dynamics; static.
         activation: between the layers of the actor; static.
         decisions: of an episode at most; static.
-        actor: of P policies.
+        actor: of P policies, with their critics.
         seeds: (P, E) uint32, one per episode.
-        params: of one context.
+        params: of one context, or of every simulation.
         lasting: decisions of an episode in this context, where one program serves several: before
             the first of them nobody acts. That is no delay of what comes later, and advantages run
             from the end of an episode to its beginning. None: as many as at most.
     """
-    shape = seeds.shape
-    flat = seeds.reshape(-1)
+    shape, flat = seeds.shape, seeds.reshape(-1)
+    crowd = isinstance(twin, Crowd)
+    played = (actor.network, actor.critic) if crowd else (actor.network,)
+    watch = partial(_watched, twin, activation, params, shape)
 
     def split(x: jax.Array) -> jax.Array:
         return x.reshape(*shape, *x.shape[1:])
 
     idle = jnp.uint32(0) if lasting is None else (decisions - lasting).astype(jnp.uint32)
 
-    def step(state: Tree, seen: Seen, action: jax.Array) -> tuple[Moved, jax.Array]:
+    def step(state: Tree, action: jax.Array) -> Moved:
         applied = networks.to_environment(action, twin.action)
-        return twin.step(state, applied.reshape(-1, *action.shape[2:]), params), seen.acting
+        return twin.step(state, applied.reshape(-1, *action.shape[2:]), params)
 
-    def wait(state: Tree, seen: Seen, action: jax.Array) -> tuple[Moved, jax.Array]:
-        nobody = jnp.zeros_like(seen.acting)
-        return Moved(state, nobody.astype(jnp.float32), nobody), nobody
+    def wait(state: Tree, action: jax.Array) -> Moved:
+        nobody = jnp.zeros((len(flat), twin.agents), bool)
+        return Moved(state, nobody.astype(jnp.float32), nobody)
 
-    def one(state: Tree, moment: jax.Array) -> tuple[Tree, tuple[jax.Array, ...]]:
-        seen = twin.observe(state, params)
-        obs = split(seen.obs)
-        outputs = _outputs(actor, obs, activation)
-        action = _sampled(twin, actor, outputs, flat, moment - idle)
-        if lasting is None:
-            moved, acting = step(state, seen, action)
+    def one(carry: tuple[Tree, Rows], moment: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
+        state, rows = carry
+        playing = None if lasting is None else moment >= idle
+        seen, rows = watch(played, state, rows, playing)
+        action = _sampled(twin, actor, seen.found[0], flat, moment - idle)
+        if playing is None:
+            moved = step(state, action)
         else:
-            moved, acting = jax.lax.cond(moment >= idle, step, wait, state, seen, action)
-        row = (obs, outputs, action, *map(split, (acting, moved.reward, moved.done)))
-        return moved.state, row
+            moved = jax.lax.cond(playing, step, wait, state, action)
+        now = map(split, (moved.reward, moved.done))
+        return (moved.state, rows), (seen.row, action, seen.acting, *now, *seen.found)
 
+    places = shape[1] * twin.agents
+    most = decisions * (most_rows(places) if crowd else places)
+    n_features = twin.n_features + params.visible.shape[-1]
+    rows = Rows(jnp.zeros((shape[0], most, n_features)), jnp.int32(0))
     moments = jnp.arange(decisions, dtype=jnp.uint32)
-    state, by_moment = jax.lax.scan(one, twin.start(flat, params), moments)
-    rows = [jnp.moveaxis(x, 0, 1) for x in by_moment]
-    last = twin.observe(state, params)
-    goes_on = last.acting & (twin.time_limit == "truncation")
-    rows += [split(last.obs), split(goes_on), split(twin.score(state))]
-    return Episodes(*rows)
+    (state, rows), by_moment = jax.lax.scan(one, (twin.start(flat, params), rows), moments)
+    row, action, acting, reward, done, *found = (jnp.moveaxis(x, 0, 1) for x in by_moment)
+    if not crowd:  # all rows at once are faster where none is empty
+        found.append(_each(activation, actor.critic, rows.obs).reshape(*row.shape, 1))
+    last, _ = watch((actor.critic,), state, None, None)
+    return Episodes(
+        obs=rows.obs,
+        row=row,
+        outputs=found[0],
+        action=action,
+        value=found[1][..., 0],
+        acting=acting,
+        reward=reward,
+        done=done,
+        last_value=last.found[0][..., 0],
+        last_acting=last.acting & (twin.time_limit == "truncation"),
+        score=split(twin.score(state)),
+    )
+
+
+class Rows(NamedTuple):
+    """Observations so far, (P, rows, f), and how many of the rows are used."""
+
+    obs: jax.Array
+    used: jax.Array
+
+
+class _Watched(NamedTuple):
+    """A moment: who acts, (P, E, A), what networks say of it, (P, E, A, m) each, and its rows."""
+
+    acting: jax.Array
+    found: tuple[jax.Array, ...]
+    row: jax.Array
+
+
+def _watched(
+    twin: Twin,
+    activation: Activation,
+    params: Tree,
+    shape: tuple[int, ...],
+    played: tuple[Network, ...],
+    state: Tree,
+    rows: Rows | None,
+    playing: jax.Array | None,
+) -> tuple[_Watched, Any]:
+    """Networks of P policies applied to what their agents see; 0 where there is none.
+
+    Args:
+        twin: the dynamics.
+        activation: between the layers.
+        params: of one context, or of every simulation.
+        shape: (P, E).
+        played: networks, leading axis P.
+        state: of the simulations.
+        rows: where to keep observations.
+        playing: whether anybody may act at this moment.
+    """
+    used = jnp.int32(0) if rows is None else rows.used
+
+    def kept(rows: Rows | None, obs: jax.Array, at: jax.Array) -> Rows | None:
+        if rows is None:
+            return None
+        return rows._replace(obs=jax.lax.dynamic_update_slice(rows.obs, obs, (0, at, 0)))
+
+    if not isinstance(twin, Crowd):
+        obs, acting = twin.observe(state, params)
+        acting = acting.reshape(*shape, -1)
+        acting &= True if playing is None else playing
+        obs = obs.reshape(*acting.shape, -1)
+        found = tuple(_each(activation, network, obs) for network in played)
+        row = used + jnp.arange(acting[0].size).reshape(acting.shape[1:])
+        rows = kept(rows, obs.reshape(len(obs), -1, obs.shape[-1]), used)
+        if rows is not None:
+            rows = rows._replace(used=used + acting[0].size)
+        return _Watched(acting, found, jnp.broadcast_to(row, acting.shape)), rows
+
+    acting = twin.acting(state).reshape(*shape, -1)
+    acting &= True if playing is None else playing
+    agents = Agents.of(acting)
+    size = chunk_size(acting[0].size)
+
+    def chunk(carry: tuple[jax.Array, Any, Any]) -> tuple[jax.Array, Any, Any]:
+        start, found, rows = carry
+        obs = twin.views(state, params, *agents.chunk(start, size))
+        new = (_each(activation, network, obs) for network in played)
+        found = tuple(agents.spread(x, start, into) for x, into in zip(new, found, strict=True))
+        return start + size, found, kept(rows, obs, used + start)
+
+    def more(carry: tuple[jax.Array, Any, Any]) -> jax.Array:
+        return carry[0] < agents.most
+
+    nothing = tuple(jnp.zeros((*acting.shape, network[-1][1].shape[-1])) for network in played)
+    end, found, rows = jax.lax.while_loop(more, chunk, (jnp.int32(0), nothing, rows))
+    if rows is not None:
+        rows = rows._replace(used=used + end)
+    return _Watched(acting, found, used + agents.number), rows
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
@@ -140,23 +275,30 @@ def scores(
     how: Acting,
     actor: Actor,
     seeds: jax.Array,
+    drawn: jax.Array,
     params: Tree,
     decisions: jax.Array,
 ) -> jax.Array:
-    """(P, E) scores; arguments as in `record`, `decisions` a scalar.
+    """(P, E) scores; arguments as in `record`, `drawn` is `World.draws` of the seeds.
 
-    One compiled program serves all contexts.
+    One compiled program serves all contexts; it ends as soon as all episodes have.
     """
     shape, flat = seeds.shape, seeds.reshape(-1)
+    watch = partial(_watched, twin, activation, params, shape, (actor.network,))
+
+    def going_on(carry: tuple[jax.Array, Tree]) -> jax.Array:
+        return (carry[0] < decisions) & ~twin.over(carry[1]).all()
+
+    def next_one(carry: tuple[jax.Array, Tree]) -> tuple[jax.Array, Tree]:
+        return carry[0] + 1, one(*carry)
 
     def one(moment: jax.Array, state: Tree) -> Tree:
         if how == "none":
             return twin.drive(state, params).state
         if how == "random":
-            action = _uniform(twin, flat, jnp.uint32(moment))
+            action = twin.any_actions(flat, moment)
             return twin.step(state, action, params).state
-        obs = twin.observe(state, params).obs
-        outputs = _outputs(actor, obs.reshape(*shape, *obs.shape[1:]), activation)
+        (outputs,) = watch(state, None, None)[0].found
         if how == "sampled":
             action = _sampled(twin, actor, outputs, flat, jnp.uint32(moment))
             action = networks.to_environment(action, twin.action)
@@ -164,24 +306,15 @@ def scores(
             action = networks.mode(outputs, twin.action)
         return twin.step(state, action.reshape(-1, *action.shape[2:]), params).state
 
-    state = jax.lax.fori_loop(0, decisions, one, twin.start(flat, params))
+    first = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
+    _, state = jax.lax.while_loop(going_on, next_one, (jnp.int32(0), first))
     return twin.score(state).reshape(shape)
 
 
-def _uniform(twin: Twin, seeds: jax.Array, moment: jax.Array) -> jax.Array:
-    """(n, A) or (n, A, d) actions, any as likely as another."""
-    if isinstance(twin.action, Discrete):
-        draw = random.uniform(seeds, _ACTION, moment, twin.agents).T
-        return jnp.floor(draw * twin.action.n).astype(jnp.int32)
-    low, high = jnp.asarray(twin.action.low), jnp.asarray(twin.action.high)
-    draw = random.uniform(seeds, _ACTION, moment, twin.agents * len(low)).T
-    return low + (high - low) * draw.reshape(-1, twin.agents, len(low))
-
-
-def _outputs(actor: Actor, obs: jax.Array, activation: Activation) -> jax.Array:
-    """(P, E, A, f) -> (P, E, A, m)."""
+def _each(activation: Activation, network: Network, obs: jax.Array) -> jax.Array:
+    """(P, ..., f) -> (P, ..., m), each policy its own."""
     each = partial(networks.apply, activation=activation)
-    outputs: jax.Array = jax.vmap(each)(actor.network, obs)
+    outputs: jax.Array = jax.vmap(each)(network, obs)
     return outputs
 
 

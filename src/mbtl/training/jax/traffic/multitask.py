@@ -15,26 +15,25 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.seeds import Purpose, derive_seed
 from mbtl.training.jax.blocks import Block, Schedule, Training, in_blocks
 from mbtl.training.jax.environments import Tree
+from mbtl.training.jax.loop import checkpoint_seeds, judged, start
 from mbtl.training.jax.recipes import Activation, check_lengths
 from mbtl.training.jax.traffic import random
-from mbtl.training.jax.traffic.episodes import Acting, Episodes, record, scores
-from mbtl.training.jax.traffic.learning import (
-    State,
+from mbtl.training.jax.traffic.episodes import (
+    Acting,
+    Episodes,
     actor_of,
-    episode_seeds,
-    judged,
-    learnt,
-    start,
+    delayed,
+    joined,
+    record,
+    scores,
 )
+from mbtl.training.jax.traffic.learning import State, episode_seeds, learnt
 from mbtl.training.jax.traffic.recipes import TwinRecipe
 from mbtl.training.jax.traffic.twin import Twin
 
 _CONTEXT = 1 << 22  # stream of random numbers: the contexts of updates
-_BY_DECISION = ("obs", "outputs", "action", "acting", "reward", "done")
-"""Fields of `Episodes` with axes (P, D, E, ...); the others have (P, E, ...)."""
 
 
 def train_on_all(
@@ -76,8 +75,7 @@ def train_on_all(
     )
     lasting = [twin.decisions(one) for one in contexts]
     most = [max(d for d in lasting if d.bit_length() == own.bit_length()) for own in lasting]
-    numbers = range(checkpoint_episodes)
-    tests = np.array([[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers]], np.uint32)
+    tests = checkpoint_seeds([seed], checkpoint_episodes)
 
     def advance(training: Training, count: int) -> tuple[Training, jax.Array]:
         for number in range(int(training.updates), int(training.updates) + count):
@@ -91,9 +89,11 @@ def train_on_all(
                 for k, i in enumerate(met.tolist())
             ]  # fmt: skip
             training = _updated(twin, recipe, training, lived)
-        actor = actor_of(training.state)
+        actor = actor_of(training.state.weights)
         found = [
-            scores(twin, recipe.activation, acting, actor, tests, one, decisions).mean(axis=1)
+            scores(twin, recipe.activation, acting, actor, tests, tests, one, decisions).mean(
+                axis=1
+            )
             for one, decisions in zip(contexts, lasting, strict=True)
         ]
         return judged(training, jnp.stack(found).mean(axis=0))
@@ -126,23 +126,12 @@ def _lived(
     lasting: jax.Array,
 ) -> Episodes:
     """Episodes of `lasting` decisions, `most` at most, as if there were `longest`."""
-    lived = record(twin, activation, most, actor_of(state), seeds, params, lasting)
-    before = longest - most
-
-    def later(x: jax.Array) -> jax.Array:
-        return jnp.pad(x, [(0, 0), (before, 0)] + [(0, 0)] * (x.ndim - 2))
-
-    return lived._replace(**{name: later(getattr(lived, name)) for name in _BY_DECISION})
+    lived = record(twin, activation, most, actor_of(state.weights), seeds, params, lasting)
+    return delayed(lived, longest - most)
 
 
 @partial(jax.jit, static_argnums=(0, 1), donate_argnums=2)
 def _updated(twin: Twin, recipe: TwinRecipe, training: Training, lived: list[Episodes]) -> Training:
     """One update with an episode of each of the contexts met."""
-
-    def joined(name: str) -> jax.Array:
-        fields = [getattr(one, name) for one in lived]
-        return jnp.concatenate(fields, axis=2 if name in _BY_DECISION else 1)
-
-    together = Episodes(*map(joined, Episodes._fields))
-    state = learnt(twin, recipe, training.state, training.updates, together)
+    state = learnt(twin, recipe, training.state, training.updates, joined(lived))
     return training._replace(state=state, updates=training.updates + 1)

@@ -134,15 +134,17 @@ def _rows(
     key: jax.Array,
 ) -> tuple[Batch, Returns]:
     """A random `recipe.rows` of the decisions; fewer are filled up with rows of weight 0."""
-    advantage, target, returns = advantages(recipe, weights.critic, returns, lived)
+    advantage, target, returns = advantages(recipe, returns, lived)
     draw = jax.random.uniform(key, lived.acting.shape)
     found, rows = jax.lax.top_k(jnp.where(lived.acting, draw, -1.0).reshape(-1), recipe.rows)
     weight = (found >= 0.0).astype(jnp.float32)
-    columns = (lived.obs, lived.outputs, lived.action, advantage, target)
-    obs, outputs, action, advantage, target = (x.reshape(-1, *x.shape[3:])[rows] for x in columns)
+    columns = (lived.row, lived.outputs, lived.action, advantage, target, lived.value)
+    row, outputs, action, advantage, target, value = (
+        x.reshape(-1, *x.shape[3:])[rows] for x in columns
+    )
+    obs = lived.obs[row]
     if recipe.normalize_advantage:
         advantage = standard(advantage, weight)
-    value = networks.apply(weights.critic, obs, recipe.activation)[..., 0]
     log_prob = networks.log_prob(outputs, weights.log_std, action, space)
     return Batch(obs, outputs, action, log_prob, advantage, target, value, weight), returns
 

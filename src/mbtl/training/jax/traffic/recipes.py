@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.recipes import Activation, check_counts, named, record_of
+from mbtl.training.jax.recipes import Activation, check_counts, record_of
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class TRPORecipe:
         InvalidInput: a count is below 1.
     """
 
+    unit: ClassVar[str] = "episodes"
     n_episodes: int = 1
     gamma: float = 0.999
     gae_lambda: float = 1.0
@@ -64,6 +66,11 @@ class TRPORecipe:
 
     def __post_init__(self) -> None:
         check_counts(self, "n_episodes", "cg_steps", "backtracks", "critic_passes")
+
+    @property
+    def update_length(self) -> int:
+        """Episodes of one policy between two updates."""
+        return self.n_episodes
 
     @property
     def record(self) -> dict[str, object]:
@@ -104,6 +111,7 @@ class EpisodicPPORecipe:
         InvalidInput: a count is below 1, or the minibatches do not fill the rows.
     """
 
+    unit: ClassVar[str] = "episodes"
     n_episodes: int = 1
     rows: int = 8000
     minibatches: int = 40
@@ -133,6 +141,11 @@ class EpisodicPPORecipe:
             raise InvalidInput(
                 f"minibatches must divide rows = {self.rows}, got {self.minibatches}"
             )
+
+    @property
+    def update_length(self) -> int:
+        """Episodes of one policy between two updates."""
+        return self.n_episodes
 
     @property
     def record(self) -> dict[str, object]:
@@ -169,12 +182,3 @@ TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
     },
 }
 """Recipes by algorithm and name; `paper` is the spec's, `fast` ends sooner on a CPU."""
-
-
-def twin_recipe_named(algorithm: str, name: str) -> TwinRecipe:
-    """The recipe called `name` of `TWIN_RECIPES`.
-
-    Raises:
-        UnknownName: there is none.
-    """
-    return named(TWIN_RECIPES, algorithm, name)

@@ -7,9 +7,6 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
-from mbtl.training.jax import networks
-from mbtl.training.jax.networks import Network
-from mbtl.training.jax.recipes import Activation
 from mbtl.training.jax.traffic.distributions import mean_of
 from mbtl.training.jax.traffic.episodes import Episodes
 
@@ -25,8 +22,6 @@ class Discounting(Protocol):
     def normalize_reward(self) -> bool: ...  # noqa: D102
     @property
     def center_reward(self) -> bool: ...  # noqa: D102
-    @property
-    def activation(self) -> Activation: ...  # noqa: D102
 
 
 class Returns(NamedTuple):
@@ -79,7 +74,7 @@ class Returns(NamedTuple):
 
 
 def advantages(
-    recipe: Discounting, critic: Network, returns: Returns, lived: Episodes
+    recipe: Discounting, returns: Returns, lived: Episodes
 ) -> tuple[jax.Array, jax.Array, Returns]:
     """Generalised advantage estimates along each agent's life.
 
@@ -88,7 +83,6 @@ def advantages(
 
     Args:
         recipe: what a return is.
-        critic: obs -> value.
         returns: running statistics before these episodes.
         lived: of one policy, axes (D, E, A).
 
@@ -100,9 +94,8 @@ def advantages(
     if recipe.normalize_reward:
         reward = reward * jax.lax.rsqrt(returns.variance + 1e-8)
     reward = jnp.where(lived.acting, reward, 0.0)
-    value = networks.apply(critic, lived.obs, recipe.activation)[..., 0]
-    last = networks.apply(critic, lived.last_obs, recipe.activation)[..., 0]
-    last = jnp.where(lived.last_acting, last, 0.0)
+    value = lived.value
+    last = jnp.where(lived.last_acting, lived.last_value, 0.0)
     following = jnp.concatenate([value[1:], last[None]])
     alive = ~lived.done
     delta = reward + recipe.gamma * jnp.where(alive, following, 0.0) - value

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from mbtl.training.jax.environments import Box, Discrete, TimeLimit
 from mbtl.training.jax.traffic import random
 from mbtl.training.jax.traffic.idm import IDM, follow, obey
-from mbtl.training.jax.traffic.twin import Moved, Seen
+from mbtl.training.jax.traffic.twin import Moved, Seeded, Seen
 
 _SHARES, _FACTORS, _NOISE = range(3)  # streams of random numbers
 
@@ -66,7 +66,7 @@ Advice = Callable[[RingState], jax.Array]
 
 
 @dataclass(frozen=True)
-class RingTwin:
+class RingTwin(Seeded):
     """One advised car among many; constants are those of the SUMO environment.
 
     Attributes:

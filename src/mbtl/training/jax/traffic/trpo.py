@@ -79,11 +79,11 @@ def learn(
         lived: its episodes, without the axis of policies.
         number: of the update; unused, as nothing is drawn.
     """
-    advantage, target, returns = advantages(recipe, weights.critic, memory.returns, lived)
+    advantage, target, returns = advantages(recipe, memory.returns, lived)
     actions = lived.action
     if recipe.clip_actions:
         actions = networks.to_environment(actions, action)
-    rows = (lived.obs, lived.outputs, actions, advantage, target, lived.acting)
+    rows = (lived.obs[lived.row], lived.outputs, actions, advantage, target, lived.acting)
     batch = Batch(*(x.reshape(-1, *x.shape[3:]) for x in rows))
     batch = batch._replace(weight=batch.weight.astype(jnp.float32))
     if recipe.normalize_advantage:
