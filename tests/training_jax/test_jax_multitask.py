@@ -324,7 +324,7 @@ def test_a_run_killed_at_any_time_goes_on(tmp_path):
         PENDULUM, recipe, params, [0, 1], 960, folder, on_progress=lambda *x: told.append(x[0]),
         **settings,
     )  # fmt: skip
-    assert set(told) == {1}
+    assert told.count(0) == 1  # it had ended
     for name in ("best", "final"):
         np.testing.assert_array_equal(again.returns[name], whole.returns[name])
         np.testing.assert_array_equal(again.std[name], whole.std[name])

@@ -208,7 +208,7 @@ def test_interrupted_trainings_of_several_holds_go_on_to_the_same_policies(tmp_p
     with pytest.raises(KeyboardInterrupt):
         trainer.train_many(contexts, [0, 1, 2], stop, partial=file)
     rest = trainer.train_many(contexts, [0, 1, 2], stop, partial=file)
-    assert heard[7:] == [3, 4, 1, 2, 3, 4]  # the first is done, of the second two were saved
+    assert heard[7:] == [4, 3, 4, 1, 2, 3, 4]  # the first is done, of the second two were saved
     whole = trainer.train_many(contexts, [0, 1, 2])
     for checkpoint in ("best", "final"):
         for one, other in zip(whole[checkpoint], rest[checkpoint], strict=True):

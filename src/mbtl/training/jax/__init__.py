@@ -13,9 +13,10 @@ from mbtl.training.jax import flags as flags  # isort: skip  # first: it starts 
 from mbtl.training.jax.algorithms import recipe_named
 from mbtl.training.jax.blocks import Block, Training, from_arrays, to_arrays, weights_of
 from mbtl.training.jax.cartpole import CartPole
-from mbtl.training.jax.environments import Environment
+from mbtl.training.jax.environments import Box, Discrete, Environment, Step
 from mbtl.training.jax.evaluation import evaluate, on_cpu, reference_returns
 from mbtl.training.jax.export import export_policies
+from mbtl.training.jax.hosted import hosted
 from mbtl.training.jax.loop import start, train
 from mbtl.training.jax.multitask.run import MultiTaskRun, multitask_settings, run_multitask
 from mbtl.training.jax.multitask.training import (
@@ -41,8 +42,10 @@ __all__ = [
     "RECIPES",
     "A2CRecipe",
     "Block",
+    "Box",
     "CartPole",
     "DQNRecipe",
+    "Discrete",
     "Environment",
     "MultiTaskRecipe",
     "MultiTaskRun",
@@ -51,6 +54,7 @@ __all__ = [
     "Recipe",
     "SavedTraining",
     "Solo",
+    "Step",
     "Training",
     "World",
     "actor_of",
@@ -59,6 +63,7 @@ __all__ = [
     "evaluate_multitask",
     "export_policies",
     "from_arrays",
+    "hosted",
     "import_actor",
     "multitask_recipe",
     "multitask_settings",

@@ -8,7 +8,8 @@ Networks of this size are computed faster by one thread than by several that wai
 Another hang, that of batched QR factorisations, is avoided in `networks.init_weights`.
 
 The settings travel in the environment of the process. They are there while jax starts and no
-longer: what a user's program starts later must not inherit them.
+longer: what a user's program starts later must not inherit them. Where compiled programs are kept
+is in `cache`.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from importlib.util import find_spec
 
 from mbtl.errors import missing_extra
 from mbtl.processes import usable_cores
+from mbtl.training.jax.cache import keep_programs
 
 SAFE_FLAGS = {"--xla_cpu_enable_concurrency_optimized_scheduler": "false"}
 _FLAGS, _THREADS = "XLA_FLAGS", "NPROC"
@@ -61,6 +63,7 @@ def start_jax() -> None:
         return
     with lent(settings(os.environ)):
         jax.devices()
+    keep_programs(os.environ)
 
 
 def _runs() -> bool:

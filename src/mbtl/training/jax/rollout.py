@@ -167,8 +167,7 @@ def advance(
     context, turn = copies.context, copies.turn
     if context is not None and turn is not None:
         context, turn = take_turns(context, turn, done, params.visible.shape[0])
-    fresh = world.start(noise, _own(params, context))
-    state = jax.tree.map(lambda s, n: jnp.where(done, s, n), fresh, moved.state)
+    state = world.restart(moved.state, done, noise, _own(params, context))
     elapsed = jnp.where(done, 0, copies.elapsed + 1)
     if world.time_limit == "terminal":
         terminated = done

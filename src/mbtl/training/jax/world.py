@@ -262,6 +262,15 @@ class Solo:
         state = jax.vmap(self.env.initial, (0, _axis(params)))(drawn, params)
         return Played(state, jnp.ones(len(drawn), bool), jnp.zeros(len(drawn)))
 
+    def restart(self, state: Played, over: jax.Array, noise: jax.Array, params: Tree) -> Played:
+        """The states, but first ones where a simulation is over, (n,)."""
+        if not hasattr(self.env, "restart"):
+            fresh = self.start(noise, params)
+            played: Played = jax.tree.map(lambda s, n: jnp.where(over, s, n), fresh, state)
+            return played
+        env = jax.vmap(self.env.restart, (0, 0, 0, _axis(params)))(state.env, over, noise, params)
+        return Played(env, state.alive | over, jnp.where(over, 0.0, state.total))
+
     def observe(self, state: Played, params: Tree) -> Seen:
         """Of the one agent, while it is alive."""
         obs = jax.vmap(self.env.observe, (0, _axis(params)))(state.env, params)
