@@ -58,6 +58,8 @@ class WorldTrainer:
             best cannot change once it has the largest return there is, so training ends there.
         checkpoint_every: steps or episodes between those evaluations; default 2 % of the training.
         checkpoint_episodes: episodes of each.
+        reward: what training is rewarded by, a name that the world knows; None: by its own reward.
+            It changes no score.
 
     Raises:
         InvalidInput: a number is not positive, there is not one of `timesteps` and `episodes`, or
@@ -77,6 +79,7 @@ class WorldTrainer:
     checkpoint: Literal["final", "best"] = "best"
     checkpoint_every: int | None = None
     checkpoint_episodes: int = 10
+    reward: str | None = None
 
     policy_format = "mlp"
 
@@ -155,6 +158,7 @@ class WorldTrainer:
             "checkpoint_every": self.checkpoint_every,
             "checkpoint_episodes": self.checkpoint_episodes,
             "eval_episodes": self.eval_episodes,
+            **({} if self.reward is None else {"reward": self.reward}),
         }
 
     @property
@@ -221,7 +225,7 @@ class WorldTrainer:
         """
         import mbtl.training.jax as engine
 
-        world, params = self.problem(contexts)
+        world, params = self._lessons(contexts)
         recipe, marks = self.learner, shares_of(keep)
         saved = engine.SavedTraining(partial)
         policies: dict[str, list[MLPPolicy]] = {name: [] for name in keep}
@@ -290,7 +294,7 @@ class WorldTrainer:
             self._tell(on_progress, block)
             saved.save(block.training)
 
-        world, stacked = self.problem(contexts)
+        world, stacked = self._lessons(contexts)
         params = [engine.context_of(stacked, i) for i in range(len(contexts))]
         recipe = self.learner
         training = train_on_all(
@@ -316,6 +320,16 @@ class WorldTrainer:
         recipe = self.learner
         weights = engine.start(world, recipe, [0], params).state.weights
         return engine.export_policies(world, weights, recipe.activation)[0]
+
+    def _lessons(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
+        """The world as it teaches, and the parameters of the contexts."""
+        world, params = self.problem(contexts)
+        if self.reward is None:
+            return world, params
+        known = getattr(world, "rewards", ())
+        if self.reward not in known:
+            raise unknown_name("reward of this world", self.reward, known)
+        return replace(world, reward=self.reward), params
 
     def _tell(self, on_progress: OnProgress | None, block: Any) -> None:
         if on_progress is None:

@@ -47,7 +47,13 @@ def init(
         n_inputs = world.n_features + params.visible.shape[-1]
         each = [
             networks.init_weights(
-                seed, n_inputs, world.action, recipe.hidden, recipe.log_std, recipe.critic_gain
+                seed,
+                n_inputs,
+                world.action,
+                recipe.hidden,
+                recipe.log_std,
+                recipe.critic_gain,
+                recipe.first_action,
             )
             for seed in seeds
         ]

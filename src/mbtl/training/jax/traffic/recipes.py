@@ -35,6 +35,7 @@ class TRPORecipe:
             it pays, or costs, to live on.
         hidden: widths of the hidden layers of actor and critic.
         log_std: initial log standard deviation of a Gaussian policy.
+        first_action: its mean before the first update, in every dimension.
         activation: between the layers.
 
     Raises:
@@ -60,6 +61,7 @@ class TRPORecipe:
     center_reward: bool = True
     hidden: tuple[int, ...] = (64, 64)
     log_std: float = 0.0
+    first_action: float = 0.0
     activation: Activation = "tanh"
 
     def __post_init__(self) -> None:
@@ -102,6 +104,7 @@ class EpisodicPPORecipe:
         critic_gain: of the critic's last layer at the start.
         hidden: widths of the hidden layers of actor and critic.
         log_std: initial log standard deviation of a Gaussian policy.
+        first_action: its mean before the first update, in every dimension.
         activation: between the layers.
 
     Raises:
@@ -129,6 +132,7 @@ class EpisodicPPORecipe:
     critic_gain: float = 0.01
     hidden: tuple[int, ...] = (256, 256, 256, 256)
     log_std: float = 0.0
+    first_action: float = 0.0
     activation: Activation = "tanh"
 
     def __post_init__(self) -> None:
