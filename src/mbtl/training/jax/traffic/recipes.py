@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from mbtl.errors import InvalidInput
 from mbtl.training.jax.recipes import Activation, check_counts, record_of
@@ -36,6 +36,7 @@ class TRPORecipe:
         hidden: widths of the hidden layers of actor and critic.
         log_std: initial log standard deviation of a Gaussian policy.
         activation: between the layers.
+        credit: whose rewards an action is worth (`team`).
 
     Raises:
         InvalidInput: a count is below 1.
@@ -61,6 +62,7 @@ class TRPORecipe:
     hidden: tuple[int, ...] = (64, 64)
     log_std: float = 0.0
     activation: Activation = "tanh"
+    credit: Literal["own", "team"] = "own"
 
     def __post_init__(self) -> None:
         check_counts(self, "n_episodes", "cg_steps", "backtracks", "critic_passes")
@@ -103,6 +105,7 @@ class EpisodicPPORecipe:
         hidden: widths of the hidden layers of actor and critic.
         log_std: initial log standard deviation of a Gaussian policy.
         activation: between the layers.
+        credit: whose rewards an action is worth (`team`).
 
     Raises:
         InvalidInput: a count is below 1, or the minibatches do not fill the rows.
@@ -130,6 +133,7 @@ class EpisodicPPORecipe:
     hidden: tuple[int, ...] = (256, 256, 256, 256)
     log_std: float = 0.0
     activation: Activation = "tanh"
+    credit: Literal["own", "team"] = "own"
 
     def __post_init__(self) -> None:
         check_counts(self, "n_episodes", "rows", "minibatches", "n_epochs")
@@ -152,7 +156,15 @@ class EpisodicPPORecipe:
 TwinRecipe = TRPORecipe | EpisodicPPORecipe
 
 TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
-    "TRPO": {"paper": TRPORecipe()},
+    "TRPO": {
+        "paper": TRPORecipe(),
+        "team": TRPORecipe(
+            critic_learning_rate=1e-3,
+            normalize_reward=False,
+            center_reward=False,
+            credit="team",
+        ),
+    },
     "PPO": {
         "paper": EpisodicPPORecipe(),
         "fast": EpisodicPPORecipe(
