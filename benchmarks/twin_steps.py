@@ -82,9 +82,8 @@ def compared(kind: str, steps: list[tuple[Any, ...]], every: int) -> Iterator[di
         later = dict(zip(steps[t + 1][-1], steps[t + 1][2], strict=True))
         for q, mask in enumerate((main & (x <= 0), ~main & (x <= 0), x > 0)):
             own = np.flatnonzero(mask)[np.argsort(-x[mask])]
-            # who is told anything: to stand where that is what all are told, else as it may be
-            stands = np.where(told[own] & (now[own] == 0.0), 0.0, np.inf)
-            columns = (x[own], now[own], wish[own], stands, np.where(main[own], 1, RAMP_CAR))
+            obeyed = [later.get(names[i], np.inf) if told[i] else np.inf for i in own]
+            columns = (x[own], now[own], wish[own], obeyed, np.where(main[own], 1, RAMP_CAR))
             for field, values in zip(queues[q], columns, strict=True):
                 field[: len(own), j] = values
             free = [np.nan if told[i] else later.get(names[i], np.nan) for i in own]

@@ -26,11 +26,11 @@ RULE = Zipper(IDM(1.0, 1.5, 1.0), length=5.0, min_gap=2.0, impatience=0.5, dt=0.
 FREE = np.inf
 
 
-def approach(left, speed, there=True):
+def approach(left, speed, there=True, told=FREE):
     """One car with nobody before it on its lane."""
-    column = (jnp.full((1, 1), x) for x in (left, speed, 13.89, FREE))
-    left, speed, desired, behind = column
-    return RULE.approach(jnp.full((1, 1), there), left, speed, desired, behind, 8.0)
+    column = (jnp.full((1, 1), x) for x in (left, speed, 13.89, FREE, told))
+    left, speed, desired, behind, told = column
+    return RULE.approach(jnp.full((1, 1), there), left, speed, desired, behind, told, 8.0)
 
 
 # ---- the zipper ----------------------------------------------------------------------------------
@@ -53,7 +53,8 @@ def test_a_car_means_to_arrive_a_second_after_the_one_that_arrives_before():
 
 def test_nobody_yields_to_one_who_comes_much_later_or_does_not_come():
     ego = approach(20.0, 10.0)
-    for foe in (approach(95.0, 5.0), approach(6.0, 8.0, there=False)):
+    stands = approach(6.0, 0.0, told=0.0)  # measured: SUMO has nobody wait for it
+    for foe in (approach(95.0, 5.0), approach(6.0, 8.0, there=False), stands):
         assert np.isinf(RULE.speeds(ego, foe)).all()
 
 

@@ -132,18 +132,13 @@ class Drivers:
         gap: float,
         window: int,
     ) -> Approach:
-        """Of the cars that can be in the merge section; for SUMO, who is told to stand is not."""
+        """Of the cars that can be in the merge section."""
         x, speed, desired = (f[:window] for f in (queue.x, queue.speed, queue.desired))
         k = jnp.arange(len(x))[:, None]
         behind = jnp.where(k > 0, behind[:window], jnp.inf)
         kept = closed & (-x >= self.zipper.braked(speed) + _LINE)
         return self.zipper.approach(
-            (x >= -self.roads.merge) & ~kept & (told[:window] > 0.0),
-            -x,
-            speed,
-            desired,
-            behind,
-            gap,
+            (x >= -self.roads.merge) & ~kept, -x, speed, desired, behind, told[:window], gap
         )
 
     def _told(self, queue: Queue, safe: jax.Array, constant: bool) -> jax.Array:

@@ -77,9 +77,10 @@ class Zipper:
         speed: jax.Array,
         desired: jax.Array,
         behind: jax.Array,
+        told: jax.Array,
         gap: float,
     ) -> Approach:
-        """The approach of cars that mean to drive on.
+        """The approach of cars that mean to drive on; SUMO asks nobody to yield to others.
 
         Args:
             there: within the merge section and not kept from entering.
@@ -87,10 +88,12 @@ class Zipper:
             speed: v.
             desired: v0.
             behind: speed at which each of them follows the one before it on its lane.
+            told: the speed that it is advised; infinite without advice.
             gap: metres between the lanes and the road behind.
         """
         a, b, dt = self.driver.accel, self.driver.decel, self.dt
-        now = jnp.minimum(jnp.minimum(speed + a * dt, desired), behind)
+        free = jnp.minimum(speed + a * dt, desired)
+        now = jnp.minimum(jnp.minimum(free, behind), told)
         fastest = jnp.minimum(jnp.sqrt(now * now + 2.0 * a * left), desired)
         fast = jnp.minimum(fastest, behind)
         rate = jnp.where(fast >= now, a, -b)
@@ -99,8 +102,8 @@ class Zipper:
         cruise = changing + (left - way) / jnp.maximum(jnp.maximum(now, fast), _SLOW)
         short = (jnp.sqrt(jnp.maximum(0.0, now * now + 2.0 * rate * left)) - now) / rate
         time = jnp.where(left >= way, cruise, short)
-        free = speed + dt * a * (1.0 - jnp.square(jnp.square(speed / desired)))
-        after = jnp.minimum(jnp.sqrt(fast * fast + 2.0 * a * gap), jnp.minimum(desired, free))
+        soon = speed + dt * a * (1.0 - jnp.square(jnp.square(speed / desired)))
+        after = jnp.minimum(jnp.sqrt(fast * fast + 2.0 * a * gap), jnp.minimum(desired, soon))
         out = time + (gap + self.length) / jnp.maximum(0.5 * (fast + after), _TINY)
         stops = (left > braking(speed, b, dt)) | (speed < b * dt)
         eager = jnp.where(stops, self.impatience, 1.0)
@@ -133,11 +136,12 @@ class Zipper:
     def _braking_foe(self, e: Approach, f: Approach) -> tuple[jax.Array, jax.Array]:
         """When a foe that comes later would arrive if it braked for this car, and how fast."""
         rate = self.driver.decel * e.eager
-        rest = f.left - f.speed * e.time
-        stops = 0.5 * f.speed * f.speed <= rest * rate
+        mean = f.left / jnp.maximum(f.time, _TINY)
+        rest = f.left - mean * (e.time - self.dt)
+        stops = 0.5 * mean * mean <= rest * rate
         between = f.time - e.time
-        slower = f.speed - between * rate
-        more = (slower - jnp.sqrt(jnp.maximum(0.0, f.speed * (slower - between * rate)))) / rate
+        slower = mean - between * rate
+        more = (slower - jnp.sqrt(jnp.maximum(0.0, mean * (slower - between * rate)))) / rate
         late = jnp.where(stops, _NEVER, more)
         return f.time + e.eager * late, jnp.where(stops, 0.0, slower - more * rate)
 
