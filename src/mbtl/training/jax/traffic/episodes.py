@@ -9,7 +9,7 @@ Random actions too are functions of the episode's seed, which makes it independe
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -21,9 +21,10 @@ from mbtl.training.jax.environments import Discrete, Tree
 from mbtl.training.jax.export import import_actors
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
+from mbtl.training.jax.traffic import beats as beats_of
 from mbtl.training.jax.traffic import random
 from mbtl.training.jax.traffic.packing import Agents, chunk_size, most_rows
-from mbtl.training.jax.traffic.twin import Crowd, Moved, Twin
+from mbtl.training.jax.traffic.twin import Beats, Crowd, Holding, Length, Moved, Twin
 
 Acting = Literal["sampled", "mean", "random", "none"]
 """How actions follow from a policy: drawn, the most likely one, or not: any, or no advice."""
@@ -111,7 +112,7 @@ def joined(each: list[Episodes]) -> Episodes:
 def record(
     twin: Twin,
     activation: Activation,
-    decisions: int,
+    decisions: Length,
     actor: Actor,
     seeds: jax.Array,
     params: Tree,
@@ -122,7 +123,7 @@ def record(
     Args:
         twin: the dynamics; static.
         activation: between the layers of the actor; static.
-        decisions: of an episode at most; static.
+        decisions: of an episode at most, or beats; static.
         actor: of P policies, with their critics.
         seeds: (P, E) uint32, one per episode.
         params: of one context, or of every simulation.
@@ -130,6 +131,8 @@ def record(
             the first of them nobody acts. That is no delay of what comes later, and advantages run
             from the end of an episode to its beginning. None: as many as at most.
     """
+    if isinstance(decisions, Beats):
+        return _in_beats(twin, activation, decisions, actor, seeds, params)
     shape, flat = seeds.shape, seeds.reshape(-1)
     crowd = isinstance(twin, Crowd)
     played = (actor.network, actor.critic) if crowd else (actor.network,)
@@ -181,6 +184,46 @@ def record(
         done=done,
         last_value=last.found[0][..., 0],
         last_acting=last.acting & (twin.time_limit == "truncation"),
+        score=split(twin.score(state)),
+    )
+
+
+def _in_beats(
+    twin: Any, activation: Activation, beats: Beats, actor: Actor, seeds: jax.Array, params: Tree
+) -> Episodes:
+    """`record` where decisions last differently long."""
+    shape, flat = seeds.shape, seeds.reshape(-1)
+
+    def split(x: jax.Array) -> jax.Array:  # (n, ...) -> (P, E, ...)
+        return x.reshape(*shape, *x.shape[1:])
+
+    def by_policy(x: jax.Array) -> jax.Array:  # (D, n, ...) -> (P, D, E, ...)
+        return jnp.moveaxis(x.reshape(len(x), *shape, *x.shape[2:]), 0, 1)
+
+    def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, Tree]:
+        seen = twin.observe(state, params)
+        outputs = _each(activation, actor.network, split(seen.obs))
+        action = _sampled(twin, actor, outputs, flat, number)
+        joint = (x.reshape(-1, *x.shape[2:]) for x in (outputs, action))
+        applied = networks.to_environment(action, twin.action)
+        return applied.reshape(-1, *action.shape[2:]), (seen.obs, seen.acting, *joint)
+
+    state, found = beats_of.lived(twin, beats, twin.start(flat, params), params, decide)
+    obs, acting, outputs, action = map(by_policy, found.kept)
+    row = jnp.arange(acting[0].size).reshape(acting.shape[1:])
+    last = twin.observe(state, params)
+    value, last_value = (_each(activation, actor.critic, x)[..., 0] for x in (obs, split(last.obs)))
+    return Episodes(
+        obs=obs.reshape(len(obs), -1, obs.shape[-1]),
+        row=jnp.broadcast_to(row, acting.shape),
+        outputs=outputs,
+        action=action,
+        value=value,
+        acting=acting & by_policy(found.due)[..., None],
+        reward=by_policy(found.reward),
+        done=by_policy(found.done),
+        last_value=last_value,
+        last_acting=split(last.acting) & (twin.time_limit == "truncation"),
         score=split(twin.score(state)),
     )
 
@@ -271,30 +314,39 @@ def scores(
     actor: Actor,
     seeds: jax.Array,
     params: Tree,
-    decisions: jax.Array,
+    decisions: Tree,
 ) -> jax.Array:
-    """(P, E) scores; arguments as in `record`, `decisions` a scalar.
+    """(P, E) scores; arguments as in `record`, the numbers of `decisions` need not be static.
 
-    One compiled program serves all contexts.
+    One compiled program serves all contexts, one after the other or, in beats, together.
     """
     shape, flat = seeds.shape, seeds.reshape(-1)
     watch = partial(_watched, twin, activation, params, shape, (actor.network,))
 
-    def one(moment: jax.Array, state: Tree) -> Tree:
-        if how == "none":
-            return twin.drive(state, params).state
+    def told(state: Tree, moment: jax.Array) -> jax.Array:
         if how == "random":
-            action = _uniform(twin, flat, jnp.uint32(moment))
-            return twin.step(state, action, params).state
+            return _uniform(twin, flat, moment)
         (outputs,) = watch(state, None, None)[0].found
         if how == "sampled":
-            action = _sampled(twin, actor, outputs, flat, jnp.uint32(moment))
+            action = _sampled(twin, actor, outputs, flat, moment)
             action = networks.to_environment(action, twin.action)
         else:
             action = networks.mode(outputs, twin.action)
-        return twin.step(state, action.reshape(-1, *action.shape[2:]), params).state
+        return action.reshape(-1, *action.shape[2:])
 
-    state = jax.lax.fori_loop(0, decisions, one, twin.start(flat, params))
+    def one(moment: jax.Array, state: Tree) -> Tree:
+        if how == "none":
+            return twin.drive(state, params).state
+        return twin.step(state, told(state, jnp.uint32(moment)), params).state
+
+    def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, None]:
+        return told(state, number), None
+
+    state = twin.start(flat, params)
+    if isinstance(decisions, Beats):
+        state = beats_of.played(cast(Holding, twin), decisions, state, params, decide)
+    else:
+        state = jax.lax.fori_loop(0, decisions, one, state)
     return twin.score(state).reshape(shape)
 
 

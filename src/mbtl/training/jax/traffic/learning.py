@@ -29,7 +29,7 @@ from mbtl.training.jax.recipes import check_lengths
 from mbtl.training.jax.traffic import ppo, random, trpo
 from mbtl.training.jax.traffic.episodes import Acting, Actor, Episodes, record, scores
 from mbtl.training.jax.traffic.recipes import EpisodicPPORecipe, TRPORecipe, TwinRecipe
-from mbtl.training.jax.traffic.twin import Twin
+from mbtl.training.jax.traffic.twin import Length, Twin
 
 _ALGORITHMS: Mapping[type, Any] = {TRPORecipe: trpo, EpisodicPPORecipe: ppo}
 """Modules with `start(recipe, weights)` and `learn(...)`, of one policy."""
@@ -92,7 +92,7 @@ def train(
         twin: the dynamics.
         recipe: hyper-parameters.
         seeds: P training seeds of 32 bits.
-        params: of the context; or of P contexts, leading axis, of the same number of decisions.
+        params: of the context; or of P contexts, leading axis.
         episodes: per policy, rounded up to whole updates.
         on_block: called after each block, with episodes as steps.
         checkpoint_every: episodes between two evaluations, rounded up; None for 2 % of `episodes`.
@@ -146,7 +146,7 @@ def _per_episode(params: Tree, episodes: int) -> Tree:
 def _updates(
     twin: Twin,
     recipe: TwinRecipe,
-    decisions: int,
+    decisions: Length,
     training: Training,
     params: Tree,
     count: jax.Array,
@@ -159,14 +159,14 @@ def _updates(
 
 
 def update(
-    twin: Twin, recipe: TwinRecipe, decisions: int, state: State, number: jax.Array, params: Tree
+    twin: Twin, recipe: TwinRecipe, decisions: Length, state: State, number: jax.Array, params: Tree
 ) -> State:
     """Live through `n_episodes` of each policy and learn from them; within a compiled program.
 
     Args:
         twin: the dynamics.
         recipe: hyper-parameters.
-        decisions: of an episode.
+        decisions: of an episode, or beats.
         state: P policies.
         number: of the update.
         params: of one context, or of every simulation.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -72,7 +73,7 @@ def train_on_all(
     check_lengths(
         episodes=episodes, checkpoints=checkpoints, checkpoint_episodes=checkpoint_episodes
     )
-    lasting = [twin.decisions(one) for one in contexts]
+    lasting = [cast(int, twin.decisions(one)) for one in contexts]  # one by one: no beats
     most = [max(d for d in lasting if d.bit_length() == own.bit_length()) for own in lasting]
     numbers = range(checkpoint_episodes)
     tests = np.array([[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers]], np.uint32)

@@ -42,6 +42,24 @@ class Moved(NamedTuple):
     done: jax.Array
 
 
+class Beats(NamedTuple):
+    """Length of episodes in contexts whose decisions last differently long.
+
+    Attributes:
+        decisions: of the episode that has most.
+        total: beats of the longest episode.
+        steps: simulation steps of a beat.
+    """
+
+    decisions: int
+    total: int
+    steps: int
+
+
+Length = int | Beats
+"""Decisions of an episode; or, in contexts in which they last differently long, beats."""
+
+
 class Twin(Protocol):
     """Dynamics of one context in n simulations; hashable, as it is a compile-time constant.
 
@@ -67,8 +85,8 @@ class Twin(Protocol):
     @property
     def params(self) -> type[Any]: ...  # noqa: D102
 
-    def decisions(self, params: Tree) -> int:
-        """Decisions of one episode in this context; not traced."""
+    def decisions(self, params: Tree) -> Length:
+        """Length of an episode in this context, or in these; not traced."""
         ...
 
     def start(self, seeds: jax.Array, params: Tree) -> Tree:
@@ -89,6 +107,32 @@ class Twin(Protocol):
 
     def score(self, state: Tree) -> jax.Array:
         """(n,) matrix entry of episodes that have ended; larger is better."""
+        ...
+
+
+@runtime_checkable
+class Holding(Twin, Protocol):
+    """A twin in whose contexts decisions last differently long; in a batch they move in beats.
+
+    A beat is a time of which all decisions are multiples. Between decisions an instruction holds.
+    """
+
+    def beats(self, params: Tree, beats: Beats) -> tuple[jax.Array, jax.Array]:
+        """(n,) beats of one decision, and decisions of an episode."""
+        ...
+
+    def held(self, state: Tree) -> Tree:
+        """Instructions before the first beat."""
+        ...
+
+    def beat(
+        self, state: Tree, held: Tree, action: jax.Array, params: Tree, beats: Beats, now: jax.Array
+    ) -> tuple[Moved, Tree]:
+        """One beat; instructions are taken where a decision is due.
+
+        `Moved` tells reward and end of a decision with its last beat. Whose episode is over stands
+        still.
+        """
         ...
 
 
