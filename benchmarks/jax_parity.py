@@ -64,17 +64,17 @@ def jax_curves(algorithm: str, name: str, every: int, seeds: int) -> np.ndarray:
     import mbtl.training.jax as engine
 
     module, gym_class = GYM[name]
-    env = {"cartpole": engine.CartPole, "pendulum": engine.Pendulum}[name]()
+    env = engine.Solo({"cartpole": engine.CartPole, "pendulum": engine.Pendulum}[name]())
     there = gym_class(CONTEXT[name])
     constants = [module.derive(there.features)]
     one = engine.stack_params(env, constants, [there.visible])
     params = engine.stack_params(env, constants * seeds, [there.visible] * seeds)
-    noise, curves = engine.episode_noise(env, range(EPISODES)), []
+    curves = []
     recipe = engine.recipe_named(algorithm, "sb3")
 
     def look(block: engine.Block) -> None:
-        actors = block.training.state.weights.actor
-        returns = engine.evaluate(env, actors, one, noise, activation=recipe.activation)
+        actor = engine.actor_of(block.training.state.weights)
+        returns = engine.evaluate(env, actor, one, range(EPISODES), activation=recipe.activation)
         curves.append(returns.mean(axis=(1, 2)))
 
     engine.train(
@@ -88,7 +88,7 @@ def per_update(algorithm: str) -> int:
     """Environment steps of an update in jax; whole rollouts in Stable-Baselines3 too."""
     import mbtl.training.jax as engine
 
-    return engine.recipe_named(algorithm, "sb3").steps_per_update
+    return engine.recipe_named(algorithm, "sb3").update_length
 
 
 def main() -> None:

@@ -88,7 +88,7 @@ def jax_rate(n_policies: int, name: str, seconds: float, barrier: Any) -> tuple[
         if len(marks) > 1 and time.perf_counter() - started > seconds:
             raise Enough
 
-    every = recipe.steps_per_update * max(1, round(8192 / recipe.steps_per_update))
+    every = recipe.update_length * max(1, round(8192 / recipe.update_length))
     with suppress(Enough):
         engine.train(
             env, recipe, range(n_policies), params, 10**8,

@@ -10,7 +10,8 @@ would use.
     noise     Gaussian noise on every entry that the selector sees: told its size, or not
     partial   each policy evaluated on so many targets: spread, or random ones
     axes      the same with one, two and three axes, and whether V is what a study says it is
-    costs     a training costs 1 to 10, rising along the contexts; budget 30: heeded, or not
+    costs     a training costs 1 to 10, rising or falling along the contexts; budget 30: heeded, or
+              not
     repeats   a context may be trained again (the rows of the other seeds): allowed, or not
     batches   n picks at a time, each without the rows of the others
     stopping  the study ends when auto says that one more training gains < 0.01 with 90 %: how many
@@ -153,10 +154,10 @@ def several(which: str) -> list[Any]:
     ]
 
 
-def costs(name: str, heeded: bool) -> Iterator[float]:
+def costs(name: str, heeded: bool, rising: bool) -> Iterator[float]:
     """Not heeded: all that can be paid for costs the same."""
     for problem, rows in worlds(name, 40):
-        price = np.linspace(1.0, 10.0, problem.n)
+        price = np.linspace(1.0, 10.0, problem.n)[:: 1 if rising else -1]
         history, left = History(problem.n), 30.0
         while price[history.open_mask(problem.n)].min() <= left:
             told = price if heeded else np.where(price <= left, 1.0, 2.0)
@@ -263,7 +264,15 @@ def main() -> None:
         ),
         "costs": (
             "Costs 1 to 10 along the contexts, budget 30",
-            {"heeded": (costs, True), "not heeded": (costs, False)},
+            {
+                f"{'rising' if rising else 'falling'}, {'' if heeded else 'not '}heeded": (
+                    costs,
+                    heeded,
+                    rising,
+                )
+                for rising in (True, False)
+                for heeded in (True, False)
+            },
         ),
         "repeats": (
             f"Trained again, K = {K}",

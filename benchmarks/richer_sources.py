@@ -132,7 +132,7 @@ class Laboratory:
         shares = job.sets[:, :1] + (job.sets[:, 1:] - job.sets[:, :1]) * order
         env, flat = self.trainer.problem([self._at(share) for share in shares.ravel()])
         params = type(flat)(*(x.reshape(len(shares), CONTEXTS, *x.shape[1:]) for x in flat))
-        recipe = engine.MultiTaskRecipe("ppo", self.trainer._recipe())
+        recipe = engine.MultiTaskRecipe("ppo", self.trainer.learner)
         seeds = [training_seed(seed, MATRIX_TRIAL, lane) for lane in range(len(shares))]
         steps = round(job.cost * self.steps)
         training = engine.train(
@@ -142,10 +142,8 @@ class Laboratory:
         )  # fmt: skip
         _, there = self.trainer.problem([self._at(share) for share in self.targets])
         halves = [evaluation_seed(seed, MATRIX_TRIAL, p) for p in _PURPOSES]
-        noise = engine.episode_noise(
-            env, [episode_seed(half, e) for half in halves for e in range(EPISODES)]
-        )
-        returns = engine.evaluate(env, training.best.actor, there, noise)
+        seeds = [episode_seed(half, e) for half in halves for e in range(EPISODES)]
+        returns = engine.evaluate(env, engine.actor_of(training.best), there, seeds)
         assert self.cmdp.normalisation is not None
         rows = self.cmdp.normalisation.normalise(returns).reshape(*returns.shape[:2], 2, EPISODES)
         return training, rows.mean(axis=3).transpose(0, 2, 1)

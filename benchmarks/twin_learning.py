@@ -51,7 +51,8 @@ def life(trainer: Any, policy: Any, context: Any) -> tuple[float, float]:
     from mbtl.training.jax import networks
     from mbtl.training.jax.traffic.episodes import import_actor
 
-    twin, (params,) = trainer.problem([context])
+    twin, params = trainer.problem([context])
+    params = jax.tree.map(lambda x: x[0], params)
 
     def moved_from(state: Any, obs: Any) -> Any:
         if policy is None:

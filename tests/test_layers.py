@@ -23,6 +23,7 @@ CORE = [
     "seeds",
     "contexts",
     "objective",
+    "checkpoints",
     "trainer",
     "history",
     "models",

@@ -37,13 +37,15 @@ class Checkpoint:
         Raises:
             InvalidInput: there is none.
         """
-        kind, at, share = name.partition("@")
+        kind, _, share = name.partition("@")
+        if name in ("best", "final"):
+            return cls(name)
         try:
-            found = cls(kind, Fraction(share) if at else Fraction(1))
+            found = cls(kind, Fraction(share))
+            if kind in ("best", "last") and 0 < found.share <= 1:
+                return found
         except (ValueError, ZeroDivisionError):
-            found = cls("")
-        if name in ("best", "final") or (kind in ("best", "last") and 0 < found.share <= 1 and at):
-            return found
+            pass
         raise InvalidInput(
             f"a checkpoint is 'best', 'final', or 'best' or 'last' with a share of the training "
             f"such as 'last@1/8', got {name!r}"

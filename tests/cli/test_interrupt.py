@@ -12,18 +12,22 @@ import pytest
 HANGING = 1200.0
 """Seconds after which nothing more is going to happen, on the slowest machine."""
 
+PROGRAM = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+from mbtl.cli import program; program()
+"""
+"""Whoever runs the tests in the background, or under nohup, has them inherit deaf ears."""
+
 
 def test_an_interrupt_in_the_middle_of_a_jax_training_ends_with_1(tmp_path):
     pytest.importorskip("jax")
-    program = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "from mbtl.cli import program; program()"
-    )
     command = ["run", "pendulum-length", "--preset", "full", "--timesteps", "20000000"]
     log = tmp_path / "log"
     with log.open("w") as out:
         process = subprocess.Popen(
-            [sys.executable, "-c", program, *command], cwd=tmp_path, stdout=out, stderr=out,
+            [sys.executable, "-c", PROGRAM, *command], cwd=tmp_path, stdout=out, stderr=out,
             env={**os.environ, "COLUMNS": "100"},
         )  # fmt: skip
         wait_until(lambda: list(tmp_path.glob("runs/*/study.db")), process)
@@ -69,7 +73,7 @@ def test_workers_and_their_simulators_end_with_their_master(tmp_path, command, n
     log = tmp_path / "log"
     with log.open("w") as out:
         master = subprocess.Popen(
-            [sys.executable, "-c", "from mbtl.cli import program; program()", *command],
+            [sys.executable, "-c", PROGRAM, *command],
             cwd=tmp_path, stdout=out, stderr=out, env={**os.environ, "COLUMNS": "100"},
         )  # fmt: skip
         least = 4 if "build" in command else 2  # the study's other pick may be the quick one

@@ -282,9 +282,11 @@ def test_a_failing_simulator_is_reported_and_the_study_ends(mbtl_command, simula
     failed = [p for p in json.loads(out)["picks"] if p["status"].startswith("failed")]
     assert failed
     assert "simulator crashed" in failed[0]["status"]
-    code, _, err = mbtl_command(*command, "--stop-on-failure", "--study", "strict")
+    code, out, err = mbtl_command(*command, "--stop-on-failure", "--study", "strict")
     assert code == 1
     assert "simulator crashed" in err
+    assert "portfolio: strict/portfolio" in out  # of the trainings that succeeded
+    assert Path("strict/portfolio/portfolio.json").is_file()
 
 
 def test_the_version_is_printed(mbtl_command):

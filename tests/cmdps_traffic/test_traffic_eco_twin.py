@@ -9,10 +9,10 @@ import pytest
 pytest.importorskip("libsumo", reason="the traffic extra is not installed")
 pytest.importorskip("jax", reason="the jax extra is not installed")
 
-import mbtl.training.jax as engine  # noqa: F401  isort: skip  # before jax: it sets jax's flags
 import jax
 import jax.numpy as jnp
 
+import mbtl.training.jax as engine
 from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic import eco
 from mbtl.cmdps.traffic.corridor import FEEDERS, STARTS
@@ -44,7 +44,8 @@ def test_the_inflow_is_hidden_in_both_simulators_as_in_the_reference(id, shown):
     env = get_cmdp(id, engine="sumo").make_env({axis.name: axis.high})
     assert env.observation_space("").shape == (eco.SIZE + shown,)
     env.close()
-    twin, (params,) = get_cmdp(id, engine="jax").trainer.problem([{axis.name: axis.high}])
+    twin, params = get_cmdp(id, engine="jax").trainer.problem([{axis.name: axis.high}])
+    params = engine.context_of(params, 0)
     assert (twin.n_features, *params.visible.shape) == (eco.SIZE, shown)
 
 

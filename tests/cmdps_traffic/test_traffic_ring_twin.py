@@ -105,7 +105,7 @@ def test_unguided_traffic_flows_as_in_sumo():
     seeds = np.arange(200, dtype=np.uint32)[None]
     found = np.asarray(
         episodes.scores(
-            twin, "tanh", "none", episodes.Actor((), jnp.zeros((1, 1))), seeds, params, 10
+            twin, "tanh", "none", episodes.Actor((), jnp.zeros((1, 1))), seeds, seeds, params, 10
         )
     )
     error = np.hypot(np.std(scores, ddof=1) / np.sqrt(len(scores)), found.std() / np.sqrt(200))

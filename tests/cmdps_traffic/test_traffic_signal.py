@@ -9,6 +9,9 @@ from mbtl.cmdps.traffic import demand
 from mbtl.cmdps.traffic.signal import CELLS, JAM, LOWEST, Signal, cell_of
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import ContextMismatch, InvalidInput
+from mbtl.portfolio.heads import DiscreteHead
+from mbtl.portfolio.mlp import MLPPolicy
+from mbtl.training.rollout import Actor, Job, play
 
 FIXED_TIME = (0, 0, 0, 1, 2, 2, 2, 3)  # 30 s for the through traffic, 10 s for the left turns
 
@@ -61,6 +64,49 @@ def test_demand_rises_to_a_peak_before_the_middle_and_falls():
     counts, _ = np.histogram(times, bins=9, range=(0, 5400))
     assert counts.argmax() in (1, 2, 3)
     assert counts[-1] < 0.1 * counts.max()
+
+
+def test_the_two_modes_of_demand_are_as_probable_as_they_are_said_to_be():
+    largest = np.random.default_rng(1).weibull(demand.SHAPE, (2000, 1000)).max(axis=1)
+    assert demand.crowded_share(1000) == pytest.approx(0.1161, abs=1e-4)
+    assert (largest > 3).mean() == pytest.approx(0.1161, abs=3 * (0.1 / 2000) ** 0.5)
+
+    plain = [demand.departures(np.random.default_rng(s), 1000, 5400) for s in range(40)]
+    crowds = [np.random.default_rng(s).weibull(demand.SHAPE, 1000).max() > 3 for s in range(40)]
+    for crowded in (False, True):
+        told = [
+            demand.departures(np.random.default_rng(s), 1000, 5400, crowded=crowded)
+            for s in range(40)
+        ]
+        same = [np.array_equal(*pair) for pair in zip(plain, told, strict=True)]
+        assert same == [crowd == crowded for crowd in crowds]
+        mean = np.mean(told) / 5400  # that of Weibull(2) over 3, or over 4
+        assert mean == pytest.approx(0.886 / (4 if crowded else 3), rel=0.03)
+
+
+def test_an_evaluation_plays_both_modes_and_an_episode_only_the_one_it_is_told(make):
+    env = make({"inflow": 2500.0})
+    assert sum(env.strata) == pytest.approx(1.0)
+    assert env.strata[1] == pytest.approx(0.2654, abs=1e-4)
+    with pytest.raises(InvalidInput, match="stratum is 0"):
+        env.reset(seed=0, options={"stratum": 2})
+    alone = []
+    for stratum in (0, 1):
+        env = make({"inflow": 60.0})
+        env.reset(seed=3, options={"stratum": stratum})
+        while True:
+            *_, terminated, truncated, info = env.step(0)
+            if terminated or truncated or "final_score" in info:
+                alone.append(info.get("final_score", info.get("score")))
+                break
+    policy = MLPPolicy(
+        (np.zeros((4, 80), np.float32),), (np.array([1.0, 0, 0, 0], np.float32),),
+        "tanh", (80,), DiscreteHead((4,)),
+    )  # fmt: skip
+    (worth,) = play(
+        [Job(lambda: make({"inflow": 60.0}), [3])], Actor(policy), max_envs=1, keep_open=True
+    )
+    assert worth == pytest.approx(np.dot(env.strata, alone))
 
 
 def test_three_quarters_go_straight_and_turns_go_both_ways():
@@ -259,7 +305,7 @@ def test_a_score_at_the_floor_is_told_as_soon_as_it_is_there(make):
     assert len(told) - told.count(None) > 10
     signal = get_cmdp("signal-inflow")
     assert signal.normalisation.normalise(min(t for t in told if t)) == 0.0
-    assert (signal.floor, signal.version) == (LOWEST, 1)
+    assert (signal.floor, signal.version) == (LOWEST, 2)
     assert "final_score" not in episode(make({"inflow": 50}), FIXED_TIME)[2]
 
 

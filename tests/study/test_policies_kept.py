@@ -167,7 +167,10 @@ def test_a_recipe_can_be_mended_until_it_has_made_a_policy(tmp_path):
 
 
 def test_a_policy_left_by_a_killed_run_counts_only_with_its_own_recipe(tmp_path):
-    stopped = FunctionTrainer(train, lambda *a: os.kill(os.getpid(), 2), save, load)
+    def interrupted(policy, contexts, seed):
+        raise KeyboardInterrupt
+
+    stopped = FunctionTrainer(train, interrupted, save, load)
     study = study_at(tmp_path / "s.db")
     with pytest.raises(KeyboardInterrupt):
         study.run(trainer=stopped)

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from gymnasium.wrappers import TimeLimit
 from training_envs import Endless, Guess, GuessDict, MaskedGuess
 
 from mbtl.errors import TrainingFailed
@@ -107,6 +108,27 @@ def test_a_team_whose_score_is_known_is_not_played_on():
 
     (scores,) = play([Job(Team, [0, 1])], Actor(SignPolicy()), max_envs=1)
     assert scores.tolist() == [-7.0, -7.0]
+
+
+def test_an_episode_of_several_strata_is_worth_their_mean_by_their_shares():
+    class Lucky(Guess):
+        """Worth 100 with one kind of luck, and its length with the other."""
+
+        strata = (0.25, 0.75)
+
+        def reset(self, seed=None, options=None):
+            self.stratum = options["stratum"]
+            return super().reset(seed=seed)
+
+        def step(self, action):
+            seen, reward, terminated, truncated, info = super().step(action)
+            if terminated and self.stratum == 0:
+                info = {"score": 100.0}
+            return seen, reward, terminated, truncated, info
+
+    wrapped = [Job(lambda n=n: TimeLimit(Lucky({"length": n}), 1000), [0, 1, 2]) for n in (4, 8)]
+    returns = play(wrapped, Actor(SignPolicy()), max_envs=1)
+    assert [r.tolist() for r in returns] == [[25 + 3] * 3, [25 + 6] * 3]
 
 
 def test_at_most_max_envs_are_alive_and_all_are_closed():

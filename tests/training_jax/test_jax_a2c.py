@@ -19,8 +19,8 @@ from mbtl.training.jax import a2c, rollout
 from mbtl.training.jax.clock import clock_at
 
 TINY = engine.A2CRecipe(n_envs=32, n_steps=4, anneal=True)  # two rollouts in an update
-ENV = engine.CartPole(horizon=9)  # shorter than an update, so that episodes are cut off
-CARTPOLE = engine.CartPole()
+ENV = engine.Solo(engine.CartPole(horizon=9))  # shorter than an update: episodes are cut off
+CARTPOLE = engine.Solo(engine.CartPole())
 FAST = replace(engine.recipe_named("A2C", "fast"), anneal=False)  # compiled once, with P = 2
 
 
@@ -109,7 +109,7 @@ def test_annealing_ends_at_no_learning():
     state, params = single(TINY)
     updated = update(state, params, clock_at(jnp.int32(10), jnp.int32(10)))
     assert_same(updated.weights, state.weights)
-    assert not np.array_equal(updated.elapsed, state.elapsed)
+    assert not np.array_equal(updated.copies.elapsed, state.copies.elapsed)
 
 
 @pytest.mark.parametrize("time_limit", ["truncation", "terminal"])
@@ -119,7 +119,7 @@ def test_a_gradient_step_is_stable_baselines3s(time_limit):
     peer = pytest.importorskip("stable_baselines3")
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    env = engine.CartPole(horizon=9, time_limit=time_limit)
+    env = engine.Solo(engine.CartPole(horizon=9, time_limit=time_limit))
     recipe = engine.A2CRecipe(n_envs=2, n_steps=24, gae_lambda=0.9, entropy_coef=0.01)
     state, params = single(recipe, env)
     _, noise = rollout.draw(env, state.key, (24, 2))
@@ -206,7 +206,7 @@ def test_cartpole_is_learnt():
 def test_pendulum_takes_a_step_with_a_gaussian():
     from mbtl.cmdps import pendulum
 
-    env = engine.Pendulum()
+    env = engine.Solo(engine.Pendulum())
     constants = [pendulum.derive(pendulum.Pendulum({"mass": 1.0}).features)]
     training = engine.train(env, TINY, [0], engine.stack_params(env, constants), 256)
     assert np.asarray(training.state.weights.log_std)[0, 0] != 0.0
@@ -238,4 +238,4 @@ def test_recipes_are_found_by_algorithm_and_name():
         engine.recipe_named("SARSA", "sb3")
     with pytest.raises(InvalidInput, match="n_steps must be >= 1, got 0"):
         engine.A2CRecipe(n_steps=0)
-    assert engine.A2CRecipe(n_envs=3, n_steps=5).steps_per_update == 270  # whole rollouts >= 256
+    assert engine.A2CRecipe(n_envs=3, n_steps=5).update_length == 270  # whole rollouts >= 256

@@ -8,7 +8,6 @@ import pytest
 pytest.importorskip("jax", reason="the jax extra is not installed")
 pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -127,22 +126,53 @@ def test_rollouts_agree_in_float64_up_to_the_first_termination(name):
                     break
 
 
-def test_a_key_starts_episodes_within_the_reset_range():
-    env = engine.CartPole()
-    params = jax.tree.map(
-        lambda x: jnp.asarray(x[0], jnp.float32),
-        engine.stack_params(env, [cartpole.derive(cartpole.CartPole.FEATURES)]),
-    )
-    keys = jax.random.split(jax.random.PRNGKey(0), 2000)
-    states = np.stack(jax.vmap(partial(env.reset, params=params))(keys))
-    assert states.min() == pytest.approx(-0.05, abs=1e-3)
-    assert states.max() == pytest.approx(0.05, abs=1e-3)
-    assert abs(states.mean()) < 2e-3
+def nominal(world):
+    constants = cartpole.derive(cartpole.CartPole.FEATURES)
+    return jax.tree.map(lambda x: jnp.float32(x[0]), engine.stack_params(world, [constants]))
 
 
-def test_constants_of_another_environment_are_refused():
+def test_a_seed_or_a_key_starts_episodes_within_the_reset_range():
+    world = engine.Solo(engine.CartPole())
+    params = nominal(world)
+    for drawn in (jnp.arange(2000, dtype=jnp.uint32), world.noise(jax.random.key(0), (2000,))):
+        states = np.stack(world.start(drawn, params).env)
+        assert np.abs(states).max() <= cartpole.RESET_HALF_WIDTH
+        np.testing.assert_allclose(states.mean(axis=1), 0.0, atol=0.005)
+        assert states.std() > 0.02
+
+
+def test_what_comes_after_a_terminal_state_does_not_count():
+    world = engine.Solo(engine.CartPole())
+    params = nominal(world)
+    state = world.start(world.draws(np.arange(3, dtype=np.uint32)), params)
+    pushed = jnp.ones((3, 1), jnp.int32)
+    rewards, deaths = np.zeros(3), np.zeros(3)
+    for _ in range(30):
+        moved = world.step(state, pushed, params)
+        state = moved.state
+        rewards += moved.reward[:, 0]
+        deaths += moved.done[:, 0]
+    assert world.over(state).all()
+    assert not world.observe(state, params).acting.any()
+    np.testing.assert_array_equal(world.score(state), rewards)
+    np.testing.assert_array_equal(deaths, 1)  # an agent dies once
+    assert rewards.max() < 15
+
+
+def test_parameters_are_matched_by_name():
+    world = engine.Solo(engine.CartPole())
+    constants = cartpole.derive(cartpole.CartPole.FEATURES)
+    named = dict(reversed(constants._asdict().items()))
+    params = engine.stack_params(world, [constants, named])
+    for field in params[:-1]:
+        assert field[0] == field[1]
+    with pytest.raises(InvalidInput, match="named gravity"):
+        engine.stack_params(world, [{**named, "wind": 1.0}])
+    with pytest.raises(InvalidInput, match="no names"):
+        engine.stack_params(world, [tuple(constants)])
+
+
+def test_visible_features_need_one_row_per_context():
     constants = pendulum.derive(pendulum.Pendulum.FEATURES)
-    with pytest.raises(InvalidInput, match=r"pole_moment.*`derive`"):
-        engine.stack_params(engine.CartPole(), [constants])
     with pytest.raises(InvalidInput, match="one row per context"):
         engine.stack_params(engine.Pendulum(), [constants], [[1.0], [2.0]])

@@ -18,13 +18,13 @@ import mbtl.training.jax as engine  # before jax: it sets jax's flags
 from mbtl.cmdps import cartpole, pendulum
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.training.jax import networks
-from mbtl.training.jax.evaluation import own_returns
-from mbtl.training.jax.multitask import moore, paco, round_robin, table
-from mbtl.training.jax.rollout import draw
+from mbtl.training.jax.evaluation import own_scores
+from mbtl.training.jax.multitask import moore, paco, policies, table
+from mbtl.training.jax.rollout import draw, play, take_turns
 
 TINY = engine.PPORecipe(n_envs=3, n_steps=32, batch_size=48, n_epochs=1, learning_rate=1e-3)
-CARTPOLE = engine.CartPole(horizon=60)
-PENDULUM = engine.Pendulum(horizon=60)
+CARTPOLE = engine.Solo(engine.CartPole(horizon=60))
+PENDULUM = engine.Solo(engine.Pendulum(horizon=60))
 
 
 def cartpole_params(lengths=(0.1, 0.5, 1.0, 2.0, 5.0)):
@@ -54,12 +54,12 @@ def assert_same(one, other):
 
 
 def test_copies_that_end_together_take_the_next_contexts_in_order():
-    context, turn = round_robin.take_turns(
+    context, turn = take_turns(
         jnp.array([0, 1, 2, 3]), jnp.int32(4), jnp.array([True, False, True, True]), 6
     )
     np.testing.assert_array_equal(context, [4, 1, 5, 0])
     assert int(turn) == 1
-    same, turn = round_robin.take_turns(context, turn, jnp.zeros(4, bool), 6)
+    same, turn = take_turns(context, turn, jnp.zeros(4, bool), 6)
     np.testing.assert_array_equal(same, context)
     assert int(turn) == 1
 
@@ -69,7 +69,7 @@ def test_every_context_is_started_equally_often(n_envs):
     """Short and long episodes, fewer and more copies than contexts; read off the observations."""
     recipe = engine.MultiTaskRecipe("paco", replace(TINY, n_envs=n_envs, n_steps=240))
     params = jax.tree.map(lambda x: x[None], table.with_place(cartpole_params()))
-    state = round_robin.init(CARTPOLE, recipe, [0], params)
+    state = policies.init(CARTPOLE, recipe, [0], params)
     play = jax.jit(jax.vmap(partial(_play_only, recipe)))
     _, rollout = play(state, jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params))
     contexts = np.asarray(rollout.obs)[0, :, :, -1].astype(int)
@@ -85,7 +85,7 @@ def test_every_context_is_started_equally_often(n_envs):
 
 def _play_only(recipe, state, params):
     _, noise = draw(CARTPOLE, state.key, (recipe.ppo.n_steps, recipe.ppo.n_envs))
-    return round_robin.play(CARTPOLE, recipe, state, params, noise)
+    return play(CARTPOLE, recipe.ppo, state, params, noise)
 
 
 # ---- vectors per context -------------------------------------------------------------------------
@@ -201,7 +201,7 @@ class Learnt(NamedTuple):
     saved: dict[str, np.ndarray]
     scores: list[float]
 
-    env = engine.CartPole(horizon=200)
+    env = engine.Solo(engine.CartPole(horizon=200))
     params = cartpole_params((0.25, 0.5, 1.0))
 
     def train(self, **options):
@@ -230,10 +230,9 @@ def learnt(request):
 
 
 def test_cartpole_is_learnt_on_all_contexts(learnt):
-    noise = engine.episode_noise(learnt.env, range(5))
     start = engine.start_multitask(learnt.env, learnt.recipe, [0], learnt.params)
     returns = {
-        name: engine.evaluate_multitask(learnt.env, learnt.recipe, weights, learnt.params, noise)
+        name: engine.evaluate_multitask(learnt.env, learnt.recipe, weights, learnt.params, range(5))
         for name, weights in [("start", start.state.weights), ("best", learnt.training.best)]
     }
     assert returns["best"].shape == (1, 3, 5)
@@ -261,31 +260,32 @@ def test_a_training_resumed_from_saved_arrays_ends_where_it_would_have(learnt):
 def test_context_conditioned_returns_are_those_of_the_plain_engine():
     recipe, params = recipe_of("ppo"), cartpole_params()
     weights = engine.start_multitask(CARTPOLE, recipe, [4, 5], params).state.weights
-    noise = engine.episode_noise(CARTPOLE, range(3))
-    ours = engine.evaluate_multitask(CARTPOLE, recipe, weights, params, noise)
+    ours = engine.evaluate_multitask(CARTPOLE, recipe, weights, params, range(3))
     assert ours.shape == (2, 5, 3)
-    np.testing.assert_array_equal(ours, engine.evaluate(CARTPOLE, weights.actor, params, noise))
+    theirs = engine.evaluate(CARTPOLE, engine.actor_of(weights), params, range(3))
+    np.testing.assert_array_equal(ours, theirs)
 
 
 def test_composed_networks_are_exported_as_ordinary_policies_also_between_contexts():
     recipe, params = recipe_of("paco"), pendulum_params()
     places = np.array([0.0, 0.5, 2.0])
     weights = engine.start_multitask(PENDULUM, recipe, [4], params).state.weights
-    noise = engine.episode_noise(PENDULUM, range(3))
-    ours = engine.evaluate_multitask(PENDULUM, recipe, weights, params, noise, places=places)
+    ours = engine.evaluate_multitask(PENDULUM, recipe, weights, params, range(3), places=places)
     ordinary = paco.compose(jax.tree.map(lambda x: x[0], weights), jnp.asarray(places))
     policies = engine.export_policies(PENDULUM, ordinary, recipe.activation)
-    pairs = engine.evaluate(PENDULUM, engine.import_actors(policies), params, noise)
+    pairs = engine.evaluate(PENDULUM, engine.import_actor(policies), params, range(3))
     np.testing.assert_allclose(ours[0], pairs[np.arange(3), np.arange(3)], rtol=1e-4)
 
 
 def test_a_checkpoint_is_scored_on_every_context_from_different_states():
     params = cartpole_params()
-    actors = engine.start_multitask(CARTPOLE, recipe_of("ppo"), [4], params).state.weights.actor
-    noise = engine.episode_noise(CARTPOLE, range(10))
+    weights = engine.start_multitask(CARTPOLE, recipe_of("ppo"), [4], params).state.weights
+    actor, seeds = engine.actor_of(weights), np.arange(10, dtype=np.uint32)
     stacked = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32)[None], params)
-    dealt = own_returns(CARTPOLE, "tanh", actors, stacked, noise[None]).reshape(5, 2)
-    pairs = engine.evaluate(CARTPOLE, actors, params, noise)[0].reshape(5, 5, 2)
+    dealt = np.asarray(own_scores(CARTPOLE, "tanh", "mean", actor, seeds[None], stacked)).reshape(
+        5, 2
+    )
+    pairs = engine.evaluate(CARTPOLE, actor, params, range(10))[0].reshape(5, 5, 2)
     np.testing.assert_array_equal(dealt, pairs[np.arange(5), np.arange(5)])
 
 
@@ -324,7 +324,7 @@ def test_a_run_killed_at_any_time_goes_on(tmp_path):
         PENDULUM, recipe, params, [0, 1], 960, folder, on_progress=lambda *x: told.append(x[0]),
         **settings,
     )  # fmt: skip
-    assert set(told) == {1}
+    assert told.count(0) == 1  # it had ended
     for name in ("best", "final"):
         np.testing.assert_array_equal(again.returns[name], whole.returns[name])
         np.testing.assert_array_equal(again.std[name], whole.std[name])

@@ -17,7 +17,7 @@ from mbtl.training.jax.environments import Box
 from mbtl.training.jax.traffic import random
 from mbtl.training.jax.traffic.episodes import Actor, delayed, joined, record, scores
 from mbtl.training.jax.traffic.packing import Agents, chunk_size, most_rows
-from mbtl.training.jax.traffic.twin import Moved, Seen, everyone
+from mbtl.training.jax.traffic.twin import Moved, Seeded, Seen, everyone
 
 BOX = Box((-1.0,), (1.0,))
 SHARES = (0.0, 0.1, 0.6, 1.0)
@@ -39,7 +39,7 @@ class Params(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Crossing:
+class Crossing(Seeded):
     """Places are taken at random, every agent sees numbers of its own, and actions add up."""
 
     agents: int = 12
@@ -138,7 +138,8 @@ def test_packed_agents_live_as_if_networks_had_seen_all_places():
         np.testing.assert_array_equal(*seen)
     for how in ("mean", "sampled"):
         found = [
-            scores(twin, "tanh", how, actor, seeds, params, 8) for twin in (Crossing(), Everybody())
+            scores(twin, "tanh", how, actor, seeds, seeds, params, 8)
+            for twin in (Crossing(), Everybody())
         ]
         np.testing.assert_allclose(*found, rtol=1e-5)
     np.testing.assert_allclose(found[0], packed.score, rtol=1e-5)  # sampled, as recorded

@@ -32,9 +32,9 @@ def ring(hold=2.0, **options):
 
 def unguided(twin, params, seeds):
     seeds = np.array([seeds], np.uint32)
-    return np.asarray(scores(twin, "tanh", "none", NOBODY, seeds, params, twin.decisions(params)))[
-        0
-    ]
+    return np.asarray(
+        scores(twin, "tanh", "none", NOBODY, seeds, seeds, params, twin.decisions(params))
+    )[0]
 
 
 # ---- car-following -------------------------------------------------------------------------------
@@ -185,7 +185,7 @@ def test_rings_of_several_holds_live_together_as_they_do_alone(obs):
     beats = twin.decisions(together)
     assert beats == (10, 12, 10)  # three holds of 4 s, of 1 s each, are the longest episode
     mixed = jax.jit(record, static_argnums=(0, 1, 2))(twin, "tanh", beats, actor, seeds, params)
-    judged = scores(twin, "tanh", "mean", actor, seeds, params, beats)
+    judged = scores(twin, "tanh", "mean", actor, seeds, seeds, params, beats)
     for p, own in enumerate(each):
         some = jax.tree.map(lambda x, p=p: x[p : p + 1], actor)
         count = twin.decisions(own)
@@ -201,7 +201,8 @@ def test_rings_of_several_holds_live_together_as_they_do_alone(obs):
             np.testing.assert_allclose(getattr(mixed, name)[p], getattr(alone, name)[0], atol=1e-4)
         seen = [x.obs[i][x.row[i]] for x, i in ((mixed, p), (alone, 0))]
         np.testing.assert_allclose(seen[0][10 - count :], seen[1], atol=1e-4)
-        own_score = scores(twin, "tanh", "mean", some, seeds[p : p + 1], own, count)
+        its = seeds[p : p + 1]
+        own_score = scores(twin, "tanh", "mean", some, its, its, own, count)
         np.testing.assert_allclose(judged[p], own_score[0], atol=1e-4)
 
 

@@ -15,11 +15,10 @@ import jax.numpy as jnp
 import mbtl.training.jax as engine  # before jax: it sets jax's flags
 from mbtl.cmdps import cartpole
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.algorithms import algorithm_of
-from mbtl.training.jax.multitask import round_robin
-from mbtl.training.jax.rollout import draw
+from mbtl.training.jax.multitask import policies
+from mbtl.training.jax.rollout import draw, play
 
-CARTPOLE = engine.CartPole(horizon=60)
+CARTPOLE = engine.Solo(engine.CartPole(horizon=60))
 TINY = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32, n_epochs=2, learning_rate=1e-3)
 ON_SETS = engine.MultiTaskRecipe("ppo", TINY)
 SMALL_REPLAY = engine.DQNRecipe(n_envs=2, buffer_size=800, learning_starts=0)
@@ -58,11 +57,11 @@ def test_each_policy_plays_all_of_its_own_set_and_nothing_else():
     lengths = np.array([[0.1, 0.2, 0.3, 0.4], [1.0, 2.0, 4.0, 5.0]])
     recipe = replace(ON_SETS, ppo=replace(TINY, n_steps=240, batch_size=48))
     params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params_of(lengths))
-    state = round_robin.init(CARTPOLE, recipe, [0, 1], params)
+    state = policies.init(CARTPOLE, recipe, [0, 1], params)
 
     def seen(state, params):
         _, noise = draw(CARTPOLE, state.key, (240, 2))
-        return round_robin.play(CARTPOLE, recipe, state, params, noise)[1].obs[..., -1]
+        return play(CARTPOLE, recipe.ppo, state, params, noise)[1].obs[..., -1]
 
     visible = np.asarray(jax.jit(jax.vmap(seen))(state, params))
     for own, expected in zip(visible, np.asarray(params.visible), strict=True):
@@ -70,7 +69,7 @@ def test_each_policy_plays_all_of_its_own_set_and_nothing_else():
 
 
 def test_a_policy_with_a_set_does_not_depend_on_its_company():
-    train = partial(engine.train, CARTPOLE, ON_SETS, timesteps=192, checkpoint_episodes=4)
+    train = partial(engine.train, CARTPOLE, ON_SETS, length=192, checkpoint_episodes=4)
     one = train([3, 7], params_of([[0.5, 1.0, 1.5, 2.0], [0.1] * 4]))
     other = train([3, 9], params_of([[0.5, 1.0, 1.5, 2.0], [4.0] * 4]))
     assert_same(*(jax.tree.map(lambda x: x[0], t.state) for t in (one, other)))
@@ -125,6 +124,6 @@ def test_weights_of_another_shape_are_refused():
     given = engine.start(CARTPOLE, wide, [0], params_of([0.5])).state.weights
     with pytest.raises(InvalidInput, match="must have the shapes of this recipe"):
         engine.train(CARTPOLE, TINY, [0], params_of([0.5]), 64, weights=given)
-    two = algorithm_of(TINY).init(CARTPOLE, TINY, [0, 1], params_of([0.5, 1.0])).weights
+    two = engine.start(CARTPOLE, TINY, [0, 1], params_of([0.5, 1.0])).state.weights
     with pytest.raises(InvalidInput, match="number of policies"):
         engine.start(CARTPOLE, TINY, [0], params_of([0.5]), two)

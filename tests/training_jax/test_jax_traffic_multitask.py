@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import saving
-from mbtl.training.jax.traffic import learning, multitask, trpo
-from mbtl.training.jax.traffic.episodes import record
+from mbtl.training.jax.traffic import multitask, trpo
+from mbtl.training.jax.traffic.episodes import actor_of, record
 from mbtl.training.jax.traffic.recipes import TRPORecipe
 from mbtl.training.multitask import train_on_all
 
@@ -26,13 +26,14 @@ RECIPE = TRPORecipe(n_episodes=2, hidden=(8,), normalize_reward=False)
 
 def ring(contexts=HOLDS):
     trainer = get_cmdp("ring-vel", engine="jax", visibility="multiplier").trainer_for("quick")
-    return trainer.problem(contexts)
+    world, params = trainer.problem(contexts)
+    return world, [engine.context_of(params, i) for i in range(len(contexts))]
 
 
 def test_an_episode_within_a_longer_program_is_the_same_and_teaches_the_same():
     twin, (_, _, params) = ring()
-    state = learning.start(twin, RECIPE, [5], params).state
-    actor, seeds = learning.actor_of(state), np.array([[1, 2]], np.uint32)
+    state = engine.start(twin, RECIPE, [5], params).state
+    actor, seeds = actor_of(state.weights), np.array([[1, 2]], np.uint32)
     played = jax.jit(record, static_argnums=(0, 1, 2))
     own = played(twin, "tanh", 10, actor, seeds, params)
     within = played(twin, "tanh", 13, actor, seeds, params, jnp.int32(10))
@@ -71,7 +72,7 @@ def test_contexts_are_drawn_for_every_episode_and_a_training_goes_on_where_it_wa
     whole = multitask.train_on_all(twin, RECIPE, 7, params, 40, on_block=keep, **options)
     assert set(met) == {20, 15, 10}  # decisions of the three holds
     assert all(a != b for a, b in zip(met[::2], met[1::2], strict=True))  # two in each update
-    template = learning.start(twin, RECIPE, [7], params[0])
+    template = engine.start(twin, RECIPE, [7], params[0])
     halfway = engine.from_arrays(template, saved[0])
     rest = multitask.train_on_all(twin, RECIPE, 7, params, 40, resume=halfway, **options)
     assert met[40:] == met[20:40]

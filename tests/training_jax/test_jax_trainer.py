@@ -17,7 +17,7 @@ from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import evaluation_seed, training_seed
 from mbtl.study import create_study
 from mbtl.study.rehearsal import rehearse
-from mbtl.training import JaxTrainer, SB3Trainer
+from mbtl.training import SB3Trainer, WorldTrainer
 from mbtl.training.jax import saving
 
 SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
@@ -50,7 +50,7 @@ def test_the_named_recipes_never_change():
 def test_it_is_the_default_where_there_is_an_environment_in_jax():
     for name, gamma in (("cartpole-masspole", 0.99), ("pendulum-timestep", 0.95)):
         trainer = get_cmdp(name).trainer
-        assert isinstance(trainer, JaxTrainer)
+        assert isinstance(trainer, WorldTrainer)
         assert trainer.recipe["hyperparameters"]["gamma"] == gamma
     assert isinstance(get_cmdp("cartpole-length", engine="gymnasium").trainer, SB3Trainer)
 
@@ -121,6 +121,15 @@ def test_training_ends_when_the_best_cannot_get_better(monkeypatch):
     monkeypatch.setattr(engine.CartPole, "max_return", returns[0])
     assert trained(("best",))[1] == returns[:1]
     assert trained(("best", "final"))[1] == returns
+
+
+def test_weights_on_the_way_change_nothing_and_are_those_of_their_moment():
+    whole = TRAINER.train_many(CONTEXTS, [0, 1])
+    named = TRAINER.train_many(CONTEXTS, [0, 1], keep=("best", "final", "best@1/4", "last@1/2"))
+    for checkpoint in ("best", "final"):
+        assert all(map(same, whole[checkpoint], named[checkpoint]))
+    assert not same(named["last@1/2"][0], named["final"][0])
+    assert not same(named["best@1/4"][0], named["last@1/2"][0])
 
 
 def test_a_matrix_row_is_the_row_of_a_study(tmp_path):

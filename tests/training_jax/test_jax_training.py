@@ -18,14 +18,14 @@ import mbtl.training.jax as engine  # before jax: it sets jax's flags
 from mbtl.cmdps import cartpole, pendulum
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed, UnknownName
 from mbtl.portfolio import MLPPolicy
-from mbtl.training.jax import loop, networks, ppo
+from mbtl.training.jax import blocks, networks, ppo
 from mbtl.training.jax.environments import Box, Discrete
 from mbtl.training.jax.flags import settings
 from mbtl.training.jax.rollout import draw, play
 
 TINY = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32, n_epochs=2, learning_rate=1e-3)
-CARTPOLE = engine.CartPole()
-PENDULUM = engine.Pendulum()
+CARTPOLE = engine.Solo(engine.CartPole())
+PENDULUM = engine.Solo(engine.Pendulum())
 # compiling a program takes longer than running it, so most tests share these, with P = 2
 RECIPE = {
     "cartpole": replace(engine.recipe_named("PPO", "fast"), anneal=False),
@@ -70,7 +70,7 @@ def test_a_training_resumed_from_saved_arrays_ends_where_it_would_have(name, tmp
         "pendulum": (PENDULUM, pendulum_params([1.0, 2.0])),
     }[name]
     recipe, seen = RECIPE[name], []
-    two = 2 * recipe.steps_per_update
+    two = 2 * recipe.update_length
     steps, settings = 3 * two - 34, {"checkpoint_every": two}
 
     def save_first(block):
@@ -141,7 +141,7 @@ def test_bad_arguments_and_diverged_trainings_are_named():
     with pytest.raises(UnknownName, match="'fast'"):
         engine.recipe_named("PPO", "fats")
     with pytest.raises(TrainingFailed, match=r"step 64 in policies 1 \(1 in all\)"):
-        loop.check_finite(np.array([True, False]), 64)
+        blocks.check_finite(np.array([True, False]), 64)
 
 
 # ---- the algorithm's parts -----------------------------------------------------------------------
@@ -149,7 +149,7 @@ def test_bad_arguments_and_diverged_trainings_are_named():
 
 @pytest.mark.parametrize("time_limit", ["truncation", "terminal"])
 def test_advantages_follow_their_definition(time_limit):
-    env = engine.CartPole(horizon=7, time_limit=time_limit)
+    env = engine.Solo(engine.CartPole(horizon=7, time_limit=time_limit))
     recipe = replace(TINY, n_steps=24, n_envs=2, batch_size=48)
     params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), cartpole_params([0.05]))
     state = jax.tree.map(lambda x: x[0], ppo.init(env, recipe, [5], params))
@@ -230,8 +230,7 @@ def trained(request):
 def test_returns_are_those_of_the_exported_policies_in_gymnasium(trained):
     env, params, theirs, training = trained
     seeds = [11, 12]
-    noise, actor = engine.episode_noise(env, seeds), training.state.weights.actor
-    returns = engine.evaluate(env, actor, params, noise)
+    returns = engine.evaluate(env, engine.actor_of(training.state.weights), params, seeds)
     assert returns.shape == (2, 2, 2)
     for p, policy in enumerate(engine.export_policies(env, training.state.weights)):
         for c, gym_env in enumerate(theirs):
@@ -246,15 +245,15 @@ def test_returns_are_those_of_the_exported_policies_in_gymnasium(trained):
 
 def test_the_size_of_blocks_does_not_change_returns(trained):
     env, params, _, training = trained
-    noise, actor = engine.episode_noise(env, range(3)), training.best.actor
+    seeds, actor = range(3), engine.actor_of(training.best)
     params = jax.tree.map(lambda x: np.concatenate([x, x[:1]]), params)
     blocks = []
-    small = engine.evaluate(env, actor, params, noise, rows=6, on_block=lambda *b: blocks.append(b))
+    small = engine.evaluate(env, actor, params, seeds, rows=6, on_block=lambda *b: blocks.append(b))
     assert blocks == [(2, 6), (3, 6), (5, 6), (6, 6)]
-    np.testing.assert_allclose(small, engine.evaluate(env, actor, params, noise), rtol=1e-3)
+    np.testing.assert_allclose(small, engine.evaluate(env, actor, params, seeds), rtol=1e-3)
     np.testing.assert_array_equal(small[:, 0], small[:, 2])
-    actors = engine.import_actors(engine.export_policies(env, training.best))
-    np.testing.assert_array_equal(small, engine.evaluate(env, actors, params, noise, rows=6))
+    actors = engine.import_actor(engine.export_policies(env, training.best))
+    np.testing.assert_array_equal(small, engine.evaluate(env, actors, params, seeds, rows=6))
 
 
 def test_exported_policies_act_as_in_jax_and_survive_saving(trained, tmp_path):
@@ -277,9 +276,9 @@ def test_exported_policies_act_as_in_jax_and_survive_saving(trained, tmp_path):
 
 
 def test_nothing_to_evaluate_is_refused():
-    actors = engine.start(CARTPOLE, TINY, [0], cartpole_params([0.5])).state.weights.actor
+    weights = engine.start(CARTPOLE, TINY, [0], cartpole_params([0.5])).state.weights
     with pytest.raises(InvalidInput, match="at least one"):
-        engine.evaluate(CARTPOLE, actors, cartpole_params([0.5]), np.zeros((0, 4), np.float32))
+        engine.evaluate(CARTPOLE, engine.actor_of(weights), cartpole_params([0.5]), [])
 
 
 # ---- flags and the hang --------------------------------------------------------------------------
@@ -345,8 +344,10 @@ def test_who_has_started_jax_without_them_is_told_so_once():
 
 HUNDRED = """
 import mbtl.training.jax as engine
-env = engine.CartPole()
-params = engine.stack_params(env, [(9.8, 10.0, 0.02, 0.5, 0.1, 1.1, 0.05)] * 100)
+env = engine.Solo(engine.CartPole())
+from mbtl.cmdps import cartpole
+constants = cartpole.derive(cartpole.CartPole.FEATURES)
+params = engine.stack_params(env, [constants] * 100)
 training = engine.train(env, engine.recipe_named("PPO", "fast"), range(100), params, 3_000)
 print(int(training.updates))
 """

@@ -14,10 +14,10 @@ from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.training.jax import networks, saving
 from mbtl.training.jax.environments import Box, Discrete
-from mbtl.training.jax.traffic import learning, trpo
+from mbtl.training.jax.traffic import trpo
 from mbtl.training.jax.traffic.distributions import kl
-from mbtl.training.jax.traffic.episodes import Episodes, record
-from mbtl.training.jax.traffic.recipes import TRPORecipe, twin_recipe_named
+from mbtl.training.jax.traffic.episodes import Episodes, actor_of, record
+from mbtl.training.jax.traffic.recipes import TRPORecipe
 from mbtl.training.jax.traffic.returns import Returns, advantages
 
 BOX = Box((-1.0,), (1.0,))
@@ -118,7 +118,7 @@ def test_centred_rewards_are_scaled_by_the_deviation_of_their_own_sums():
 
 def test_living_on_at_a_cost_is_worth_less_where_lives_end():
     """Of rewards of -1, less their mean, six moments would be worth no less than two."""
-    recipe = twin_recipe_named("PPO", "fast")
+    recipe = engine.recipe_named("PPO", "fast", "episodes")
     life = lived([-1.0] * 8, done=[0, 1, 0, 0, 0, 0, 0, 1])
     _, target, _ = advantages(recipe, Returns.empty(), life)
     assert float(target[2, 0, 0]) < 2.0 * float(target[0, 0, 0]) < 0.0
@@ -168,10 +168,15 @@ def test_a_step_that_would_not_pay_is_not_made():
 # ---- whole trainings -----------------------------------------------------------------------------
 
 
+def one_context(trainer, context):
+    twin, params = trainer.problem([context])
+    return twin, engine.context_of(params, 0)
+
+
 @pytest.mark.long
 def test_training_is_reproducible_and_goes_on_where_it_was():
     trainer = get_cmdp("ring-acc", engine="jax").trainer_for("quick")
-    twin, (params,) = trainer.problem([{"hold": 20.0}])
+    twin, params = one_context(trainer, {"hold": 20.0})
     recipe = TRPORecipe(n_episodes=2, hidden=(8,))
     saved = []
 
@@ -179,9 +184,9 @@ def test_training_is_reproducible_and_goes_on_where_it_was():
         saved.append(engine.to_arrays(block.training))
 
     options = {"checkpoint_every": 4, "checkpoint_episodes": 2}
-    whole = learning.train(twin, recipe, [1, 2], params, 8, on_block=keep, **options)
-    template = learning.start(twin, recipe, [1, 2], params)
-    rest = learning.train(
+    whole = engine.train(twin, recipe, [1, 2], params, 8, on_block=keep, **options)
+    template = engine.start(twin, recipe, [1, 2], params)
+    rest = engine.train(
         twin, recipe, [1, 2], params, 8, resume=engine.from_arrays(template, saved[0]), **options
     )
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(rest), strict=True):
@@ -215,11 +220,11 @@ def test_interrupted_trainings_of_several_holds_go_on_to_the_same_policies(tmp_p
 
 def test_episodes_record_what_was_done():
     trainer = get_cmdp("ring-vel", engine="jax").trainer_for("quick")
-    twin, (params,) = trainer.problem([{"hold": 40.0}])
+    twin, params = one_context(trainer, {"hold": 40.0})
     recipe = TRPORecipe()
-    state = learning.start(twin, recipe, [5], params).state
+    state = engine.start(twin, recipe, [5], params).state
     seeds = np.arange(3, dtype=np.uint32)[None]
-    got = record(twin, "tanh", 10, learning.actor_of(state), seeds, params)
+    got = record(twin, "tanh", 10, actor_of(state.weights), seeds, params)
     obs = got.obs[:, got.row[0]]
     assert obs.shape == (1, 10, 3, 1, 3)
     assert set(np.unique(got.action)) <= set(range(10))

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from mbtl.benchmark import TransferMatrix, levels
-from mbtl.benchmark.build import ONLY
+from mbtl.benchmark.piece import ONLY
 from mbtl.benchmark.shipped import DEFAULT
 from mbtl.checkpoints import Along
 from mbtl.cli.common import JsonFlag, console, print_json
@@ -158,7 +158,8 @@ def build(
     results = []
     for seed, files in there.items():
         if files:
-            console.print(f"{', '.join(map(str, files))}: there already", markup=False)
+            names = ", ".join(map(str, files))
+            console.print(f"{names}: there already", markup=False, soft_wrap=True)
         else:
             files = job.run(builds[seed], out, workers)
         results += [_shown(file, matrix) for file, matrix in files.items()]

@@ -16,7 +16,7 @@ from mbtl.cmdps import CMDP, get_cmdp
 from mbtl.cmdps.registry import visibility_on_all
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.provenance import check_made_by, here
-from mbtl.training import JaxTrainer, SB3Trainer, TwinTrainer
+from mbtl.training import SB3Trainer, WorldTrainer
 from mbtl.training.multitask_run import InJax, InSimulator, Method
 
 
@@ -122,7 +122,7 @@ def _job(
     episodes: int | None,
     eval_episodes: int | None,
 ) -> InJax | InSimulator:
-    if isinstance(cmdp.trainer, JaxTrainer):
+    if isinstance(cmdp.trainer, WorldTrainer) and cmdp.trainer.unit == "timesteps":
         known: tuple[Method, ...] = get_args(Method)
         if method is not None and method not in known:
             raise unknown_name("method", method, known)
@@ -137,7 +137,7 @@ def _job(
             eval_episodes or 100,
         )
     trainer = cmdp.trainer_for(preset)
-    assert isinstance(trainer, SB3Trainer | TwinTrainer)
+    assert isinstance(trainer, SB3Trainer | WorldTrainer)
     own = str(trainer.algorithm).lower()
     if method not in (None, own):
         raise unknown_name(f"method for {cmdp.id!r}", method, [own])
@@ -148,7 +148,9 @@ def _job(
         got = "--timesteps" if unit == "episodes" else "--episodes"
         raise InvalidInput(f"{cmdp.id!r} counts {unit}, got {got}; use --{unit}")
     changes: dict[str, Any] = {"eval_episodes": eval_episodes} if eval_episodes else {}
-    if isinstance(trainer, TwinTrainer):  # as many updates as one source has, each of more episodes
+    if isinstance(
+        trainer, WorldTrainer
+    ):  # as many updates as one source has, each of more episodes
         own_changes = trainer.hyperparameters
         each = factor * own_changes.get("n_episodes", 1)
         changes["hyperparameters"] = {**own_changes, "n_episodes": each}

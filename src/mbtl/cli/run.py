@@ -180,22 +180,30 @@ def run(
         load_if_exists=True,
     )
     _announce(running, folder)
+    ended: TrainingFailed | None = None
     with plain_warnings(), LiveProgress(running, console) as live:
         callbacks: list[Callback] = [live]
         if tensorboard is not None:
             from mbtl.training.tensorboard import TensorBoardCallback
 
             callbacks.append(TensorBoardCallback(tensorboard))
-        running.run(
-            parallel=parallel,
-            on_failure="stop" if stop_on_failure else "continue",
-            stop_after_failures=stop_after_failures,
-            retry_failed=retry_failed,
-            rehearse=not no_rehearsal,
-            progress=False,
-            callbacks=callbacks,
-        )
+        try:
+            running.run(
+                parallel=parallel,
+                on_failure="stop" if stop_on_failure else "continue",
+                stop_after_failures=stop_after_failures,
+                retry_failed=retry_failed,
+                rehearse=not no_rehearsal,
+                progress=False,
+                callbacks=callbacks,
+            )
+        except TrainingFailed as error:
+            if not running.state.rows:
+                raise
+            ended = error  # the policies that there are serve all the same
     _finish(running, trainer, folder, as_json=as_json)
+    if ended is not None:
+        raise ended
     if running.state.deferred:
         count = len(running.state.deferred)
         raise TrainingFailed(

@@ -43,6 +43,7 @@ class Preset:
         checkpoint: which policy a training returns, the last or the best of its own evaluations.
         checkpoint_episodes: episodes of each such evaluation.
         acting: how a policy's actions are chosen in evaluations, "mean" or "sampled".
+        reward: what training is rewarded by, where the simulator has names for that.
         credit: whose rewards an action of a team is worth in training, "own" or "team".
         clip_actions: learn from actions within their bounds, not from the samples.
         normalize_reward: rewards are brought to one scale in training.
@@ -61,6 +62,7 @@ class Preset:
     checkpoint: Literal["final", "best"] | None = None
     checkpoint_episodes: int | None = None
     acting: Literal["mean", "sampled"] | None = None
+    reward: str | None = None
     credit: Literal["own", "team"] | None = None
     clip_actions: bool | None = None
     normalize_reward: bool | None = None

@@ -69,7 +69,7 @@ class EnvFactory:
 
 @dataclass(frozen=True)
 class JaxProblem:
-    """contexts -> jax environment and parameters (`mbtl.training.jax_trainer.Problem`).
+    """contexts -> world and parameters (`mbtl.training.world_trainer.Problem`).
 
     Attributes:
         environment: name of the class in `mbtl.training.jax`.
@@ -81,7 +81,7 @@ class JaxProblem:
     make_env: EnvFactory
 
     def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
-        """The environment, and the parameters of `contexts` with one leading axis.
+        """The world, and the parameters of `contexts` with one leading axis.
 
         Raises:
             ContextMismatch: one of them names no axis of this CMDP, or lies outside.
@@ -92,15 +92,15 @@ class JaxProblem:
         options = self.make_env.options
         kind = getattr(engine, self.environment)
         env = kind(horizon=options["horizon"], time_limit=options["time_limit"])
-        twins = [self.make_env(context) for context in contexts]
-        return env, engine.stack_params(
-            env, [twin.constants for twin in twins], [twin.visible for twin in twins]
-        )
+        world = engine.Solo(env)
+        peers = [self.make_env(context) for context in contexts]
+        visible = [peer.visible for peer in peers] or None
+        return world, engine.stack_params(world, [peer.constants for peer in peers], visible)
 
 
 @dataclass(frozen=True)
 class TwinProblem:
-    """contexts -> traffic twin and parameters (`mbtl.training.twin_trainer.Problem`).
+    """contexts -> traffic twin and parameters (`mbtl.training.world_trainer.Problem`).
 
     Attributes:
         problem: "module:Class" of the family's record.
@@ -112,8 +112,8 @@ class TwinProblem:
     make_env: EnvFactory
     options: Mapping[str, Any] = field(default_factory=dict)
 
-    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Sequence[Any]]:
-        """The twin, and the parameters of each context.
+    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
+        """The twin, and the parameters of `contexts` with one leading axis, None without any.
 
         Raises:
             ContextMismatch: one of them names no axis of this CMDP, or lies outside.
@@ -124,4 +124,11 @@ class TwinProblem:
         switches = {k: v for k, v in self.make_env.options.items() if k != "horizon"}
         record = pkgutil.resolve_name(self.problem)(**self.options, **switches)
         twin, params = record(contexts)
-        return twin, params
+        return twin, _stacked(params) if params else None
+
+
+def _stacked(params: Sequence[Any]) -> Any:
+    import jax
+    import jax.numpy as jnp
+
+    return jax.tree.map(lambda *each: jnp.stack(each), *params)

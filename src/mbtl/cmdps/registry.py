@@ -166,11 +166,12 @@ def _training(
     if family.jax is None or engine != "jax":
         there = " and ".join(engines_of(id))
         raise InvalidInput(f"{id!r} is simulated in {there}, got engine={engine!r}")
-    from mbtl.training import JaxTrainer, TwinTrainer
+    from mbtl.training import WorldTrainer
 
     default = next(iter(family.jax.presets.values()))
+    problem: JaxProblem | TwinProblem
     if isinstance(family.jax, TwinFamily):
-        twins = TwinProblem(family.jax.problem, make_env, family.jax.options)
-        return family.jax.presets, TwinTrainer(twins, **default.options())
-    problem = JaxProblem(family.jax.environment, make_env)
-    return family.jax.presets, JaxTrainer(problem, **default.options())
+        problem = TwinProblem(family.jax.problem, make_env, family.jax.options)
+    else:
+        problem = JaxProblem(family.jax.environment, make_env)
+    return family.jax.presets, WorldTrainer(problem, **default.options())

@@ -295,15 +295,15 @@ def _hold(family: str, description: str) -> Variant:
 
 TRAFFIC_VARIANTS: Mapping[str, Variant] = {
     "signal-length": line(
-        "signal", "length", "m", "50", 750.0, n=50, paper_step="75", version=1,
+        "signal", "length", "m", "50", 750.0, n=50, paper_step="75", version=2,
         description="Traffic signal; the length of the approaches varies",
     ),
     "signal-inflow": line(
-        "signal", "inflow", "cars", "50", 1000.0, n=50, version=1,
+        "signal", "inflow", "cars", "50", 1000.0, n=50, version=2,
         description="Traffic signal; the demand varies",
     ),
     "signal-speed": line(
-        "signal", "speed", "m/s", "0.5", 14.0, n=50, paper_step="1.389", version=1,
+        "signal", "speed", "m/s", "0.5", 14.0, n=50, paper_step="1.389", version=2,
         description="Traffic signal; the speed limit varies",
     ),
     "eco-penetration": line(

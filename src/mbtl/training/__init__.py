@@ -6,17 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mbtl.training.export import export_mlp
-    from mbtl.training.jax_trainer import JaxTrainer
     from mbtl.training.sb3 import SB3Trainer
     from mbtl.training.sb3_files import load_sb3
-    from mbtl.training.twin_trainer import TwinTrainer
+    from mbtl.training.world_trainer import WorldTrainer
 
-__all__ = ["JaxTrainer", "SB3Trainer", "TwinTrainer", "export_mlp", "load_sb3"]
+__all__ = ["SB3Trainer", "WorldTrainer", "export_mlp", "load_sb3"]
 
 _HOMES = {
-    "JaxTrainer": "mbtl.training.jax_trainer",
     "SB3Trainer": "mbtl.training.sb3",
-    "TwinTrainer": "mbtl.training.twin_trainer",
+    "WorldTrainer": "mbtl.training.world_trainer",
     "export_mlp": "mbtl.training.export",
     "load_sb3": "mbtl.training.sb3_files",
 }

@@ -23,13 +23,13 @@ from mbtl.contexts import Context
 from mbtl.errors import InvalidInput
 from mbtl.trainer import OnProgress
 from mbtl.training.sb3 import SB3Trainer
-from mbtl.training.twin_trainer import TwinTrainer
+from mbtl.training.world_trainer import WorldTrainer
 
 _SEEDS = 1 << 31
 
 
 def train_on_all(
-    trainer: SB3Trainer | TwinTrainer,
+    trainer: SB3Trainer | WorldTrainer,
     contexts: Sequence[Context],
     seed: int,
     on_progress: OnProgress | None = None,
@@ -43,19 +43,19 @@ def train_on_all(
         contexts: of which one is drawn uniformly for every episode; for every update in a twin.
         seed: training seed.
         on_progress: told as by the trainer.
-        partial: file of a twin's unfinished training; see `TwinTrainer.train_on_all`.
+        partial: file of a twin's unfinished training; see `WorldTrainer.train_on_all`.
 
     Raises:
         InvalidInput: there are no contexts.
     """
-    if isinstance(trainer, TwinTrainer):
+    if isinstance(trainer, WorldTrainer):
         return trainer.train_on_all(contexts, seed, on_progress, partial=partial)
     return for_all_contexts(trainer, contexts).train(contexts[0], seed, on_progress)
 
 
-def recipe_on_all(trainer: SB3Trainer | TwinTrainer) -> dict[str, Any]:
+def recipe_on_all(trainer: SB3Trainer | WorldTrainer) -> dict[str, Any]:
     """What decides the policy of `train_on_all` and its returns, JSON-able."""
-    if isinstance(trainer, TwinTrainer):
+    if isinstance(trainer, WorldTrainer):
         return trainer.recipe_on_all
     return {**trainer.recipe, "contexts": "uniform, one per episode"}
 

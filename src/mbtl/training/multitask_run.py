@@ -22,9 +22,8 @@ from mbtl.files import claimed_folder, whole_file
 from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
 from mbtl.trainer import Progress
-from mbtl.training.jax_trainer import JaxTrainer
 from mbtl.training.sb3 import SB3Trainer
-from mbtl.training.twin_trainer import TwinTrainer
+from mbtl.training.world_trainer import WorldTrainer
 
 Method = Literal["ppo", "paco", "moore"]
 
@@ -50,7 +49,7 @@ class InJax:
         eval_episodes: E.
     """
 
-    trainer: JaxTrainer
+    trainer: WorldTrainer
     contexts: Sequence[Context]
     method: Method
     length: int
@@ -91,7 +90,7 @@ class InJax:
         import mbtl.training.jax as engine
 
         env, params = self.trainer.problem(self.contexts)
-        return env, engine.multitask_recipe(self.method, type(env).__name__), params
+        return env, engine.multitask_recipe(self.method, type(env.env).__name__), params
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ class InSimulator:
         problem: what else decides the policy, of the CMDP; JSON-able.
     """
 
-    trainer: SB3Trainer | TwinTrainer
+    trainer: SB3Trainer | WorldTrainer
     contexts: Sequence[Context]
     problem: Mapping[str, Any]
 

@@ -9,6 +9,10 @@ An environment is a Gymnasium one, or a PettingZoo parallel one whose agents sha
 an episode is worth is the sum of its rewards, or `info["score"]` of its last step where that is
 given: in traffic, say, the score is a mean speed and the rewards only teach. An episode of which
 `info["final_score"]` tells before its end what it will be worth is not played on.
+
+Where luck is of a few known kinds, an environment may say how probable each is: `strata`, shares
+that add up to 1. An episode is then one of each kind (`reset(options={"stratum": k})`), and worth
+their mean by those shares: as much on average, and with less luck.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ import inspect
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -38,7 +43,9 @@ LONGEST_EPISODE = 1_000_000
 class Env(Protocol):
     """The part of `gymnasium.Env` that rollouts use."""
 
-    def reset(self, *, seed: int | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
         ...
 
@@ -70,8 +77,11 @@ class _Place:
 
     job: int
     env: Any
-    seeds: Iterator[int]
+    seeds: Iterator[tuple[int, float, dict[str, Any] | None]]  # and share and options of a stratum
     returns: list[float]
+    share: float = 1.0
+    worth: float = 0.0
+    left: int = 0  # strata of this episode that are still to be played
     observations: list[Any] = field(default_factory=list)  # one per decision maker
     total: float = 0.0
     steps: int = 0
@@ -85,15 +95,35 @@ class _Place:
 
     def start_episode(self) -> bool:
         """Reset for the next episode; False when all were played."""
-        while (seed := next(self.seeds, None)) is not None:
-            first, _ = self.env.reset(seed=seed)
+        while (coming := next(self.seeds, None)) is not None:
+            seed, self.share, options = coming
+            first, _ = self.env.reset(
+                seed=seed, **({} if options is None else {"options": options})
+            )
             self.observations = [first[a] for a in self.env.agents] if self.is_team else [first]
             self.total, self.steps, self.memory = 0.0, 0, None
             self.rng = np.random.default_rng(action_seed(seed))
             if self.observations:
                 return True
-            self.returns.append(float(self.env.summary["score"]))  # nobody ever had to decide
+            self._book(float(self.env.summary["score"]))  # nobody ever had to decide
         return False
+
+    @classmethod
+    def of(cls, job: int, env: Any, seeds: Sequence[int], returns: list[float]) -> _Place:
+        """Before its first episode."""
+        parts: list[tuple[float, dict[str, Any] | None]] = [
+            (share, {"stratum": k}) for k, share in enumerate(strata_of(env))
+        ] or [(1.0, None)]
+        coming = ((seed, share, options) for seed in seeds for share, options in parts)
+        return cls(job, env, coming, returns, left=len(parts))
+
+    def _book(self, score: float) -> None:
+        """What an episode is worth, once all of its strata were played."""
+        self.worth += self.share * score
+        self.left -= 1
+        if self.left == 0:
+            self.returns.append(self.worth)
+            self.worth, self.left = 0.0, len(strata_of(self.env)) or 1
 
     def step(self, actions: Sequence[Any]) -> bool:
         """Take one step with one action per decision maker; True when the episode is over."""
@@ -106,7 +136,7 @@ class _Place:
             )
         if ended:
             score = info.get("final_score", info.get("score", self.total))
-            self.returns.append(float(score))
+            self._book(float(score))
         return ended
 
     def _step(self, action: Any) -> tuple[bool, Mapping[str, Any]]:
@@ -201,7 +231,7 @@ def play(
         while waiting or places:
             while waiting and len(places) < max_envs:
                 number, job = waiting.popleft()
-                place = _Place(number, job.open_env(), iter(job.seeds), returns[number])
+                place = _Place.of(number, job.open_env(), job.seeds, returns[number])
                 places.append(place)
                 if not place.start_episode():
                     places.remove(place)
@@ -220,6 +250,15 @@ def play(
             for place in places:
                 place.env.close()
     return [np.asarray(r, dtype=np.float64) for r in returns]
+
+
+def strata_of(env: Any) -> tuple[float, ...]:
+    """Shares of the kinds of luck that an environment knows; none where it says nothing."""
+    find = getattr(env, "get_wrapper_attr", partial(getattr, env))
+    try:
+        return tuple(find("strata"))
+    except AttributeError:
+        return ()
 
 
 def _stacked(observations: Sequence[Any]) -> Any:

@@ -16,6 +16,9 @@ STRAIGHT_SHARE = 0.75
 SHAPE = 2.0
 LENGTH, DECELERATION = 5.0, 4.5
 
+_CROWDED = 3.0
+"""A draw with a number beyond this comes within three quarters of the time, or less."""
+
 _CLEARANCE = 0.1
 """From the start of the road to a car that enters [m]."""
 
@@ -27,9 +30,25 @@ APPROACHES = ("W", "N", "E", "S")
 """In the order of the observation, and clockwise: the exit after next lies straight ahead."""
 
 
-def departures(rng: np.random.Generator, n: int, seconds: int) -> Array:
-    """(n,) sorted departure times, whole seconds in 0..seconds; n >= 2."""
+def crowded_share(n: int) -> float:
+    """Probability of a crowded draw of n cars: its largest number is beyond `_CROWDED`."""
+    return float(-np.expm1(n * np.log1p(-np.exp(-(_CROWDED**SHAPE)))))
+
+
+def departures(
+    rng: np.random.Generator, n: int, seconds: int, *, crowded: bool | None = None
+) -> Array:
+    """(n,) sorted departure times, whole seconds in 0..seconds; n >= 2.
+
+    Args:
+        rng: draws them.
+        n: number of cars.
+        seconds: length of the episode.
+        crowded: only a draw that is, or is not; None: as it comes.
+    """
     draws = np.sort(rng.weibull(SHAPE, n))
+    while crowded is not None and bool(draws[-1] > _CROWDED) is not crowded:
+        draws = np.sort(rng.weibull(SHAPE, n))
     low, high = np.floor(draws[1]), np.ceil(draws[-1])
     stretched: Array = (draws - low) / (high - low) * seconds
     return np.clip(np.rint(stretched), 0, seconds)
@@ -59,15 +78,22 @@ def stopping_distance(speed: float) -> float:
     return LENGTH + _CLEARANCE + speed + braking
 
 
-def routes(rng: np.random.Generator, n: int, seconds: int, speed_limit: float) -> str:
-    """XML of one episode's cars."""
+def routes(
+    rng: np.random.Generator,
+    n: int,
+    seconds: int,
+    speed_limit: float,
+    *,
+    crowded: bool | None = None,
+) -> str:
+    """XML of one episode's cars; arguments as in `departures`."""
     ways = "".join(
         f'<route id="{a}{b}" edges="{a}_in {b}_out"/>'
         for a in APPROACHES
         for b in APPROACHES
         if a != b
     )
-    times = departures(rng, n, seconds).tolist()
+    times = departures(rng, n, seconds, crowded=crowded).tolist()
     cars = "".join(
         f'<vehicle id="{k}" type="car" route="{a}{b}" depart="{time:.0f}" departLane="random" '
         f'departSpeed="{entry_speed(speed_limit):g}" insertionChecks="{_CHECKS}"/>'

@@ -106,14 +106,32 @@ class Signal(TrafficEnv):
 
     # ---- episodes ----------------------------------------------------------------------------
 
+    @property
+    def strata(self) -> tuple[float, float]:
+        """Probabilities of the two modes of demand: usual, and crowded (see `demand`)."""
+        crowded = demand.crowded_share(int(self.features["inflow"]))
+        return 1.0 - crowded, crowded
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an empty intersection with the demand of a new draw."""
+        """Start an empty intersection with the demand of a new draw.
+
+        Args:
+            seed: of the draw.
+            options: {"stratum": k} draws demand of one mode only, see `strata`.
+
+        Raises:
+            InvalidInput: there is no such mode.
+        """
         super().reset(seed=seed)
         cars = int(self.features["inflow"])
         speed = self.features["speed"]
-        trips = demand.routes(self.np_random, cars, SECONDS, speed)
+        stratum = (options or {}).get("stratum")
+        if stratum not in (None, 0, 1):
+            raise InvalidInput(f"stratum is 0 (usual demand) or 1 (crowded), got {stratum!r}")
+        crowded = None if stratum is None else stratum == 1
+        trips = demand.routes(self.np_random, cars, SECONDS, speed, crowded=crowded)
         self.simulation.start(trips, self._draw_seed())
         self._phase: int | None = None
         self._time, self._decisions = 0, 0

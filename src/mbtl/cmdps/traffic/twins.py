@@ -18,7 +18,7 @@ from mbtl.contexts import Context
 
 @dataclass(frozen=True)
 class RingProblem:
-    """contexts -> twin of the ring and its parameters (`mbtl.training.twin_trainer.Problem`).
+    """contexts -> twin of the ring and its parameters (`mbtl.cmdps.engines.TwinProblem`).
 
     Attributes:
         actions: what is advised.
@@ -88,7 +88,7 @@ class RingProblem:
 
 @dataclass(frozen=True)
 class EcoProblem:
-    """contexts -> twin of the eco-driving road and its parameters (`twin_trainer.Problem`).
+    """contexts -> twin of the eco-driving road and its parameters (`engines.TwinProblem`).
 
     Attributes:
         unit: varied features and their value at multiplier 1.

@@ -1,20 +1,22 @@
 """Trainers in jax, vectorised over contexts and seeds; importing this starts jax (see `flags`).
 
-env = CartPole()
-params = stack_params(env, [derive(...) for each context], visible)
-training = train(env, recipe_named("PPO", "fast"), seeds, params, timesteps=200_000)
-returns = evaluate(env, training.best.actor, params, episode_noise(env, episode_seeds))
-policies = export_policies(env, training.best)
+world = Solo(CartPole())
+params = stack_params(world, [derive(...) for each context], visible)
+training = train(world, recipe_named("PPO", "fast"), seeds, params, 200_000)
+returns = evaluate(world, actor_of(training.best), params, episode_seeds)
+policies = export_policies(world, training.best)
 """
 
 from __future__ import annotations
 
 from mbtl.training.jax import flags as flags  # isort: skip  # first: it starts jax
+from mbtl.training.jax.algorithms import recipe_named
 from mbtl.training.jax.blocks import Block, Training, from_arrays, to_arrays, weights_of
 from mbtl.training.jax.cartpole import CartPole
-from mbtl.training.jax.environments import Environment, stack_params
-from mbtl.training.jax.evaluation import episode_noise, evaluate, on_cpu
-from mbtl.training.jax.export import export_policies, import_actors
+from mbtl.training.jax.environments import Box, Discrete, Environment, Step
+from mbtl.training.jax.evaluation import evaluate, on_cpu, reference_returns
+from mbtl.training.jax.export import export_policies
+from mbtl.training.jax.hosted import hosted
 from mbtl.training.jax.loop import start, train
 from mbtl.training.jax.multitask.run import MultiTaskRun, multitask_settings, run_multitask
 from mbtl.training.jax.multitask.training import (
@@ -31,17 +33,19 @@ from mbtl.training.jax.recipes import (
     PPORecipe,
     Recipe,
     multitask_recipe,
-    recipe_named,
 )
-from mbtl.training.jax.references import reference_returns
 from mbtl.training.jax.saving import SavedTraining
+from mbtl.training.jax.traffic.episodes import actor_of, import_actor
+from mbtl.training.jax.world import Solo, World, context_of, stack_params
 
 __all__ = [
     "RECIPES",
     "A2CRecipe",
     "Block",
+    "Box",
     "CartPole",
     "DQNRecipe",
+    "Discrete",
     "Environment",
     "MultiTaskRecipe",
     "MultiTaskRun",
@@ -49,13 +53,18 @@ __all__ = [
     "Pendulum",
     "Recipe",
     "SavedTraining",
+    "Solo",
+    "Step",
     "Training",
-    "episode_noise",
+    "World",
+    "actor_of",
+    "context_of",
     "evaluate",
     "evaluate_multitask",
     "export_policies",
     "from_arrays",
-    "import_actors",
+    "hosted",
+    "import_actor",
     "multitask_recipe",
     "multitask_settings",
     "on_cpu",

@@ -16,57 +16,58 @@ from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.environments import Environment, Tree
+from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import A2CRecipe
 from mbtl.training.jax.rollout import Noise, Rollout, State, advantages, draw, play, start
+from mbtl.training.jax.world import Solo
 
 
 def init(
-    env: Environment,
+    world: Solo,
     recipe: A2CRecipe,
     seeds: Sequence[int],
     params: Tree,
     weights: Weights | None = None,
 ) -> State:
     """All policies before their first update; see `rollout.start`."""
-    return start(env, recipe, optimizer, seeds, params, weights)
+    return start(world, recipe, optimizer, seeds, params, weights)
 
 
-def update(env: Environment, recipe: A2CRecipe, state: State, params: Tree, clock: Clock) -> State:
+def update(world: Solo, recipe: A2CRecipe, state: State, params: Tree, clock: Clock) -> State:
     """`recipe.rollouts_per_update` rollouts with a gradient step on each.
 
     Args:
-        env: the dynamics; static.
+        world: the dynamics; static.
         recipe: hyper-parameters; static.
         state: one policy's.
         params: its context.
         clock: which update it is; decides the learning rate.
     """
     shape = (recipe.rollouts_per_update, recipe.n_steps, recipe.n_envs)
-    key, noise = draw(env, state.key, shape)
+    key, noise = draw(world, state.key, shape)
     scale = 1.0 - clock.progress if recipe.anneal else jnp.float32(1.0)
 
     def one(state: State, drawn: Noise) -> tuple[State, None]:
-        state, rollout = play(env, recipe, state, params, drawn)
-        return learn(env, recipe, state, rollout, scale), None
+        state, rollout = play(world, recipe, state, params, drawn)
+        return learn(world, recipe, state, rollout, scale), None
 
     state, _ = jax.lax.scan(one, state._replace(key=key), noise)
     return state
 
 
 def learn(
-    env: Environment, recipe: A2CRecipe, state: State, rollout: Rollout, scale: jax.Array
+    world: Solo, recipe: A2CRecipe, state: State, rollout: Rollout, scale: jax.Array
 ) -> State:
     """One gradient step, `scale` times the recipe's learning rate."""
-    gradient = jax.grad(loss, argnums=2)(env, recipe, state.weights, rollout)
+    gradient = jax.grad(loss, argnums=2)(world, recipe, state.weights, rollout)
     flat, unravel = ravel_pytree(gradient)  # one vector: few large operations, not many small
     steps, moments = optimizer(recipe).update(flat, state.optimizer)
     weights = jax.tree.map(jnp.add, state.weights, unravel(scale * steps))
     return state._replace(weights=weights, optimizer=moments)
 
 
-def loss(env: Environment, recipe: A2CRecipe, weights: Weights, rollout: Rollout) -> jax.Array:
+def loss(world: Solo, recipe: A2CRecipe, weights: Weights, rollout: Rollout) -> jax.Array:
     """-A log pi(a|s) + value_coef x (A + V(s)_old - V(s))^2 - entropy_coef x entropy, on average.
 
     The advantage A and the target A + V_old are constants of the gradient.
@@ -77,11 +78,13 @@ def loss(env: Environment, recipe: A2CRecipe, weights: Weights, rollout: Rollout
     target = advantage + jax.lax.stop_gradient(value)
     if recipe.normalize_advantage:
         advantage = (advantage - advantage.mean()) / (advantage.std(ddof=1) + 1e-8)
-    log_prob = networks.log_prob(outputs, weights.log_std, rollout.action, env.action)
+    log_prob = networks.log_prob(outputs, weights.log_std, rollout.action, world.action)
     total = -(advantage * log_prob).mean()
     total += recipe.value_coef * jnp.square(target - value).mean()
     if recipe.entropy_coef:
-        total -= recipe.entropy_coef * networks.entropy(outputs, weights.log_std, env.action).mean()
+        total -= (
+            recipe.entropy_coef * networks.entropy(outputs, weights.log_std, world.action).mean()
+        )
     return total
 
 

@@ -1,60 +1,104 @@
 """Which module learns by which recipe; a new algorithm is one file and one line here.
 
-An algorithm is a module of pure functions on the state of training, vectorised by `jax.vmap`:
+An algorithm is a module of pure functions. Those that learn from copies which start again
+(`rollout`) are of one policy, vectorised by `jax.vmap`:
 
-    init(env, recipe, seeds, params, weights) -> State      P policies, leading axis
-    update(env, recipe, state, params, clock)               one policy, one update further
+    init(world, recipe, seeds, params, weights) -> State      P policies, leading axis
+    update(world, recipe, state, params, clock)               one policy, one update further
 
-Its `State` holds the networks as `weights: networks.Weights`, whose `actor` is what acts. The clock
-is the same for all policies: what depends on it alone is computed once for all of them.
+Those that learn from whole episodes (`traffic.learning`), in which agents come and go:
+
+    start(recipe, weights) -> Memory                                    of one policy
+    learn(action, recipe, weights, memory, lived, number)               likewise
+
+The state holds the networks as `weights`, whose `actor` is what acts. The clock is the same for all
+policies: what depends on it alone is computed once for all of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from functools import partial
+from typing import Any
 
+import jax
+
+from mbtl.errors import InvalidInput
 from mbtl.training.jax import a2c, dqn, ppo
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.environments import Environment, Tree
-from mbtl.training.jax.multitask import round_robin
-from mbtl.training.jax.recipes import A2CRecipe, DQNRecipe, MultiTaskRecipe, PPORecipe, Recipe
+from mbtl.training.jax.environments import Length, Tree
+from mbtl.training.jax.multitask import policies
+from mbtl.training.jax.recipes import (
+    RECIPES,
+    A2CRecipe,
+    DQNRecipe,
+    MultiTaskRecipe,
+    PPORecipe,
+    Recipe,
+    named,
+)
+from mbtl.training.jax.traffic import learning
+from mbtl.training.jax.traffic.recipes import TWIN_RECIPES, TwinRecipe
+from mbtl.training.jax.world import Solo, World
 
+AnyRecipe = Recipe | TwinRecipe
 
-class Algorithm(Protocol):
-    """What a module of an algorithm offers."""
-
-    def init(
-        self,
-        env: Environment,
-        recipe: Any,
-        seeds: Sequence[int],
-        params: Tree,
-        weights: Any = None,
-    ) -> Any:
-        """All policies before their first update, leading axis; fresh unless given weights."""
-        ...
-
-    def update(
-        self,
-        env: Environment,
-        recipe: Any,
-        state: Any,
-        params: Tree,
-        clock: Clock,
-    ) -> Any:
-        """One policy after `recipe.steps_per_update` more steps."""
-        ...
-
-
-_MODULES: Mapping[type, Algorithm] = {
+_WITH_COPIES: Mapping[type, Any] = {
     PPORecipe: ppo,
     A2CRecipe: a2c,
     DQNRecipe: dqn,
-    MultiTaskRecipe: round_robin,
+    MultiTaskRecipe: policies,
 }
 
 
-def algorithm_of(recipe: Recipe) -> Algorithm:
-    """The module that learns by this kind of recipe."""
-    return _MODULES[type(recipe)]
+def recipe_named(algorithm: str, name: str, unit: str = "timesteps") -> AnyRecipe:
+    """The recipe called `name`.
+
+    Args:
+        algorithm: "PPO", "A2C" or "DQN" by timesteps; "TRPO" or "PPO" by episodes.
+        name: one of `RECIPES[algorithm]`, or of `TWIN_RECIPES[algorithm]`.
+        unit: what the length of a training counts.
+
+    Raises:
+        UnknownName: there is none.
+    """
+    tables: Mapping[str, Any] = {"timesteps": RECIPES, "episodes": TWIN_RECIPES}
+    found: AnyRecipe = named(tables[unit], algorithm, name)
+    return found
+
+
+def init(
+    world: World, recipe: AnyRecipe, seeds: Sequence[int], params: Tree, weights: Any = None
+) -> Any:
+    """P policies before their first update, leading axis; fresh unless given weights.
+
+    Raises:
+        InvalidInput: this world cannot start single simulations again.
+    """
+    if isinstance(recipe, TwinRecipe):
+        return learning.init(world, recipe, seeds, params, weights)
+    if not isinstance(world, Solo):
+        raise InvalidInput(
+            f"{type(recipe).__name__} needs simulations that start again one by one, got "
+            f"{type(world).__name__}; learn from whole episodes, e.g. by TRPORecipe"
+        )
+    return _WITH_COPIES[type(recipe)].init(world, recipe, seeds, params, weights)
+
+
+def update(
+    world: World, recipe: AnyRecipe, decisions: Length, state: Any, params: Tree, clock: Clock
+) -> Any:
+    """P policies after `recipe.update_length` more steps or episodes; can be traced.
+
+    Args:
+        world: the dynamics; static.
+        recipe: hyper-parameters; static.
+        decisions: of an episode at most, or beats; static.
+        state: as `init` or the last update gave it.
+        params: of one context, (P, ...), or with a `MultiTaskRecipe` (P, N, ...).
+        clock: which update it is.
+    """
+    if isinstance(recipe, TwinRecipe):
+        return learning.update(world, recipe, decisions, state, params, clock)
+    each = partial(_WITH_COPIES[type(recipe)].update, world, recipe)
+    return jax.vmap(each, in_axes=(0, 0, None))(state, params, clock)

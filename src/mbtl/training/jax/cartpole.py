@@ -14,7 +14,6 @@ from mbtl.training.jax.environments import (
     Step,
     TimeLimit,
     stack_observation,
-    uniform_reset,
 )
 
 X_LIMIT = 2.4
@@ -65,11 +64,6 @@ class CartPole:
         """Every state variable uniform in +-0.05."""
         spread = RESET_HALF_WIDTH * (2.0 * noise - 1.0)
         return CartPoleState(*(spread.astype(params.length.dtype)))
-
-    def reset(self, key: jax.Array, params: CartPoleParams) -> CartPoleState:
-        """First state from a random key."""
-        state: CartPoleState = uniform_reset(self, key, params)
-        return state
 
     def step(self, state: CartPoleState, action: jax.Array, params: CartPoleParams) -> Step:
         """One explicit Euler step; reward 1."""

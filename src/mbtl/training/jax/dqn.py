@@ -25,10 +25,11 @@ from jax.flatten_util import ravel_pytree
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.environments import Discrete, Environment, Tree
+from mbtl.training.jax.environments import Discrete, Tree
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.recipes import DQNRecipe
-from mbtl.training.jax.rollout import advance, first_copies
+from mbtl.training.jax.rollout import Copies, advance, first_copies, look
+from mbtl.training.jax.world import Solo
 
 
 class State(NamedTuple):
@@ -40,8 +41,7 @@ class State(NamedTuple):
         optimizer: Adam's moments.
         replay: (N, 2 f + 3) ring of transitions: state before, state after, action, reward,
             terminated. Visible context features are constants of a policy and not in it.
-        env: states of the E copies.
-        elapsed: (E,) steps since each copy was reset.
+        copies: where the policy lives.
         key: the policy's own random key.
     """
 
@@ -49,8 +49,7 @@ class State(NamedTuple):
     target: Network
     optimizer: Tree
     replay: jax.Array
-    env: Tree
-    elapsed: jax.Array
+    copies: Copies
     key: jax.Array
 
 
@@ -81,7 +80,7 @@ class Round(NamedTuple):
 
 
 def init(
-    env: Environment,
+    world: Solo,
     recipe: DQNRecipe,
     seeds: Sequence[int],
     params: Tree,
@@ -90,7 +89,7 @@ def init(
     """Networks, freshly reset environments and empty rings of all policies.
 
     Args:
-        env: the dynamics.
+        world: the dynamics.
         recipe: hyper-parameters.
         seeds: one per policy, 32 bits; decides its whole training.
         params: one context per policy, leading axis.
@@ -99,31 +98,31 @@ def init(
     Raises:
         InvalidInput: actions are not discrete.
     """
-    widths = [env.n_features + params.visible.shape[-1], *recipe.hidden, _options(env)]
+    widths = [world.n_features + params.visible.shape[-1], *recipe.hidden, _options(world)]
     if weights is None:
         weights = networks.stack([networks.init_q_network(seed, widths) for seed in seeds])
     roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
-    state: State = _start(env, recipe, weights, roots, params)
+    state: State = _start(world, recipe, weights, roots, params)
     return state
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 @partial(jax.vmap, in_axes=(None, None, 0, 0, 0))
 def _start(
-    env: Environment, recipe: DQNRecipe, weights: Weights, seed: jax.Array, params: Tree
+    world: Solo, recipe: DQNRecipe, weights: Weights, seed: jax.Array, params: Tree
 ) -> State:
     moments = optimizer(recipe).init(ravel_pytree(weights.actor)[0])
     target = jax.tree.map(jnp.copy, weights.actor)  # memory of its own: a block takes over both
-    replay = jnp.zeros((recipe.buffer_size, 2 * env.n_features + 3))
-    copies = first_copies(env, recipe.n_envs, seed, params)
+    replay = jnp.zeros((recipe.buffer_size, 2 * world.n_features + 3))
+    copies = first_copies(world, recipe.n_envs, seed, params)
     return State(weights, target, moments, replay, *copies)
 
 
-def update(env: Environment, recipe: DQNRecipe, state: State, params: Tree, clock: Clock) -> State:
+def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Clock) -> State:
     """`recipe.rounds_per_update` rounds of some steps and some gradient steps.
 
     Args:
-        env: the dynamics; static.
+        world: the dynamics; static.
         recipe: hyper-parameters; static.
         state: one policy's.
         params: its context.
@@ -134,16 +133,16 @@ def update(env: Environment, recipe: DQNRecipe, state: State, params: Tree, cloc
     shape = (n_rounds, recipe.train_freq, recipe.n_envs)
     key, coin_key, reset_key = jax.random.split(state.key, 3)
     rounds = Round(
-        clock.number * recipe.steps_per_update + per_round * jnp.arange(n_rounds),
+        clock.number * recipe.update_length + per_round * jnp.arange(n_rounds),
         jax.random.uniform(coin_key, shape),
-        jax.random.uniform(reset_key, (*shape, env.n_noise)),
+        world.noise(reset_key, shape),
         jax.random.uniform(clock.key, (n_rounds, recipe.gradient_steps, recipe.batch_size)),
     )
     scale = 1.0 - clock.progress if recipe.anneal else jnp.float32(1.0)
-    total = clock.total * recipe.steps_per_update
+    total = clock.total * recipe.update_length
 
     def one(state: State, now: Round) -> tuple[State, None]:
-        state, rows = explore(env, recipe, state, params, now, total)
+        state, rows = explore(world, recipe, state, params, now, total)
         replay = jax.lax.dynamic_update_slice(
             state.replay, rows, (now.step % recipe.buffer_size, 0)
         )
@@ -154,7 +153,7 @@ def update(env: Environment, recipe: DQNRecipe, state: State, params: Tree, cloc
         picked = replay[jnp.floor(now.pick * filled).astype(jnp.int32)]
         network, moments = jax.lax.cond(
             step > recipe.learning_starts,
-            partial(learn, env, recipe, scale, params.visible),
+            partial(learn, world, recipe, scale, params.visible),
             lambda network, moments, *_: (network, moments),
             *(state.weights.actor, state.optimizer, target, picked),
         )
@@ -175,7 +174,7 @@ def epsilon(recipe: DQNRecipe, step: jax.Array, total: jax.Array) -> jax.Array:
 
 
 def explore(
-    env: Environment,
+    world: Solo,
     recipe: DQNRecipe,
     state: State,
     params: Tree,
@@ -183,30 +182,28 @@ def explore(
     total: jax.Array,
 ) -> tuple[State, jax.Array]:
     """T epsilon-greedy steps of the E copies, and their (T x E, 2 f + 3) rows of the ring."""
-    observe = jax.vmap(env.observe, (0, None))
-    network, n, f = state.weights.actor, _options(env), env.n_features
+    network, n, f = state.weights.actor, _options(world), world.n_features
 
-    def step(carry: tuple[Tree, jax.Array, jax.Array], drawn: Any) -> Any:
-        env_state, elapsed, obs = carry
+    def step(carry: tuple[Copies, jax.Array], drawn: Any) -> Any:
+        copies, obs = carry
         t, coin, reset = drawn
         chance = epsilon(recipe, now.step + t * recipe.n_envs, total)
         random = jnp.minimum((coin / chance * n).astype(jnp.int32), n - 1)
         greedy = jnp.argmax(networks.apply(network, obs, recipe.activation), axis=-1)
         action = jnp.where(coin < chance, random, greedy)
-        moved = advance(env, params, env_state, elapsed, action, reset)
+        copies, moved = advance(world, params, copies, action, reset)
         scalars = jnp.stack([action, moved.reward, moved.terminated], axis=-1)
         row = jnp.concatenate([obs[:, :f], moved.after[:, :f], scalars], axis=-1)
-        return (moved.env, moved.elapsed, observe(moved.env, params)), row
+        return (copies, look(world, params, copies)), row
 
-    carry = (state.env, state.elapsed, observe(state.env, params))
+    carry = (state.copies, look(world, params, state.copies))
     steps = (jnp.arange(recipe.train_freq), now.coin, now.reset)
-    (env_state, elapsed, _), rows = jax.lax.scan(step, carry, steps)
-    state = state._replace(env=env_state, elapsed=elapsed)
-    return state, rows.reshape(recipe.steps_per_round, -1)
+    (copies, _), rows = jax.lax.scan(step, carry, steps)
+    return state._replace(copies=copies), rows.reshape(recipe.steps_per_round, -1)
 
 
 def learn(
-    env: Environment,
+    world: Solo,
     recipe: DQNRecipe,
     scale: jax.Array,
     visible: jax.Array,
@@ -219,7 +216,7 @@ def learn(
 
     def one(carry: tuple[Network, Tree], rows: jax.Array) -> tuple[tuple[Network, Tree], None]:
         network, moments = carry
-        batch = unpack(env, rows, visible)
+        batch = unpack(world, rows, visible)
         gradient = jax.grad(loss, argnums=1)(recipe, network, batch, goal(recipe, target, batch))
         flat, unravel = ravel_pytree(gradient)  # one vector: few large operations, not many small
         steps, moments = optimizer(recipe).update(flat, moments)
@@ -229,9 +226,9 @@ def learn(
     return network, moments
 
 
-def unpack(env: Environment, rows: jax.Array, visible: jax.Array) -> Batch:
+def unpack(world: Solo, rows: jax.Array, visible: jax.Array) -> Batch:
     """Rows of the ring as transitions, with the (v,) visible features back in the observations."""
-    f = env.n_features
+    f = world.n_features
     shown = jnp.broadcast_to(visible, (len(rows), *visible.shape))
     return Batch(
         jnp.concatenate([rows[:, :f], shown], axis=-1),
@@ -264,10 +261,10 @@ def optimizer(recipe: DQNRecipe) -> optax.GradientTransformation:
     )
 
 
-def _options(env: Environment) -> int:
-    if not isinstance(env.action, Discrete):
+def _options(world: Solo) -> int:
+    if not isinstance(world.action, Discrete):
         raise InvalidInput(
-            f"DQN must have discrete actions, got a box of {len(env.action.low)} dimensions; use "
+            f"DQN must have discrete actions, got a box of {len(world.action.low)} dimensions; use "
             "PPO or A2C"
         )
-    return env.action.n
+    return world.action.n

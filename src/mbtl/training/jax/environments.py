@@ -1,8 +1,8 @@
-"""What the trainers ask of an environment: pure functions of a state and of context parameters.
+"""One simulation with one agent: pure functions of a state and of context parameters.
 
-Parameters are arguments and never closed over, so one compiled program serves every context, and
-contexts, seeds and copies are axes of `jax.vmap`. A state knows no time limit and never resets
-itself: whoever steps it counts the steps, tells truncation from termination and starts anew.
+`mbtl.training.jax.world.Solo` makes many of them a world. Parameters are arguments and never closed
+over. A state knows no time limit and never resets itself: whoever steps it counts the steps, tells
+truncation from termination and starts anew.
 
 Parameters are a NamedTuple of arrays: the constants that the Gymnasium environment of the same name
 derives from its features, then `visible`, the context features appended to each observation.
@@ -16,15 +16,29 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from mbtl.errors import InvalidInput
 
 TimeLimit = Literal["truncation", "terminal"]
 
 Tree = Any
 """Arrays in nested tuples, lists or dictionaries: what jax calls a pytree."""
+
+
+class Beats(NamedTuple):
+    """Length of episodes in contexts whose decisions last differently long.
+
+    Attributes:
+        decisions: of the episode that has most.
+        total: beats of the longest episode.
+        steps: simulation steps of a beat.
+    """
+
+    decisions: int
+    total: int
+    steps: int
+
+
+Length = int | Beats
+"""Decisions of an episode; or, of several contexts in which they last differently long, beats."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +71,9 @@ class Step(NamedTuple):
 
 
 class Environment(Protocol):
-    """One context's dynamics, hashable, as it is a compile-time constant; `jax.vmap` makes batches.
+    """Dynamics, hashable, as they are a compile-time constant.
+
+    With an action `idle` that is none, it can go on without any advice.
 
     Attributes:
         horizon: steps after which an episode is cut off.
@@ -88,10 +104,6 @@ class Environment(Protocol):
         """First state from `noise`, (n_noise,) uniform in [0, 1)."""
         ...
 
-    def reset(self, key: jax.Array, params: Tree) -> Tree:
-        """First state from a random key."""
-        ...
-
     def step(self, state: Tree, action: jax.Array, params: Tree) -> Step:
         """One step; `action` is an integer, or a vector within the box."""
         ...
@@ -99,45 +111,6 @@ class Environment(Protocol):
     def observe(self, state: Tree, params: Tree) -> jax.Array:
         """(n_features + visible,) float32, what the policy sees."""
         ...
-
-
-def stack_params(
-    env: Environment, constants: Sequence[Sequence[float]], visible: ArrayLike | None = None
-) -> Tree:
-    """Parameters of many contexts, one leading axis.
-
-    Args:
-        env: the environment they are for.
-        constants: per context what the Gymnasium module's `derive` gives.
-        visible: (contexts, v) features appended to observations; None for none.
-
-    Returns:
-        `env.params` of numpy arrays in float64 (jax rounds them when x64 is off): (contexts,) per
-        constant, (contexts, v) visible.
-
-    Raises:
-        InvalidInput: the constants are not those of this environment.
-    """
-    table = np.asarray(constants, dtype=np.float64)
-    fields = env.params._fields[:-1]
-    if table.ndim != 2 or table.shape[1] != len(fields):
-        raise InvalidInput(
-            f"constants must be (contexts, {len(fields)}) for {', '.join(fields)}, "
-            f"got shape {table.shape}; pass what `derive` returns for each context"
-        )
-    shown: NDArray[np.float64] = (
-        np.zeros((len(table), 0)) if visible is None else np.asarray(visible, dtype=np.float64)
-    )
-    if shown.ndim != 2 or len(shown) != len(table):
-        raise InvalidInput(
-            f"visible features must be ({len(table)}, v), one row per context, got {shown.shape}"
-        )
-    return env.params(*table.T, shown)
-
-
-def uniform_reset(env: Environment, key: jax.Array, params: Tree) -> Tree:
-    """`reset` in terms of `initial`: draws the noise."""
-    return env.initial(jax.random.uniform(key, (env.n_noise,)), params)
 
 
 def stack_observation(parts: Sequence[jax.Array], visible: jax.Array) -> jax.Array:

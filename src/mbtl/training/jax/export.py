@@ -7,18 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from mbtl.portfolio import BoxHead, DiscreteHead, MLPPolicy
-from mbtl.training.jax.environments import Box, Discrete, Environment
+from mbtl.training.jax.environments import Box, Discrete
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.recipes import Activation
+from mbtl.training.jax.world import World
 
 
 def export_policies(
-    env: Environment, weights: Weights, activation: Activation = "tanh"
+    world: World, weights: Weights, activation: Activation = "tanh"
 ) -> list[MLPPolicy]:
     """The acting part of P policies, leading axis; actions as in jax up to float32 rounding."""
     weights = jax.tree.map(np.asarray, weights)  # one transfer, not one per policy
     return [
-        _policy(env, jax.tree.map(lambda x, p=p: x[p], weights), activation)
+        _policy(world, jax.tree.map(lambda x, p=p: x[p], weights), activation)
         for p in range(len(weights.log_std))
     ]
 
@@ -30,14 +31,14 @@ def import_actors(policies: list[MLPPolicy]) -> Network:
     return tuple((jnp.asarray(w), jnp.asarray(b)) for w, b in stacked)
 
 
-def _policy(env: Environment, weights: Weights, activation: Activation) -> MLPPolicy:
+def _policy(world: World, weights: Weights, activation: Activation) -> MLPPolicy:
     n_inputs = weights.actor[0][0].shape[0]
     return MLPPolicy(
         weights=tuple(np.ascontiguousarray(w.T) for w, _ in weights.actor),
         biases=tuple(np.array(b) for _, b in weights.actor),
         activation=activation,
         observation_shape=(n_inputs,),
-        head=_head(env.action, np.asarray(weights.log_std)),
+        head=_head(world.action, np.asarray(weights.log_std)),
     )
 
 

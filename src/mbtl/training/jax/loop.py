@@ -1,4 +1,4 @@
-"""Many trainings at once: contexts and seeds are one axis of P policies."""
+"""Many trainings at once, in any world: contexts and seeds are one axis of P policies."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from mbtl.errors import InvalidInput
 from mbtl.seeds import Purpose, derive_seed
-from mbtl.training.jax.algorithms import algorithm_of
+from mbtl.training.jax import algorithms
+from mbtl.training.jax.algorithms import AnyRecipe
 from mbtl.training.jax.blocks import (
     Block,
     Schedule,
@@ -25,15 +25,17 @@ from mbtl.training.jax.blocks import (
     keep_better,
 )
 from mbtl.training.jax.clock import clock_at
-from mbtl.training.jax.environments import Environment, Tree
-from mbtl.training.jax.evaluation import episode_noise, own_returns
+from mbtl.training.jax.environments import Length, Tree
+from mbtl.training.jax.evaluation import own_scores
 from mbtl.training.jax.networks import Weights
-from mbtl.training.jax.recipes import Recipe, check_lengths
+from mbtl.training.jax.recipes import check_lengths
+from mbtl.training.jax.traffic.episodes import Acting, actor_of
+from mbtl.training.jax.world import World
 
 
 def start(
-    env: Environment,
-    recipe: Recipe,
+    world: World,
+    recipe: AnyRecipe,
     seeds: Sequence[int],
     params: Tree,
     weights: Weights | None = None,
@@ -44,29 +46,30 @@ def start(
     Raises:
         InvalidInput: there is not one seed per context, or weights of another shape.
     """
-    n_contexts = len(params.visible)
+    n_contexts = len(params.visible) if params.visible.ndim > 1 else len(seeds)
     if len(seeds) != n_contexts or not seeds:
         raise InvalidInput(
             f"training takes one seed per context (repeat contexts for more seeds), "
             f"got {len(seeds)} seeds and {n_contexts} contexts"
         )
-    params, init = _float32(params), algorithm_of(recipe).init
-    state = init(env, recipe, seeds, params)
+    init = partial(algorithms.init, world, recipe, seeds, _in_jax(params))
+    state = init()
     if weights is not None:
-        state = init(env, recipe, seeds, params, _fitting(weights, state.weights))
+        state = init(_fitting(weights, state.weights))
     return beginning(state, len(marks))
 
 
 def train(
-    env: Environment,
-    recipe: Recipe,
+    world: World,
+    recipe: AnyRecipe,
     seeds: Sequence[int],
     params: Tree,
-    timesteps: int,
+    length: int,
     *,
     on_block: Callable[[Block], None] | None = None,
     checkpoint_every: int | None = None,
     checkpoint_episodes: int = 10,
+    acting: Acting = "mean",
     only_best: bool = False,
     weights: Weights | None = None,
     marks: Sequence[Fraction] = (),
@@ -74,24 +77,28 @@ def train(
 ) -> Training:
     """Train one policy per (context, seed), all of them together.
 
-    A policy depends on its own seed and context, on the recipe and on `timesteps`; not on the
+    A policy depends on its own seed and context, on the recipe and on `length`; not on the
     others. (Another number of policies is another program, whose rounding may differ.)
 
     Args:
-        env: the dynamics.
+        world: the dynamics.
         recipe: hyper-parameters.
         seeds: P training seeds of 32 bits.
-        params: P contexts, leading axis; repeat a context to train it with several seeds. With a
-            `MultiTaskRecipe` (P, N, ...): each policy has a set of N contexts of its own, repeated
-            where it is smaller, whose episodes take turns.
-        timesteps: environment steps per policy, rounded up to whole updates.
+        params: P contexts, leading axis; repeat a context to train it with several seeds. Of one
+            context, without that axis, where the world cannot mix them. With a `MultiTaskRecipe`
+            (P, N, ...): each policy has a set of N contexts of its own, repeated where it is
+            smaller, whose episodes take turns.
+        length: environment steps per policy, or episodes where the recipe counts those; rounded up
+            to whole updates.
         on_block: called after each block.
-        checkpoint_every: environment steps between two evaluations of each policy on its own
-            contexts, rounded up to whole updates; None for 2 % of `timesteps`.
-        checkpoint_episodes: deterministic episodes of an evaluation, the same at every one; of N
-            contexts each plays as many of them.
+        checkpoint_every: as much of it between two evaluations of each policy on its own contexts,
+            rounded up to whole updates; None for 2 % of `length`.
+        checkpoint_episodes: of an evaluation, the same at every one; of N contexts each plays as
+            many of them.
+        acting: how actions are chosen there.
         only_best: end as soon as the best evaluation of every policy is the largest return there
-            is (`env.max_return`): the best weights, the earliest of equals, cannot change any more.
+            is (`world.max_return`): the best weights, the earliest of equals, cannot change any
+            more.
         weights: P networks to begin from, e.g. `best` of trainings on other contexts; the optimiser
             knows nothing of their past, and they are no checkpoint themselves. None for fresh ones.
         marks: (L,) shares of the training at which weights are kept, `along`; where it ends early,
@@ -106,51 +113,60 @@ def train(
             cannot share the checkpoint's episodes evenly.
         TrainingFailed: weights are no longer finite.
     """
-    check_lengths(timesteps=timesteps, checkpoint_episodes=checkpoint_episodes)
+    check_lengths(**{recipe.unit: length, "checkpoint_episodes": checkpoint_episodes})
     shared_by = params.visible.shape[1] if params.visible.ndim == 3 else 1
     if checkpoint_episodes % shared_by:
         raise InvalidInput(
             f"checkpoint_episodes must be a multiple of the {shared_by} contexts of each policy, "
             f"got {checkpoint_episodes}"
         )
-    schedule = Schedule.of(timesteps, recipe.steps_per_update, checkpoint_every, marks)
-    params = _float32(params)
-    noise = np.stack([_checkpoint_noise(env, seed, checkpoint_episodes) for seed in seeds])
+    schedule = Schedule.of(length, recipe.update_length, checkpoint_every, marks)
+    decisions = world.decisions(params)
+    params = _in_jax(params)
+    tests = checkpoint_seeds(seeds, checkpoint_episodes)
 
     def advance(training: Training, count: int) -> tuple[Training, jax.Array]:
-        block: tuple[Training, jax.Array] = _run_block(
-            env, recipe, training, params, noise, count, schedule.total
-        )
-        return block
+        training = _updates(world, recipe, decisions, training, params, count, schedule.total)
+        actor = actor_of(training.state.weights)
+        found = own_scores(world, recipe.activation, acting, actor, tests, params)
+        return judged(training, found.mean(axis=1))
 
     def nothing_to_gain(training: Training) -> bool:
-        return only_best and _at_most(env, training)
+        return only_best and _at_most(world, training)
 
-    training = start(env, recipe, seeds, params, weights, marks) if resume is None else resume
+    training = start(world, recipe, seeds, params, weights, marks) if resume is None else resume
     return in_blocks(schedule, training, advance, on_block, nothing_to_gain)
 
 
-@partial(jax.jit, static_argnums=(0, 1), donate_argnums=2)
-def _run_block(
-    env: Environment,
-    recipe: Recipe,
+def checkpoint_seeds(seeds: Sequence[int], episodes: int) -> Any:
+    """(P, episodes) of the evaluations of each training."""
+    numbers = range(episodes)
+    return np.array(
+        [[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers] for seed in seeds], np.uint32
+    )
+
+
+def judged(training: Training, scores: jax.Array) -> tuple[Training, jax.Array]:
+    """After an evaluation with mean scores (P,): `keep_better`, and whether weights are finite."""
+    return keep_better(training, scores), finite_policies(training.state.weights)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)
+def _updates(
+    world: World,
+    recipe: AnyRecipe,
+    decisions: Length,
     training: Training,
     params: Tree,
-    noise: jax.Array,
     count: jax.Array,
     total: jax.Array,
-) -> tuple[Training, jax.Array]:
-    """`count` updates, then an evaluation; also (P,) whether all weights are finite."""
-
+) -> Training:
     def one(i: jax.Array, state: Any) -> Any:
-        update = partial(algorithm_of(recipe).update, env, recipe)
-        every = jax.vmap(update, in_axes=(0, 0, None))
-        return every(state, params, clock_at(training.updates + i, total))
+        clock = clock_at(training.updates + i, total)
+        return algorithms.update(world, recipe, decisions, state, params, clock)
 
     state = jax.lax.fori_loop(0, count, one, training.state)
-    latest = own_returns(env, recipe.activation, state.weights.actor, params, noise).mean(axis=1)
-    training = training._replace(state=state, updates=training.updates + count)
-    return keep_better(training, latest), finite_policies(state.weights)
+    return training._replace(state=state, updates=training.updates + count)
 
 
 def _fitting(weights: Weights, fresh: Weights) -> Weights:
@@ -165,15 +181,12 @@ def _fitting(weights: Weights, fresh: Weights) -> Weights:
     return copy
 
 
-def _at_most(env: Environment, training: Training) -> bool:
-    if env.max_return is None:
+def _at_most(world: World, training: Training) -> bool:
+    if world.max_return is None:
         return False
-    return bool((np.asarray(training.best_return) >= env.max_return).all())
+    return bool((np.asarray(training.best_return) >= world.max_return).all())
 
 
-def _checkpoint_noise(env: Environment, seed: int, episodes: int) -> NDArray[np.float32]:
-    return episode_noise(env, [derive_seed(seed, Purpose.CHECKPOINT, e) for e in range(episodes)])
-
-
-def _float32(params: Tree) -> Tree:
-    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params)
+def _in_jax(params: Tree) -> Tree:
+    """As arrays of jax; counts stay whole numbers."""
+    return jax.tree.map(jnp.asarray, params)

@@ -49,6 +49,7 @@ def init_weights(
     hidden: Sequence[int],
     log_std: float = 0.0,
     critic_gain: float = 1.0,
+    first_action: float = 0.0,
 ) -> Weights:
     """Orthogonal weights with the gains of Stable-Baselines3.
 
@@ -65,14 +66,17 @@ def init_weights(
         hidden: widths of the hidden layers, of both networks.
         log_std: initial value of `Weights.log_std`.
         critic_gain: of the critic's last layer.
+        first_action: bias of the actor's last layer, all but the mean action of a new policy.
 
     Returns:
         Numpy arrays in float32.
     """
     rng = np.random.default_rng(seed)
     d = len(action.low) if isinstance(action, Box) else 0
+    actor = _init_network(rng, [n_inputs, *hidden, n_outputs(action)], last_gain=0.01)
+    matrix, bias = actor[-1]
     return Weights(
-        _init_network(rng, [n_inputs, *hidden, n_outputs(action)], last_gain=0.01),
+        (*actor[:-1], (matrix, bias + np.float32(first_action))),
         _init_network(rng, [n_inputs, *hidden, 1], last_gain=critic_gain),
         cast(jax.Array, np.full(d, log_std, dtype=np.float32)),
     )

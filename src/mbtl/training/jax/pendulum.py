@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from mbtl.training.jax.environments import Box, Step, TimeLimit, stack_observation, uniform_reset
+from mbtl.training.jax.environments import Box, Step, TimeLimit, stack_observation
 
 MAX_TORQUE = 2.0
 TORQUE = Box((-MAX_TORQUE,), (MAX_TORQUE,))
@@ -49,11 +49,6 @@ class Pendulum:
         """T uniform in +-pi, w uniform in +-1."""
         spread = (2.0 * noise - 1.0).astype(params.timestep.dtype)
         return PendulumState(math.pi * spread[0], spread[1])
-
-    def reset(self, key: jax.Array, params: PendulumParams) -> PendulumState:
-        """First state from a random key."""
-        state: PendulumState = uniform_reset(self, key, params)
-        return state
 
     def step(self, state: PendulumState, action: jax.Array, params: PendulumParams) -> Step:
         """One step; torques beyond the limit are clipped."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 from mbtl.errors import InvalidInput, unknown_name
 
@@ -61,6 +61,7 @@ class PPORecipe:
         InvalidInput: a count is below 1, or the minibatches do not fill the rollout.
     """
 
+    unit: ClassVar[str] = "timesteps"
     n_envs: int = 1
     n_steps: int = 2048
     batch_size: int = 64
@@ -81,14 +82,14 @@ class PPORecipe:
 
     def __post_init__(self) -> None:
         check_counts(self, "n_envs", "n_steps", "batch_size", "n_epochs")
-        if self.steps_per_update % self.batch_size:
+        if self.update_length % self.batch_size:
             raise InvalidInput(
-                f"batch_size must divide n_envs x n_steps = {self.steps_per_update}, "
+                f"batch_size must divide n_envs x n_steps = {self.update_length}, "
                 f"got {self.batch_size}"
             )
 
     @property
-    def steps_per_update(self) -> int:
+    def update_length(self) -> int:
         """Environment steps of one policy between two updates."""
         return self.n_envs * self.n_steps
 
@@ -124,6 +125,7 @@ class A2CRecipe:
         InvalidInput: a count is below 1.
     """
 
+    unit: ClassVar[str] = "timesteps"
     n_envs: int = 1
     n_steps: int = 5
     learning_rate: float = 7e-4
@@ -150,7 +152,7 @@ class A2CRecipe:
         return math.ceil(_STEPS_PER_CALL / (self.n_envs * self.n_steps))
 
     @property
-    def steps_per_update(self) -> int:
+    def update_length(self) -> int:
         """Environment steps of one policy in one call of `a2c.update`."""
         return self.rollouts_per_update * self.n_envs * self.n_steps
 
@@ -188,6 +190,7 @@ class DQNRecipe:
         InvalidInput: a count is below 1, or rounds do not fill the replay.
     """
 
+    unit: ClassVar[str] = "timesteps"
     n_envs: int = 1
     train_freq: int = 4
     gradient_steps: int = 1
@@ -232,7 +235,7 @@ class DQNRecipe:
         return math.ceil(_STEPS_PER_CALL / self.steps_per_round)
 
     @property
-    def steps_per_update(self) -> int:
+    def update_length(self) -> int:
         """Environment steps of one policy in one call of `dqn.update`."""
         return self.rounds_per_update * self.steps_per_round
 
@@ -259,6 +262,7 @@ class MultiTaskRecipe:
         InvalidInput: less than one part.
     """
 
+    unit: ClassVar[str] = "timesteps"
     method: MultiTaskMethod = "ppo"
     ppo: PPORecipe = field(default_factory=PPORecipe)
     n_parts: int = 5
@@ -269,9 +273,9 @@ class MultiTaskRecipe:
         check_counts(self, "n_parts")
 
     @property
-    def steps_per_update(self) -> int:
+    def update_length(self) -> int:
         """Environment steps of one policy between two updates."""
-        return self.ppo.steps_per_update
+        return self.ppo.update_length
 
     @property
     def activation(self) -> Activation:
@@ -337,21 +341,12 @@ def multitask_recipe(method: MultiTaskMethod, environment: str) -> MultiTaskReci
     return MultiTaskRecipe(method, _MULTI_TASK[environment], _N_PARTS[method])
 
 
-def recipe_named(algorithm: str, name: str) -> Recipe:
-    """The recipe called `name`.
-
-    Args:
-        algorithm: "PPO", "A2C" or "DQN".
-        name: one of `RECIPES[algorithm]`.
+def named(recipes: Mapping[str, Mapping[str, AnyRecipe]], algorithm: str, name: str) -> AnyRecipe:
+    """One entry of a table by algorithm and name.
 
     Raises:
         UnknownName: there is none.
     """
-    return named(RECIPES, algorithm, name)
-
-
-def named(recipes: Mapping[str, Mapping[str, AnyRecipe]], algorithm: str, name: str) -> AnyRecipe:
-    """One entry of a table by algorithm and name; errors as in `recipe_named`."""
     if algorithm not in recipes:
         raise unknown_name("algorithm with recipes", algorithm, recipes)
     if name not in recipes[algorithm]:

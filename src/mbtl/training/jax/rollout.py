@@ -1,6 +1,11 @@
-"""Playing an actor-critic in its environment, and what its steps were worth; PPO and A2C share it.
+"""Copies of a world that start again one by one, and what an actor-critic's steps were worth there.
 
-Notation (shapes of one policy): T steps, E environment copies, o observation.
+PPO and A2C share it. With N contexts copies take turns: one queue for all, and whenever an episode
+ends, its copy starts the next context, 0, 1, ..., N - 1, 0, ...; of copies that end in the same
+step, the first goes first. So at any time no context has been started more than once more often
+than another, however long its episodes are and however many copies there are (cmdp-spec, 8.3).
+
+Notation (shapes of one policy): T steps, E copies, o observation; the world has one agent.
     obs (T, E, o); action (T, E) or (T, E, d); reward, value, advantage (T, E)
 """
 
@@ -17,26 +22,41 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
-from mbtl.training.jax.environments import Environment, Tree
-from mbtl.training.jax.networks import Network, Weights
+from mbtl.training.jax.environments import Tree
+from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import A2CRecipe, PPORecipe
+from mbtl.training.jax.world import Solo
+
+
+class Copies(NamedTuple):
+    """E simulations of one policy.
+
+    Attributes:
+        world: their states.
+        elapsed: (E,) steps since each was started.
+        context: (E,) which of N contexts each is in; None where there is one.
+        turn: the context of the next episode; None likewise.
+    """
+
+    world: Tree
+    elapsed: jax.Array
+    context: jax.Array | None
+    turn: jax.Array | None
 
 
 class State(NamedTuple):
     """All of one training: with the next `update`'s arguments it decides everything to come.
 
     Attributes:
-        weights: the networks.
+        weights: the networks, with attributes `actor`, `critic` and `log_std`.
         optimizer: what the optimiser remembers, over all weights as one vector.
-        env: states of the E copies.
-        elapsed: (E,) steps since each copy was reset.
+        copies: where the policy lives.
         key: the policy's own random key.
     """
 
-    weights: Weights
+    weights: Any
     optimizer: Tree
-    env: Tree
-    elapsed: jax.Array
+    copies: Copies
     key: jax.Array
 
 
@@ -47,11 +67,9 @@ class Noise(NamedTuple):
     reset: jax.Array
 
 
-class Moved(NamedTuple):
-    """One step of the E copies; `after` is the observation before a reset."""
+class Step(NamedTuple):
+    """What a step of E copies gave; `after` is the observation before a reset."""
 
-    env: Tree
-    elapsed: jax.Array
     reward: jax.Array
     terminated: jax.Array
     done: jax.Array
@@ -71,112 +89,128 @@ class Rollout(NamedTuple):
 
 
 def start(
-    env: Environment,
+    world: Solo,
     recipe: PPORecipe | A2CRecipe,
     optimizer: Callable[[Any], optax.GradientTransformation],
     seeds: Sequence[int],
     params: Tree,
-    weights: Weights | None = None,
+    weights: Any = None,
 ) -> State:
-    """Networks, an optimiser without memory and freshly reset environments of all policies.
+    """Networks, an optimiser without memory and freshly started copies of all policies.
 
     Args:
-        env: the dynamics.
+        world: the dynamics.
         recipe: hyper-parameters.
         optimizer: makes the optimiser from the recipe; a module's function.
         seeds: one per policy, 32 bits; decides its whole training.
-        params: one context per policy, leading axis.
+        params: (P, ...) one context per policy, or (P, N, ...).
         weights: to begin from, leading axis; None for fresh ones.
     """
     if weights is None:
-        n_inputs = env.n_features + params.visible.shape[-1]
+        n_inputs = world.n_features + params.visible.shape[-1]
         each = [
-            networks.init_weights(seed, n_inputs, env.action, recipe.hidden, recipe.log_std)
+            networks.init_weights(seed, n_inputs, world.action, recipe.hidden, recipe.log_std)
             for seed in seeds
         ]
         weights = networks.stack(each)
     roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
-    state: State = _start(env, recipe, optimizer, weights, roots, params)
+    state: State = _start(world, recipe, optimizer, weights, roots, params)
     return state
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 @partial(jax.vmap, in_axes=(None, None, None, 0, 0, 0))
 def _start(
-    env: Environment,
+    world: Solo,
     recipe: PPORecipe | A2CRecipe,
     optimizer: Callable[[Any], optax.GradientTransformation],
-    weights: Weights,
+    weights: Any,
     seed: jax.Array,
     params: Tree,
 ) -> State:
     moments = optimizer(recipe).init(ravel_pytree(weights)[0])
-    return State(weights, moments, *first_copies(env, recipe.n_envs, seed, params))
+    return State(weights, moments, *first_copies(world, recipe.n_envs, seed, params))
 
 
 def first_copies(
-    env: Environment, n_envs: int, seed: jax.Array, params: Tree
-) -> tuple[Tree, jax.Array, jax.Array]:
-    """States of freshly reset copies, steps since then, and the key of what follows."""
+    world: Solo, n_envs: int, seed: jax.Array, params: Tree
+) -> tuple[Copies, jax.Array]:
+    """Freshly started copies, and the key of what follows."""
     key, reset_key = jax.random.split(jax.random.PRNGKey(seed))
-    noise = jax.random.uniform(reset_key, (n_envs, env.n_noise))
-    states = jax.vmap(env.initial, (0, None))(noise, params)
-    return states, jnp.zeros(n_envs, dtype=jnp.int32), key
+    noise = world.noise(reset_key, (n_envs,))
+    context = turn = None
+    if params.visible.ndim == 2:
+        n_contexts = params.visible.shape[0]
+        context, turn = jnp.arange(n_envs) % n_contexts, jnp.int32(n_envs % n_contexts)
+    states = world.start(noise, _own(params, context))
+    return Copies(states, jnp.zeros(n_envs, dtype=jnp.int32), context, turn), key
 
 
-def draw(env: Environment, key: jax.Array, shape: tuple[int, ...]) -> tuple[jax.Array, Noise]:
+def draw(world: Solo, key: jax.Array, shape: tuple[int, ...]) -> tuple[jax.Array, Noise]:
     """The next key, and noise for steps of this shape, e.g. (T, E)."""
     key, action_key, reset_key = jax.random.split(key, 3)
     noise = Noise(
-        networks.action_noise(action_key, shape, env.action),
-        jax.random.uniform(reset_key, (*shape, env.n_noise)),
+        networks.action_noise(action_key, shape, world.action), world.noise(reset_key, shape)
     )
     return key, noise
 
 
 def advance(
-    env: Environment,
-    params: Tree,
-    state: Tree,
-    elapsed: jax.Array,
-    action: jax.Array,
-    noise: jax.Array,
-) -> Moved:
-    """One step of the E copies; a copy that has ended starts anew from its (n_noise,) noise."""
-    observe = jax.vmap(env.observe, (0, None))
-    new, reward, terminated = jax.vmap(env.step, (0, 0, None))(state, action, params)
-    out_of_time = elapsed + 1 >= env.horizon
-    done = terminated | out_of_time
-    after = observe(new, params)
-    start = jax.vmap(env.initial, (0, None))(noise, params)
-    state = jax.tree.map(lambda s, n: jnp.where(done, s, n), start, new)
-    elapsed = jnp.where(done, 0, elapsed + 1)
-    if env.time_limit == "terminal":
+    world: Solo, params: Tree, copies: Copies, action: jax.Array, noise: jax.Array
+) -> tuple[Copies, Step]:
+    """One step of the E copies; one that has ended starts anew from its noise."""
+    own = _own(params, copies.context)
+    moved = world.step(copies.world, action[:, None], own)
+    terminated = moved.done[:, 0]
+    done = terminated | (copies.elapsed + 1 >= world.decisions(params))
+    after = world.observe(moved.state, own).obs[:, 0]
+    context, turn = copies.context, copies.turn
+    if context is not None and turn is not None:
+        context, turn = take_turns(context, turn, done, params.visible.shape[0])
+    state = world.restart(moved.state, done, noise, _own(params, context))
+    elapsed = jnp.where(done, 0, copies.elapsed + 1)
+    if world.time_limit == "terminal":
         terminated = done
-    return Moved(state, elapsed, reward, terminated, done, after)
+    return Copies(state, elapsed, context, turn), Step(moved.reward[:, 0], terminated, done, after)
+
+
+def look(world: Solo, params: Tree, copies: Copies) -> jax.Array:
+    """(E, o) what the agents see."""
+    return world.observe(copies.world, _own(params, copies.context)).obs[:, 0]
+
+
+def take_turns(
+    context: jax.Array, turn: jax.Array, done: jax.Array, n_contexts: int
+) -> tuple[jax.Array, jax.Array]:
+    """(E,) contexts after the copies that are done took the next ones, and whose turn is next."""
+    taken = jnp.cumsum(done)
+    context = jnp.where(done, (turn + taken - 1) % n_contexts, context)
+    return context, (turn + taken[-1]) % n_contexts
 
 
 def play(
-    env: Environment, recipe: PPORecipe | A2CRecipe, state: State, params: Tree, noise: Noise
+    world: Solo, recipe: PPORecipe | A2CRecipe, state: State, params: Tree, noise: Noise
 ) -> tuple[State, Rollout]:
     """T steps of the E copies with sampled actions, from (T, E) noise; the key stays."""
-    observe = jax.vmap(env.observe, (0, None))
     actor, log_std = state.weights.actor, state.weights.log_std
 
-    def step(carry: tuple[Tree, jax.Array, jax.Array], drawn: Noise) -> Any:
-        state, elapsed, obs = carry
+    def step(carry: tuple[Copies, jax.Array], drawn: Noise) -> Any:
+        copies, obs = carry
         outputs = networks.apply(actor, obs, recipe.activation)
-        action = networks.sample(outputs, log_std, drawn.action, env.action)
-        applied = networks.to_environment(action, env.action)
-        moved = advance(env, params, state, elapsed, applied, drawn.reset)
-        record = Rollout(
-            obs, outputs, action, moved.reward, moved.terminated, moved.done, moved.after
-        )
-        return (moved.env, moved.elapsed, observe(moved.env, params)), record
+        action = networks.sample(outputs, log_std, drawn.action, world.action)
+        applied = networks.to_environment(action, world.action)
+        copies, step = advance(world, params, copies, applied, drawn.reset)
+        return (copies, look(world, params, copies)), Rollout(obs, outputs, action, *step)
 
-    carry = (state.env, state.elapsed, observe(state.env, params))
-    (env_state, elapsed, _), rollout = jax.lax.scan(step, carry, noise)
-    return state._replace(env=env_state, elapsed=elapsed), rollout
+    (copies, _), rollout = jax.lax.scan(
+        step, (state.copies, look(world, params, state.copies)), noise
+    )
+    return state._replace(copies=copies), rollout
+
+
+def _own(params: Tree, context: jax.Array | None) -> Tree:
+    """Parameters of the context of each copy, or of one context for all."""
+    return params if context is None else jax.tree.map(lambda x: x[context], params)
 
 
 def advantages(

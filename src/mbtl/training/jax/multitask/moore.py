@@ -29,10 +29,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from mbtl.training.jax import networks
-from mbtl.training.jax.environments import Environment
 from mbtl.training.jax.multitask.table import initial_table, rows_at
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
+from mbtl.training.jax.world import Solo
 
 _TINY = 1e-12  # under the root of a squared length: the gradient of a zero vector is finite
 
@@ -96,7 +96,7 @@ def orthonormal(vectors: Sequence[jax.Array]) -> list[jax.Array]:
 
 
 def init_weights(
-    env: Environment, recipe: MultiTaskRecipe, seed: int, n_contexts: int, n_inputs: int
+    world: Solo, recipe: MultiTaskRecipe, seed: int, n_contexts: int, n_inputs: int
 ) -> MOOREWeights:
     """Orthogonal layers, gains as in `networks.init_weights`; hats as task weights.
 
@@ -127,7 +127,7 @@ def init_weights(
         table: Any = initial_table(n_contexts, recipe.n_parts)
         return Mixture(experts, table, head)
 
-    plain = networks.init_weights(seed, 1, env.action, (), recipe.ppo.log_std)
+    plain = networks.init_weights(seed, 1, world.action, (), recipe.ppo.log_std)
     return MOOREWeights(
-        mixture(networks.n_outputs(env.action), 0.01), mixture(1, 1.0), plain.log_std
+        mixture(networks.n_outputs(world.action), 0.01), mixture(1, 1.0), plain.log_std
     )

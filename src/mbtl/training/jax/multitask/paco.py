@@ -26,10 +26,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from mbtl.training.jax import networks
-from mbtl.training.jax.environments import Environment
 from mbtl.training.jax.multitask.table import initial_table, rows_at
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
+from mbtl.training.jax.world import Solo
 
 
 class Composed(NamedTuple):
@@ -80,7 +80,7 @@ class PaCoWeights(NamedTuple):
 
 
 def init_weights(
-    env: Environment, recipe: MultiTaskRecipe, seed: int, n_contexts: int, n_inputs: int
+    world: Solo, recipe: MultiTaskRecipe, seed: int, n_contexts: int, n_inputs: int
 ) -> PaCoWeights:
     """K independent networks as `networks.init_weights` makes them, and hats as vectors.
 
@@ -90,7 +90,8 @@ def init_weights(
     ppo, n_sets = recipe.ppo, recipe.n_parts
     seeds = np.random.SeedSequence(seed).generate_state(n_sets)
     each = [
-        networks.init_weights(int(s), n_inputs, env.action, ppo.hidden, ppo.log_std) for s in seeds
+        networks.init_weights(int(s), n_inputs, world.action, ppo.hidden, ppo.log_std)
+        for s in seeds
     ]
     sets: Any = jax.tree.map(lambda *leaves: np.stack(leaves), *each)
     vectors: Any = initial_table(n_contexts, n_sets)

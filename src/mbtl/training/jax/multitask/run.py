@@ -25,8 +25,7 @@ from mbtl.errors import InvalidInput, StorageError
 from mbtl.files import claimed_folder, whole_file
 from mbtl.seeds import MATRIX_TRIAL, episode_seed, evaluation_seed, training_seed
 from mbtl.training.jax.blocks import Block, Training
-from mbtl.training.jax.environments import Environment, Tree
-from mbtl.training.jax.evaluation import episode_noise
+from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.multitask.training import (
     CHECKPOINT_EPISODES,
     evaluate_multitask,
@@ -35,6 +34,7 @@ from mbtl.training.jax.multitask.training import (
 )
 from mbtl.training.jax.recipes import MultiTaskRecipe
 from mbtl.training.jax.saving import SavedTraining
+from mbtl.training.jax.world import World
 from mbtl.untrusted import read_arrays
 
 CHECKPOINTS = ("best", "final")
@@ -59,11 +59,11 @@ class MultiTaskRun:
 
 
 def multitask_settings(
-    env: Environment, recipe: MultiTaskRecipe, params: Tree, timesteps: int, episodes: int
+    world: World, recipe: MultiTaskRecipe, params: Tree, timesteps: int, episodes: int
 ) -> dict[str, Any]:
     """What decides the numbers of `run_multitask`, apart from its seeds; JSON-able."""
     return {
-        "environment": repr(env),
+        "environment": repr(world),
         "recipe": recipe.record,
         "contexts": _digest(params),
         "timesteps": timesteps,
@@ -73,7 +73,7 @@ def multitask_settings(
 
 
 def run_multitask(
-    env: Environment,
+    world: World,
     recipe: MultiTaskRecipe,
     params: Tree,
     seeds: Sequence[int],
@@ -89,7 +89,7 @@ def run_multitask(
     portfolios are compared on common random numbers.
 
     Args:
-        env: the dynamics.
+        world: the dynamics.
         recipe: hyper-parameters.
         params: N contexts, leading axis.
         seeds: roots of the seed tree; the training is that of the source after the last.
@@ -108,21 +108,20 @@ def run_multitask(
             f"a run needs at least one seed and episode, got {len(seeds)} and {episodes}"
         )
     place = Path(folder)
-    settings = multitask_settings(env, recipe, params, timesteps, episodes)
+    settings = multitask_settings(world, recipe, params, timesteps, episodes)
     rows: dict[str, list[tuple[Array, Array]]] = {name: [] for name in CHECKPOINTS}
     records = []
     with claimed_folder(place, settings, "a multi-task run"):
         for seed in seeds:
             begin = time.monotonic()
-            training = _trained(env, recipe, params, seed, timesteps, place, on_progress)
+            training = _trained(world, recipe, params, seed, timesteps, place, on_progress)
             seconds = round(time.monotonic() - begin, 1)
-            noise = episode_noise(
-                env, [episode_seed(evaluation_seed(seed, MATRIX_TRIAL), e) for e in range(episodes)]
-            )
+            play = evaluation_seed(seed, MATRIX_TRIAL)
+            numbers = [episode_seed(play, e) for e in range(episodes)]
             for name, weights in (("best", training.best), ("final", training.state.weights)):
                 file = place / f"seed{seed}-{name}.npz"
                 if not file.exists():
-                    found = evaluate_multitask(env, recipe, weights, params, noise)[0]
+                    found = evaluate_multitask(world, recipe, weights, params, numbers)[0]
                     spread = found.std(axis=1, ddof=min(1, episodes - 1))
                     _save(file, {"returns": found.mean(axis=1), "std": spread})
                 row = _load(file)
@@ -133,7 +132,7 @@ def run_multitask(
                     "trainer": "mbtl-jax-multitask",
                     "seed": seed,
                     "training_seed": _seed_of(params, seed),
-                    "steps": int(training.updates) * recipe.steps_per_update,
+                    "steps": int(training.updates) * recipe.update_length,
                     "checkpoint_return": float(training.best_return[0]),
                     "train_seconds_of_last_run": seconds,
                 }
@@ -146,7 +145,7 @@ def run_multitask(
 
 
 def _trained(
-    env: Environment,
+    world: World,
     recipe: MultiTaskRecipe,
     params: Tree,
     seed: int,
@@ -163,13 +162,13 @@ def _trained(
         saved.save(block.training, done=block.steps == block.total)
 
     return train_multitask(
-        env,
+        world,
         recipe,
         seeds,
         params,
         timesteps,
         on_block=on_block,
-        resume=saved.load(lambda: start_multitask(env, recipe, seeds, params)),
+        resume=saved.load(lambda: start_multitask(world, recipe, seeds, params)),
     )
 
 

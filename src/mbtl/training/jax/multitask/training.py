@@ -10,30 +10,32 @@ from typing import Any
 
 import jax
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import loop
 from mbtl.training.jax.blocks import Block, Training
-from mbtl.training.jax.environments import Environment, Tree
+from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.evaluation import evaluate
 from mbtl.training.jax.multitask.table import with_place
 from mbtl.training.jax.recipes import MultiTaskRecipe
+from mbtl.training.jax.traffic.episodes import actor_of
+from mbtl.training.jax.world import World
 
 CHECKPOINT_EPISODES = 2
 """Per context; over a hundred contexts that is twenty times what a single-task policy plays."""
 
 
 def start_multitask(
-    env: Environment, recipe: MultiTaskRecipe, seeds: Sequence[int], params: Tree
+    world: World, recipe: MultiTaskRecipe, seeds: Sequence[int], params: Tree
 ) -> Training:
     """Trainings before their first update, e.g. as the template of `from_arrays`."""
-    return loop.start(env, recipe, seeds, _copies(recipe, params, len(seeds)))
+    return loop.start(world, recipe, seeds, _copies(recipe, params, len(seeds)))
 
 
 def train_multitask(
-    env: Environment,
+    world: World,
     recipe: MultiTaskRecipe,
     seeds: Sequence[int],
     params: Tree,
@@ -50,7 +52,7 @@ def train_multitask(
     such means.
 
     Args:
-        env: the dynamics.
+        world: the dynamics.
         recipe: hyper-parameters.
         seeds: S training seeds of 32 bits.
         params: N contexts, leading axis.
@@ -66,7 +68,7 @@ def train_multitask(
         TrainingFailed: weights are no longer finite.
     """
     return loop.train(
-        env,
+        world,
         recipe,
         seeds,
         _copies(recipe, params, len(seeds)),
@@ -79,11 +81,11 @@ def train_multitask(
 
 
 def evaluate_multitask(
-    env: Environment,
+    world: World,
     recipe: MultiTaskRecipe,
     weights: Any,
     params: Tree,
-    noise: NDArray[np.float32],
+    seeds: Sequence[int],
     *,
     places: ArrayLike | None = None,
     on_block: Callable[[int, int], None] | None = None,
@@ -91,11 +93,11 @@ def evaluate_multitask(
     """Undiscounted returns of deterministic episodes, (S, C, E).
 
     Args:
-        env: the dynamics.
+        world: the dynamics.
         recipe: as trained.
         weights: `training.best` or `training.state.weights`.
         params: C contexts, leading axis.
-        noise: (E, n_noise), see `episode_noise`.
+        seeds: E, one per episode.
         places: (C,) positions of the contexts on the axis in steps of the training's grid, e.g.
             0.5 halfway between the first two; None where they are that grid.
         on_block: called with (pairs of policy and context done, planned) now and then.
@@ -105,7 +107,7 @@ def evaluate_multitask(
     """
     contexts = _seen(recipe, params, places)
     return evaluate(
-        env, weights.actor, contexts, noise, activation=recipe.activation, on_block=on_block
+        world, actor_of(weights), contexts, seeds, activation=recipe.activation, on_block=on_block
     )
 
 

@@ -11,16 +11,41 @@ Notation (shapes): n simulations, D decisions of the longest episode, B beats.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 
-from mbtl.training.jax.environments import Tree
-from mbtl.training.jax.traffic.twin import Beats, Holding
+from mbtl.training.jax.environments import Beats, Tree
+from mbtl.training.jax.world import Moved, World
 
 Decide = Callable[[Tree, jax.Array], tuple[jax.Array, Tree]]
 """state, (n,) numbers of decisions -> (n, ...) actions to apply, and what shall be kept of it."""
+
+
+class Holding(World, Protocol):
+    """A world in whose contexts decisions last differently long; its batches move in beats.
+
+    A beat is a time of which all decisions are multiples. Between decisions an instruction holds.
+    """
+
+    def beats(self, params: Tree, beats: Beats) -> tuple[jax.Array, jax.Array]:
+        """(n,) beats of one decision, and decisions of an episode."""
+        ...
+
+    def held(self, state: Tree) -> Tree:
+        """Instructions before the first beat."""
+        ...
+
+    def beat(
+        self, state: Tree, held: Tree, action: jax.Array, params: Tree, beats: Beats, now: jax.Array
+    ) -> tuple[Moved, Tree]:
+        """One beat; instructions are taken where a decision is due.
+
+        `Moved` tells reward and end of a decision with its last beat. Whose episode is over stands
+        still.
+        """
+        ...
 
 
 class Decisions(NamedTuple):

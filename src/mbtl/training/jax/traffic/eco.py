@@ -15,13 +15,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import ClassVar, get_args
 
 import jax
 import jax.numpy as jnp
 
 from mbtl.training.jax.environments import Box, TimeLimit
-from mbtl.training.jax.traffic import lane
+from mbtl.training.jax.traffic import eco_rewards, lane
 from mbtl.training.jax.traffic.arrivals import Car, Demand
+from mbtl.training.jax.traffic.eco_rewards import Reward
 from mbtl.training.jax.traffic.eco_speeds import speeds
 from mbtl.training.jax.traffic.eco_state import (
     Costs,
@@ -36,13 +38,13 @@ from mbtl.training.jax.traffic.eco_state import (
 from mbtl.training.jax.traffic.eco_view import view
 from mbtl.training.jax.traffic.lane import Cars, Incomer
 from mbtl.training.jax.traffic.signal import Light
-from mbtl.training.jax.traffic.twin import Moved, Seen, everyone
+from mbtl.training.jax.traffic.twin import Moved, Seeded, Seen, everyone
 
 _FIRST_CARS = jnp.uint32(1 << 20)  # moment of random numbers, apart from those of steps
 
 
 @dataclass(frozen=True)
-class EcoTwin:
+class EcoTwin(Seeded):
     """Cars on their way through a light; constants are those of the SUMO environment.
 
     Attributes:
@@ -61,6 +63,7 @@ class EcoTwin:
         side_rows: cars of the side feeder, likewise.
         agents: A.
         few: rows of `main` and `side` that are computed while no simulation needs more, ascending.
+        reward: what agents are taught by; it changes no score.
         time_limit: how the end of an episode is reported.
     """
 
@@ -79,10 +82,12 @@ class EcoTwin:
     side_rows: int
     agents: int
     few: tuple[tuple[int, int], ...] = ((28, 10), (64, 16))
+    reward: Reward = "paper"
     time_limit: TimeLimit = "truncation"
     n_features: int = 39
     mixes: bool = True
     params: type[EcoParams] = EcoParams
+    rewards: ClassVar[tuple[str, ...]] = get_args(Reward)
 
     def decisions(self, params: EcoParams) -> int:
         """The same in every context."""
@@ -254,11 +259,16 @@ class EcoTwin:
         self, state: EcoState, speed: jax.Array, co2: jax.Array, leaves: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """(A, n) rewards, and whose life ends."""
-        costs = self.costs
-        crawling = jnp.maximum(0.0, costs.crawl - speed)
-        reward = (speed - costs.crawling * crawling - costs.co2 * co2) / costs.scale
+        if self.reward == "paper":
+            reward = _at(eco_rewards.paper(self.costs, speed, co2), state.row)
+        elif self.reward == "delay":
+            reward = _at(eco_rewards.delay(self.road.limit, speed), state.row)
+        else:
+            inside = state.main.x > 0.0
+            lost = jnp.where(inside, eco_rewards.delay(self.road.limit, speed), 0.0)
+            reward = eco_rewards.of_platoons(lost, state.row)
         done = (state.row == 0) & leaves
-        return jnp.where((state.row >= 0) & ~done, _at(reward, state.row), 0.0), done
+        return jnp.where((state.row >= 0) & ~done, reward, 0.0), done
 
     def _driven(self, trip: Trip, x: jax.Array, speed: jax.Array, co2: jax.Array) -> Trip:
         """Trips after a step that ended in the region, at this speed."""

@@ -17,14 +17,16 @@ import numpy as np
 
 from mbtl.portfolio import BoxHead, MLPPolicy
 from mbtl.training.jax import networks
-from mbtl.training.jax.environments import Discrete, Tree
+from mbtl.training.jax.environments import Beats, Discrete, Length, Tree
 from mbtl.training.jax.export import import_actors
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
 from mbtl.training.jax.traffic import beats as beats_of
 from mbtl.training.jax.traffic import random
-from mbtl.training.jax.traffic.packing import Agents, chunk_size, most_rows
-from mbtl.training.jax.traffic.twin import Beats, Crowd, Holding, Length, Moved, Twin
+from mbtl.training.jax.traffic.beats import Holding
+from mbtl.training.jax.traffic.packing import most_rows
+from mbtl.training.jax.traffic.twin import Crowd, Moved, Twin
+from mbtl.training.jax.traffic.watching import Rows, each, watched
 
 Acting = Literal["sampled", "mean", "random", "none"]
 """How actions follow from a policy: drawn, the most likely one, or not: any, or no advice."""
@@ -44,6 +46,11 @@ class Actor(NamedTuple):
     network: Network
     log_std: jax.Array
     critic: Network = ()
+
+
+def actor_of(weights: Any) -> Actor:
+    """What P policies have learnt, as it plays and watches."""
+    return Actor(weights.actor, weights.log_std, weights.critic)
 
 
 def import_actor(policies: list[MLPPolicy]) -> Actor:
@@ -136,7 +143,7 @@ def record(
     shape, flat = seeds.shape, seeds.reshape(-1)
     crowd = isinstance(twin, Crowd)
     played = (actor.network, actor.critic) if crowd else (actor.network,)
-    watch = partial(_watched, twin, activation, params, shape)
+    watch = partial(watched, twin, activation, params, shape)
 
     def split(x: jax.Array) -> jax.Array:
         return x.reshape(*shape, *x.shape[1:])
@@ -171,7 +178,7 @@ def record(
     (state, rows), by_moment = jax.lax.scan(one, (twin.start(flat, params), rows), moments)
     row, action, acting, reward, done, *found = (jnp.moveaxis(x, 0, 1) for x in by_moment)
     if not crowd:  # all rows at once are faster where none is empty
-        found.append(_each(activation, actor.critic, rows.obs).reshape(*row.shape, 1))
+        found.append(each(activation, actor.critic, rows.obs).reshape(*row.shape, 1))
     last, _ = watch((actor.critic,), state, None, None)
     return Episodes(
         obs=rows.obs,
@@ -202,7 +209,7 @@ def _in_beats(
 
     def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, Tree]:
         seen = twin.observe(state, params)
-        outputs = _each(activation, actor.network, split(seen.obs))
+        outputs = each(activation, actor.network, split(seen.obs))
         action = _sampled(twin, actor, outputs, flat, number)
         joint = (x.reshape(-1, *x.shape[2:]) for x in (outputs, action))
         applied = networks.to_environment(action, twin.action)
@@ -212,7 +219,7 @@ def _in_beats(
     obs, acting, outputs, action = map(by_policy, found.kept)
     row = jnp.arange(acting[0].size).reshape(acting.shape[1:])
     last = twin.observe(state, params)
-    value, last_value = (_each(activation, actor.critic, x)[..., 0] for x in (obs, split(last.obs)))
+    value, last_value = (each(activation, actor.critic, x)[..., 0] for x in (obs, split(last.obs)))
     return Episodes(
         obs=obs.reshape(len(obs), -1, obs.shape[-1]),
         row=jnp.broadcast_to(row, acting.shape),
@@ -228,84 +235,6 @@ def _in_beats(
     )
 
 
-class Rows(NamedTuple):
-    """Observations so far, (P, rows, f), and how many of the rows are used."""
-
-    obs: jax.Array
-    used: jax.Array
-
-
-class _Watched(NamedTuple):
-    """A moment: who acts, (P, E, A), what networks say of it, (P, E, A, m) each, and its rows."""
-
-    acting: jax.Array
-    found: tuple[jax.Array, ...]
-    row: jax.Array
-
-
-def _watched(
-    twin: Twin,
-    activation: Activation,
-    params: Tree,
-    shape: tuple[int, ...],
-    played: tuple[Network, ...],
-    state: Tree,
-    rows: Rows | None,
-    playing: jax.Array | None,
-) -> tuple[_Watched, Any]:
-    """Networks of P policies applied to what their agents see; 0 where there is none.
-
-    Args:
-        twin: the dynamics.
-        activation: between the layers.
-        params: of one context, or of every simulation.
-        shape: (P, E).
-        played: networks, leading axis P.
-        state: of the simulations.
-        rows: where to keep observations.
-        playing: whether anybody may act at this moment.
-    """
-    used = jnp.int32(0) if rows is None else rows.used
-
-    def kept(rows: Rows | None, obs: jax.Array, at: jax.Array) -> Rows | None:
-        if rows is None:
-            return None
-        return rows._replace(obs=jax.lax.dynamic_update_slice(rows.obs, obs, (0, at, 0)))
-
-    if not isinstance(twin, Crowd):
-        obs, acting = twin.observe(state, params)
-        acting = acting.reshape(*shape, -1)
-        acting &= True if playing is None else playing
-        obs = obs.reshape(*acting.shape, -1)
-        found = tuple(_each(activation, network, obs) for network in played)
-        row = used + jnp.arange(acting[0].size).reshape(acting.shape[1:])
-        rows = kept(rows, obs.reshape(len(obs), -1, obs.shape[-1]), used)
-        if rows is not None:
-            rows = rows._replace(used=used + acting[0].size)
-        return _Watched(acting, found, jnp.broadcast_to(row, acting.shape)), rows
-
-    acting = twin.acting(state).reshape(*shape, -1)
-    acting &= True if playing is None else playing
-    agents = Agents.of(acting)
-    size = chunk_size(acting[0].size)
-
-    def chunk(carry: tuple[jax.Array, Any, Any]) -> tuple[jax.Array, Any, Any]:
-        start, found, rows = carry
-        obs = twin.views(state, params, *agents.chunk(start, size))
-        new = (_each(activation, network, obs) for network in played)
-        found = tuple(agents.spread(x, start, into) for x, into in zip(new, found, strict=True))
-        return start + size, found, kept(rows, obs, used + start)
-
-    def more(carry: tuple[jax.Array, Any, Any]) -> jax.Array:
-        return carry[0] < agents.most
-
-    nothing = tuple(jnp.zeros((*acting.shape, network[-1][1].shape[-1])) for network in played)
-    end, found, rows = jax.lax.while_loop(more, chunk, (jnp.int32(0), nothing, rows))
-    if rows is not None:
-        rows = rows._replace(used=used + end)
-    return _Watched(acting, found, used + agents.number), rows
-
-
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def scores(
     twin: Twin,
@@ -313,19 +242,21 @@ def scores(
     how: Acting,
     actor: Actor,
     seeds: jax.Array,
+    drawn: jax.Array,
     params: Tree,
     decisions: Tree,
 ) -> jax.Array:
-    """(P, E) scores; arguments as in `record`, the numbers of `decisions` need not be static.
+    """(P, E) scores; arguments as in `record`, `drawn` is `World.draws` of the seeds.
 
-    One compiled program serves all contexts, one after the other or, in beats, together.
+    One compiled program serves all contexts, one after the other or, in beats, together; it ends as
+    soon as all episodes have. The numbers of `decisions` need not be static.
     """
     shape, flat = seeds.shape, seeds.reshape(-1)
-    watch = partial(_watched, twin, activation, params, shape, (actor.network,))
+    watch = partial(watched, twin, activation, params, shape, (actor.network,))
 
     def told(state: Tree, moment: jax.Array) -> jax.Array:
         if how == "random":
-            return _uniform(twin, flat, moment)
+            return twin.any_actions(flat, moment)
         (outputs,) = watch(state, None, None)[0].found
         if how == "sampled":
             action = _sampled(twin, actor, outputs, flat, moment)
@@ -334,37 +265,24 @@ def scores(
             action = networks.mode(outputs, twin.action)
         return action.reshape(-1, *action.shape[2:])
 
-    def one(moment: jax.Array, state: Tree) -> Tree:
+    def going_on(carry: tuple[jax.Array, Tree]) -> jax.Array:
+        return (carry[0] < decisions) & ~twin.over(carry[1]).all()
+
+    def next_one(carry: tuple[jax.Array, Tree]) -> tuple[jax.Array, Tree]:
+        moment, state = carry
         if how == "none":
-            return twin.drive(state, params).state
-        return twin.step(state, told(state, jnp.uint32(moment)), params).state
+            return moment + 1, twin.drive(state, params).state
+        return moment + 1, twin.step(state, told(state, moment), params).state
 
     def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, None]:
         return told(state, number), None
 
-    state = twin.start(flat, params)
+    state = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
     if isinstance(decisions, Beats):
         state = beats_of.played(cast(Holding, twin), decisions, state, params, decide)
     else:
-        state = jax.lax.fori_loop(0, decisions, one, state)
+        _, state = jax.lax.while_loop(going_on, next_one, (jnp.int32(0), state))
     return twin.score(state).reshape(shape)
-
-
-def _uniform(twin: Twin, seeds: jax.Array, moment: jax.Array) -> jax.Array:
-    """(n, A) or (n, A, d) actions, any as likely as another."""
-    if isinstance(twin.action, Discrete):
-        draw = random.uniform(seeds, _ACTION, moment, twin.agents).T
-        return jnp.floor(draw * twin.action.n).astype(jnp.int32)
-    low, high = jnp.asarray(twin.action.low), jnp.asarray(twin.action.high)
-    draw = random.uniform(seeds, _ACTION, moment, twin.agents * len(low)).T
-    return low + (high - low) * draw.reshape(-1, twin.agents, len(low))
-
-
-def _each(activation: Activation, network: Network, obs: jax.Array) -> jax.Array:
-    """(P, ..., f) -> (P, ..., m), each policy its own."""
-    each = partial(networks.apply, activation=activation)
-    outputs: jax.Array = jax.vmap(each)(network, obs)
-    return outputs
 
 
 def _sampled(

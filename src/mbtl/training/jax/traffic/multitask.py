@@ -16,20 +16,21 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.seeds import Purpose, derive_seed
 from mbtl.training.jax.blocks import Block, Schedule, Training, in_blocks
 from mbtl.training.jax.environments import Tree
+from mbtl.training.jax.loop import checkpoint_seeds, judged, start
 from mbtl.training.jax.recipes import Activation, check_lengths
 from mbtl.training.jax.traffic import random
-from mbtl.training.jax.traffic.episodes import Acting, Episodes, delayed, joined, record, scores
-from mbtl.training.jax.traffic.learning import (
-    State,
+from mbtl.training.jax.traffic.episodes import (
+    Acting,
+    Episodes,
     actor_of,
-    episode_seeds,
-    judged,
-    learnt,
-    start,
+    delayed,
+    joined,
+    record,
+    scores,
 )
+from mbtl.training.jax.traffic.learning import State, episode_seeds, learnt
 from mbtl.training.jax.traffic.recipes import TwinRecipe
 from mbtl.training.jax.traffic.twin import Twin
 
@@ -75,8 +76,7 @@ def train_on_all(
     )
     lasting = [cast(int, twin.decisions(one)) for one in contexts]  # one by one: no beats
     most = [max(d for d in lasting if d.bit_length() == own.bit_length()) for own in lasting]
-    numbers = range(checkpoint_episodes)
-    tests = np.array([[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers]], np.uint32)
+    tests = checkpoint_seeds([seed], checkpoint_episodes)
 
     def advance(training: Training, count: int) -> tuple[Training, jax.Array]:
         for number in range(int(training.updates), int(training.updates) + count):
@@ -90,9 +90,11 @@ def train_on_all(
                 for k, i in enumerate(met.tolist())
             ]  # fmt: skip
             training = _updated(twin, recipe, training, lived)
-        actor = actor_of(training.state)
+        actor = actor_of(training.state.weights)
         found = [
-            scores(twin, recipe.activation, acting, actor, tests, one, decisions).mean(axis=1)
+            scores(twin, recipe.activation, acting, actor, tests, tests, one, decisions).mean(
+                axis=1
+            )
             for one, decisions in zip(contexts, lasting, strict=True)
         ]
         return judged(training, jnp.stack(found).mean(axis=0))
@@ -125,7 +127,7 @@ def _lived(
     lasting: jax.Array,
 ) -> Episodes:
     """Episodes of `lasting` decisions, `most` at most, as if there were `longest`."""
-    lived = record(twin, activation, most, actor_of(state), seeds, params, lasting)
+    lived = record(twin, activation, most, actor_of(state.weights), seeds, params, lasting)
     return delayed(lived, longest - most)
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.recipes import Activation, check_counts, named, record_of
+from mbtl.training.jax.recipes import Activation, check_counts, record_of
 
 
 @dataclass(frozen=True)
@@ -34,12 +35,14 @@ class TRPORecipe:
             it pays, or costs, to live on.
         hidden: widths of the hidden layers of actor and critic.
         log_std: initial log standard deviation of a Gaussian policy.
+        first_action: its mean before the first update, in every dimension.
         activation: between the layers.
 
     Raises:
         InvalidInput: a count is below 1.
     """
 
+    unit: ClassVar[str] = "episodes"
     n_episodes: int = 1
     gamma: float = 0.999
     gae_lambda: float = 1.0
@@ -58,10 +61,16 @@ class TRPORecipe:
     center_reward: bool = True
     hidden: tuple[int, ...] = (64, 64)
     log_std: float = 0.0
+    first_action: float = 0.0
     activation: Activation = "tanh"
 
     def __post_init__(self) -> None:
         check_counts(self, "n_episodes", "cg_steps", "backtracks", "critic_passes")
+
+    @property
+    def update_length(self) -> int:
+        """Episodes of one policy between two updates."""
+        return self.n_episodes
 
     @property
     def record(self) -> dict[str, object]:
@@ -95,12 +104,14 @@ class EpisodicPPORecipe:
         critic_gain: of the critic's last layer at the start.
         hidden: widths of the hidden layers of actor and critic.
         log_std: initial log standard deviation of a Gaussian policy.
+        first_action: its mean before the first update, in every dimension.
         activation: between the layers.
 
     Raises:
         InvalidInput: a count is below 1, or the minibatches do not fill the rows.
     """
 
+    unit: ClassVar[str] = "episodes"
     n_episodes: int = 1
     rows: int = 8000
     minibatches: int = 40
@@ -121,6 +132,7 @@ class EpisodicPPORecipe:
     critic_gain: float = 0.01
     hidden: tuple[int, ...] = (256, 256, 256, 256)
     log_std: float = 0.0
+    first_action: float = 0.0
     activation: Activation = "tanh"
 
     def __post_init__(self) -> None:
@@ -129,6 +141,11 @@ class EpisodicPPORecipe:
             raise InvalidInput(
                 f"minibatches must divide rows = {self.rows}, got {self.minibatches}"
             )
+
+    @property
+    def update_length(self) -> int:
+        """Episodes of one policy between two updates."""
+        return self.n_episodes
 
     @property
     def record(self) -> dict[str, object]:
@@ -165,12 +182,3 @@ TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
     },
 }
 """Recipes by algorithm and name; `paper` is the spec's, `fast` ends sooner on a CPU."""
-
-
-def twin_recipe_named(algorithm: str, name: str) -> TwinRecipe:
-    """The recipe called `name` of `TWIN_RECIPES`.
-
-    Raises:
-        UnknownName: there is none.
-    """
-    return named(TWIN_RECIPES, algorithm, name)

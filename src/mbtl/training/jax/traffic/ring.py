@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mbtl.training.jax.environments import Box, Discrete, TimeLimit
+from mbtl.training.jax.environments import Beats, Box, Discrete, Length, TimeLimit
 from mbtl.training.jax.traffic import random
 from mbtl.training.jax.traffic.idm import IDM, follow, obey
-from mbtl.training.jax.traffic.twin import Beats, Length, Moved, Seen
+from mbtl.training.jax.traffic.twin import Moved, Seeded, Seen
 
 _SHARES, _FACTORS, _NOISE = range(3)  # streams of random numbers
 
@@ -89,7 +89,7 @@ Advice = Callable[[RingState, Held], jax.Array]
 
 
 @dataclass(frozen=True)
-class RingTwin:
+class RingTwin(Seeded):
     """One advised car among many; constants are those of the SUMO environment.
 
     Attributes:
@@ -186,11 +186,11 @@ class RingTwin:
     # ---- decisions that last differently long ------------------------------------------------
 
     def beats(self, params: RingParams, beats: Beats) -> tuple[jax.Array, jax.Array]:
-        """See `mbtl.training.jax.traffic.twin.Holding`."""
+        """See `mbtl.training.jax.traffic.beats.Holding`."""
         return params.hold // beats.steps, -(-self.total_steps // params.hold)
 
     def held(self, state: RingState) -> Held:
-        """See `mbtl.training.jax.traffic.twin.Holding`."""
+        """See `mbtl.training.jax.traffic.beats.Holding`."""
         rest, none = jnp.zeros_like(state.total), jnp.zeros_like(state.measured)
         return Held(rest, rest, none, state.running, state.seen)
 
@@ -203,7 +203,7 @@ class RingTwin:
         beats: Beats,
         now: jax.Array,
     ) -> tuple[Moved, Held]:
-        """See `mbtl.training.jax.traffic.twin.Holding`."""
+        """See `mbtl.training.jax.traffic.beats.Holding`."""
         every, decisions = self.beats(params, beats)
         due, over = now % every == 0, now >= every * decisions
         anew = self.held(state)._replace(told=action.reshape(-1).astype(jnp.float32))

@@ -1,0 +1,125 @@
+"""Trainings of eco-driving that differ in one thing, all in one program (`eco_causes.py`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from eco_play import TWIN, play, stacked
+from measure import note
+
+import jax  # isort: skip  # after eco_play, which sets the flags of jax
+import jax.numpy as jnp
+
+from mbtl.cmdps.traffic.twins import EcoProblem
+from mbtl.training.jax import loop, networks
+from mbtl.training.jax.traffic import learning
+from mbtl.training.jax.traffic.eco import EcoTwin
+from mbtl.training.jax.traffic.episodes import actor_of, scores
+from mbtl.training.jax.traffic.recipes import TWIN_RECIPES
+
+SEEDS = 2
+"""Trainings per way; a way's seeds are the same as another's."""
+AGENTS = 16
+"""Places of agents: in these contexts more cars are hardly ever controlled at once."""
+FRESH = 5000
+"""Seeds of evaluations begin here."""
+
+RECIPE = replace(TWIN_RECIPES["PPO"]["fast"], gamma=0.99, gae_lambda=0.97)
+"""Of the preset `standard` as it was."""
+
+
+class Way(NamedTuple):
+    """What a training may differ in.
+
+    Attributes:
+        reward: that it learns from.
+        first_action: mean action before the first update [m/s^2].
+        log_std: of exploration, before the first update.
+    """
+
+    reward: str = "paper"
+    first_action: float = 0.0
+    log_std: float = -1.0
+
+
+WAYS = {
+    "as it was": Way(),
+    "+ first action 3": Way(first_action=3.0),
+    "+ deviation 1": Way(first_action=3.0, log_std=0.0),
+    "+ delay": Way("delay", 3.0, 0.0),
+    "+ platoon": Way("platoon", 3.0, 0.0),
+}
+
+
+@dataclass(frozen=True)
+class Mixed(EcoTwin):
+    """A twin whose simulations, policy by policy, are taught by rewards of their own."""
+
+    taught: tuple[str, ...] = ()
+
+    def _rewards(self, state: Any, *arguments: Any) -> Any:
+        each = state.row.shape[1] // len(self.taught)
+        found: Any = None
+        for kind in sorted(set(self.taught)):
+            reward, done = EcoTwin._rewards(replace(self, reward=kind), state, *arguments)
+            mine = np.repeat([own == kind for own in self.taught], each)
+            found = reward if found is None else jnp.where(mine, reward, found)
+        return found, done
+
+
+def trained(context: Mapping[str, float], ways: Sequence[Way], episodes: int) -> tuple[Any, Any]:
+    """Weights of `SEEDS` policies per way, before and after training in one context."""
+    many = [way for way in ways for _ in range(SEEDS)]
+    base = EcoProblem(agents=AGENTS)([{}])[0]
+    own = {field.name: getattr(base, field.name) for field in fields(base)}
+    twin = Mixed(**own, taught=tuple(way.reward for way in many))
+    params = stacked([context] * len(many), 1)
+
+    each = [
+        learning.init(
+            twin,
+            replace(RECIPE, first_action=way.first_action, log_std=way.log_std),
+            [100 + seed],
+            params,
+        )
+        for way in ways
+        for seed in range(SEEDS)
+    ]
+    first = jax.tree.map(lambda *x: jnp.concatenate(x), *[one.weights for one in each])
+    after = loop.train(
+        twin,
+        RECIPE,
+        [100 + k % SEEDS for k in range(len(many))],
+        params,
+        episodes,
+        acting="mean",
+        weights=first,
+        checkpoint_every=max(24, episodes // 10),
+        checkpoint_episodes=4,
+        on_block=lambda block: note(f"{block.steps} of {block.total} episodes"),
+    )
+    return first, after.state.weights
+
+
+def acting(weights: Any, context: Mapping[str, float], seeds: int) -> dict[str, Any]:
+    """Measures (policies, seeds) of policies by their mean actions; and `sampled` scores."""
+    n = len(weights.log_std)
+
+    def rule(obs: Any, _: Any) -> Any:
+        mine = obs.reshape(n, seeds, *obs.shape[1:])
+        told = jax.vmap(partial(networks.apply, activation="tanh"))(weights.actor, mine)
+        return networks.to_environment(told, TWIN.action)[..., 0].reshape(obs.shape[:-1])
+
+    drawn = np.tile(np.arange(FRESH, FRESH + seeds, dtype=np.uint32), (n, 1))
+    params = stacked([context] * n, seeds)
+    found = play(rule, TWIN, jnp.asarray(drawn.reshape(-1)), params, jnp.zeros((drawn.size, 0)))
+    actor = actor_of(weights)._replace(critic=())
+    sampled = scores(
+        TWIN, "tanh", "sampled", actor, jnp.asarray(drawn), TWIN.draws(drawn), params, TWIN.horizon
+    )
+    shaped = {name: np.asarray(x, float).reshape(n, seeds) for name, x in found.items()}
+    return shaped | {"sampled": np.asarray(sampled, float)}

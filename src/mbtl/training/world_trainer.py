@@ -1,0 +1,395 @@
+"""The worlds in jax as a trainer of a study, and of whole transfer matrices.
+
+Nothing of jax is imported before a training or evaluation, so the record can be made, printed and
+sent to another process anywhere.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.checkpoints import Checkpoint, shares_of
+from mbtl.contexts import Context
+from mbtl.errors import InvalidInput, unknown_name
+from mbtl.portfolio import MLPPolicy
+from mbtl.seeds import episode_seed
+from mbtl.trainer import OnProgress, Progress, checked_returns
+
+BY_STEPS = ("PPO", "A2C", "DQN")
+"""Algorithms that learn every few steps; a training is as many `timesteps`."""
+BY_EPISODES = ("TRPO", "PPO")
+"""Algorithms that learn from whole episodes; a training is as many `episodes`."""
+
+_CPU_LANES = 25
+"""Sources trained together on a CPU where one of them would not keep it busy."""
+_CHECKPOINTS, _EACH = 20, 2
+"""Evaluations of a policy for all contexts, and episodes of each on every context."""
+
+Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
+"""contexts -> (`mbtl.training.jax.World`, its parameters with one leading axis)."""
+
+
+@dataclass(frozen=True)
+class WorldTrainer:
+    """Trains policies in a world (`mbtl.trainer.Trainer`), one or many at once.
+
+        trainer = get_cmdp("cartpole-length", engine="jax").trainer_for("full")
+        policy = trainer.train({"length": 0.5}, seed=0)
+        returns = trainer.evaluate(policy, space.contexts, seed=1)      # (n_targets, 100)
+
+    Attributes:
+        problem: contexts -> world and parameters; a function of a module, or a record.
+        timesteps: environment steps of one training, rounded up to whole updates; or
+        episodes: of one training, likewise.
+        algorithm: "PPO", "A2C" or "DQN" by steps; "TRPO" or "PPO" by whole episodes.
+        recipe_name: named hyper-parameters of the algorithm, e.g. "sb3", "fast" or "paper".
+        hyperparameters: fields of the recipe that differ from the named one.
+        eval_episodes: episodes per target in `evaluate`.
+        acting: in all evaluations, the "mean" actions, or "sampled" ones; None: mean where steps
+            are counted, sampled where episodes are, as in the papers.
+        checkpoint: "final" weights, or the "best" of periodic evaluations on the own context. The
+            best cannot change once it has the largest return there is, so training ends there.
+        checkpoint_every: steps or episodes between those evaluations; default 2 % of the training.
+        checkpoint_episodes: episodes of each.
+        reward: what training is rewarded by, a name that the world knows; None: by its own reward.
+            It changes no score.
+
+    Raises:
+        InvalidInput: a number is not positive, there is not one of `timesteps` and `episodes`, or
+            `checkpoint` is neither "final" nor "best".
+        UnknownName: no such algorithm, or way to act.
+    """
+
+    problem: Problem
+    _: KW_ONLY
+    timesteps: int | None = None
+    episodes: int | None = None
+    algorithm: str = "PPO"
+    recipe_name: str | None = None
+    hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+    eval_episodes: int = 100
+    acting: Literal["sampled", "mean"] | None = None
+    checkpoint: Literal["final", "best"] = "best"
+    checkpoint_every: int | None = None
+    checkpoint_episodes: int = 10
+    reward: str | None = None
+
+    policy_format = "mlp"
+
+    def __post_init__(self) -> None:
+        by_steps = self.episodes is None
+        if by_steps == (self.timesteps is None):
+            raise InvalidInput(
+                "a training is as long as its timesteps or its episodes, got "
+                f"timesteps={self.timesteps} and episodes={self.episodes}; give one of them"
+            )
+        for name, value in {
+            "hyperparameters": dict(self.hyperparameters or {}),
+            "recipe_name": self.recipe_name or ("fast" if by_steps else "paper"),
+            "acting": self.acting or ("mean" if by_steps else "sampled"),
+        }.items():
+            object.__setattr__(self, name, value)
+        algorithms = BY_STEPS if by_steps else BY_EPISODES
+        if self.algorithm not in algorithms:
+            kind = "jax engine" if by_steps else "traffic twins"
+            raise unknown_name(f"algorithm of the {kind}", self.algorithm, algorithms)
+        if self.acting not in ("sampled", "mean"):
+            raise unknown_name("way to act", str(self.acting), ("sampled", "mean"))
+        counts = [self.unit, "eval_episodes", "checkpoint_episodes"]
+        for name in [*counts, *(["checkpoint_every"] if self.checkpoint_every else [])]:
+            number = getattr(self, name)
+            if not (isinstance(number, int) and number >= 1):
+                raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
+        if self.checkpoint not in ("final", "best"):
+            raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
+
+    # ---- what it is --------------------------------------------------------------------------
+
+    @property
+    def unit(self) -> str:
+        """What is counted, "timesteps" or "episodes"."""
+        return "timesteps" if self.episodes is None else "episodes"
+
+    @property
+    def length(self) -> int:
+        """Timesteps or episodes of one training."""
+        length: int = getattr(self, self.unit)
+        return length
+
+    @property
+    def update_length(self) -> int:
+        """Timesteps or episodes of one update."""
+        return int(self.learner.update_length)
+
+    @property
+    def learner(self) -> Any:
+        """The recipe in the engine, with this trainer's `hyperparameters`.
+
+        Raises:
+            UnknownName: no such recipe, or it has no such hyper-parameter.
+        """
+        import mbtl.training.jax as engine
+
+        named = engine.recipe_named(self.algorithm, str(self.recipe_name), self.unit)
+        for name in self.hyperparameters:
+            if name not in named.record:
+                raise unknown_name(f"hyperparameter of {self.algorithm}", name, named.record)
+        return replace(named, **self.hyperparameters)
+
+    @property
+    def recipe(self) -> dict[str, Any]:
+        """What decides the policies and their returns, JSON-able; not the place or speed."""
+        by_steps = self.unit == "timesteps"
+        return {
+            "trainer": "mbtl-jax" if by_steps else "mbtl-twin",
+            "algorithm": self.algorithm,
+            "recipe": self.recipe_name,
+            "hyperparameters": dict(sorted(self.hyperparameters.items())),
+            self.unit: self.length,
+            **({} if by_steps and self.acting == "mean" else {"acting": self.acting}),
+            "checkpoint": self.checkpoint,
+            "checkpoint_every": self.checkpoint_every,
+            "checkpoint_episodes": self.checkpoint_episodes,
+            "eval_episodes": self.eval_episodes,
+            **({} if self.reward is None else {"reward": self.reward}),
+        }
+
+    @property
+    def recipe_on_all(self) -> dict[str, Any]:
+        """As `recipe`, of `train_on_all`."""
+        own = {"contexts": "uniform, one per episode", "checkpoint_every": f"1/{_CHECKPOINTS}"}
+        return {**self.recipe, **own, "checkpoint_episodes": f"{_EACH} per context"}
+
+    @property
+    def lanes(self) -> int:
+        """Policies that are best trained together here.
+
+        One where contexts differ in their decisions, as each is a program of its own then; else all
+        on an accelerator. On a CPU one PPO program by steps already keeps a core busy, and a policy
+        trained alone is, bit for bit, the one that a study trains; the others need company.
+        """
+        import mbtl.training.jax as engine
+
+        world, _ = self.problem([])
+        if not world.mixes:
+            return 1
+        if not engine.on_cpu():
+            return 1 << 20
+        return 1 if (self.algorithm, self.unit) == ("PPO", "timesteps") else _CPU_LANES
+
+    # ---- training ----------------------------------------------------------------------------
+
+    def train(
+        self, context: Context, seed: int, on_progress: OnProgress | None = None
+    ) -> MLPPolicy:
+        """Train on one context; the same seed gives the same policy.
+
+        Raises:
+            TrainingFailed: the weights became NaN.
+            InvalidInput: a hyper-parameter that the recipe does not have.
+            MissingExtra: jax is not installed.
+        """
+        policies = self.train_many([context], [seed], on_progress, keep=(self.checkpoint,))
+        return policies[self.checkpoint][0]
+
+    def train_many(
+        self,
+        contexts: Sequence[Context],
+        seeds: Sequence[int],
+        on_progress: OnProgress | None = None,
+        *,
+        keep: Sequence[str] = ("best", "final"),
+        partial: Path | None = None,
+    ) -> dict[str, list[MLPPolicy]]:
+        """Train one policy per (context, seed), all in one program where the world mixes contexts.
+
+        Args:
+            contexts: P sources; repeat one to train it with several seeds.
+            seeds: P training seeds.
+            on_progress: told steps or episodes of one policy, and the mean of the latest
+                evaluations.
+            keep: names of checkpoints (`mbtl.checkpoints`); without "final" a training may need
+                fewer steps.
+            partial: file in which to save the training now and then, and from which to go on if it
+                is there. Remove it when the policies are safe.
+
+        Returns:
+            P policies under each name of `keep`.
+        """
+        import mbtl.training.jax as engine
+
+        world, params = self._lessons(contexts)
+        recipe, marks = self.learner, shares_of(keep)
+        saved = engine.SavedTraining(partial)
+        policies: dict[str, list[MLPPolicy]] = {name: [] for name in keep}
+        groups = [(list(seeds), params)]
+        if not world.mixes:
+            groups = [([seed], engine.context_of(params, i)) for i, seed in enumerate(seeds)]
+        for number, (some, each) in enumerate(groups):
+            last = number == len(groups) - 1
+
+            def on_block(block: engine.Block, number: int = number, last: bool = last) -> None:
+                self._tell(on_progress, block)
+                done = block.steps == block.total and not last
+                saved.save(block.training, number=number, done=done)
+
+            fresh = functools.partial(engine.start, world, recipe, some, each, marks=marks)
+            training = engine.train(
+                world,
+                recipe,
+                some,
+                each,
+                self.length,
+                on_block=on_block,
+                checkpoint_every=self.checkpoint_every,
+                checkpoint_episodes=self.checkpoint_episodes,
+                acting=self._how,
+                only_best="final" not in keep,
+                marks=marks,
+                resume=saved.load(fresh, number=number),
+            )
+            for name in keep:
+                weights = engine.weights_of(training, Checkpoint.named(name), marks)
+                policies[name] += engine.export_policies(world, weights, recipe.activation)
+        return policies
+
+    def train_on_all(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        on_progress: OnProgress | None = None,
+        *,
+        partial: Path | None = None,
+    ) -> MLPPolicy:
+        """Train one policy for all contexts; each episode of an update is in another of them.
+
+        It is judged on all of them 20 times, two episodes each: of few contexts or for short
+        trainings that is most of the work.
+
+        Args:
+            contexts: of which to draw.
+            seed: training seed.
+            on_progress: told episodes, and the mean score on all contexts.
+            partial: file in which to save the training now and then, and from which to go on if it
+                is there. Remove it when the policy is safe.
+
+        Raises:
+            InvalidInput: there are no contexts.
+        """
+        import mbtl.training.jax as engine
+        from mbtl.training.jax.traffic.multitask import train_on_all
+
+        if not contexts:
+            raise InvalidInput("multi-task training takes at least one context, got none")
+        saved = engine.SavedTraining(partial)
+
+        def on_block(block: engine.Block) -> None:
+            self._tell(on_progress, block)
+            saved.save(block.training)
+
+        world, stacked = self._lessons(contexts)
+        params = [engine.context_of(stacked, i) for i in range(len(contexts))]
+        recipe = self.learner
+        training = train_on_all(
+            world,
+            recipe,
+            seed,
+            params,
+            self.length,
+            checkpoints=_CHECKPOINTS,
+            checkpoint_episodes=_EACH,
+            acting=self._how,
+            on_block=on_block,
+            resume=saved.load(lambda: engine.start(world, recipe, [seed], params[0])),
+        )
+        weights = training.best if self.checkpoint == "best" else training.state.weights
+        return engine.export_policies(world, weights, recipe.activation)[0]
+
+    def untrained(self, context: Context) -> MLPPolicy:
+        """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
+        import mbtl.training.jax as engine
+
+        world, params = self.problem([context])
+        recipe = self.learner
+        weights = engine.start(world, recipe, [0], params).state.weights
+        return engine.export_policies(world, weights, recipe.activation)[0]
+
+    def _lessons(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
+        """The world as it teaches, and the parameters of the contexts."""
+        world, params = self.problem(contexts)
+        if self.reward is None:
+            return world, params
+        known = getattr(world, "rewards", ())
+        if self.reward not in known:
+            raise unknown_name("reward of this world", self.reward, known)
+        return replace(world, reward=self.reward), params
+
+    def _tell(self, on_progress: OnProgress | None, block: Any) -> None:
+        if on_progress is None:
+            return
+        latest = float(np.mean(block.training.latest_return))
+        unit, metric = "episodes", "score"
+        if self.unit == "timesteps":
+            unit, metric = "steps", "episode_return"
+        on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
+
+    # ---- evaluation --------------------------------------------------------------------------
+
+    def evaluate(self, policy: MLPPolicy, contexts: Sequence[Context], seed: int) -> Array:
+        """Returns without adaptation, (n_targets, eval_episodes).
+
+        Episode e starts from the same random numbers for every policy and every target.
+
+        Args:
+            policy: what `train` or `load` gave.
+            contexts: the targets.
+            seed: what `mbtl.seeds.evaluation_seed` gave.
+
+        Raises:
+            TrainingFailed: a return is NaN or infinite.
+        """
+        return checked_returns(self.evaluate_many([policy], contexts, seed)[0], len(contexts))
+
+    def evaluate_many(
+        self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seed: int
+    ) -> Array:
+        """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`."""
+        import mbtl.training.jax as engine
+
+        world, params = self.problem(contexts)
+        actor, activation = engine.import_actor(list(policies)), policies[0].activation
+        return engine.evaluate(
+            world, actor, params, self._episodes(seed), activation=activation, how=self._how
+        )
+
+    def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
+        """See `mbtl.trainer.ReferenceTrainer`."""
+        import mbtl.training.jax as engine
+
+        world, params = self.problem(contexts)
+        return engine.reference_returns(world, params, self._episodes(seed))
+
+    @property
+    def _how(self) -> Literal["sampled", "mean"]:
+        return self.acting or "mean"  # settled when it was made
+
+    def _episodes(self, seed: int) -> list[int]:
+        return [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
+
+    # ---- files -------------------------------------------------------------------------------
+
+    def save(self, policy: MLPPolicy, folder: Path) -> bool:
+        """Write weights and manifest into the empty `folder`."""
+        policy.save(Path(folder))
+        return True
+
+    def load(self, folder: Path) -> MLPPolicy:
+        """Read what `save` wrote; nothing but numbers is loaded."""
+        return MLPPolicy.load(Path(folder))
