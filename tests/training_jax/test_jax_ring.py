@@ -15,9 +15,10 @@ import jax.numpy as jnp
 from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic.twins import RingProblem
 from mbtl.seeds import episode_seed
+from mbtl.training.jax import networks
 from mbtl.training.jax.traffic import episodes, learning, random
 from mbtl.training.jax.traffic import ring as ring_module
-from mbtl.training.jax.traffic.episodes import Actor, scores
+from mbtl.training.jax.traffic.episodes import Actor, record, scores
 from mbtl.training.jax.traffic.idm import IDM, follow, obey
 
 HUMAN = IDM(accel=1.0, decel=1.5, tau=1.0)
@@ -168,7 +169,72 @@ def test_after_a_collision_the_cars_stand_for_the_rest_of_the_measured_part():
     assert whole == pytest.approx(speed, rel=0.2)
 
 
+# ---- decisions that last differently long --------------------------------------------------------
+
+
+@pytest.mark.parametrize("obs", ["fresh", "stale"])
+def test_rings_of_several_holds_live_together_as_they_do_alone(obs):
+    contexts = [{"hold": hold} for hold in (1.0, 3.0, 4.0)]
+    twin, each = RingProblem("acceleration", obs=obs, visibility="multiplier")(contexts)
+    twin = replace(twin, warm_up=20, unmeasured=20, total_steps=100)
+    together = jax.tree.map(lambda *x: jnp.stack(x), *each)
+    seeds = np.arange(6, dtype=np.uint32).reshape(3, 2)
+    weights = networks.stack([networks.init_weights(i, 4, twin.action, (8,)) for i in range(3)])
+    actor = Actor(weights.actor, weights.log_std, weights.critic)
+    params = jax.tree.map(lambda x: jnp.repeat(x, 2, axis=0), together)
+    beats = twin.decisions(together)
+    assert beats == (10, 12, 10)  # three holds of 4 s, of 1 s each, are the longest episode
+    mixed = jax.jit(record, static_argnums=(0, 1, 2))(twin, "tanh", beats, actor, seeds, params)
+    judged = scores(twin, "tanh", "mean", actor, seeds, seeds, params, beats)
+    for p, own in enumerate(each):
+        some = jax.tree.map(lambda x, p=p: x[p : p + 1], actor)
+        count = twin.decisions(own)
+        alone = jax.jit(record, static_argnums=(0, 1, 2))(
+            twin, "tanh", count, some, seeds[p : p + 1], own
+        )
+        assert np.asarray(mixed.acting[p]).sum() == 2 * count
+        assert not mixed.acting[p, : 10 - count].any()
+        for name in ("outputs", "action", "value", "reward", "done"):
+            found = getattr(mixed, name)[p, 10 - count :]
+            np.testing.assert_allclose(found, getattr(alone, name)[0], atol=1e-4)
+        for name in ("score", "last_value", "last_acting"):
+            np.testing.assert_allclose(getattr(mixed, name)[p], getattr(alone, name)[0], atol=1e-4)
+        seen = [x.obs[i][x.row[i]] for x, i in ((mixed, p), (alone, 0))]
+        np.testing.assert_allclose(seen[0][10 - count :], seen[1], atol=1e-4)
+        its = seeds[p : p + 1]
+        own_score = scores(twin, "tanh", "mean", some, its, its, own, count)
+        np.testing.assert_allclose(judged[p], own_score[0], atol=1e-4)
+
+
+def test_a_collision_ends_only_its_own_ring_and_stays_with_the_decision_in_which_it_was():
+    twin, each = RingProblem("acceleration", noise=0.0)([{"hold": 1.0}, {"hold": 2.0}])
+    twin = replace(twin, warm_up=20, unmeasured=20, total_steps=100)
+    params = jax.tree.map(lambda *x: jnp.stack(x), *each)
+    beats = twin.decisions(params)
+    state = twin.start(jnp.zeros(2, jnp.uint32), params)
+    held, done, reward = twin.held(state), [], []
+    for now in range(4):
+        if now == 2:  # with the second decision of the second ring
+            state = state._replace(
+                gap=state.gap.at[1, 1].set(0.2).at[2, 1].add(state.gap[1, 1] - 0.2)
+            )
+        moved, held = twin.beat(state, held, jnp.zeros((2, 1)), params, beats, jnp.int32(now))
+        state = moved.state
+        done.append(moved.done[:, 0].tolist())
+        reward.append(float(moved.reward[1, 0]))
+    assert done == [[False, False]] * 3 + [[False, True]]
+    assert reward[0] == reward[2] == 0.0  # told with the last beat
+    assert reward[3] == pytest.approx(-100.0, abs=1.0)
+
+
 # ---- random numbers ------------------------------------------------------------------------------
+
+
+def test_moments_of_each_simulation_give_the_numbers_of_that_moment():
+    seeds = jnp.arange(3, dtype=jnp.uint32)
+    each = random.bits(seeds, 5, jnp.array([4, 0, 7]), 6)
+    for i, moment in enumerate((4, 0, 7)):
+        np.testing.assert_array_equal(each[:, i], random.bits(seeds, 5, jnp.int32(moment), 6)[:, i])
 
 
 def test_noise_is_standard_normal_and_uncorrelated():

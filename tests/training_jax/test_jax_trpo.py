@@ -198,18 +198,19 @@ def test_interrupted_trainings_of_several_holds_go_on_to_the_same_policies(tmp_p
     trainer = get_cmdp("ring-vel", engine="jax").trainer_for(
         "quick", episodes=4, checkpoint_every=1, checkpoint_episodes=1
     )
-    contexts, file, heard = [{"hold": 40.0}] * 3, tmp_path / "partial.npz", []
+    contexts, file, heard = [{"hold": h} for h in (20.0, 40.0)], tmp_path / "partial.npz", []
 
     def stop(progress):
         heard.append(progress.step)
-        if len(heard) == 7:  # the third update of the second hold
+        if len(heard) == 3:
             raise KeyboardInterrupt
 
+    assert trainer.lanes > 1  # one program
     with pytest.raises(KeyboardInterrupt):
-        trainer.train_many(contexts, [0, 1, 2], stop, partial=file)
-    rest = trainer.train_many(contexts, [0, 1, 2], stop, partial=file)
-    assert heard[7:] == [4, 3, 4, 1, 2, 3, 4]  # the first is done, of the second two were saved
-    whole = trainer.train_many(contexts, [0, 1, 2])
+        trainer.train_many(contexts, [0, 1], stop, partial=file)
+    rest = trainer.train_many(contexts, [0, 1], stop, partial=file)
+    assert heard[3:] == [3, 4]  # two were saved
+    whole = trainer.train_many(contexts, [0, 1])
     for checkpoint in ("best", "final"):
         for one, other in zip(whole[checkpoint], rest[checkpoint], strict=True):
             for a, b in zip(one.weights, other.weights, strict=True):

@@ -26,7 +26,7 @@ import jax
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import a2c, dqn, ppo
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.environments import Tree
+from mbtl.training.jax.environments import Length, Tree
 from mbtl.training.jax.multitask import policies
 from mbtl.training.jax.recipes import (
     RECIPES,
@@ -86,14 +86,14 @@ def init(
 
 
 def update(
-    world: World, recipe: AnyRecipe, decisions: int, state: Any, params: Tree, clock: Clock
+    world: World, recipe: AnyRecipe, decisions: Length, state: Any, params: Tree, clock: Clock
 ) -> Any:
     """P policies after `recipe.update_length` more steps or episodes; can be traced.
 
     Args:
         world: the dynamics; static.
         recipe: hyper-parameters; static.
-        decisions: of an episode at most; static.
+        decisions: of an episode at most, or beats; static.
         state: as `init` or the last update gave it.
         params: of one context, (P, ...), or with a `MultiTaskRecipe` (P, N, ...).
         clock: which update it is.

@@ -23,6 +23,24 @@ Tree = Any
 """Arrays in nested tuples, lists or dictionaries: what jax calls a pytree."""
 
 
+class Beats(NamedTuple):
+    """Length of episodes in contexts whose decisions last differently long.
+
+    Attributes:
+        decisions: of the episode that has most.
+        total: beats of the longest episode.
+        steps: simulation steps of a beat.
+    """
+
+    decisions: int
+    total: int
+    steps: int
+
+
+Length = int | Beats
+"""Decisions of an episode; or, of several contexts in which they last differently long, beats."""
+
+
 @dataclass(frozen=True)
 class Discrete:
     """Actions 0..n-1."""

@@ -25,7 +25,7 @@ from mbtl.training.jax.blocks import (
     keep_better,
 )
 from mbtl.training.jax.clock import clock_at
-from mbtl.training.jax.environments import Tree
+from mbtl.training.jax.environments import Length, Tree
 from mbtl.training.jax.evaluation import own_scores
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import check_lengths
@@ -155,7 +155,7 @@ def judged(training: Training, scores: jax.Array) -> tuple[Training, jax.Array]:
 def _updates(
     world: World,
     recipe: AnyRecipe,
-    decisions: int,
+    decisions: Length,
     training: Training,
     params: Tree,
     count: jax.Array,

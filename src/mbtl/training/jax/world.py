@@ -23,7 +23,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.environments import Box, Discrete, Environment, TimeLimit, Tree
+from mbtl.training.jax.environments import (
+    Box,
+    Discrete,
+    Environment,
+    Length,
+    TimeLimit,
+    Tree,
+)
 from mbtl.training.jax.traffic import random
 
 _FIRST, _ANY = 1 << 23, 1 << 20  # streams of random numbers: first states, actions of no policy
@@ -91,8 +98,8 @@ class World(Protocol):
     @property
     def params(self) -> type[Any]: ...  # noqa: D102
 
-    def decisions(self, params: Tree) -> int:
-        """Decisions of one episode at most, in this context; not traced."""
+    def decisions(self, params: Tree) -> Length:
+        """Length of an episode at most, in this context or in these; not traced."""
         ...
 
     def draws(self, seeds: NDArray[np.uint32]) -> NDArray[Any]:

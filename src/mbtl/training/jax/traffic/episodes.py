@@ -9,7 +9,7 @@ Random actions too are functions of the episode's seed, which makes it independe
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -17,13 +17,16 @@ import numpy as np
 
 from mbtl.portfolio import BoxHead, MLPPolicy
 from mbtl.training.jax import networks
-from mbtl.training.jax.environments import Discrete, Tree
+from mbtl.training.jax.environments import Beats, Discrete, Length, Tree
 from mbtl.training.jax.export import import_actors
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
+from mbtl.training.jax.traffic import beats as beats_of
 from mbtl.training.jax.traffic import random
-from mbtl.training.jax.traffic.packing import Agents, chunk_size, most_rows
+from mbtl.training.jax.traffic.beats import Holding
+from mbtl.training.jax.traffic.packing import most_rows
 from mbtl.training.jax.traffic.twin import Crowd, Moved, Twin
+from mbtl.training.jax.traffic.watching import Rows, each, watched
 
 Acting = Literal["sampled", "mean", "random", "none"]
 """How actions follow from a policy: drawn, the most likely one, or not: any, or no advice."""
@@ -116,7 +119,7 @@ def joined(each: list[Episodes]) -> Episodes:
 def record(
     twin: Twin,
     activation: Activation,
-    decisions: int,
+    decisions: Length,
     actor: Actor,
     seeds: jax.Array,
     params: Tree,
@@ -127,7 +130,7 @@ def record(
     Args:
         twin: the dynamics; static.
         activation: between the layers of the actor; static.
-        decisions: of an episode at most; static.
+        decisions: of an episode at most, or beats; static.
         actor: of P policies, with their critics.
         seeds: (P, E) uint32, one per episode.
         params: of one context, or of every simulation.
@@ -135,10 +138,12 @@ def record(
             the first of them nobody acts. That is no delay of what comes later, and advantages run
             from the end of an episode to its beginning. None: as many as at most.
     """
+    if isinstance(decisions, Beats):
+        return _in_beats(twin, activation, decisions, actor, seeds, params)
     shape, flat = seeds.shape, seeds.reshape(-1)
     crowd = isinstance(twin, Crowd)
     played = (actor.network, actor.critic) if crowd else (actor.network,)
-    watch = partial(_watched, twin, activation, params, shape)
+    watch = partial(watched, twin, activation, params, shape)
 
     def split(x: jax.Array) -> jax.Array:
         return x.reshape(*shape, *x.shape[1:])
@@ -173,7 +178,7 @@ def record(
     (state, rows), by_moment = jax.lax.scan(one, (twin.start(flat, params), rows), moments)
     row, action, acting, reward, done, *found = (jnp.moveaxis(x, 0, 1) for x in by_moment)
     if not crowd:  # all rows at once are faster where none is empty
-        found.append(_each(activation, actor.critic, rows.obs).reshape(*row.shape, 1))
+        found.append(each(activation, actor.critic, rows.obs).reshape(*row.shape, 1))
     last, _ = watch((actor.critic,), state, None, None)
     return Episodes(
         obs=rows.obs,
@@ -190,82 +195,44 @@ def record(
     )
 
 
-class Rows(NamedTuple):
-    """Observations so far, (P, rows, f), and how many of the rows are used."""
+def _in_beats(
+    twin: Any, activation: Activation, beats: Beats, actor: Actor, seeds: jax.Array, params: Tree
+) -> Episodes:
+    """`record` where decisions last differently long."""
+    shape, flat = seeds.shape, seeds.reshape(-1)
 
-    obs: jax.Array
-    used: jax.Array
+    def split(x: jax.Array) -> jax.Array:  # (n, ...) -> (P, E, ...)
+        return x.reshape(*shape, *x.shape[1:])
 
+    def by_policy(x: jax.Array) -> jax.Array:  # (D, n, ...) -> (P, D, E, ...)
+        return jnp.moveaxis(x.reshape(len(x), *shape, *x.shape[2:]), 0, 1)
 
-class _Watched(NamedTuple):
-    """A moment: who acts, (P, E, A), what networks say of it, (P, E, A, m) each, and its rows."""
+    def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, Tree]:
+        seen = twin.observe(state, params)
+        outputs = each(activation, actor.network, split(seen.obs))
+        action = _sampled(twin, actor, outputs, flat, number)
+        joint = (x.reshape(-1, *x.shape[2:]) for x in (outputs, action))
+        applied = networks.to_environment(action, twin.action)
+        return applied.reshape(-1, *action.shape[2:]), (seen.obs, seen.acting, *joint)
 
-    acting: jax.Array
-    found: tuple[jax.Array, ...]
-    row: jax.Array
-
-
-def _watched(
-    twin: Twin,
-    activation: Activation,
-    params: Tree,
-    shape: tuple[int, ...],
-    played: tuple[Network, ...],
-    state: Tree,
-    rows: Rows | None,
-    playing: jax.Array | None,
-) -> tuple[_Watched, Any]:
-    """Networks of P policies applied to what their agents see; 0 where there is none.
-
-    Args:
-        twin: the dynamics.
-        activation: between the layers.
-        params: of one context, or of every simulation.
-        shape: (P, E).
-        played: networks, leading axis P.
-        state: of the simulations.
-        rows: where to keep observations.
-        playing: whether anybody may act at this moment.
-    """
-    used = jnp.int32(0) if rows is None else rows.used
-
-    def kept(rows: Rows | None, obs: jax.Array, at: jax.Array) -> Rows | None:
-        if rows is None:
-            return None
-        return rows._replace(obs=jax.lax.dynamic_update_slice(rows.obs, obs, (0, at, 0)))
-
-    if not isinstance(twin, Crowd):
-        obs, acting = twin.observe(state, params)
-        acting = acting.reshape(*shape, -1)
-        acting &= True if playing is None else playing
-        obs = obs.reshape(*acting.shape, -1)
-        found = tuple(_each(activation, network, obs) for network in played)
-        row = used + jnp.arange(acting[0].size).reshape(acting.shape[1:])
-        rows = kept(rows, obs.reshape(len(obs), -1, obs.shape[-1]), used)
-        if rows is not None:
-            rows = rows._replace(used=used + acting[0].size)
-        return _Watched(acting, found, jnp.broadcast_to(row, acting.shape)), rows
-
-    acting = twin.acting(state).reshape(*shape, -1)
-    acting &= True if playing is None else playing
-    agents = Agents.of(acting)
-    size = chunk_size(acting[0].size)
-
-    def chunk(carry: tuple[jax.Array, Any, Any]) -> tuple[jax.Array, Any, Any]:
-        start, found, rows = carry
-        obs = twin.views(state, params, *agents.chunk(start, size))
-        new = (_each(activation, network, obs) for network in played)
-        found = tuple(agents.spread(x, start, into) for x, into in zip(new, found, strict=True))
-        return start + size, found, kept(rows, obs, used + start)
-
-    def more(carry: tuple[jax.Array, Any, Any]) -> jax.Array:
-        return carry[0] < agents.most
-
-    nothing = tuple(jnp.zeros((*acting.shape, network[-1][1].shape[-1])) for network in played)
-    end, found, rows = jax.lax.while_loop(more, chunk, (jnp.int32(0), nothing, rows))
-    if rows is not None:
-        rows = rows._replace(used=used + end)
-    return _Watched(acting, found, used + agents.number), rows
+    state, found = beats_of.lived(twin, beats, twin.start(flat, params), params, decide)
+    obs, acting, outputs, action = map(by_policy, found.kept)
+    row = jnp.arange(acting[0].size).reshape(acting.shape[1:])
+    last = twin.observe(state, params)
+    value, last_value = (each(activation, actor.critic, x)[..., 0] for x in (obs, split(last.obs)))
+    return Episodes(
+        obs=obs.reshape(len(obs), -1, obs.shape[-1]),
+        row=jnp.broadcast_to(row, acting.shape),
+        outputs=outputs,
+        action=action,
+        value=value,
+        acting=acting & by_policy(found.due)[..., None],
+        reward=by_policy(found.reward),
+        done=by_policy(found.done),
+        last_value=last_value,
+        last_acting=split(last.acting) & (twin.time_limit == "truncation"),
+        score=split(twin.score(state)),
+    )
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
@@ -277,45 +244,45 @@ def scores(
     seeds: jax.Array,
     drawn: jax.Array,
     params: Tree,
-    decisions: jax.Array,
+    decisions: Tree,
 ) -> jax.Array:
     """(P, E) scores; arguments as in `record`, `drawn` is `World.draws` of the seeds.
 
-    One compiled program serves all contexts; it ends as soon as all episodes have.
+    One compiled program serves all contexts, one after the other or, in beats, together; it ends as
+    soon as all episodes have. The numbers of `decisions` need not be static.
     """
     shape, flat = seeds.shape, seeds.reshape(-1)
-    watch = partial(_watched, twin, activation, params, shape, (actor.network,))
+    watch = partial(watched, twin, activation, params, shape, (actor.network,))
+
+    def told(state: Tree, moment: jax.Array) -> jax.Array:
+        if how == "random":
+            return twin.any_actions(flat, moment)
+        (outputs,) = watch(state, None, None)[0].found
+        if how == "sampled":
+            action = _sampled(twin, actor, outputs, flat, moment)
+            action = networks.to_environment(action, twin.action)
+        else:
+            action = networks.mode(outputs, twin.action)
+        return action.reshape(-1, *action.shape[2:])
 
     def going_on(carry: tuple[jax.Array, Tree]) -> jax.Array:
         return (carry[0] < decisions) & ~twin.over(carry[1]).all()
 
     def next_one(carry: tuple[jax.Array, Tree]) -> tuple[jax.Array, Tree]:
-        return carry[0] + 1, one(*carry)
-
-    def one(moment: jax.Array, state: Tree) -> Tree:
+        moment, state = carry
         if how == "none":
-            return twin.drive(state, params).state
-        if how == "random":
-            action = twin.any_actions(flat, moment)
-            return twin.step(state, action, params).state
-        (outputs,) = watch(state, None, None)[0].found
-        if how == "sampled":
-            action = _sampled(twin, actor, outputs, flat, jnp.uint32(moment))
-            action = networks.to_environment(action, twin.action)
-        else:
-            action = networks.mode(outputs, twin.action)
-        return twin.step(state, action.reshape(-1, *action.shape[2:]), params).state
+            return moment + 1, twin.drive(state, params).state
+        return moment + 1, twin.step(state, told(state, moment), params).state
 
-    first = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
-    _, state = jax.lax.while_loop(going_on, next_one, (jnp.int32(0), first))
+    def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, None]:
+        return told(state, number), None
+
+    state = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
+    if isinstance(decisions, Beats):
+        state = beats_of.played(cast(Holding, twin), decisions, state, params, decide)
+    else:
+        _, state = jax.lax.while_loop(going_on, next_one, (jnp.int32(0), state))
     return twin.score(state).reshape(shape)
-
-
-def _each(activation: Activation, network: Network, obs: jax.Array) -> jax.Array:
-    """(P, ..., f) -> (P, ..., m), each policy its own."""
-    each = partial(networks.apply, activation=activation)
-    outputs: jax.Array = jax.vmap(each)(network, obs)
-    return outputs
 
 
 def _sampled(

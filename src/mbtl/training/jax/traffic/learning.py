@@ -12,7 +12,7 @@ import numpy as np
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.environments import Tree
+from mbtl.training.jax.environments import Length, Tree
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.traffic import ppo, random, trpo
 from mbtl.training.jax.traffic.episodes import Episodes, actor_of, record
@@ -63,7 +63,7 @@ def init(
 
 
 def update(
-    world: World, recipe: TwinRecipe, decisions: int, state: State, params: Tree, clock: Clock
+    world: World, recipe: TwinRecipe, decisions: Length, state: State, params: Tree, clock: Clock
 ) -> State:
     """Live through `n_episodes` of each policy and learn from them; args as `algorithms.update`."""
     seeds = episode_seeds(recipe, state, clock.number)

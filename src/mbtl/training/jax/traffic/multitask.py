@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -73,7 +74,7 @@ def train_on_all(
     check_lengths(
         episodes=episodes, checkpoints=checkpoints, checkpoint_episodes=checkpoint_episodes
     )
-    lasting = [twin.decisions(one) for one in contexts]
+    lasting = [cast(int, twin.decisions(one)) for one in contexts]  # one by one: no beats
     most = [max(d for d in lasting if d.bit_length() == own.bit_length()) for own in lasting]
     tests = checkpoint_seeds([seed], checkpoint_episodes)
 

@@ -19,15 +19,16 @@ def bits(seed: jax.Array, stream: int, moment: jax.Array, count: int) -> jax.Arr
     Args:
         seed: (n,) uint32, one per simulation.
         stream: what they are for; keeps uses apart.
-        moment: scalar integer, e.g. the number of the simulation step.
+        moment: scalar integer, e.g. the number of the simulation step; or (n,).
         count: numbers per simulation, e.g. one per car.
 
     Returns:
         (count, n) uint32.
     """
-    index = moment.astype(jnp.uint32) * jnp.uint32(count) + jnp.arange(count, dtype=jnp.uint32)
+    first = jnp.atleast_1d(moment.astype(jnp.uint32)) * jnp.uint32(count)
+    index = first[None, :] + jnp.arange(count, dtype=jnp.uint32)[:, None]
     place = _mix(index + jnp.uint32((stream * _GOLDEN) & 0xFFFFFFFF))
-    return _mix(_mix(seed + jnp.uint32(_GOLDEN))[None, :] ^ place[:, None])
+    return _mix(_mix(seed + jnp.uint32(_GOLDEN))[None, :] ^ place)
 
 
 def uniform(seed: jax.Array, stream: int, moment: jax.Array, count: int) -> jax.Array:

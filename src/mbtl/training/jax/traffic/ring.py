@@ -6,16 +6,16 @@ car 0 is advised. gap_i: from the front of car i to the back of its leader [m].
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from mbtl.training.jax.environments import Box, Discrete, TimeLimit
+from mbtl.training.jax.environments import Beats, Box, Discrete, Length, TimeLimit
 from mbtl.training.jax.traffic import random
 from mbtl.training.jax.traffic.idm import IDM, follow, obey
 from mbtl.training.jax.traffic.twin import Moved, Seeded, Seen
@@ -24,11 +24,11 @@ _SHARES, _FACTORS, _NOISE = range(3)  # streams of random numbers
 
 
 class RingParams(NamedTuple):
-    """One context.
+    """One context, or one per simulation.
 
     Attributes:
-        hold: simulation steps of one decision.
-        visible: (v,) features appended to each observation.
+        hold: simulation steps of one decision; a scalar or (n,).
+        visible: (v,) or (n, v) features appended to each observation.
     """
 
     hold: jax.Array
@@ -46,7 +46,8 @@ class RingState(NamedTuple):
         seed: (n,) uint32.
         steps: simulation steps since the warm-up began.
         running: (n,) no cars have collided.
-        total: (n,) sum of the driven speeds over cars and measured steps.
+        measured: (n,) steps that count.
+        total: (n,) sum of the driven speeds over cars and these steps.
         seen: (3, n) what the advised driver saw last, raw.
     """
 
@@ -57,12 +58,34 @@ class RingState(NamedTuple):
     seed: jax.Array
     steps: jax.Array
     running: jax.Array
+    measured: jax.Array
     total: jax.Array
     seen: jax.Array
 
 
-Advice = Callable[[RingState], jax.Array]
+class Held(NamedTuple):
+    """What happened since the last decision, (n,) unless said otherwise.
+
+    Attributes:
+        told: the instruction, an acceleration or a level.
+        reward: sum over the steps in which cars had not collided before.
+        steps: so many.
+        began: there had been no collision then.
+        early: (3, n) what the advised driver saw after the first step.
+    """
+
+    told: jax.Array
+    reward: jax.Array
+    steps: jax.Array
+    began: jax.Array
+    early: jax.Array
+
+
+Speeds = Callable[[RingState], jax.Array]
 """state -> (cars, n) speeds of the next step."""
+
+Advice = Callable[[RingState, Held], jax.Array]
+"""The same under an instruction."""
 
 
 @dataclass(frozen=True)
@@ -118,12 +141,17 @@ class RingTwin(Seeded):
     uniform: bool = False
     agents: int = 1
     n_features: int = 3
-    mixes: bool = False
+    mixes: bool = True
     params: type[RingParams] = RingParams
 
-    def decisions(self, params: RingParams) -> int:
+    def decisions(self, params: RingParams) -> Length:
         """Enough holds to fill the controlled time."""
-        return math.ceil(self.total_steps / int(params.hold))
+        holds = np.atleast_1d(np.asarray(params.hold))
+        counts = -(-self.total_steps // holds)
+        if params.hold.ndim == 0:
+            return int(counts[0])
+        steps = int(np.gcd.reduce(holds))
+        return Beats(int(counts.max()), int((counts * holds).max()) // steps, steps)
 
     # ---- episodes ----------------------------------------------------------------------------
 
@@ -142,37 +170,58 @@ class RingTwin(Seeded):
         share = state.seen / jnp.asarray(self.scale)[:, None]
         physical = 2.0 * jnp.clip(share, 0.0, 1.0) - 1.0
         n = physical.shape[1]
-        visible = jnp.broadcast_to(params.visible, (n, *params.visible.shape))
+        visible = jnp.broadcast_to(params.visible, (n, params.visible.shape[-1]))
         obs = jnp.concatenate([physical.T, visible], axis=1).astype(jnp.float32)
         return Seen(obs[:, None], state.running[:, None])
 
     def step(self, state: RingState, action: jax.Array, params: RingParams) -> Moved:
         """Follow one instruction for the hold."""
-        action = action.reshape(len(state.seed))
-
-        def advise(state: RingState) -> jax.Array:
-            human = self._human_speeds(state, self._advised_min_gaps())
-            if isinstance(self.action, Discrete):
-                target = self.top_speed * action / (self.action.n - 1)
-            else:
-                target = jnp.maximum(0.0, state.speed[0] + self.reach * action * self.dt)
-            told = obey(self.driver, target, state.speed[0], human[0], self.dt)
-            return human.at[0].set(told)
-
-        return self._hold(state, advise, params)
+        held = self.held(state)._replace(told=action.reshape(-1))
+        return self._hold(state, held, self._told, params)
 
     def drive(self, state: RingState, params: RingParams) -> Moved:
         """The advised car drives by itself, without noise."""
-        advise = partial(self._human_speeds, min_gap=self._advised_min_gaps())
-        return self._hold(state, advise, params)
+        return self._hold(state, self.held(state), self._undisturbed, params)
+
+    # ---- decisions that last differently long ------------------------------------------------
+
+    def beats(self, params: RingParams, beats: Beats) -> tuple[jax.Array, jax.Array]:
+        """See `mbtl.training.jax.traffic.beats.Holding`."""
+        return params.hold // beats.steps, -(-self.total_steps // params.hold)
+
+    def held(self, state: RingState) -> Held:
+        """See `mbtl.training.jax.traffic.beats.Holding`."""
+        rest, none = jnp.zeros_like(state.total), jnp.zeros_like(state.measured)
+        return Held(rest, rest, none, state.running, state.seen)
+
+    def beat(
+        self,
+        state: RingState,
+        held: Held,
+        action: jax.Array,
+        params: RingParams,
+        beats: Beats,
+        now: jax.Array,
+    ) -> tuple[Moved, Held]:
+        """See `mbtl.training.jax.traffic.beats.Holding`."""
+        every, decisions = self.beats(params, beats)
+        due, over = now % every == 0, now >= every * decisions
+        anew = self.held(state)._replace(told=action.reshape(-1).astype(jnp.float32))
+        held = jax.tree.map(partial(jnp.where, due), anew, held)
+        state, held = self._through(state, held, self._told, beats.steps, due, over)
+        ends = ((now + 1) % every == 0) & ~over
+        seen = held.early if self.stale else self._look(state)
+        state = state._replace(seen=jnp.where(ends, seen, state.seen))
+        reward = jnp.where(ends, _mean_reward(held), 0.0)
+        done = ends & held.began & ~state.running
+        return Moved(state, reward[:, None], done[:, None]), held
 
     def score(self, state: RingState) -> jax.Array:
         """Mean speed of all cars over the measured part [m/s]; 0 before it and after a collision.
 
         So many cars stand from the collision on: whoever crashes late does not keep the mean.
         """
-        measured = state.steps - self.warm_up - self.unmeasured
-        return state.total / (self.cars * jnp.maximum(measured, 1))
+        return state.total / (self.cars * jnp.maximum(state.measured, 1))
 
     # ---- inside ------------------------------------------------------------------------------
 
@@ -194,6 +243,7 @@ class RingTwin(Seeded):
             seed=seeds,
             steps=jnp.int32(0),
             running=jnp.ones(n, bool),
+            measured=jnp.zeros(n, jnp.int32),
             total=jnp.zeros(n),
             seen=jnp.zeros((3, n)),
         )
@@ -206,28 +256,56 @@ class RingTwin(Seeded):
         leader = _ahead(state.speed)
         return follow(self.driver, state.speed, leader, state.gap, min_gap, state.desired, self.dt)
 
-    def _hold(self, state: RingState, advise: Advice, params: RingParams) -> Moved:
-        was_running = state.running
+    def _told(self, state: RingState, held: Held) -> jax.Array:
+        human = self._undisturbed(state, held)
+        if isinstance(self.action, Discrete):
+            target = self.top_speed * held.told / (self.action.n - 1)
+        else:
+            target = jnp.maximum(0.0, state.speed[0] + self.reach * held.told * self.dt)
+        told = obey(self.driver, target, state.speed[0], human[0], self.dt)
+        return human.at[0].set(told)
 
-        def one(_: int, carry: tuple[RingState, jax.Array, jax.Array]) -> Any:
-            state, reward, steps = carry
-            new = self._advance(state, advise, human=False)
+    def _undisturbed(self, state: RingState, held: Held) -> jax.Array:
+        return self._human_speeds(state, self._advised_min_gaps())
+
+    def _hold(self, state: RingState, held: Held, advise: Advice, params: RingParams) -> Moved:
+        """One decision of all rings, as long in each."""
+        all_, nobody = jnp.array(True), jnp.array(False)
+        state, held = self._through(state, held, advise, params.hold, all_, nobody)
+        state = state._replace(seen=held.early if self.stale else self._look(state))
+        done = held.began & ~state.running
+        return Moved(state, _mean_reward(held)[:, None], done[:, None])
+
+    def _through(
+        self,
+        state: RingState,
+        held: Held,
+        advise: Advice,
+        steps: jax.Array | int,
+        due: jax.Array,
+        over: jax.Array,
+    ) -> tuple[RingState, Held]:
+        """So many steps; a decision was `due` before them, and where it is `over` none is taken."""
+
+        def one(_: int, carry: tuple[RingState, Held]) -> tuple[RingState, Held]:
+            state, held = carry
+            new = self._advance(state, lambda state: advise(state, held), human=False, over=over)
             gained = jnp.where(new.running, new.driven[0], self.collision)
-            reward = reward + jnp.where(state.running, gained, 0.0)
-            return new, reward, steps + state.running
+            reward = held.reward + jnp.where(state.running, gained, 0.0)
+            return new, held._replace(reward=reward, steps=held.steps + state.running)
 
-        n = len(state.seed)
-        first = one(0, (state, jnp.zeros(n), jnp.zeros(n, jnp.int32)))
-        early = self._look(first[0])
-        state, reward, steps = jax.lax.fori_loop(1, params.hold, one, first)
-        state = state._replace(seen=early if self.stale else self._look(state))
-        mean = reward / jnp.maximum(steps, 1)
-        return Moved(state, mean[:, None], (was_running & ~state.running)[:, None])
+        state, held = one(0, (state, held))
+        held = held._replace(early=jnp.where(due, self._look(state), held.early))
+        after: tuple[RingState, Held] = jax.lax.fori_loop(1, steps, one, (state, held))
+        return after
 
-    def _advance(self, state: RingState, advise: Advice, *, human: bool) -> RingState:
-        """One simulation step; rings with a collision stand still."""
-        driven = jnp.where(state.running, advise(state), state.driven)
-        gap = state.gap + jnp.where(state.running, self.dt * (_ahead(driven) - driven), 0.0)
+    def _advance(
+        self, state: RingState, advise: Speeds, *, human: bool, over: jax.Array | bool = False
+    ) -> RingState:
+        """One simulation step; rings with a collision, or whose episode is over, stand still."""
+        moves = state.running & jnp.logical_not(over)
+        driven = jnp.where(moves, advise(state), state.driven)
+        gap = state.gap + jnp.where(moves, self.dt * (_ahead(driven) - driven), 0.0)
         speed = driven
         if self.noise > 0.0:
             z = random.normal(state.seed, _NOISE, state.steps, self.cars)
@@ -238,20 +316,25 @@ class RingTwin(Seeded):
         least = 0.5 * self.min_gap if human else 0.5 * self._advised_min_gaps()
         running = state.running & (gap >= least).all(axis=0)
         advised = state.steps + 1 - self.warm_up
-        counts = running & (advised > self.unmeasured)
+        counts = (advised > self.unmeasured) & jnp.logical_not(over)
         return state._replace(
             gap=gap,
             speed=speed,
             driven=driven,
             steps=state.steps + 1,
             running=running,
-            total=state.total + jnp.where(counts, driven.sum(axis=0), 0.0),
+            measured=state.measured + counts,
+            total=state.total + jnp.where(running & counts, driven.sum(axis=0), 0.0),
         )
 
     def _look(self, state: RingState) -> jax.Array:
         """(3, n) what the advised driver sees; after a collision, what was seen before."""
         now = jnp.stack([state.speed[0], state.speed[1], state.gap[0] + self.car_length])
         return jnp.where(state.running, now, state.seen)
+
+
+def _mean_reward(held: Held) -> jax.Array:
+    return held.reward / jnp.maximum(held.steps, 1)
 
 
 def _ahead(x: jax.Array) -> jax.Array:

@@ -1,0 +1,116 @@
+"""Training and evaluation in a twin, end to end, against another checkout of this project.
+
+Both checkouts train the same contexts with the preset's recipe, one process after the other in
+turns, on one thread. A block is an evaluation and the episodes before it; its first one, which
+compiles, is counted apart. Steps are decisions of training episodes: those of evaluations are part
+of the cost. The same seeds are used, so the scores of both must agree.
+
+example: git worktree add /tmp/before 60d1a26
+         python benchmarks/twin_speed.py --cmdp eco-inflow --against /tmp/before
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import measure
+from measure import cost_of, digits, median, note, now
+
+HERE = Path(__file__).resolve().parent.parent
+
+
+def play(args: argparse.Namespace) -> dict[str, Any]:
+    """Costs and scores of this process's own checkout."""
+    from mbtl.cmdps import get_cmdp
+
+    cmdp = get_cmdp(args.cmdp, engine="jax")
+    trainer = cmdp.trainer_for(episodes=args.episodes, checkpoint_every=args.every)
+    own = cmdp.space.contexts
+    contexts = [own[i * len(own) // args.contexts] for i in range(args.contexts)]
+    twin, params = trainer.problem(contexts)
+    decisions = [twin.decisions(one) for one in params]
+    marks = [(0, now())]
+    policies = trainer.train_many(
+        contexts,
+        list(range(len(contexts))),
+        lambda progress: marks.append((progress.step, now())),
+        keep=("final",),
+    )["final"]
+    costs = [b[1] - a[1] for a, b in pairwise(marks)]
+    later = [cost for cost, mark in zip(costs, marks[1:], strict=True) if mark[0] > args.every]
+    few = contexts[:: max(1, len(contexts) // 3)]
+    trainer.evaluate_many(policies, few, 0)  # compiles
+    scores: list[Any] = []
+    cost = cost_of(lambda: scores.append(trainer.evaluate_many(policies, few, 1)))
+    played = (
+        scores[0].size / len(few) * sum(twin.decisions(trainer.problem([c])[1][0]) for c in few)
+    )
+    together = sum(decisions) if len(costs) * args.every == args.episodes else max(decisions)
+    return {
+        "training": args.every * together / median(later).cpu,
+        "evaluation": played / cost.cpu,
+        "whole_s": sum(cost.cpu for cost in costs),
+        "scores": [float(x) for x in scores[0].mean(axis=(1, 2))],
+    }
+
+
+def run(checkout: Path, args: argparse.Namespace) -> dict[str, Any]:
+    """`play` in a process of its own, with nothing compiled before."""
+    options = [
+        f"--{name}={getattr(args, name)}" for name in ("cmdp", "contexts", "episodes", "every")
+    ]
+    environ = {**os.environ, "PYTHONPATH": str(checkout / "src"), "MBTL_COMPILATION_CACHE": "off"}
+    note(f"{checkout} ...")
+    done = subprocess.run(
+        [sys.executable, __file__, "--alone", *options],
+        env=environ, check=True, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = measure.parser(__doc__)
+    parser.add_argument("--cmdp", default="eco-inflow")
+    parser.add_argument("--against", type=Path, help="root of the other checkout")
+    parser.add_argument("--contexts", type=int, default=25, help="trained together if possible")
+    parser.add_argument("--episodes", type=int, default=15)
+    parser.add_argument("--every", type=int, default=5, help="episodes between evaluations")
+    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.alone:
+        print(json.dumps(play(args)))
+        return
+    checkouts = {"here": HERE} | ({"there": args.against} if args.against else {})
+    rounds = [
+        {name: run(path, args) for name, path in checkouts.items()} for _ in range(args.rounds)
+    ]
+    lines = [f"{args.cmdp}, {args.contexts} contexts; decisions per second of processor time"]
+    for what in ("training", "evaluation", "whole_s"):
+        lines.append(f"  {what}")
+        for name in checkouts:
+            each = [one[name][what] for one in rounds]
+            ratio = [one[name][what] / one["here"][what] for one in rounds]
+            cells = "  ".join(f"{x:10,.0f} ({r:.2f})" for x, r in zip(each, ratio, strict=True))
+            lines.append(f"    {name:8}{cells}")
+    apart = [
+        max(abs(a - b) for a, b in zip(one["here"]["scores"], one["there"]["scores"], strict=True))
+        for one in rounds
+        if args.against
+    ]
+    lines.append(f"  mean scores differ by at most {digits(max(apart, default=0.0), 2)} m/s")
+    document = {"rounds": rounds, "machine": measure.machine("jax")}
+    measure.show(document, lines, as_json=args.json)
+
+
+if __name__ == "__main__":
+    main()
