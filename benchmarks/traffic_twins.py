@@ -1,9 +1,9 @@
 """Simulation steps per second of the traffic twins against SUMO, in one run, on one thread.
 
-SUMO is driven as training drives it: observations and control of all agents (a ring holds each
-instruction for 1 s, ten steps). The twin runs many simulations at once, without advice and with
-observations and control by the same rule as in SUMO. No network is evaluated in either engine.
-Rates are per second of processor time; resets and compiling are left out.
+SUMO is driven as training drives it: observations and control of all agents (ring and ramp hold
+each instruction for 1 s, ten steps). The twin runs many simulations at once, without advice and
+with observations and control by the same rule as in SUMO. No network is evaluated in either
+engine. Rates are per second of processor time; resets and compiling are left out.
 
 example: python benchmarks/traffic_twins.py --families eco
 """
@@ -19,6 +19,7 @@ from twin_agreement import steady
 
 CONTEXTS: dict[str, dict[str, dict[str, float]]] = {
     "ring": {"hold 1 s": {"hold": 1.0}},
+    "ramp-acc": {"hold 1 s": {"hold": 1.0}},
     "eco": {
         "nominal": {},
         "penetration 1": {"penetration": 1.0},
@@ -31,9 +32,10 @@ CONTEXTS: dict[str, dict[str, dict[str, float]]] = {
 def sumo_rate(family: str, context: dict[str, float], rounds: int) -> float:
     """Steps per second after the reset, with observations and control."""
     from mbtl.cmdps.traffic.eco import Eco
+    from mbtl.cmdps.traffic.ramp import RampAcc
     from mbtl.cmdps.traffic.ring import RingAcc
 
-    make: Any = {"ring": RingAcc, "eco": Eco}[family]
+    make: Any = {"ring": RingAcc, "ramp-acc": RampAcc, "eco": Eco}[family]
     env = make(context, visibility="hidden")
     costs = []
     seed = 0
@@ -45,9 +47,9 @@ def sumo_rate(family: str, context: dict[str, float], rounds: int) -> float:
         steps = env._left if family == "eco" else 10 * env._left
 
         def drive(obs: Any = obs) -> None:
-            if family == "eco":
+            if family != "ring":
                 while env.agents:
-                    obs = env.step({car: steady("eco", obs[car]) for car in env.agents})[0]
+                    obs = env.step({car: steady(family, obs[car]) for car in env.agents})[0]
                 return
             ended = False
             while not ended:
@@ -65,13 +67,18 @@ def twin_rates(family: str, simulations: int, rounds: int) -> dict[str, Any]:
     import jax
     import jax.numpy as jnp
 
-    from mbtl.cmdps.traffic.twins import EcoProblem, RingProblem
+    from mbtl.cmdps.traffic.twins import EcoProblem, RampProblem, RingProblem
 
-    problem: Any = RingProblem("acceleration") if family == "ring" else EcoProblem()
+    problems: dict[str, Any] = {
+        "ring": RingProblem("acceleration"),
+        "ramp-acc": RampProblem("acceleration"),
+        "eco": EcoProblem(),
+    }
+    problem = problems[family]
     names = list(CONTEXTS[family])
     twin, each = problem(list(CONTEXTS[family].values()))
     decisions = twin.decisions(each[0])
-    per_decision = 10 if family == "ring" else 1
+    per_decision = 1 if family == "eco" else 10
 
     def play(guided: bool, state: Any, params: Any) -> Any:
         def one(_: int, carry: Any) -> Any:

@@ -1,13 +1,16 @@
-"""Do the twins of the ring and of eco-driving agree with SUMO? Means over seeds in both engines.
+"""Do the traffic twins agree with SUMO? Means over seeds in both engines.
 
-Unguided traffic (nobody is advised); one fixed policy: keep a steady speed, 3 m/s on the ring and
-9 m/s in eco-driving, as far as traffic allows; and one trained in the twin, at a hold of 5 s
+Unguided traffic (nobody is advised); one fixed policy: keep a steady speed, 3 m/s on the ring,
+9 m/s in eco-driving and 5 m/s on the ramp, as far as traffic allows (ramp-vel: the advised level is
+the second, 6.7 m/s); on the ramp random advice, too; and one trained in the twin, at a hold of 5 s
 (preset `quick`) or in the nominal context (`standard`), by its mean actions. Contexts are the
 nominal one and the ends of each axis. Measures of the ring beside its score, mean speed, are those
 of the wave, over the cars at each decision: the deviation of their speeds and the share that
-stands (its throughput is its speed times 22 cars / 250 m). A difference is given in its standard
-errors: two thirds should lie within 1, nearly all within 3. Lines share seeds, so they are not
-independent. The table is in Markdown.
+stands (its throughput is its speed times 22 cars / 250 m). Those of the ramp are the cars that
+leave per hour, the share of those that came that found no room, and at each decision the cars on
+the main road and on the ramp before the zipper and the mean speed within the merge section. A
+difference is given in its standard errors: two thirds should lie within 1, nearly all within 3.
+Lines share seeds, so they are not independent. The table is in Markdown.
 
 example: python benchmarks/twin_agreement.py --families eco --seeds 40
 """
@@ -28,6 +31,8 @@ Measures = dict[str, Any]
 
 CONTEXTS: dict[str, list[dict[str, float]]] = {
     "ring": [{"hold": 1.0}, {"hold": 5.0}, {"hold": 40.0}],
+    "ramp-acc": [{"hold": 1.0}, {"hold": 5.0}, {"hold": 40.0}],
+    "ramp-vel": [{"hold": 1.0}, {"hold": 5.0}, {"hold": 40.0}],
     "eco": [
         {},
         *({"penetration": 0.02}, {"penetration": 1.0}),
@@ -42,20 +47,44 @@ NAMES = {
     "co2": "CO2 g",
     "stops": "stops",
     "throughput": "cars/h",
+    "dropped": "dropped share",
+    "main": "cars, main road",
+    "ramp": "cars, ramp",
+    "merge": "merge m/s",
 }
-STEADY = {"ring": 3.0, "eco": 9.0}  # m/s
+WAVES = {"ring": ("spread", "standing"), "eco": ()} | dict.fromkeys(
+    ("ramp-acc", "ramp-vel"), ("main", "ramp", "merge")
+)
+"""Measures that are means over the decisions."""
+STEADY = {"ring": 3.0, "eco": 9.0, "ramp-acc": 5.0}  # m/s
+LEVEL = 2  # of ramp-vel
 STANDS = 0.1  # m/s
-LESSON = {"ring": ("ring-acc", "quick", {"hold": 5.0}), "eco": ("eco-green", "standard", {})}
+LESSON = {
+    "ring": ("ring-acc", "quick", {"hold": 5.0}),
+    "ramp-acc": ("ramp-acc", "quick", {"hold": 5.0}),
+    "ramp-vel": ("ramp-vel", "quick", {"hold": 5.0}),
+    "eco": ("eco-green", "standard", {}),
+}
 """CMDP, preset and context of the policy that is trained."""
 
 Policy = Callable[[Any], Any]
-"""Observations (..., f) -> accelerations (..., 1)."""
+"""Observations (..., f) -> accelerations (..., 1), or levels (...)."""
+
+
+def _random(obs: Any) -> Any:
+    """A mark: any action is as likely as another."""
+    raise NotImplementedError
 
 
 def steady(family: str, obs: Any) -> Any:
     """Acceleration towards the steady speed, in numpy and jax."""
-    from mbtl.cmdps.traffic import eco, ring
+    from mbtl.cmdps.traffic import eco, ramp, ring
 
+    if family == "ramp-vel":
+        return (0.0 * obs[..., 0]).astype(int) + LEVEL
+    if family == "ramp-acc":
+        speed = 0.5 * (obs[..., 1:2] + 1.0) * ramp.SCALE[1]
+        return (STEADY[family] - speed).clip(-1.0, 1.0)
     if family == "ring":
         speed = 0.5 * (obs[..., :1] + 1.0) * ring.SCALE[0]
         return (STEADY[family] - speed).clip(-1.0, 1.0)
@@ -86,17 +115,27 @@ def policies(family: str) -> dict[str, tuple[Policy | None, Policy | None]]:
         return networks.mode(networks.apply(network, obs, learnt.activation), box)
 
     fixed = partial(steady, family)
-    return {"unguided": (None, None), "steady": (fixed, fixed), "trained": (in_numpy, in_jax)}
+    found: dict[str, tuple[Policy | None, Policy | None]] = {
+        "unguided": (None, None),
+        "steady": (fixed, fixed),
+        "trained": (in_numpy, in_jax),
+    }
+    if family.startswith("ramp"):
+        found["random"] = (_random, _random)
+    return found
 
 
 def in_sumo(family: str, context: dict[str, float], policy: Policy | None, seeds: int) -> Measures:
     """Episodes with seeds 0, 1, ..."""
+    from mbtl.cmdps import get_cmdp
     from mbtl.cmdps.traffic.eco import Eco
-    from mbtl.cmdps.traffic.ring import RingAcc
 
-    make: Any = {"ring": RingAcc, "eco": Eco}[family]
-    env = make(context, visibility="hidden")
-    run = {"ring": ring_episode, "eco": eco_episode}[family]
+    if family == "eco":
+        env: Any = Eco(context, visibility="hidden")
+    else:
+        name = "ring-acc" if family == "ring" else family
+        env = get_cmdp(name, engine="sumo", visibility="hidden").make_env(context)
+    run = {"ring": ring_episode, "eco": eco_episode}.get(family, ramp_episode)
     every = [run(env, seed, policy) for seed in range(seeds)]
     env.close()
     return {name: np.array([one[name] for one in every]) for name in NAMES if name in every[0]}
@@ -124,37 +163,79 @@ def eco_episode(env: Any, seed: int, policy: Policy | None) -> dict[str, float]:
     return dict(env.summary)
 
 
+def ramp_episode(env: Any, seed: int, policy: Policy | None) -> dict[str, float]:
+    from mbtl.cmdps.traffic.ramp import MERGE, _distance
+
+    seen, _ = env.reset(seed=seed)
+    space, rng = env.action_space(""), np.random.default_rng(seed)
+    acceleration, waves = space.shape == (1,), []
+    while env.agents:
+        vehicle = env.simulation.api.vehicle
+        before = {c: d for c in vehicle.getIDList() if (d := _distance(vehicle, c)) > 0.0}
+        near = [vehicle.getSpeed(car) for car, d in before.items() if d <= MERGE]
+        main = sum(car.startswith("main") for car in before)
+        waves.append((main, len(before) - main, np.mean(near) if near else np.nan))
+        told: dict[str, Any] = {}
+        for car in () if policy is None else env.agents:
+            if policy is _random:
+                told[car] = rng.uniform(-1, 1, 1) if acceleration else int(rng.integers(space.n))
+            else:
+                told[car] = policy(seen[car]) if acceleration else int(policy(seen[car]))
+        seen = env.step(told)[0]
+    means = np.nanmean(waves, axis=0)
+    return {**env.summary, **dict(zip(("main", "ramp", "merge"), means, strict=True))}
+
+
 def in_twin(family: str, seeds: int) -> Callable[[dict[str, float], Policy | None], Measures]:
     """A function that runs episodes with seeds 0, 1, ...; one compiled program per policy."""
     import mbtl.training.jax  # noqa: F401  isort: skip  # first: flags of jax
     import jax
     import jax.numpy as jnp
 
-    from mbtl.cmdps.traffic.twins import EcoProblem, RingProblem
+    from mbtl.cmdps.traffic.twins import EcoProblem, RampProblem, RingProblem
 
-    problem: Any = RingProblem("acceleration") if family == "ring" else EcoProblem()
+    problems: dict[str, Any] = {
+        "ring": RingProblem("acceleration"),
+        "ramp-acc": RampProblem("acceleration"),
+        "ramp-vel": RampProblem("speed"),
+        "eco": EcoProblem(),
+    }
+    problem = problems[family]
     twin = problem([CONTEXTS[family][0]])[0]
+    names = WAVES[family]
 
     def wave(state: Any) -> Any:
+        if family == "ring":
+            standing = 100.0 * (state.speed < STANDS).mean(axis=0)
+            return jnp.stack([state.speed.std(axis=0), standing])
         if family == "eco":
-            return jnp.zeros((2, seeds))
-        return jnp.stack([state.speed.std(axis=0), 100.0 * (state.speed < STANDS).mean(axis=0)])
+            return jnp.zeros((0, seeds))
+        queues = (state.main, state.side)
+        near = [q.x >= -twin.roads.merge for q in queues]
+        speeds = sum((q.speed * n).sum(axis=0) for q, n in zip(queues, near, strict=True))
+        cars = [(q.x > -1e3).sum(axis=0) for q in queues]
+        count = sum(n.sum(axis=0) for n in near)
+        return jnp.stack([*cars, speeds / jnp.maximum(count, 1)])
 
     def run(policy: Policy | None, params: Any, decisions: Any) -> Any:
-        def one(_: int, carry: Any) -> Any:
+        numbers = jnp.arange(seeds, dtype=jnp.uint32)
+
+        def one(moment: Any, carry: Any) -> Any:
             state, waves = carry
             waves += wave(state)
             if policy is None:
                 return twin.drive(state, params).state, waves
-            action = policy(twin.observe(state, params).obs)
+            if policy is _random:
+                action = twin.any_actions(numbers, moment)
+            else:
+                action = policy(twin.observe(state, params).obs)
             return twin.step(state, action, params).state, waves
 
-        state = twin.start(jnp.arange(seeds, dtype=jnp.uint32), params)
-        state, waves = jax.lax.fori_loop(0, decisions, one, (state, jnp.zeros((2, seeds))))
-        if family == "eco":
-            return twin.measures(state)
-        spread, standing = waves / decisions
-        return {"score": twin.score(state), "spread": spread, "standing": standing}
+        state = twin.start(numbers, params)
+        first = (state, jnp.zeros((len(names), seeds)))
+        state, waves = jax.lax.fori_loop(0, decisions, one, first)
+        found = {"score": twin.score(state)} if family == "ring" else twin.measures(state)
+        return {**found, **dict(zip(names, waves / decisions, strict=True))}
 
     compiled = jax.jit(run, static_argnums=0)
 

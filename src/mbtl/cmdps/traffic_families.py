@@ -56,6 +56,21 @@ _TWIN_PRESETS = {
     ),
 }
 
+_NEAR_SIGHTED_IN_TWIN = {"gamma": 0.9, "critic_passes": 10, "normalize_advantage": True}
+_RAMP_IN_TWIN = replace(
+    _IN_TWIN,
+    recipe_name="team",
+    hyperparameters=_NEAR_SIGHTED_IN_TWIN,
+    description="the paper's episodes, near-sighted, best-of-evaluations policy",
+)
+_RAMP_TWIN_PRESETS = {
+    "standard": _RAMP_IN_TWIN,
+    "quick": replace(
+        _RAMP_IN_TWIN, budget=10, episodes=100, eval_episodes=10, description="a first look"
+    ),
+    "paper": replace(_IN_TWIN, recipe_name="team"),
+}
+
 
 def _in_sumo(
     hyperparameters: Mapping[str, Any], for_few: Mapping[str, Any], **changes: Any
@@ -120,6 +135,9 @@ def _ramp(name: str, actions: str, checkpoint: str) -> Family:
         theta=0.005,
         presets=_in_sumo(
             _RAMP_TRPO, _NEAR_SIGHTED, checkpoint=checkpoint, credit="team", **_applied(actions)
+        ),
+        jax=TwinFamily(
+            "mbtl.cmdps.traffic.twins:RampProblem", _RAMP_TWIN_PRESETS, {"actions": actions}
         ),
         switches=("obs",),
         simulator="sumo",

@@ -53,7 +53,10 @@ SPEED_MODE = 0b11011
 overrule the one of the safe speed: a car told to hurry would then run into its leader. `Advice`
 brakes comfortably itself, and SUMO harder where safety needs it."""
 
-OPTIONS = ["--max-depart-delay", "0.5", "--collision.action", "remove"]
+PATIENCE = 0.5
+"""Seconds for which a car that finds no room to enter tries again; then it is dropped."""
+
+OPTIONS = ["--max-depart-delay", f"{PATIENCE:g}", "--collision.action", "remove"]
 
 
 def hold_steps(hold: float) -> int:

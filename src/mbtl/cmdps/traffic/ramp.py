@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Unpack
+from typing import Any, ClassVar, NamedTuple, Unpack
 
 import numpy as np
 
@@ -33,8 +33,26 @@ from mbtl.cmdps.traffic.team import TrafficTeam
 from mbtl.contexts import Value
 
 MAIN, MERGE, EXIT, RAMP = 400.0, 100.0, 30.0, 100.0
-MAIN_FLOW, RAMP_FLOW = 2000.0, 300.0
-"""Cars per hour, evenly spaced."""
+
+
+class Demand(NamedTuple):
+    """Cars that come to a road, evenly spaced.
+
+    Attributes:
+        flow: cars per hour.
+        speed: at which they enter [m/s].
+    """
+
+    flow: float
+    speed: float
+
+
+DEMAND = {"main": Demand(2000.0, 10.0), "ramp": Demand(300.0, 0.0)}
+FIRST = 1.0
+"""Second in which the first car of each road comes."""
+ZIPPER_GAPS = 8.0, math.hypot(8.0, 3.2)
+"""Metres between the ends of the merge lanes, of the main road and of the ramp, and the exit, in
+the compiled network; no road has them, but SUMO adds them to the time a car takes to pass."""
 EVERY = 10
 """One main-road car in so many is advised, beginning with the first that enters."""
 LANE_CHANGE_MODE = 512
@@ -44,7 +62,9 @@ CAR = advisory.LENGTH + advisory.MIN_GAP
 LEVELS, TOP_SPEED = 10, 30.0
 SPEED_UP, SLOW_DOWN = 1.0, 1.5
 COLLISION = 50.0
-_REACH, _FASTEST = 500.0, 30.0
+SCALE = 500.0, 30.0
+"""Divisors of distances [m] and speeds [m/s] in an observation."""
+_REACH = SCALE[0]
 _NOBODY = _REACH, 0.0
 _LONGEST = 40.0
 """Seconds by which the longest hold can outlast the end of the measured part."""
@@ -85,7 +105,7 @@ class Ramp(TrafficTeam):
         self._obs, self._noise = obs, noise
         self._observation_space = self._space([-1.0] * 8, [1.0] * 8)
         self._action_space = advisory.action_space(self.ACTIONS, LEVELS)
-        self._routes, self.possible_agents = _demand()
+        self._routes, self.possible_agents, self._last_chances = _demand()
 
     @property
     def episode_steps(self) -> int:
@@ -102,7 +122,8 @@ class Ramp(TrafficTeam):
             self._seed(seed)
         self.simulation.start(self._routes, self._draw_seed())
         self._drivers = Drivers(self.np_random, self._noise)
-        self._main_cars, self._advised = 0, set[str]()
+        self._main_cars, self._advised, self._entered = 0, set[str](), set[str]()
+        self._gone, self._wanted, self._missed = 0, 0, 0
         self._steps, self._means, self._collided = -advisory.WARM_UP, 0.0, 0
         self._seen: dict[str, Observation] = {}
         self._steered: set[str] = set()
@@ -145,7 +166,7 @@ class Ramp(TrafficTeam):
         everyone = [*acting, *newcomers]
         gone = {car: car not in self.agents for car in acting}
         terminated, truncated = self._ends(ended)
-        info: dict[str, Any] = {"score": self.score, "collided": self._collided} if ended else {}
+        info: dict[str, Any] = self.summary if ended else {}
         if ended:
             self._finish()
         return (
@@ -161,6 +182,22 @@ class Ramp(TrafficTeam):
         """Mean speed of all cars over the measured part so far [m/s]; 0 before it begins."""
         measured = self._steps - advisory.UNMEASURED
         return self._means / measured if measured > 0 else 0.0
+
+    @property
+    def summary(self) -> dict[str, float]:
+        """The score, and what tells whether it was bought by keeping cars out.
+
+        Of the measured part so far: `throughput`, cars per hour that reached the end, and
+        `dropped`, the share of those that came that found no room to enter. Of the whole episode:
+        `collided` cars.
+        """
+        hours = max(self._steps - advisory.UNMEASURED, 1) * advisory.STEP / 3600.0
+        return {
+            "score": self.score,
+            "throughput": self._gone / hours,
+            "dropped": self._missed / max(self._wanted, 1),
+            "collided": self._collided,
+        }
 
     # ---- inside ------------------------------------------------------------------------------
 
@@ -214,12 +251,19 @@ class Ramp(TrafficTeam):
         speeds = self._drivers.step(api, cars, steady)
         collided: int = simulation.getCollidingVehiclesNumber()
         self._collided += collided
-        if self._steps > advisory.UNMEASURED and speeds:
-            self._means += sum(speeds) / (len(speeds) + self._collided)
-        return float(simulation.getArrivedNumber()) - COLLISION * collided
+        arrived: int = simulation.getArrivedNumber()
+        if self._steps > advisory.UNMEASURED:
+            if speeds:
+                self._means += sum(speeds) / (len(speeds) + self._collided)
+            late = self._last_chances.get(self._steps + advisory.WARM_UP - 1, ())
+            self._gone += arrived
+            self._wanted += len(late)
+            self._missed += sum(car not in self._entered for car in late)
+        return float(arrived) - COLLISION * collided
 
     def _enrol(self, api: Any, car: str) -> None:
         """A car has entered."""
+        self._entered.add(car)
         api.vehicle.setLaneChangeMode(car, LANE_CHANGE_MODE)
         if car.startswith("main"):
             if self._main_cars % EVERY == 0:
@@ -243,7 +287,7 @@ class Ramp(TrafficTeam):
                 *_neighbour(vehicle, vehicle.getFollower(car, _REACH)),
                 *(merging if ahead else _NOBODY),
             )
-            share = np.array(raw) / np.array([_REACH, _FASTEST] * 4)
+            share = np.array(raw) / np.array(SCALE * 4)
             seen = 2.0 * np.clip(share, 0.0, 1.0) - 1.0
             self._seen[car] = np.array([*seen, *self.visible], dtype=np.float32)
 
@@ -322,19 +366,27 @@ def _ramp() -> Path:
     )
 
 
-def _demand() -> tuple[str, list[str]]:
-    """XML of all cars of an episode, and the ids of those of the main road."""
+def _demand() -> tuple[str, list[str], dict[int, list[str]]]:
+    """XML of all cars of an episode, those of the main road, and when they give up entering.
+
+    The last maps simulation steps, counted from the start, to the cars whose last try is then.
+    """
     steps = advisory.WARM_UP + advisory.UNMEASURED + advisory.MEASURED
     seconds = steps * advisory.STEP + _LONGEST
     cars = []
-    for road, flow, speed in (("main", MAIN_FLOW, 10), ("ramp", RAMP_FLOW, 0)):
-        times = np.arange(1.0, seconds, 3600.0 / flow)
-        cars += [(time, road, k, speed) for k, time in enumerate(times.tolist())]
+    for road, demand in DEMAND.items():
+        times = np.arange(FIRST, seconds, 3600.0 / demand.flow)
+        cars += [(time, road, k, demand.speed) for k, time in enumerate(times.tolist())]
     rows = "".join(
         f'<vehicle id="{road}{k}" type="human" route="{road}" depart="{time:.2f}" '
-        f'departSpeed="{speed}"/>'
+        f'departSpeed="{speed:g}"/>'
         for time, road, k, speed in sorted(cars)
     )
     ways = "".join(f'<route id="{a}" edges="{a} merge exit"/>' for a in ("main", "ramp"))
     main = [f"main{k}" for _, road, k, _ in sorted(cars) if road == "main"]
-    return f'<routes><vType id="human" {advisory.IDM}/>{ways}{rows}</routes>', main
+    last_chances: dict[int, list[str]] = {}
+    for time, road, k, _ in cars:
+        step = round((time + advisory.PATIENCE) / advisory.STEP)
+        last_chances.setdefault(step, []).append(f"{road}{k}")
+    text = f'<routes><vType id="human" {advisory.IDM}/>{ways}{rows}</routes>'
+    return text, main, last_chances

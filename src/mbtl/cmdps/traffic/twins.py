@@ -171,3 +171,95 @@ class EcoProblem:
                 )
             )
         return twin, params
+
+
+@dataclass(frozen=True)
+class RampProblem:
+    """contexts -> twin of the highway ramp and its parameters (`twin_trainer.Problem`).
+
+    Attributes:
+        actions: what is advised.
+        unit: the hold at multiplier 1.
+        visibility: what of the context the policy sees.
+        time_limit: how the end of an episode is reported.
+        obs: see `mbtl.cmdps.traffic.ring.Ring`.
+        noise: of the drivers [m/s^2].
+    """
+
+    actions: Actions
+    unit: Mapping[str, float] = field(
+        default_factory=lambda: dict(ring.Ring.FEATURES)
+    )  # the hold, as there
+    visibility: Visibility = "hidden"
+    time_limit: TimeLimit = "truncation"
+    obs: Seen = "fresh"
+    noise: float = advisory.NOISE
+
+    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, list[Any]]:
+        """The twin, and the parameters of each context.
+
+        Raises:
+            ContextMismatch: a hold is no whole number of simulation steps.
+        """
+        import jax.numpy as jnp
+
+        import mbtl.training.jax  # noqa: F401  first: flags of jax
+        from mbtl.cmdps.traffic import ramp
+        from mbtl.training.jax.environments import Box, Discrete
+        from mbtl.training.jax.traffic.idm import IDM
+        from mbtl.training.jax.traffic.ramp import RampTwin
+        from mbtl.training.jax.traffic.ramp_speeds import Drivers
+        from mbtl.training.jax.traffic.ramp_state import Flow, RampParams, Roads
+
+        def flow(road: str) -> Flow:
+            demand = ramp.DEMAND[road]
+            first, every, patience = (
+                round(seconds / advisory.STEP)
+                for seconds in (ramp.FIRST, 3600.0 / demand.flow, advisory.PATIENCE)
+            )
+            return Flow(first, every, patience, demand.speed)
+
+        advisory.check_seen(self.obs)
+        speeds = self.actions == "speed"
+        roads = Roads(
+            main=ramp.MAIN,
+            side=ramp.RAMP,
+            merge=ramp.MERGE,
+            end=ramp.EXIT,
+            gaps=ramp.ZIPPER_GAPS,
+            limit=advisory.ROAD_LIMIT,
+        )
+        twin = RampTwin(
+            action=Discrete(ramp.LEVELS) if speeds else Box((-1.0,), (1.0,)),
+            roads=roads,
+            drivers=Drivers(
+                model=IDM(advisory.ACCEL, advisory.DECEL, advisory.TAU),
+                length=advisory.LENGTH,
+                min_gap=advisory.MIN_GAP,
+                dt=advisory.STEP,
+                roads=roads,
+                impatience=advisory.IMPATIENCE,
+            ),
+            flows=(flow("main"), flow("ramp")),
+            every=ramp.EVERY,
+            max_speed=advisory.MAX_SPEED,
+            speed_factor=advisory.SPEED_SPREAD,
+            noise=self.noise,
+            warm_up=advisory.WARM_UP,
+            unmeasured=advisory.UNMEASURED,
+            total_steps=advisory.UNMEASURED + advisory.MEASURED,
+            push=(ramp.SPEED_UP, ramp.SLOW_DOWN),
+            top_speed=ramp.TOP_SPEED,
+            collision=ramp.COLLISION,
+            scale=ramp.SCALE,
+            agents=ramp.Ramp.most_agents,
+            time_limit=self.time_limit,
+            stale=self.obs == "stale",
+        )
+        params = []
+        for context in contexts:
+            features = full_context(ramp.Ramp.FEATURES, context)
+            visible = visible_features(features, self.unit, self.visibility)
+            hold = advisory.hold_steps(features["hold"])
+            params.append(RampParams(jnp.int32(hold), jnp.asarray(visible, jnp.float32)))
+        return twin, params

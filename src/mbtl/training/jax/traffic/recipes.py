@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from mbtl.errors import InvalidInput
 from mbtl.training.jax.recipes import Activation, check_counts, record_of
@@ -37,6 +37,7 @@ class TRPORecipe:
         log_std: initial log standard deviation of a Gaussian policy.
         first_action: its mean before the first update, in every dimension.
         activation: between the layers.
+        credit: whose rewards an action is worth (`team`).
 
     Raises:
         InvalidInput: a count is below 1.
@@ -63,6 +64,7 @@ class TRPORecipe:
     log_std: float = 0.0
     first_action: float = 0.0
     activation: Activation = "tanh"
+    credit: Literal["own", "team"] = "own"
 
     def __post_init__(self) -> None:
         check_counts(self, "n_episodes", "cg_steps", "backtracks", "critic_passes")
@@ -106,6 +108,7 @@ class EpisodicPPORecipe:
         log_std: initial log standard deviation of a Gaussian policy.
         first_action: its mean before the first update, in every dimension.
         activation: between the layers.
+        credit: whose rewards an action is worth (`team`).
 
     Raises:
         InvalidInput: a count is below 1, or the minibatches do not fill the rows.
@@ -134,6 +137,7 @@ class EpisodicPPORecipe:
     log_std: float = 0.0
     first_action: float = 0.0
     activation: Activation = "tanh"
+    credit: Literal["own", "team"] = "own"
 
     def __post_init__(self) -> None:
         check_counts(self, "n_episodes", "rows", "minibatches", "n_epochs")
@@ -156,7 +160,15 @@ class EpisodicPPORecipe:
 TwinRecipe = TRPORecipe | EpisodicPPORecipe
 
 TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
-    "TRPO": {"paper": TRPORecipe()},
+    "TRPO": {
+        "paper": TRPORecipe(),
+        "team": TRPORecipe(
+            critic_learning_rate=1e-3,
+            normalize_reward=False,
+            center_reward=False,
+            credit="team",
+        ),
+    },
     "PPO": {
         "paper": EpisodicPPORecipe(),
         "fast": EpisodicPPORecipe(

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from mbtl.training.jax.traffic.distributions import mean_of
 from mbtl.training.jax.traffic.episodes import Episodes
+from mbtl.training.jax.traffic.team import Credit, of_team
 
 
 class Discounting(Protocol):
@@ -22,6 +23,8 @@ class Discounting(Protocol):
     def normalize_reward(self) -> bool: ...  # noqa: D102
     @property
     def center_reward(self) -> bool: ...  # noqa: D102
+    @property
+    def credit(self) -> Credit: ...  # noqa: D102
 
 
 class Returns(NamedTuple):
@@ -76,10 +79,11 @@ class Returns(NamedTuple):
 def advantages(
     recipe: Discounting, returns: Returns, lived: Episodes
 ) -> tuple[jax.Array, jax.Array, Returns]:
-    """Generalised advantage estimates along each agent's life.
+    """Generalised advantage estimates along each agent's life, or along the team's.
 
     delta = r + gamma V(next) - V(obs). A life that has ended is worth nothing more; one that the
-    end of the episode cut off is worth V of what its agent saw last.
+    end of the episode cut off is worth V of what its agent saw last. A team (`team.of_team`) lives
+    until the episode ends, and an agent's advantage is what the team's return exceeds V(obs) by.
 
     Args:
         recipe: what a return is.
@@ -89,6 +93,9 @@ def advantages(
     Returns:
         (D, E, A) advantages, (D, E, A) targets of the critic, and the statistics after.
     """
+    own_value = lived.value
+    if recipe.credit == "team":
+        lived = of_team(lived)
     returns = returns.updated(recipe, lived)
     reward = _centred(recipe, lived.reward, returns.reward_mean)
     if recipe.normalize_reward:
@@ -105,7 +112,10 @@ def advantages(
         return advantage, advantage
 
     _, advantage = jax.lax.scan(back, jnp.zeros_like(delta[0]), (delta, alive), reverse=True)
-    return advantage, advantage + value, returns
+    target = advantage + value
+    if recipe.credit == "team":
+        advantage = target - own_value
+    return advantage, target, returns
 
 
 def _centred(recipe: Discounting, reward: jax.Array, mean: jax.Array) -> jax.Array:
