@@ -195,7 +195,7 @@ def matrices() -> tuple[list[str], Any]:
     return lines, document
 
 
-def training(names: list[str], episodes: int, seeds: int) -> tuple[list[str], Any]:
+def training(names: list[str], ways: str, episodes: int, seeds: int) -> tuple[list[str], Any]:
     """Policies before and after training, by way; of the first and of the last weights."""
     from eco_training import FRESH as FIRST
     from eco_training import SEEDS, WAYS, acting, trained
@@ -203,13 +203,14 @@ def training(names: list[str], episodes: int, seeds: int) -> tuple[list[str], An
     lines, document = [], {}
     for name in names:
         note(f"{name}: training ...")
-        before, after = trained(CONTEXTS[name], list(WAYS.values()), episodes)
+        chosen = WAYS[ways]
+        before, after = trained(CONTEXTS[name], list(chosen.values()), episodes)
         base = run(None, [CONTEXTS[name]], range(FIRST, FIRST + seeds))
         lines += ["", name, HEAD, line("unguided", base, base, 0)[0]]
         for when, weights in (("untrained", before), ("trained", after)):
             found = acting(weights, CONTEXTS[name], seeds)
             sampled = found["sampled"].mean(axis=1)
-            for k, way in enumerate(way for way in WAYS for _ in range(SEEDS)):
+            for k, way in enumerate(way for way in chosen for _ in range(SEEDS)):
                 one = {key: x[[k]] for key, x in found.items()}
                 text, record = line(f"{way}, {when}", one, base, 0)
                 lines.append(f"{text} by sampled actions {sampled[k]:.2f}")
@@ -228,6 +229,9 @@ def main() -> None:
     parser.add_argument(
         "--contexts", nargs="+", choices=list(CONTEXTS), default=["inflow 1000"], help="to train in"
     )
+    parser.add_argument(
+        "--ways", choices=("first action", "exploration"), default="first action", help="to train"
+    )
     args = parser.parse_args()
     if args.part == "rules":
         lines, document = rules(args.seeds)
@@ -238,7 +242,7 @@ def main() -> None:
     elif args.part == "matrices":
         lines, document = matrices()
     else:
-        lines, document = training(args.contexts, args.episodes, args.seeds)
+        lines, document = training(args.contexts, args.ways, args.episodes, args.seeds)
     whole = {"part": args.part, "lines": document, "machine": measure.machine("jax")}
     measure.show(whole, lines, as_json=args.json)
 

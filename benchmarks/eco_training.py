@@ -47,12 +47,23 @@ class Way(NamedTuple):
 
 
 WAYS = {
-    "as it was": Way(),
-    "+ first action 3": Way(first_action=3.0),
-    "+ deviation 1": Way(first_action=3.0, log_std=0.0),
-    "+ delay": Way("delay", 3.0, 0.0),
-    "+ platoon": Way("platoon", 3.0, 0.0),
+    "first action": {
+        "as it was": Way(),
+        "+ first action 3": Way(first_action=3.0),
+        "+ deviation 1": Way(first_action=3.0, log_std=0.0),
+        "+ delay": Way("delay", 3.0, 0.0),
+        "+ platoon": Way("platoon", 3.0, 0.0),
+    },
+    "exploration": {
+        "1, deviation 1": Way(first_action=1.0, log_std=0.0),
+        "1, deviation 1, platoon": Way("platoon", 1.0, 0.0),
+        "1, deviation 2": Way(first_action=1.0, log_std=0.7),
+        "1, deviation 2, delay": Way("delay", 1.0, 0.7),
+        "1, deviation 2, platoon": Way("platoon", 1.0, 0.7),
+    },
 }
+"""Each set is one program. In the first, a way adds to those before it; names of the second say the
+first action, the deviation and, where it is not the paper's, the reward."""
 
 
 @dataclass(frozen=True)
