@@ -5,8 +5,8 @@ turns, on one thread. A block is an evaluation and the episodes before it; its f
 compiles, is counted apart. Steps are decisions of training episodes: those of evaluations are part
 of the cost. The same seeds are used, so the scores of both must agree.
 
-example: git worktree add /tmp/before 60d1a26
-         python benchmarks/twin_speed.py --cmdp eco-inflow --against /tmp/before
+example: git worktree add ../before 60d1a26
+         python benchmarks/twin_speed.py --cmdp eco-inflow --against ../before
 """
 
 from __future__ import annotations
