@@ -105,7 +105,7 @@ def list_matrices(
     for name, one in matrices.items():
         table.add_row(
             Text(name),
-            str(one.n),
+            str(one.n) if one.sources is None else f"{len(one.sources)} of {one.n}",
             str(one.n_seeds),
             _episodes(one),
             "halves" if one.measures_apart else "older",
@@ -138,6 +138,8 @@ def _facts(source: RowSource) -> dict[str, Any]:
         "direction": bounds.direction,
         "floor": bounds.floor,
         "scale": str(bounds),
+        "sources": len(source.problem(1).sources),
+        "targets": source.n,
         "episodes": None if source.episodes is None else list(source.episodes),
         "measures_apart": source.measures_apart,
         "caveat": source.caveat,
@@ -149,6 +151,11 @@ def _sentences(facts: dict[str, Any]) -> list[str]:
     if not facts:
         return []
     lines = [f"{facts['scale'][0].upper()}{facts['scale'][1:]}."]
+    if facts["sources"] < facts["targets"]:
+        lines.append(
+            f"Trained on {facts['sources']} of the {facts['targets']} contexts; Independent is the "
+            "mean over those."
+        )
     if facts["measures_apart"] and facts["episodes"]:
         chose, shown = facts["episodes"]
         lines.append(
