@@ -22,6 +22,7 @@ from mbtl.benchmark.references import NAMES
 from mbtl.benchmark.shipped import load_by_id
 from mbtl.cli.build import build
 from mbtl.cli.common import JsonFlag, interruptible, print_json, printer
+from mbtl.cli.foreign import import_matrix
 from mbtl.cli.multitask import multitask
 from mbtl.cli.references import references
 
@@ -29,6 +30,7 @@ matrix_app = typer.Typer(help="Build transfer matrices and look at them.", no_ar
 matrix_app.command("build")(interruptible(build))
 matrix_app.command("multitask")(interruptible(multitask))
 matrix_app.command("references")(interruptible(references))
+matrix_app.command("import")(import_matrix)
 
 
 @matrix_app.command("show")
