@@ -93,7 +93,7 @@ def test_policies_see_the_observation_and_dead_features_are_found(carl):
 def test_a_problem_of_it(carl):
     pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
     problem = carl_cmdp("CARLSlide", {"GRAVITY_Y": [-12.0, -6.0]}, timesteps=100)
-    assert (problem.id, problem.nominal) == ("slide-gravity-y", {"GRAVITY_Y": -10.0})
+    assert (problem.id, problem.nominal) == ("carl-slide-gravity-y", {"GRAVITY_Y": -10.0})
     assert problem.space.n == 2
     other = carl_cmdp("CARLSlide", {"GRAVITY_Y": [-6.0, -5.0]}, timesteps=100, id="light")
     assert (other.id, other.nominal) == ("light", None)

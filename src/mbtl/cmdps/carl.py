@@ -116,7 +116,7 @@ def carl_cmdp(
     inside = all(min(axes[name]) <= float(v) <= max(axes[name]) for name, v in defaults.items())
     if inside:
         options.setdefault("nominal", defaults)
-    name = id or "-".join([environment.removeprefix("CARL").lower(), *map(str.lower, axes)])
+    name = id or "-".join(["carl", environment.removeprefix("CARL").lower(), *map(str.lower, axes)])
     return CMDP.from_env(
         name.replace("_", "-"), space, make_env=CarlFactory(environment), timesteps=timesteps,
         **options,
