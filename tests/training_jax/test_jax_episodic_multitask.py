@@ -1,4 +1,4 @@
-"""One policy for all contexts of a twin: shorter episodes within a program, and whole trainings."""
+"""One policy for all contexts of a twin: which ones an update meets, and whole trainings."""
 
 from dataclasses import replace
 
@@ -15,8 +15,10 @@ import jax.numpy as jnp
 from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import saving
-from mbtl.training.jax.episodic import multitask, trpo
-from mbtl.training.jax.episodic.episodes import actor_of, record
+from mbtl.training.jax.clock import clock_at
+from mbtl.training.jax.episodic import learning
+from mbtl.training.jax.episodic.episodes import record
+from mbtl.training.jax.episodic.learning import contexts_met
 from mbtl.training.jax.episodic.recipes import TRPORecipe
 from mbtl.training.multitask import train_on_all
 
@@ -26,58 +28,63 @@ RECIPE = TRPORecipe(n_episodes=2, hidden=(8,), normalize_reward=False)
 
 def ring(contexts=HOLDS):
     trainer = get_cmdp("ring-vel", engine="jax", visibility="multiplier").trainer_for("quick")
-    world, params = trainer.problem(contexts)
-    return world, [engine.context_of(params, i) for i in range(len(contexts))]
+    return trainer.problem(contexts)
 
 
-def test_an_episode_within_a_longer_program_is_the_same_and_teaches_the_same():
-    twin, (_, _, params) = ring()
-    state = engine.start(twin, RECIPE, [5], params).state
-    actor, seeds = actor_of(state.weights), np.array([[1, 2]], np.uint32)
-    played = jax.jit(record, static_argnums=(0, 1, 2))
-    own = played(twin, "tanh", 10, actor, seeds, params)
-    within = played(twin, "tanh", 13, actor, seeds, params, jnp.int32(10))
-    assert not within.acting[:, :3].any()
-    assert within.acting[:, 3:].all()
-    np.testing.assert_allclose(within.obs[0][within.row[0, 3:]], own.obs[0][own.row[0]], atol=1e-5)
-    for name in ("outputs", "action", "value", "reward"):
-        np.testing.assert_allclose(getattr(within, name)[:, 3:], getattr(own, name), atol=1e-5)
-    np.testing.assert_allclose(within.score, own.score, atol=1e-5)
-    learn = jax.jit(trpo.learn, static_argnums=(0, 1))
-    taught = [
-        learn(twin.action, RECIPE, *jax.tree.map(lambda x: x[0], (*state[:2], lived)), 0)[0]
-        for lived in (own, within)
-    ]
-    before = jax.tree.leaves(jax.tree.map(lambda x: x[0], state.weights))
-    for old, a, b in zip(before, *map(jax.tree.leaves, taught), strict=True):
-        np.testing.assert_allclose(a, b, atol=2e-4)
-        assert old.size == 0 or not np.array_equal(old, a)
+def test_every_episode_is_in_a_context_of_its_own_and_all_have_their_turn():
+    seeds = jnp.array([7, 8], jnp.uint32)
+    met = np.array([contexts_met(seeds, jnp.uint32(u), 5, 3) for u in range(400)])
+    assert met.shape == (400, 2, 3)
+    assert all(len(set(one)) == 3 for update in met for one in update)
+    assert not np.array_equal(met[:, 0], met[:, 1])  # each policy draws its own
+    for policy in (0, 1):
+        counts = np.bincount(met[:, policy].reshape(-1), minlength=5)
+        assert (abs(counts - 240) < 5 * np.sqrt(400 * 0.6 * 0.4)).all()
+    more = np.array(contexts_met(seeds, jnp.uint32(0), 5, 12))  # more episodes than contexts
+    assert (np.sort(np.bincount(more[0])) == [2, 2, 2, 3, 3]).all()
 
 
-def test_contexts_are_drawn_for_every_episode_and_a_training_goes_on_where_it_was(monkeypatch):
-    twin, params = ring()
-    met, lived = [], multitask._lived
+def test_an_update_is_of_the_contexts_that_were_met(monkeypatch):
+    world, params = ring()
+    state = engine.start_multitask(world, RECIPE, [5], params).state
+    lived = []
 
-    def watched(*arguments):
-        met.append(int(arguments[-1]))
-        return lived(*arguments)
+    def kept(*arguments):
+        lived.append(record(*arguments))
+        return lived[-1]
 
-    monkeypatch.setattr(multitask, "_lived", watched)
+    monkeypatch.setattr(learning, "record", kept)
+    all_of_them = jax.tree.map(lambda x: jnp.asarray(x)[None], params)
+    beats = world.decisions(params)
+    learning.update(world, RECIPE, beats, state, all_of_them, clock_at(jnp.int32(3), jnp.int32(4)))
+    met = np.asarray(contexts_met(state.seed, jnp.uint32(3), 3, 2))[0]
+    decided = np.asarray(lived[0].acting[0]).any(axis=-1).sum(axis=0)
+    np.testing.assert_array_equal(decided, np.array([20, 15, 10])[met])
+    told = np.asarray(lived[0].obs[0])[np.asarray(lived[0].row[0])[-1, :, 0], -1]
+    np.testing.assert_allclose(told, np.asarray(params.visible)[met, 0])
+
+
+def test_a_training_goes_on_where_it_was():
+    world, params = ring()
     saved = []
 
-    def keep(block):
-        saved.append(engine.to_arrays(block.training))
+    def train(**options):
+        return engine.train_multitask(
+            world, RECIPE, [7], params, 8, checkpoint_every=4, checkpoint_episodes=1,
+            acting="sampled", **options,
+        )  # fmt: skip
 
-    options = {"checkpoints": 2, "checkpoint_episodes": 1}
-    whole = multitask.train_on_all(twin, RECIPE, 7, params, 40, on_block=keep, **options)
-    assert set(met) == {20, 15, 10}  # decisions of the three holds
-    assert all(a != b for a, b in zip(met[::2], met[1::2], strict=True))  # two in each update
-    template = engine.start(twin, RECIPE, [7], params[0])
-    halfway = engine.from_arrays(template, saved[0])
-    rest = multitask.train_on_all(twin, RECIPE, 7, params, 40, resume=halfway, **options)
-    assert met[40:] == met[20:40]
+    whole = train(on_block=lambda block: saved.append(engine.to_arrays(block.training)))
+    template = engine.start_multitask(world, RECIPE, [7], params)
+    rest = train(resume=engine.from_arrays(template, saved[0]))
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(rest), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_a_world_that_cannot_mix_contexts_is_refused():
+    world, params = ring()
+    with pytest.raises(InvalidInput, match="RingTwin cannot mix"):
+        engine.start_multitask(replace(world, mixes=False), RECIPE, [7], params)
 
 
 def test_the_policy_is_told_the_context_and_a_file_cut_off_only_costs_time(tmp_path):

@@ -7,6 +7,7 @@ sent to another process anywhere.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
@@ -270,8 +271,7 @@ class WorldTrainer:
     ) -> MLPPolicy:
         """Train one policy for all contexts; each episode of an update is in another of them.
 
-        It is judged on all of them 20 times, two episodes each: of few contexts or for short
-        trainings that is most of the work.
+        It is judged on all of them 20 times, two episodes each.
 
         Args:
             contexts: of which to draw.
@@ -281,10 +281,9 @@ class WorldTrainer:
                 is there. Remove it when the policy is safe.
 
         Raises:
-            InvalidInput: there are no contexts.
+            InvalidInput: there are no contexts, or the world cannot mix them.
         """
         import mbtl.training.jax as engine
-        from mbtl.training.jax.episodic.multitask import train_on_all
 
         if not contexts:
             raise InvalidInput("multi-task training takes at least one context, got none")
@@ -294,20 +293,19 @@ class WorldTrainer:
             self._tell(on_progress, block)
             saved.save(block.training)
 
-        world, stacked = self._lessons(contexts)
-        params = [engine.context_of(stacked, i) for i in range(len(contexts))]
+        world, params = self._lessons(contexts)
         recipe = self.learner
-        training = train_on_all(
+        training = engine.train_multitask(
             world,
             recipe,
-            seed,
+            [seed],
             params,
             self.length,
-            checkpoints=_CHECKPOINTS,
+            on_block=on_block,
+            checkpoint_every=math.ceil(self.length / _CHECKPOINTS),
             checkpoint_episodes=_EACH,
             acting=self._how,
-            on_block=on_block,
-            resume=saved.load(lambda: engine.start(world, recipe, [seed], params[0])),
+            resume=saved.load(lambda: engine.start_multitask(world, recipe, [seed], params)),
         )
         weights = training.best if self.checkpoint == "best" else training.state.weights
         return engine.export_policies(world, weights, recipe.activation)[0]

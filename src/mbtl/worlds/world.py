@@ -376,9 +376,13 @@ def of_simulations(params: Tree, episodes: int) -> Any:
     """
     if params.visible.ndim == 1:
         return params
-    if params.visible.ndim == 3:
-        each = episodes // params.visible.shape[1]
-        params = jax.tree.map(lambda x: jnp.asarray(x).reshape(-1, *jnp.shape(x)[2:]), params)
-    else:
-        each = episodes
+    each = episodes // params.visible.shape[1] if params.visible.ndim == 3 else episodes
+    params = in_a_row(params)
     return jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x), each, axis=0), params)
+
+
+def in_a_row(params: Tree) -> Any:
+    """Parameters with one leading axis, (P x N, ...), where they have two, (P, N, ...)."""
+    if params.visible.ndim < 3:
+        return params
+    return jax.tree.map(lambda x: x.reshape(-1, *np.shape(x)[2:]), params)
