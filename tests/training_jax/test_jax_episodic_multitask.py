@@ -81,12 +81,6 @@ def test_a_training_goes_on_where_it_was():
         np.testing.assert_array_equal(a, b)
 
 
-def test_a_world_that_cannot_mix_contexts_is_refused():
-    world, params = ring()
-    with pytest.raises(InvalidInput, match="RingTwin cannot mix"):
-        engine.start_multitask(replace(world, mixes=False), RECIPE, [7], params)
-
-
 def test_the_policy_is_told_the_context_and_a_file_cut_off_only_costs_time(tmp_path):
     cmdp = get_cmdp("ring-vel", engine="jax", visibility="multiplier")
     trainer = cmdp.trainer_for("quick", episodes=4, eval_episodes=2)

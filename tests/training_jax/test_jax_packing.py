@@ -46,7 +46,6 @@ class Crossing(Seeded):
     action: Box = BOX
     n_features: int = 3
     time_limit: str = "truncation"
-    mixes: bool = True
     params: type = Params
 
     def decisions(self, params):

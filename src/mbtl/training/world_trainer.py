@@ -6,7 +6,6 @@ sent to another process anywhere.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
@@ -172,15 +171,11 @@ class WorldTrainer:
     def lanes(self) -> int:
         """Policies that are best trained together here.
 
-        One where contexts differ in their decisions, as each is a program of its own then; else all
-        on an accelerator. On a CPU one PPO program by steps already keeps a core busy, and a policy
-        trained alone is, bit for bit, the one that a study trains; the others need company.
+        All on an accelerator. On a CPU one PPO program by steps already keeps a core busy, and a
+        policy trained alone is, bit for bit, the one that a study trains; the others need company.
         """
         import mbtl.training.jax as engine
 
-        world, _ = self.problem([])
-        if not world.mixes:
-            return 1
         if not engine.on_cpu():
             return 1 << 20
         return 1 if (self.algorithm, self.unit) == ("PPO", "timesteps") else _CPU_LANES
@@ -209,7 +204,7 @@ class WorldTrainer:
         keep: Sequence[str] = ("best", "final"),
         partial: Path | None = None,
     ) -> dict[str, list[MLPPolicy]]:
-        """Train one policy per (context, seed), all in one program where the world mixes contexts.
+        """Train one policy per (context, seed), all in one program.
 
         Args:
             contexts: P sources; repeat one to train it with several seeds.
@@ -229,37 +224,33 @@ class WorldTrainer:
         world, params = self._lessons(contexts)
         recipe, marks = self.learner, shares_of(keep)
         saved = engine.SavedTraining(partial)
-        policies: dict[str, list[MLPPolicy]] = {name: [] for name in keep}
-        groups = [(list(seeds), params)]
-        if not world.mixes:
-            groups = [([seed], engine.context_of(params, i)) for i, seed in enumerate(seeds)]
-        for number, (some, each) in enumerate(groups):
-            last = number == len(groups) - 1
 
-            def on_block(block: engine.Block, number: int = number, last: bool = last) -> None:
-                self._tell(on_progress, block)
-                done = block.steps == block.total and not last
-                saved.save(block.training, number=number, done=done)
+        def on_block(block: engine.Block) -> None:
+            self._tell(on_progress, block)
+            saved.save(block.training)
 
-            fresh = functools.partial(engine.start, world, recipe, some, each, marks=marks)
-            training = engine.train(
+        training = engine.train(
+            world,
+            recipe,
+            seeds,
+            params,
+            self.length,
+            on_block=on_block,
+            checkpoint_every=self.checkpoint_every,
+            checkpoint_episodes=self.checkpoint_episodes,
+            acting=self._how,
+            only_best="final" not in keep,
+            marks=marks,
+            resume=saved.load(lambda: engine.start(world, recipe, seeds, params, marks=marks)),
+        )
+        return {
+            name: engine.export_policies(
                 world,
-                recipe,
-                some,
-                each,
-                self.length,
-                on_block=on_block,
-                checkpoint_every=self.checkpoint_every,
-                checkpoint_episodes=self.checkpoint_episodes,
-                acting=self._how,
-                only_best="final" not in keep,
-                marks=marks,
-                resume=saved.load(fresh, number=number),
+                engine.weights_of(training, Checkpoint.named(name), marks),
+                recipe.activation,
             )
-            for name in keep:
-                weights = engine.weights_of(training, Checkpoint.named(name), marks)
-                policies[name] += engine.export_policies(world, weights, recipe.activation)
-        return policies
+            for name in keep
+        }
 
     def train_on_all(
         self,
@@ -281,7 +272,7 @@ class WorldTrainer:
                 is there. Remove it when the policy is safe.
 
         Raises:
-            InvalidInput: there are no contexts, or the world cannot mix them.
+            InvalidInput: there are no contexts.
         """
         import mbtl.training.jax as engine
 

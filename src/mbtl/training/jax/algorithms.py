@@ -6,7 +6,8 @@ An algorithm is a module of pure functions. Those that learn from copies which s
     init(world, recipe, seeds, params, weights) -> State      P policies, leading axis
     update(world, recipe, state, params, clock)               one policy, one update further
 
-Those that learn from whole episodes (`traffic.learning`), in which agents come and go:
+Multi-task policies are other networks that learn by the same PPO. Those that learn from whole
+episodes (`episodic.learning`), in which agents come and go:
 
     start(recipe, weights) -> Memory                                    of one policy
     learn(action, recipe, weights, memory, lived, number)               likewise
@@ -47,7 +48,6 @@ _WITH_COPIES: Mapping[type, Any] = {
     PPORecipe: ppo,
     A2CRecipe: a2c,
     DQNRecipe: dqn,
-    MultiTaskRecipe: policies,
 }
 
 
@@ -82,6 +82,10 @@ def init(
             f"{type(recipe).__name__} needs simulations that start again one by one, got "
             f"{type(world).__name__}; learn from whole episodes, e.g. by TRPORecipe"
         )
+    if isinstance(recipe, MultiTaskRecipe):
+        if weights is None:
+            weights = policies.first_weights(world, recipe, seeds, params)
+        recipe = recipe.ppo
     return _WITH_COPIES[type(recipe)].init(world, recipe, seeds, params, weights)
 
 
@@ -100,5 +104,7 @@ def update(
     """
     if isinstance(recipe, TwinRecipe):
         return learning.update(world, recipe, decisions, state, params, clock)
+    if isinstance(recipe, MultiTaskRecipe):
+        recipe = recipe.ppo
     each = partial(_WITH_COPIES[type(recipe)].update, world, recipe)
     return jax.vmap(each, in_axes=(0, 0, None))(state, params, clock)

@@ -19,7 +19,6 @@ from mbtl.portfolio import BoxHead, MLPPolicy
 from mbtl.training.jax import networks
 from mbtl.training.jax.episodic.packing import most_rows
 from mbtl.training.jax.episodic.watching import Rows, each, watched
-from mbtl.training.jax.export import import_actors
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
 from mbtl.worlds import beats as beats_of
@@ -55,8 +54,12 @@ def actor_of(weights: Any) -> Actor:
 
 def import_actor(policies: list[MLPPolicy]) -> Actor:
     """The acting part of policies of one shape."""
+    layers = zip(*[zip(p.weights, p.biases, strict=True) for p in policies], strict=True)
+    network = tuple(
+        (jnp.stack([w.T for w, _ in each]), jnp.stack([b for _, b in each])) for each in layers
+    )
     stds = [p.head.log_std if isinstance(p.head, BoxHead) else np.zeros(0) for p in policies]
-    return Actor(import_actors(policies), jnp.asarray(np.stack(stds), jnp.float32))  # type: ignore[arg-type]
+    return Actor(network, jnp.asarray(np.stack(stds), jnp.float32))  # type: ignore[arg-type]
 
 
 class Episodes(NamedTuple):

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import loop
-from mbtl.training.jax.blocks import Block, Training
-from mbtl.training.jax.episodic.episodes import Acting, actor_of
+from mbtl.training.jax.blocks import Training
+from mbtl.training.jax.episodic.episodes import actor_of
 from mbtl.training.jax.episodic.recipes import TwinRecipe
 from mbtl.training.jax.evaluation import evaluate
 from mbtl.training.jax.multitask.table import with_place
@@ -35,7 +35,7 @@ def start_multitask(
     world: World, recipe: MultiTaskRecipe | TwinRecipe, seeds: Sequence[int], params: Tree
 ) -> Training:
     """Trainings before their first update, e.g. as the template of `from_arrays`."""
-    return loop.start(world, recipe, seeds, _copies(world, recipe, params, len(seeds)))
+    return loop.start(world, recipe, seeds, _copies(recipe, params, len(seeds)))
 
 
 def train_multitask(
@@ -45,11 +45,8 @@ def train_multitask(
     params: Tree,
     timesteps: int,
     *,
-    on_block: Callable[[Block], None] | None = None,
-    checkpoint_every: int | None = None,
     checkpoint_episodes: int = CHECKPOINT_EPISODES,
-    acting: Acting = "mean",
-    resume: Training | None = None,
+    **options: Any,
 ) -> Training:
     """Train S policies, each on all contexts.
 
@@ -63,29 +60,22 @@ def train_multitask(
         params: N contexts, leading axis.
         timesteps: of the environment per policy over all contexts, or episodes where the recipe
             counts those; rounded up to whole updates.
-        on_block: called after each block.
-        checkpoint_every: as much of it between two evaluations; None for 2 % of all.
         checkpoint_episodes: episodes of an evaluation per context, each from another state; the
             same at every evaluation.
-        acting: how actions are chosen there.
-        resume: what an interrupted call had reached (given again with the same arguments).
+        **options: further ones of `loop.train`.
 
     Raises:
-        InvalidInput: there are no seeds or contexts, a number is below 1, or the world cannot mix
-            contexts.
+        InvalidInput: there are no seeds or contexts, or a number is below 1.
         TrainingFailed: weights are no longer finite.
     """
     return loop.train(
         world,
         recipe,
         seeds,
-        _copies(world, recipe, params, len(seeds)),
+        _copies(recipe, params, len(seeds)),
         timesteps,
-        on_block=on_block,
-        checkpoint_every=checkpoint_every,
         checkpoint_episodes=checkpoint_episodes * len(params.visible),
-        acting=acting,
-        resume=resume,
+        **options,
     )
 
 
@@ -125,17 +115,12 @@ def _seen(recipe: MultiTaskRecipe, params: Tree, places: ArrayLike | None = None
     return with_place(params, places) if recipe.has_vectors else params
 
 
-def _copies(world: World, recipe: MultiTaskRecipe | TwinRecipe, params: Tree, n_seeds: int) -> Tree:
+def _copies(recipe: MultiTaskRecipe | TwinRecipe, params: Tree, n_seeds: int) -> Tree:
     """(S, N, ...): all contexts for every policy."""
     if len(params.visible) == 0 or n_seeds == 0:
         raise InvalidInput(
             "multi-task training needs at least one seed and context, "
             f"got {n_seeds} and {len(params.visible)}"
-        )
-    if not world.mixes:
-        raise InvalidInput(
-            "multi-task training needs simulations of several contexts in one batch, which "
-            f"{type(world).__name__} cannot mix; train per context"
         )
     seen = _seen(recipe, params) if isinstance(recipe, MultiTaskRecipe) else params
     return jax.tree.map(lambda x: np.broadcast_to(x, (n_seeds, *np.shape(x))), seen)
