@@ -19,13 +19,13 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
+from mbtl.envs.references import reference_rows
+from mbtl.envs.rollout import Job, play
 from mbtl.errors import InvalidInput, missing_extra, unknown_name
 from mbtl.seeds import Purpose, action_seed, derive_seed, episode_seed
 from mbtl.trainer import OnProgress, checked_returns
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
 from mbtl.training.isolation import isolated
-from mbtl.training.references import reference_rows
-from mbtl.training.rollout import Job, play
 from mbtl.training.sb3_files import load_sb3, save_sb3
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere
 from mbtl.training.watch import BestCheckpoint, Watch, actor_for
@@ -172,7 +172,7 @@ class SB3Trainer:
             return lightened(one._model(algorithm, context, 0, stack)[0])
 
     def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
-        """What episodes are worth (see `mbtl.training.rollout`), (n_targets, eval_episodes).
+        """What episodes are worth (see `mbtl.envs.rollout`), (n_targets, eval_episodes).
 
         Episode e has the same seed for every policy and every target, and a return does not depend
         on the other targets of the call.
@@ -194,7 +194,7 @@ class SB3Trainer:
         return checked_returns(returns, len(jobs))
 
     def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
-        """See `mbtl.trainer.ReferenceTrainer`; `mbtl.training.references` has what is unguided."""
+        """See `mbtl.trainer.ReferenceTrainer`; `mbtl.envs.references` has what is unguided."""
         seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
         envs = self.n_eval_envs or EVALUATION_ENVS
         return reference_rows(self.make_env, contexts, seeds, max_envs=envs)
