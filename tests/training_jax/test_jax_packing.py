@@ -14,9 +14,9 @@ import jax.numpy as jnp
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.episodic.episodes import Actor, record, scores
-from mbtl.training.jax.episodic.packing import Agents, chunk_size, most_rows
 from mbtl.worlds import random
 from mbtl.worlds.environments import Box
+from mbtl.worlds.packing import Agents, chunk_size, most_rows
 from mbtl.worlds.world import Moved, Seeded, Seen, everyone
 
 BOX = Box((-1.0,), (1.0,))

@@ -23,7 +23,7 @@ from mbtl.envs.references import reference_rows
 from mbtl.envs.rollout import Job, play
 from mbtl.errors import InvalidInput, missing_extra, unknown_name
 from mbtl.seeds import Purpose, action_seed, derive_seed, episode_seed
-from mbtl.trainer import OnProgress, checked_returns
+from mbtl.trainer import OnProgress, check_settings, checked_returns
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
 from mbtl.training.isolation import isolated
 from mbtl.training.sb3_files import load_sb3, save_sb3
@@ -118,23 +118,9 @@ class SB3Trainer:
         object.__setattr__(self, "hyperparameters", dict(self.hyperparameters or {}))
         if not callable(self.make_env):
             raise InvalidInput(f"make_env must be a function of a context, got {self.make_env!r}")
-        for name in (*_COUNTS, *_OPTIONAL_COUNTS):
-            number = getattr(self, name)
-            if number is None and name in _OPTIONAL_COUNTS:
-                continue
-            if not (isinstance(number, int) and number >= 1):
-                raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
-        if self.checkpoint not in ("final", "best"):
-            raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
-        if self.acting not in ("mean", "sampled"):
-            raise unknown_name("way to act", self.acting, ("mean", "sampled"))
+        check_settings(self, _COUNTS, _OPTIONAL_COUNTS)
         if self.credit not in ("own", "team"):
             raise unknown_name("credit", self.credit, ("own", "team"))
-        if (self.timesteps is None) == (self.episodes is None):
-            raise InvalidInput(
-                "a training lasts a number of timesteps or of episodes, got "
-                f"timesteps={self.timesteps} and episodes={self.episodes}; give one of them"
-            )
         check_name(self.algorithm)
 
     def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:

@@ -20,12 +20,15 @@ from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
-from mbtl.trainer import OnProgress, Progress, checked_returns
+from mbtl.trainer import OnProgress, Progress, check_settings, checked_returns
 
 BY_STEPS = ("PPO", "A2C", "DQN")
 """Algorithms that learn every few steps; a training is as many `timesteps`."""
 BY_EPISODES = ("TRPO", "PPO")
 """Algorithms that learn from whole episodes; a training is as many `episodes`."""
+
+_COUNTS = ("eval_episodes", "checkpoint_episodes")
+_OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every")
 
 _CPU_LANES = 25
 """Sources trained together on a CPU where one of them would not keep it busy."""
@@ -85,30 +88,17 @@ class WorldTrainer:
 
     def __post_init__(self) -> None:
         by_steps = self.episodes is None
-        if by_steps == (self.timesteps is None):
-            raise InvalidInput(
-                "a training is as long as its timesteps or its episodes, got "
-                f"timesteps={self.timesteps} and episodes={self.episodes}; give one of them"
-            )
         for name, value in {
             "hyperparameters": dict(self.hyperparameters or {}),
             "recipe_name": self.recipe_name or ("fast" if by_steps else "paper"),
             "acting": self.acting or ("mean" if by_steps else "sampled"),
         }.items():
             object.__setattr__(self, name, value)
+        check_settings(self, _COUNTS, _OPTIONAL_COUNTS)
         algorithms = BY_STEPS if by_steps else BY_EPISODES
         if self.algorithm not in algorithms:
             kind = "jax engine" if by_steps else "traffic twins"
             raise unknown_name(f"algorithm of the {kind}", self.algorithm, algorithms)
-        if self.acting not in ("sampled", "mean"):
-            raise unknown_name("way to act", str(self.acting), ("sampled", "mean"))
-        counts = [self.unit, "eval_episodes", "checkpoint_episodes"]
-        for name in [*counts, *(["checkpoint_every"] if self.checkpoint_every else [])]:
-            number = getattr(self, name)
-            if not (isinstance(number, int) and number >= 1):
-                raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
-        if self.checkpoint not in ("final", "best"):
-            raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
 
     # ---- what it is --------------------------------------------------------------------------
 
@@ -224,18 +214,13 @@ class WorldTrainer:
         world, params = self._lessons(contexts)
         recipe, marks = self.learner, shares_of(keep)
         saved = engine.SavedTraining(partial)
-
-        def on_block(block: engine.Block) -> None:
-            self._tell(on_progress, block)
-            saved.save(block.training)
-
         training = engine.train(
             world,
             recipe,
             seeds,
             params,
             self.length,
-            on_block=on_block,
+            on_block=self._on_block(on_progress, saved),
             checkpoint_every=self.checkpoint_every,
             checkpoint_episodes=self.checkpoint_episodes,
             acting=self._how,
@@ -279,11 +264,6 @@ class WorldTrainer:
         if not contexts:
             raise InvalidInput("multi-task training takes at least one context, got none")
         saved = engine.SavedTraining(partial)
-
-        def on_block(block: engine.Block) -> None:
-            self._tell(on_progress, block)
-            saved.save(block.training)
-
         world, params = self._lessons(contexts)
         recipe = self.learner
         training = engine.train_multitask(
@@ -292,7 +272,7 @@ class WorldTrainer:
             [seed],
             params,
             self.length,
-            on_block=on_block,
+            on_block=self._on_block(on_progress, saved),
             checkpoint_every=math.ceil(self.length / _CHECKPOINTS),
             checkpoint_episodes=_EACH,
             acting=self._how,
@@ -320,14 +300,19 @@ class WorldTrainer:
             raise unknown_name("reward of this world", self.reward, known)
         return replace(world, reward=self.reward), params
 
-    def _tell(self, on_progress: OnProgress | None, block: Any) -> None:
-        if on_progress is None:
-            return
-        latest = float(np.mean(block.training.latest_return))
+    def _on_block(self, on_progress: OnProgress | None, saved: Any) -> Callable[[Any], None]:
+        """Tells where a training stands, and saves it."""
         unit, metric = "episodes", "score"
         if self.unit == "timesteps":
             unit, metric = "steps", "episode_return"
-        on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
+
+        def on_block(block: Any) -> None:
+            if on_progress is not None:
+                latest = float(np.mean(block.training.latest_return))
+                on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
+            saved.save(block.training)
+
+        return on_block
 
     # ---- evaluation --------------------------------------------------------------------------
 

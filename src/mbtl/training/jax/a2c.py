@@ -18,7 +18,7 @@ from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.descent import descended
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import A2CRecipe
-from mbtl.training.jax.rollout import Noise, Rollout, State, draw, play, start, worth
+from mbtl.training.jax.rollout import Noise, Rollout, State, advantages, draw, play, start
 from mbtl.worlds.environments import Tree
 from mbtl.worlds.world import Solo
 
@@ -61,7 +61,7 @@ def loss(world: Solo, recipe: A2CRecipe, weights: Weights, rollout: Rollout) -> 
     """
     outputs = networks.apply(weights.actor, rollout.obs, recipe.activation)
     value = networks.apply(weights.critic, rollout.obs, recipe.activation)[..., 0]
-    advantage = jax.lax.stop_gradient(worth(recipe, weights.critic, rollout, value))
+    advantage = jax.lax.stop_gradient(advantages(recipe, weights.critic, rollout, value))
     target = advantage + jax.lax.stop_gradient(value)
     if recipe.normalize_advantage:
         advantage = (advantage - advantage.mean()) / (advantage.std(ddof=1) + 1e-8)

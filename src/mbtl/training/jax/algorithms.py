@@ -24,7 +24,7 @@ from typing import Any
 
 import jax
 
-from mbtl.errors import InvalidInput
+from mbtl.errors import InvalidInput, unknown_name
 from mbtl.training.jax import a2c, dqn, ppo
 from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.episodic import learning
@@ -37,7 +37,6 @@ from mbtl.training.jax.recipes import (
     MultiTaskRecipe,
     PPORecipe,
     Recipe,
-    named,
 )
 from mbtl.worlds.environments import Length, Tree
 from mbtl.worlds.world import Solo, World
@@ -62,9 +61,14 @@ def recipe_named(algorithm: str, name: str, unit: str = "timesteps") -> AnyRecip
     Raises:
         UnknownName: there is none.
     """
-    tables: Mapping[str, Any] = {"timesteps": RECIPES, "episodes": TWIN_RECIPES}
-    found: AnyRecipe = named(tables[unit], algorithm, name)
-    return found
+    recipes: Mapping[str, Mapping[str, AnyRecipe]] = RECIPES
+    if unit == "episodes":
+        recipes = TWIN_RECIPES
+    if algorithm not in recipes:
+        raise unknown_name("algorithm with recipes", algorithm, recipes)
+    if name not in recipes[algorithm]:
+        raise unknown_name(f"{algorithm} recipe", name, recipes[algorithm])
+    return recipes[algorithm][name]
 
 
 def init(

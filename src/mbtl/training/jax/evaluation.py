@@ -185,11 +185,8 @@ def _block(
     params: Tree,
 ) -> jax.Array:
     """(P, C, E) scores; one context at a time where simulations cannot be told apart."""
-    drawn = world.draws(seeds)
-    if world.apart:
-        pairs = (_CONTEXTS, _POLICIES)
-        return _vectorised(pairs, world, activation, how, actor, seeds, drawn, params)
-    there, shape = context_of(params, 0), (len(actor.log_std), 1)
-    same = (np.tile(x, (shape[0], *[1] * x.ndim)) for x in (seeds, drawn))
-    found = scores(world, activation, how, actor, *same, there, world.decisions(there))
-    return found[:, None]
+    if not world.apart:
+        everyone = np.tile(seeds, (len(actor.log_std), 1))
+        return own_scores(world, activation, how, actor, everyone, context_of(params, 0))[:, None]
+    pairs, drawn = (_CONTEXTS, _POLICIES), world.draws(seeds)
+    return _vectorised(pairs, world, activation, how, actor, seeds, drawn, params)

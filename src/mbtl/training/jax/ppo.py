@@ -27,7 +27,7 @@ from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
 from mbtl.training.jax.estimates import mean_of
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import PPORecipe
-from mbtl.training.jax.rollout import Rollout, State, draw, play, start, worth
+from mbtl.training.jax.rollout import Rollout, State, advantages, draw, play, start
 from mbtl.worlds.environments import Box, Discrete, Tree
 from mbtl.worlds.world import Solo
 
@@ -111,7 +111,7 @@ def learn(
 def learn_from(world: Solo, recipe: PPORecipe, weights: Weights, rollout: Rollout) -> Batch:
     """(T x E,) transitions with generalised advantages and value targets."""
     value = networks.apply(weights.critic, rollout.obs, recipe.activation)[..., 0]
-    advantage = worth(recipe, weights.critic, rollout, value)
+    advantage = advantages(recipe, weights.critic, rollout, value)
     old = networks.log_prob(rollout.outputs, weights.log_std, rollout.action, world.action)
     rows = (rollout.obs, rollout.action, old, advantage, advantage + value)
     return Batch(*(x.reshape(-1, *x.shape[2:]) for x in rows))

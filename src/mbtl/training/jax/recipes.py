@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import ClassVar, Literal, TypeVar, get_args
+from typing import ClassVar, Literal, get_args
 
 from mbtl.errors import InvalidInput, unknown_name
 
 Activation = Literal["tanh", "relu", "mish"]
-Named = TypeVar("Named")
 
 _STEPS_PER_CALL = 256
 """A2C and DQN learn every few steps: as many of those as give this many steps are one update."""
@@ -316,16 +315,3 @@ def multitask_recipe(method: MultiTaskMethod, environment: str) -> MultiTaskReci
     if environment not in _MULTI_TASK:
         raise unknown_name("environment with multi-task recipes", environment, _MULTI_TASK)
     return MultiTaskRecipe(method, _MULTI_TASK[environment], _N_PARTS[method])
-
-
-def named(recipes: Mapping[str, Mapping[str, Named]], algorithm: str, name: str) -> Named:
-    """One entry of a table by algorithm and name.
-
-    Raises:
-        UnknownName: there is none.
-    """
-    if algorithm not in recipes:
-        raise unknown_name("algorithm with recipes", algorithm, recipes)
-    if name not in recipes[algorithm]:
-        raise unknown_name(f"{algorithm} recipe", name, recipes[algorithm])
-    return recipes[algorithm][name]

@@ -22,7 +22,6 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
-from mbtl.training.jax.estimates import summed_back
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import A2CRecipe, PPORecipe
 from mbtl.worlds.environments import Tree
@@ -214,14 +213,24 @@ def _own(params: Tree, context: jax.Array | None) -> Tree:
     return params if context is None else jax.tree.map(lambda x: x[context], params)
 
 
-def worth(
+def advantages(
     recipe: PPORecipe | A2CRecipe, critic: Network, rollout: Rollout, value: jax.Array
 ) -> jax.Array:
-    """(T, E) generalised advantages, given `value`, the critic's of the observations.
+    """(T, E) generalised advantage estimates, given `value`, the critic's of the observations.
 
-    Truncated episodes bootstrap from the observation in which they were cut off.
+    delta = r + gamma V(after) (1 - terminated) - V(obs); truncated episodes bootstrap from the
+    observation in which they were cut off.
     """
     value_after = networks.apply(critic, rollout.after, recipe.activation)[..., 0]
     reward = rollout.reward.astype(jnp.float32)
     delta = reward + recipe.gamma * jnp.where(rollout.terminated, 0.0, value_after) - value
-    return summed_back(delta, jnp.where(rollout.done, 0.0, recipe.gamma * recipe.gae_lambda))
+    decay = jnp.where(rollout.done, 0.0, recipe.gamma * recipe.gae_lambda)
+
+    def back(later: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        advantage = now[0] + now[1] * later
+        return advantage, advantage
+
+    _, advantage = jax.lax.scan(
+        back, jnp.zeros_like(delta[0]), (delta, decay), reverse=True, unroll=8
+    )
+    return advantage

@@ -17,7 +17,6 @@ import numpy as np
 
 from mbtl.portfolio import BoxHead, MLPPolicy
 from mbtl.training.jax import networks
-from mbtl.training.jax.episodic.packing import most_rows
 from mbtl.training.jax.episodic.watching import Rows, each, watched
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
@@ -25,6 +24,7 @@ from mbtl.worlds import beats as beats_of
 from mbtl.worlds import random
 from mbtl.worlds.beats import Holding
 from mbtl.worlds.environments import Beats, Discrete, Length, Tree
+from mbtl.worlds.packing import most_rows
 from mbtl.worlds.world import Crowd, World
 
 Acting = Literal["sampled", "mean", "random", "none"]

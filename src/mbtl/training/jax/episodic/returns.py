@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from mbtl.training.jax.episodic.episodes import Episodes
 from mbtl.training.jax.episodic.recipes import TwinRecipe
-from mbtl.training.jax.estimates import mean_of, summed_back
+from mbtl.training.jax.estimates import mean_of
 
 
 class Returns(NamedTuple):
@@ -92,7 +92,12 @@ def advantages(
     alive = ~lived.done
     delta = reward + recipe.gamma * jnp.where(alive, following, 0.0) - value
 
-    advantage = summed_back(delta, jnp.where(alive, recipe.gamma * recipe.gae_lambda, 0.0))
+    def back(later: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        # the form of this sum and of that in `rollout` decides the last bit of kept policies
+        advantage = now[0] + recipe.gamma * recipe.gae_lambda * jnp.where(now[1], later, 0.0)
+        return advantage, advantage
+
+    _, advantage = jax.lax.scan(back, jnp.zeros_like(delta[0]), (delta, alive), reverse=True)
     target = advantage + value
     if recipe.credit == "team":
         advantage = target - own_value

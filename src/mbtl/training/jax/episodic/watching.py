@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.training.jax import networks
-from mbtl.training.jax.episodic.packing import Agents, chunk_size
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
 from mbtl.worlds.environments import Tree
+from mbtl.worlds.packing import Agents, chunk_size
 from mbtl.worlds.world import Crowd, World
 
 
