@@ -180,17 +180,17 @@ def loss(
         advantage = (advantage - advantage.mean()) / (advantage.std(ddof=1) + 1e-8)
     outputs = networks.apply(weights.actor, batch.obs, recipe.activation)
     value = networks.apply(weights.critic, batch.obs, recipe.activation)[..., 0]
-    ratio = jnp.exp(
-        networks.log_prob(outputs, weights.log_std, batch.action, space) - batch.log_prob
-    )
-    near = jnp.clip(ratio, 1.0 - recipe.clip_range, 1.0 + recipe.clip_range)
-    total = -mean(jnp.minimum(advantage * ratio, advantage * near))
     error = jnp.square(batch.target - value)
-    if limits is not None:
+    if limits is not None:  # first: the order of these sums decides the last bit of kept policies
         apart = mean(networks.kl(batch.outputs, limits.log_std, outputs, weights.log_std, space))
-        total += limits.kl_coef * apart
         moved = jnp.clip(value - batch.value, -limits.value_clip, limits.value_clip)
         error = jnp.maximum(error, jnp.square(batch.target - (batch.value + moved)))
+    after = networks.log_prob(outputs, weights.log_std, batch.action, space)
+    ratio = jnp.exp(after - batch.log_prob)
+    near = jnp.clip(ratio, 1.0 - recipe.clip_range, 1.0 + recipe.clip_range)
+    total = -mean(jnp.minimum(advantage * ratio, advantage * near))
+    if limits is not None:
+        total += limits.kl_coef * apart
     total += recipe.value_coef * mean(error)
     if recipe.entropy_coef:
         spread = networks.entropy(outputs, weights.log_std, space)
