@@ -114,6 +114,27 @@ class ManyTrainer(Protocol):
 
 
 @runtime_checkable
+class WideTrainer(Trainer, Protocol):
+    """A trainer that can train one policy for all contexts."""
+
+    @property
+    def recipe_on_all(self) -> dict[str, Any]:
+        """What decides that policy and its returns, JSON-able."""
+        ...
+
+    def train_on_all(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        on_progress: OnProgress | None = None,
+        *,
+        partial: Path | None = None,
+    ) -> Any:
+        """One policy; `partial` as in `ManyTrainer.train_many`, where the trainer uses it."""
+        ...
+
+
+@runtime_checkable
 class ReferenceTrainer(Protocol):
     """A trainer that knows what its system gives without any policy of ours."""
 

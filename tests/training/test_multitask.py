@@ -7,7 +7,6 @@ pytest.importorskip("stable_baselines3", reason="the train extra is not installe
 from test_everywhere import CONTEXTS, Told
 
 from mbtl.training import SB3Trainer
-from mbtl.training.multitask import for_all_contexts
 
 
 @pytest.mark.long
@@ -17,5 +16,5 @@ def test_one_policy_serves_all_contexts_that_it_is_told():
         hyperparameters={"n_steps": 200, "batch_size": 50, "learning_rate": 3e-3, "gamma": 0.0,
                          "n_epochs": 4, "ent_coef": 0.1},  # eight of eight seeds find 0
     )  # fmt: skip
-    policy = for_all_contexts(trainer, CONTEXTS).train({}, seed=0)
+    policy = trainer.train_on_all(CONTEXTS, seed=0)
     assert trainer.evaluate(policy, CONTEXTS, seed=1).mean() > -0.8  # untold: -1 at best

@@ -20,7 +20,6 @@ from mbtl.training.jax.episodic import learning
 from mbtl.training.jax.episodic.episodes import record
 from mbtl.training.jax.episodic.learning import contexts_met
 from mbtl.training.jax.episodic.recipes import TRPORecipe
-from mbtl.training.multitask import train_on_all
 
 HOLDS = [{"hold": 20.0}, {"hold": 28.0}, {"hold": 40.0}]
 RECIPE = TRPORecipe(n_episodes=2, hidden=(8,), normalize_reward=False)
@@ -86,12 +85,12 @@ def test_the_policy_is_told_the_context_and_a_file_cut_off_only_costs_time(tmp_p
     trainer = cmdp.trainer_for("quick", episodes=4, eval_episodes=2)
     heard, file = [], tmp_path / "training.npz"
     file.write_bytes(b"of another run, cut off")
-    policy = train_on_all(trainer, HOLDS, 3, heard.append, partial=file)
+    policy = trainer.train_on_all(HOLDS, 3, heard.append, partial=file)
     assert policy.weights[0].shape[1] == 3 + 1
     assert heard[-1].step == heard[-1].total == 4
     assert trainer.evaluate(policy, HOLDS, seed=1).shape == (3, 2)
     with pytest.raises(InvalidInput, match="at least one context"):
-        train_on_all(trainer, [], 3)
+        trainer.train_on_all([], 3)
 
 
 @pytest.mark.long
@@ -107,11 +106,11 @@ def test_an_interrupted_trainer_goes_on_to_the_same_policy(tmp_path, monkeypatch
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_on_all(trainer, HOLDS[2:], 3, stop, partial=file)
+        trainer.train_on_all(HOLDS[2:], 3, stop, partial=file)
     assert file.is_file()
-    rest = train_on_all(trainer, HOLDS[2:], 3, stop, partial=file)
+    rest = trainer.train_on_all(HOLDS[2:], 3, stop, partial=file)
     assert heard == [1, 2, 3, 3, 4]  # it went on after the second, the last that was saved
-    whole = train_on_all(trainer, HOLDS[2:], 3)
+    whole = trainer.train_on_all(HOLDS[2:], 3)
     for a, b in zip(whole.weights, rest.weights, strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -122,5 +121,5 @@ def test_one_policy_learns_to_calm_rings_of_several_holds():
     trainer = get_cmdp("ring-vel", engine="jax", visibility="multiplier").trainer_for(
         "quick", episodes=360, hyperparameters={"n_episodes": 6}
     )
-    policy = train_on_all(replace(trainer, eval_episodes=5), contexts, 0)
+    policy = replace(trainer, eval_episodes=5).train_on_all(contexts, 0)
     assert trainer.evaluate(policy, contexts, seed=2).mean() > 3.5  # unguided: 3.15

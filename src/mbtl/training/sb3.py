@@ -27,7 +27,7 @@ from mbtl.trainer import OnProgress, check_settings, checked_returns
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
 from mbtl.training.isolation import isolated
 from mbtl.training.sb3_files import load_sb3, save_sb3
-from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere
+from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
 from mbtl.training.watch import BestCheckpoint, Watch, actor_for
 
 _COUNTS = ("eval_episodes", "checkpoint_episodes", "n_envs", "threads")
@@ -141,12 +141,29 @@ class SB3Trainer:
             ends = None if self.episodes is None else "score" if team else "episode"
             watch = Watch(model, self._length, on_progress, best, ends=ends)
             steps = _FOREVER if self.timesteps is None else self.timesteps
-            learn(model, steps, watch, _run_name(context, seed))
+            learn(model, steps, watch, run_name(context, seed))
             if best is not None:
                 best.visit(model, watch.done, last=True)
                 best.restore(model)
             watch.report(self._length)
             return lightened(model)
+
+    def train_on_all(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        on_progress: OnProgress | None = None,
+        *,
+        partial: Path | None = None,
+    ) -> Any:
+        """Train one policy for all contexts, of which one is drawn uniformly for every episode.
+
+        Raises:
+            InvalidInput: there are no contexts.
+        """
+        from mbtl.training.multitask import for_all_contexts  # needs Gymnasium
+
+        return for_all_contexts(self, contexts).train(next(iter(contexts), {}), seed, on_progress)
 
     def untrained(self, context: Context) -> Any:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
@@ -171,8 +188,7 @@ class SB3Trainer:
         Raises:
             TrainingFailed: a return is NaN or infinite, or an episode does not end.
         """
-        seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
-        jobs = [Job(partial(self.make_env, context), seeds) for context in contexts]
+        jobs = [Job(partial(self.make_env, one), self._episodes(seed)) for one in contexts]
         with isolated(self.threads):
             actor = actor_for(policy, sampled=self.acting == "sampled")
             rows = play(jobs, actor, max_envs=self.n_eval_envs or EVALUATION_ENVS)
@@ -181,9 +197,8 @@ class SB3Trainer:
 
     def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
         """See `mbtl.trainer.ReferenceTrainer`; `mbtl.envs.references` has what is unguided."""
-        seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
         envs = self.n_eval_envs or EVALUATION_ENVS
-        return reference_rows(self.make_env, contexts, seeds, max_envs=envs)
+        return reference_rows(self.make_env, contexts, self._episodes(seed), max_envs=envs)
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Write the library's zip, and a numpy copy where there is one; no replay buffer."""
@@ -212,7 +227,14 @@ class SB3Trainer:
             "eval_episodes": self.eval_episodes,
         }
 
+    @property
+    def recipe_on_all(self) -> dict[str, Any]:
+        """As `recipe`, of `train_on_all`."""
+        return {**self.recipe, "contexts": "uniform, one per episode"}
+
     # ---- inside ------------------------------------------------------------------------------
+    def _episodes(self, seed: int) -> list[int]:
+        return [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
 
     @property
     def _length(self) -> int:
@@ -376,10 +398,3 @@ def _is_team(envs: Any) -> bool:
 
 def _on_policy(algorithm: Any) -> bool:
     return "rollout_buffer_class" in inspect.signature(algorithm.__init__).parameters
-
-
-def _run_name(context: Context, seed: int) -> str:
-    """Folder name of a TensorBoard run."""
-    parts = (f"{n}={v:.6g}" if isinstance(v, float) else f"{n}={v}" for n, v in context.items())
-    name = ",".join(parts) + f",seed={seed}"
-    return "".join(c if c.isalnum() or c in "=.,_-" else "_" for c in name)
