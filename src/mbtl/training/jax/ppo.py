@@ -181,10 +181,10 @@ def loss(
     outputs = networks.apply(weights.actor, batch.obs, recipe.activation)
     value = networks.apply(weights.critic, batch.obs, recipe.activation)[..., 0]
     error = jnp.square(batch.target - value)
-    if limits is not None:  # first: the order of these sums decides the last bit of kept policies
+    if limits is not None:  # in this order and form, which decide the last bit of kept policies
         apart = mean(networks.kl(batch.outputs, limits.log_std, outputs, weights.log_std, space))
-        moved = jnp.clip(value - batch.value, -limits.value_clip, limits.value_clip)
-        error = jnp.maximum(error, jnp.square(batch.target - (batch.value + moved)))
+        close = batch.value + jnp.clip(value - batch.value, -limits.value_clip, limits.value_clip)
+        error = jnp.maximum(jnp.square(value - batch.target), jnp.square(close - batch.target))
     after = networks.log_prob(outputs, weights.log_std, batch.action, space)
     ratio = jnp.exp(after - batch.log_prob)
     near = jnp.clip(ratio, 1.0 - recipe.clip_range, 1.0 + recipe.clip_range)
