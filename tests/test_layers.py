@@ -36,12 +36,13 @@ CORE = [
 ]
 OUTSIDE = {
     "worlds": set(),
-    "training": {"worlds"},
+    "envs": set(),
+    "training": {"worlds", "envs"},
     "benchmark": set(),
-    "cmdps": {"training", "worlds"},
+    "cmdps": {"training", "worlds", "envs"},
     "report": {"benchmark"},
-    "testing": {"cmdps", "training", "worlds"},
-    "cli": {"training", "benchmark", "cmdps", "report"},
+    "testing": {"cmdps", "training", "worlds", "envs"},
+    "cli": {"training", "envs", "benchmark", "cmdps", "report"},
 }
 LAZY = {("portfolio", "training")}  # a saved Stable-Baselines3 policy is read by its adapter
 HEAVY = {"torch", "jax", "sklearn", "gymnasium", "stable_baselines3", "matplotlib", "typer", "rich"}

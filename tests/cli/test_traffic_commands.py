@@ -10,9 +10,9 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("jax")
 
 from mbtl.cli.play import _Watched
+from mbtl.envs import rollout
+from mbtl.envs.rollout import Actor, Job
 from mbtl.portfolio import load_portfolio
-from mbtl.training import rollout
-from mbtl.training.rollout import Actor, Job
 
 TINY = ("--preset", "quick", "--budget", "1", "--eval-episodes", "1")
 

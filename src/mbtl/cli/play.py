@@ -55,7 +55,7 @@ def play(
     """
     if episodes < 1:
         raise InvalidInput(f"--episodes must be >= 1, got {episodes}")
-    from mbtl.training import rollout
+    from mbtl.envs import rollout
     from mbtl.training.watch import actor_for
 
     if film is not None:

@@ -184,7 +184,7 @@ def run(
     with plain_warnings(), LiveProgress(running, console) as live:
         callbacks: list[Callback] = [live]
         if tensorboard is not None:
-            from mbtl.training.tensorboard import TensorBoardCallback
+            from mbtl.study.tensorboard import TensorBoardCallback
 
             callbacks.append(TensorBoardCallback(tensorboard))
         try:

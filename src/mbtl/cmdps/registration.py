@@ -41,9 +41,9 @@ def make(
         gui: in traffic, show it in sumo-gui.
         **switches: `physics`, `visibility`, `time_limit`, `obs` as in `mbtl.cmdps.get_cmdp`.
 
-    Many decision makers are one environment with a row for each, `mbtl.training.slots.Together`.
+    Many decision makers are one environment with a row for each, `mbtl.envs.slots.Together`.
     """
-    from mbtl.training.slots import as_one
+    from mbtl.envs.slots import as_one
 
     factory = env_factory(cmdp, **switches)
     shown = {"render_mode": render_mode, "gui": gui} if render_mode is not None or gui else {}

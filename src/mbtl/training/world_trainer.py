@@ -6,7 +6,7 @@ sent to another process anywhere.
 
 from __future__ import annotations
 
-import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
@@ -20,12 +20,15 @@ from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
-from mbtl.trainer import OnProgress, Progress, checked_returns
+from mbtl.trainer import OnProgress, Progress, check_settings, checked_returns
 
 BY_STEPS = ("PPO", "A2C", "DQN")
 """Algorithms that learn every few steps; a training is as many `timesteps`."""
 BY_EPISODES = ("TRPO", "PPO")
 """Algorithms that learn from whole episodes; a training is as many `episodes`."""
+
+_COUNTS = ("eval_episodes", "checkpoint_episodes")
+_OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every")
 
 _CPU_LANES = 25
 """Sources trained together on a CPU where one of them would not keep it busy."""
@@ -85,30 +88,17 @@ class WorldTrainer:
 
     def __post_init__(self) -> None:
         by_steps = self.episodes is None
-        if by_steps == (self.timesteps is None):
-            raise InvalidInput(
-                "a training is as long as its timesteps or its episodes, got "
-                f"timesteps={self.timesteps} and episodes={self.episodes}; give one of them"
-            )
         for name, value in {
             "hyperparameters": dict(self.hyperparameters or {}),
             "recipe_name": self.recipe_name or ("fast" if by_steps else "paper"),
             "acting": self.acting or ("mean" if by_steps else "sampled"),
         }.items():
             object.__setattr__(self, name, value)
+        check_settings(self, _COUNTS, _OPTIONAL_COUNTS)
         algorithms = BY_STEPS if by_steps else BY_EPISODES
         if self.algorithm not in algorithms:
             kind = "jax engine" if by_steps else "traffic twins"
             raise unknown_name(f"algorithm of the {kind}", self.algorithm, algorithms)
-        if self.acting not in ("sampled", "mean"):
-            raise unknown_name("way to act", str(self.acting), ("sampled", "mean"))
-        counts = [self.unit, "eval_episodes", "checkpoint_episodes"]
-        for name in [*counts, *(["checkpoint_every"] if self.checkpoint_every else [])]:
-            number = getattr(self, name)
-            if not (isinstance(number, int) and number >= 1):
-                raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
-        if self.checkpoint not in ("final", "best"):
-            raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
 
     # ---- what it is --------------------------------------------------------------------------
 
@@ -171,15 +161,11 @@ class WorldTrainer:
     def lanes(self) -> int:
         """Policies that are best trained together here.
 
-        One where contexts differ in their decisions, as each is a program of its own then; else all
-        on an accelerator. On a CPU one PPO program by steps already keeps a core busy, and a policy
-        trained alone is, bit for bit, the one that a study trains; the others need company.
+        All on an accelerator. On a CPU one PPO program by steps already keeps a core busy, and a
+        policy trained alone is, bit for bit, the one that a study trains; the others need company.
         """
         import mbtl.training.jax as engine
 
-        world, _ = self.problem([])
-        if not world.mixes:
-            return 1
         if not engine.on_cpu():
             return 1 << 20
         return 1 if (self.algorithm, self.unit) == ("PPO", "timesteps") else _CPU_LANES
@@ -208,7 +194,7 @@ class WorldTrainer:
         keep: Sequence[str] = ("best", "final"),
         partial: Path | None = None,
     ) -> dict[str, list[MLPPolicy]]:
-        """Train one policy per (context, seed), all in one program where the world mixes contexts.
+        """Train one policy per (context, seed), all in one program.
 
         Args:
             contexts: P sources; repeat one to train it with several seeds.
@@ -228,37 +214,28 @@ class WorldTrainer:
         world, params = self._lessons(contexts)
         recipe, marks = self.learner, shares_of(keep)
         saved = engine.SavedTraining(partial)
-        policies: dict[str, list[MLPPolicy]] = {name: [] for name in keep}
-        groups = [(list(seeds), params)]
-        if not world.mixes:
-            groups = [([seed], engine.context_of(params, i)) for i, seed in enumerate(seeds)]
-        for number, (some, each) in enumerate(groups):
-            last = number == len(groups) - 1
-
-            def on_block(block: engine.Block, number: int = number, last: bool = last) -> None:
-                self._tell(on_progress, block)
-                done = block.steps == block.total and not last
-                saved.save(block.training, number=number, done=done)
-
-            fresh = functools.partial(engine.start, world, recipe, some, each, marks=marks)
-            training = engine.train(
+        training = engine.train(
+            world,
+            recipe,
+            seeds,
+            params,
+            self.length,
+            on_block=self._on_block(on_progress, saved),
+            checkpoint_every=self.checkpoint_every,
+            checkpoint_episodes=self.checkpoint_episodes,
+            acting=self._how,
+            only_best="final" not in keep,
+            marks=marks,
+            resume=saved.load(lambda: engine.start(world, recipe, seeds, params, marks=marks)),
+        )
+        return {
+            name: engine.export_policies(
                 world,
-                recipe,
-                some,
-                each,
-                self.length,
-                on_block=on_block,
-                checkpoint_every=self.checkpoint_every,
-                checkpoint_episodes=self.checkpoint_episodes,
-                acting=self._how,
-                only_best="final" not in keep,
-                marks=marks,
-                resume=saved.load(fresh, number=number),
+                engine.weights_of(training, Checkpoint.named(name), marks),
+                recipe.activation,
             )
-            for name in keep:
-                weights = engine.weights_of(training, Checkpoint.named(name), marks)
-                policies[name] += engine.export_policies(world, weights, recipe.activation)
-        return policies
+            for name in keep
+        }
 
     def train_on_all(
         self,
@@ -270,8 +247,7 @@ class WorldTrainer:
     ) -> MLPPolicy:
         """Train one policy for all contexts; each episode of an update is in another of them.
 
-        It is judged on all of them 20 times, two episodes each: of few contexts or for short
-        trainings that is most of the work.
+        It is judged on all of them 20 times, two episodes each.
 
         Args:
             contexts: of which to draw.
@@ -284,30 +260,23 @@ class WorldTrainer:
             InvalidInput: there are no contexts.
         """
         import mbtl.training.jax as engine
-        from mbtl.training.jax.episodic.multitask import train_on_all
 
         if not contexts:
             raise InvalidInput("multi-task training takes at least one context, got none")
         saved = engine.SavedTraining(partial)
-
-        def on_block(block: engine.Block) -> None:
-            self._tell(on_progress, block)
-            saved.save(block.training)
-
-        world, stacked = self._lessons(contexts)
-        params = [engine.context_of(stacked, i) for i in range(len(contexts))]
+        world, params = self._lessons(contexts)
         recipe = self.learner
-        training = train_on_all(
+        training = engine.train_multitask(
             world,
             recipe,
-            seed,
+            [seed],
             params,
             self.length,
-            checkpoints=_CHECKPOINTS,
+            on_block=self._on_block(on_progress, saved),
+            checkpoint_every=math.ceil(self.length / _CHECKPOINTS),
             checkpoint_episodes=_EACH,
             acting=self._how,
-            on_block=on_block,
-            resume=saved.load(lambda: engine.start(world, recipe, [seed], params[0])),
+            resume=saved.load(lambda: engine.start_multitask(world, recipe, [seed], params)),
         )
         weights = training.best if self.checkpoint == "best" else training.state.weights
         return engine.export_policies(world, weights, recipe.activation)[0]
@@ -331,14 +300,19 @@ class WorldTrainer:
             raise unknown_name("reward of this world", self.reward, known)
         return replace(world, reward=self.reward), params
 
-    def _tell(self, on_progress: OnProgress | None, block: Any) -> None:
-        if on_progress is None:
-            return
-        latest = float(np.mean(block.training.latest_return))
+    def _on_block(self, on_progress: OnProgress | None, saved: Any) -> Callable[[Any], None]:
+        """Tells where a training stands, and saves it."""
         unit, metric = "episodes", "score"
         if self.unit == "timesteps":
             unit, metric = "steps", "episode_return"
-        on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
+
+        def on_block(block: Any) -> None:
+            if on_progress is not None:
+                latest = float(np.mean(block.training.latest_return))
+                on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
+            saved.save(block.training)
+
+        return on_block
 
     # ---- evaluation --------------------------------------------------------------------------
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from mbtl.portfolio import BoxHead, DiscreteHead, MLPPolicy
-from mbtl.training.jax.networks import Network, Weights
+from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import Activation
 from mbtl.worlds.environments import Box, Discrete
 from mbtl.worlds.world import World
@@ -22,13 +21,6 @@ def export_policies(
         _policy(world, jax.tree.map(lambda x, p=p: x[p], weights), activation)
         for p in range(len(weights.log_std))
     ]
-
-
-def import_actors(policies: list[MLPPolicy]) -> Network:
-    """The actors of policies of one shape, stacked for `evaluate`."""
-    layers = zip(*[zip(p.weights, p.biases, strict=True) for p in policies], strict=True)
-    stacked = [[np.stack([w.T for w, _ in x]), np.stack([b for _, b in x])] for x in layers]
-    return tuple((jnp.asarray(w), jnp.asarray(b)) for w, b in stacked)
 
 
 def _policy(world: World, weights: Weights, activation: Activation) -> MLPPolicy:

@@ -85,7 +85,6 @@ class EcoTwin(Seeded):
     reward: Reward = "paper"
     time_limit: TimeLimit = "truncation"
     n_features: int = 39
-    mixes: bool = True
     params: type[EcoParams] = EcoParams
     rewards: ClassVar[tuple[str, ...]] = get_args(Reward)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,7 +14,7 @@ import numpy as np
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.episodic import ppo, trpo
-from mbtl.training.jax.episodic.episodes import Episodes, actor_of, record
+from mbtl.training.jax.episodic.episodes import actor_of, record
 from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe, TRPORecipe, TwinRecipe
 from mbtl.training.jax.networks import Weights
 from mbtl.worlds import random
@@ -23,7 +24,8 @@ from mbtl.worlds.world import World, of_simulations
 _ALGORITHMS: Mapping[type, Any] = {TRPORecipe: trpo, EpisodicPPORecipe: ppo}
 """Modules with `start(recipe, weights)` and `learn(...)`, of one policy."""
 
-_EPISODE = 1 << 21  # stream of random numbers: seeds of training episodes
+# streams of random numbers: seeds of training episodes, and their contexts where there are several
+_EPISODE, _CONTEXT = 1 << 21, 1 << 22
 
 
 class State(NamedTuple):
@@ -67,22 +69,23 @@ def update(
     world: World, recipe: TwinRecipe, decisions: Length, state: State, params: Tree, clock: Clock
 ) -> State:
     """Live through `n_episodes` of each policy and learn from them; args as `algorithms.update`."""
-    seeds = episode_seeds(recipe, state, clock.number)
+    seeds = random.bits(state.seed, _EPISODE, clock.number, recipe.n_episodes).T
+    if params.visible.ndim == 3:
+        met = contexts_met(state.seed, clock.number, params.visible.shape[1], recipe.n_episodes)
+        params = jax.tree.map(lambda x: jax.vmap(jnp.take, (0, 0, None))(x, met, 0), params)
     every = of_simulations(params, recipe.n_episodes)
     lived = record(world, recipe.activation, decisions, actor_of(state.weights), seeds, every)
-    return learnt(world, recipe, state, clock.number, lived)
-
-
-def episode_seeds(recipe: TwinRecipe, state: State, number: jax.Array) -> jax.Array:
-    """(P, `n_episodes`) seeds of the episodes of an update."""
-    return random.bits(state.seed, _EPISODE, number, recipe.n_episodes).T
-
-
-def learnt(
-    world: World, recipe: TwinRecipe, state: State, number: jax.Array, lived: Episodes
-) -> State:
-    """Each policy after an update with its episodes."""
     learn = partial(_ALGORITHMS[type(recipe)].learn, world.action, recipe)
     policies = jax.vmap(learn, in_axes=(0, 0, 0, None))
-    weights, memory = policies(state.weights, state.memory, lived, number)
+    weights, memory = policies(state.weights, state.memory, lived, clock.number)
     return State(weights, memory, state.seed)
+
+
+def contexts_met(seed: jax.Array, number: jax.Array, contexts: int, count: int) -> jax.Array:
+    """(P, count) of N contexts in which policies are in an update, one for each of their episodes.
+
+    They are drawn uniformly, without repetition while there are any.
+    """
+    rounds = math.ceil(count / contexts)
+    draw = random.bits(seed, _CONTEXT, number, rounds * contexts).T
+    return draw.reshape(-1, rounds, contexts).argsort(axis=-1).reshape(len(seed), -1)[:, :count]
