@@ -16,10 +16,28 @@ from mbtl.errors import ContextMismatch, missing_extra, unknown_name
 
 ENGINES = ("jax", "gymnasium", "sumo")
 
+_EXTRAS = {"gymnasium": "envs", "mujoco": "envs", "pettingzoo": "traffic"}
+"""Of packages that simulators need."""
+
 
 def jax_is_installed() -> bool:
     """Whether the extra is there."""
     return all(find_spec(name) is not None for name in ("jax", "optax"))
+
+
+def resolved(entry_point: str) -> Any:
+    """What "module:Class" names.
+
+    Raises:
+        MissingExtra: a package that it needs is not installed.
+    """
+    try:
+        return pkgutil.resolve_name(entry_point)
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in _EXTRAS:
+            raise
+        raise missing_extra(package, _EXTRAS[package]) from error
 
 
 @dataclass(frozen=True)
@@ -44,15 +62,7 @@ class EnvFactory:
             MissingExtra: Gymnasium, or what the simulator needs, is not installed.
         """
         self.check(context)
-        try:
-            kind = pkgutil.resolve_name(self.entry_point)
-        except ModuleNotFoundError as error:
-            package = (error.name or "").partition(".")[0]
-            extra = {"gymnasium": "envs", "pettingzoo": "traffic"}.get(package)
-            if extra is None:
-                raise
-            raise missing_extra(package, extra) from error
-        return kind(context, **self.options)
+        return resolved(self.entry_point)(context, **self.options)
 
     def check(self, context: Mapping[str, Any]) -> None:
         """Refuse what is no context of this CMDP; an axis may be left out, at its nominal value.
@@ -89,13 +99,35 @@ class JaxProblem:
         """
         import mbtl.training.jax as engine
 
+        return self._filled(engine.Solo(self._made(getattr(engine, self.environment))), contexts)
+
+    def _made(self, kind: Any) -> Any:
         options = self.make_env.options
-        kind = getattr(engine, self.environment)
-        env = kind(horizon=options["horizon"], time_limit=options["time_limit"])
-        world = engine.Solo(env)
+        return kind(horizon=options["horizon"], time_limit=options["time_limit"])
+
+    def _filled(self, world: Any, contexts: Sequence[Context]) -> tuple[Any, Any]:
+        import mbtl.training.jax as engine
+
         peers = [self.make_env(context) for context in contexts]
         visible = [peer.visible for peer in peers] or None
         return world, engine.stack_params(world, [peer.constants for peer in peers], visible)
+
+
+@dataclass(frozen=True)
+class HostedProblem(JaxProblem):
+    """As `JaxProblem`; `environment` is "module:Class" of a batch on the host."""
+
+    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
+        """As there.
+
+        Raises:
+            ContextMismatch: as there.
+            MissingExtra: jax, Gymnasium or the simulator is not installed.
+        """
+        import mbtl.training.jax as engine
+
+        kind = resolved(self.environment)
+        return self._filled(engine.hosted(self._made(kind)), contexts)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,19 @@ class JaxFamily:
 
 
 @dataclass(frozen=True)
+class HostedFamily:
+    """A family whose native simulator steps whole batches for the jax engine.
+
+    Attributes:
+        batch: "module:Class" of the batch (`mbtl.training.jax.hosted`).
+        presets: recipes by name, the first is the default.
+    """
+
+    batch: str
+    presets: Mapping[str, Preset]
+
+
+@dataclass(frozen=True)
 class TwinFamily:
     """A traffic family that has a twin in the jax engine.
 
@@ -64,7 +77,7 @@ class Family:
     bounds: tuple[float, float]
     theta: float
     presets: Mapping[str, Preset]
-    jax: JaxFamily | TwinFamily | None = None
+    jax: JaxFamily | HostedFamily | TwinFamily | None = None
     switches: tuple[str, ...] = ()
     simulator: str = "gymnasium"
     visibility: str = "multiplier"

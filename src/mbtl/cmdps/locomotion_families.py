@@ -1,0 +1,119 @@
+"""The locomotion part of the table of our CMDPs (cmdp-spec, sections 2, 4.3, 4.4 and 10).
+
+Native simulators step whole batches for the engine. Nothing here imports an environment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from mbtl.cmdps.cmdp import Preset
+from mbtl.cmdps.family import Family, HostedFamily, Variant, line
+
+_CHEETAH: Mapping[str, Any] = {
+    "n_envs": 32,
+    "n_steps": 128,
+    "batch_size": 256,
+    "n_epochs": 4,
+    "gamma": 0.99,
+}
+
+_STANDARD = Preset(
+    budget=15,
+    timesteps=1_000_000,
+    eval_episodes=10,
+    algorithm="PPO",
+    recipe_name="fast",
+    hyperparameters=_CHEETAH,
+    checkpoint="best",
+    checkpoint_episodes=4,
+    description="a fifth of the paper's steps with our faster recipe, best-of-evaluations policy",
+)
+_CHEETAH_PRESETS = {
+    "standard": _STANDARD,
+    "full": replace(
+        _STANDARD,
+        timesteps=5_000_000,
+        description="the paper's steps with our faster recipe, best-of-evaluations policy",
+    ),
+    "quick": replace(
+        _STANDARD,
+        budget=10,
+        timesteps=200_000,
+        eval_episodes=4,
+        description="a first look with our faster recipe, best-of-evaluations policy",
+    ),
+    "paper": replace(
+        _STANDARD,
+        timesteps=5_000_000,
+        eval_episodes=100,
+        recipe_name="sb3",
+        hyperparameters=None,
+        checkpoint_episodes=10,
+        description="the paper's steps and hyper-parameters (SB3's default PPO), "
+        "best-of-evaluations policy: several times slower than `full`",
+    ),
+}
+
+_SB3 = {
+    "standard": Preset(
+        budget=15,
+        timesteps=1_000_000,
+        eval_episodes=10,
+        algorithm="PPO",
+        checkpoint="best",
+        checkpoint_episodes=4,
+        description="a fifth of the paper's steps: SB3 default PPO, best-of-evaluations policy",
+    ),
+    "paper": Preset(
+        budget=15,
+        timesteps=5_000_000,
+        eval_episodes=100,
+        algorithm="PPO",
+        checkpoint="best",
+        checkpoint_episodes=10,
+        description="the paper's budget: SB3 default PPO, best-of-evaluations policy",
+    ),
+}
+
+LOCOMOTION_FAMILIES: Mapping[str, Family] = {
+    "cheetah": Family(
+        entry_point="mbtl.cmdps.locomotion.cheetah:HalfCheetah",
+        horizon=1000,
+        bounds=(0.0, 6000.0),
+        theta=0.005,
+        presets=_SB3,
+        jax=HostedFamily("mbtl.cmdps.locomotion.cheetah_batch:HalfCheetahs", _CHEETAH_PRESETS),
+    ),
+}
+
+LOCOMOTION_VARIANTS: Mapping[str, Variant] = {
+    "cheetah-gravity": line(
+        "cheetah",
+        "gravity",
+        "m/s^2",
+        "0.981",
+        9.81,
+        paper_step="0.98",
+        description="HalfCheetah; gravity varies",
+    ),
+    "cheetah-friction": line(
+        "cheetah",
+        "friction",
+        "1",
+        "0.04",
+        0.4,
+        paper_step="0.06",
+        description="HalfCheetah; sliding friction varies",
+    ),
+    "cheetah-stiffness": line(
+        "cheetah",
+        "stiffness",
+        "1",
+        "0.1",
+        1.0,
+        description="HalfCheetah; the stiffness of all driven joints varies, as a factor",
+    ),
+}
