@@ -82,52 +82,32 @@ class JaxProblem:
     """contexts -> world and parameters (`mbtl.training.world_trainer.Problem`).
 
     Attributes:
-        environment: name of the class in `mbtl.training.jax`.
+        environment: "module:Class" of a `mbtl.worlds.Environment` or, `on_host`, of a batch.
         make_env: the Gymnasium environment of the same physics; its `constants` and `visible`
             become the parameters.
+        on_host: a native simulator steps it.
     """
 
     environment: str
     make_env: EnvFactory
+    on_host: bool = False
 
     def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
         """The world, and the parameters of `contexts` with one leading axis.
 
         Raises:
             ContextMismatch: one of them names no axis of this CMDP, or lies outside.
-            MissingExtra: jax or Gymnasium is not installed.
-        """
-        import mbtl.training.jax as engine
-
-        return self._filled(engine.Solo(self._made(getattr(engine, self.environment))), contexts)
-
-    def _made(self, kind: Any) -> Any:
-        options = self.make_env.options
-        return kind(horizon=options["horizon"], time_limit=options["time_limit"])
-
-    def _filled(self, world: Any, contexts: Sequence[Context]) -> tuple[Any, Any]:
-        import mbtl.training.jax as engine
-
-        peers = [self.make_env(context) for context in contexts]
-        visible = [peer.visible for peer in peers] or None
-        return world, engine.stack_params(world, [peer.constants for peer in peers], visible)
-
-
-@dataclass(frozen=True)
-class HostedProblem(JaxProblem):
-    """As `JaxProblem`; `environment` is "module:Class" of a batch on the host."""
-
-    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
-        """As there.
-
-        Raises:
-            ContextMismatch: as there.
             MissingExtra: jax, Gymnasium or the simulator is not installed.
         """
-        import mbtl.training.jax as engine
+        from mbtl import worlds
 
+        options = self.make_env.options
         kind = resolved(self.environment)
-        return self._filled(engine.hosted(self._made(kind)), contexts)
+        env = kind(horizon=options["horizon"], time_limit=options["time_limit"])
+        world = worlds.hosted(env) if self.on_host else worlds.Solo(env)
+        peers = [self.make_env(context) for context in contexts]
+        visible = [peer.visible for peer in peers] or None
+        return world, worlds.stack_params(world, [peer.constants for peer in peers], visible)
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,7 @@ FAMILIES: Mapping[str, Family] = {
         best_return=500.0,
         theta=0.005,
         presets=_CARTPOLE,
-        jax=_jax("CartPole", 5_000_000, {"gamma": 0.99}),
+        jax=_jax("mbtl.worlds:CartPole", 5_000_000, {"gamma": 0.99}),
         switches=("physics",),
     ),
     "pendulum": Family(
@@ -143,7 +143,7 @@ FAMILIES: Mapping[str, Family] = {
         bounds=(-2200.0, -500.0),
         theta=0.005,
         presets=_PENDULUM,
-        jax=_jax("Pendulum", 1_000_000, _PENDULUM_JAX),
+        jax=_jax("mbtl.worlds:Pendulum", 1_000_000, _PENDULUM_JAX),
     ),
     **LOCOMOTION_FAMILIES,
     **TRAFFIC_FAMILIES,

@@ -16,25 +16,14 @@ class JaxFamily:
     """A family in the jax engine.
 
     Attributes:
-        environment: name of the class in `mbtl.training.jax`.
+        environment: "module:Class" of a `mbtl.worlds.Environment` or, `on_host`, of a batch.
         presets: recipes by name, the first is the default.
+        on_host: a native simulator steps whole batches of it (`mbtl.worlds.hosted`).
     """
 
     environment: str
     presets: Mapping[str, Preset]
-
-
-@dataclass(frozen=True)
-class HostedFamily:
-    """A family whose native simulator steps whole batches for the jax engine.
-
-    Attributes:
-        batch: "module:Class" of the batch (`mbtl.training.jax.hosted`).
-        presets: recipes by name, the first is the default.
-    """
-
-    batch: str
-    presets: Mapping[str, Preset]
+    on_host: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,7 +66,7 @@ class Family:
     bounds: tuple[float, float]
     theta: float
     presets: Mapping[str, Preset]
-    jax: JaxFamily | HostedFamily | TwinFamily | None = None
+    jax: JaxFamily | TwinFamily | None = None
     switches: tuple[str, ...] = ()
     simulator: str = "gymnasium"
     visibility: str = "multiplier"

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from mbtl.cmdps.cmdp import Preset
-from mbtl.cmdps.family import Family, HostedFamily, Variant, line
+from mbtl.cmdps.family import Family, JaxFamily, Variant, line
 
 _CHEETAH: Mapping[str, Any] = {
     "n_envs": 32,
@@ -85,7 +85,9 @@ LOCOMOTION_FAMILIES: Mapping[str, Family] = {
         bounds=(0.0, 6000.0),
         theta=0.005,
         presets=_SB3,
-        jax=HostedFamily("mbtl.cmdps.locomotion.cheetah_batch:HalfCheetahs", _CHEETAH_PRESETS),
+        jax=JaxFamily(
+            "mbtl.cmdps.locomotion.cheetah_batch:HalfCheetahs", _CHEETAH_PRESETS, on_host=True
+        ),
     ),
 }
 

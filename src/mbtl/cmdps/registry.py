@@ -9,13 +9,12 @@ from mbtl.cmdps.cmdp import CMDP, Preset
 from mbtl.cmdps.engines import (
     ENGINES,
     EnvFactory,
-    HostedProblem,
     JaxProblem,
     TwinProblem,
     jax_is_installed,
 )
 from mbtl.cmdps.families import FAMILIES, VARIANTS
-from mbtl.cmdps.family import Family, HostedFamily, TwinFamily, Variant
+from mbtl.cmdps.family import Family, TwinFamily, Variant
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.trainer import Trainer
 
@@ -179,8 +178,6 @@ def _training(
     problem: JaxProblem | TwinProblem
     if isinstance(family.jax, TwinFamily):
         problem = TwinProblem(family.jax.problem, make_env, family.jax.options)
-    elif isinstance(family.jax, HostedFamily):
-        problem = HostedProblem(family.jax.batch, make_env)
     else:
-        problem = JaxProblem(family.jax.environment, make_env)
+        problem = JaxProblem(family.jax.environment, make_env, family.jax.on_host)
     return family.jax.presets, WorldTrainer(problem, **default.options())

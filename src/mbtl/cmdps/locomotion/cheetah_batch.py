@@ -24,7 +24,7 @@ from mbtl.cmdps.contextual import TimeLimit
 from mbtl.cmdps.locomotion import cheetah
 from mbtl.cmdps.locomotion.cheetah_model import MOTORS, SUBSTEPS, base_model
 from mbtl.processes import native_threads
-from mbtl.training.jax import Box
+from mbtl.worlds import Box
 
 _N_STATE = cheetah.N_FEATURES + cheetah.N_POSITIONS
 _MOTORS = Box((-1.0,) * cheetah.N_MOTORS, (1.0,) * cheetah.N_MOTORS)
@@ -41,7 +41,7 @@ class CheetahParams(NamedTuple):
 
 @dataclass(frozen=True)
 class HalfCheetahs:
-    """`cheetah.HalfCheetah` in batches (`mbtl.training.jax.hosted.Batch`)."""
+    """`cheetah.HalfCheetah` in batches (`mbtl.worlds.hosted.Batch`)."""
 
     horizon: int = 1000
     time_limit: TimeLimit = "truncation"
