@@ -16,7 +16,7 @@ from mbtl.errors import ContextMismatch, missing_extra, unknown_name
 
 ENGINES = ("jax", "gymnasium", "sumo")
 
-_EXTRAS = {"gymnasium": "envs", "mujoco": "envs", "pettingzoo": "traffic"}
+_EXTRAS = {"Box2D": "envs", "gymnasium": "envs", "mujoco": "envs", "pettingzoo": "traffic"}
 """Of packages that simulators need."""
 
 

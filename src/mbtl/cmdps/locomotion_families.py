@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from mbtl.cmdps.cmdp import Preset
-from mbtl.cmdps.family import Family, JaxFamily, Variant, line
+from mbtl.cmdps.family import Family, GridAxis, JaxFamily, Variant, line
 
 _CHEETAH: Mapping[str, Any] = {
     "n_envs": 32,
@@ -20,42 +20,55 @@ _CHEETAH: Mapping[str, Any] = {
     "gamma": 0.99,
 }
 
-_STANDARD = Preset(
-    budget=15,
-    timesteps=1_000_000,
-    eval_episodes=10,
-    algorithm="PPO",
-    recipe_name="fast",
-    hyperparameters=_CHEETAH,
-    checkpoint="best",
-    checkpoint_episodes=4,
-    description="a fifth of the paper's steps with our faster recipe, best-of-evaluations policy",
-)
-_CHEETAH_PRESETS = {
-    "standard": _STANDARD,
-    "full": replace(
-        _STANDARD,
-        timesteps=5_000_000,
-        description="the paper's steps with our faster recipe, best-of-evaluations policy",
-    ),
-    "quick": replace(
-        _STANDARD,
-        budget=10,
-        timesteps=200_000,
-        eval_episodes=4,
-        description="a first look with our faster recipe, best-of-evaluations policy",
-    ),
-    "paper": replace(
-        _STANDARD,
-        timesteps=5_000_000,
-        eval_episodes=100,
-        recipe_name="sb3",
-        hyperparameters=None,
-        checkpoint_episodes=10,
-        description="the paper's steps and hyper-parameters (SB3's default PPO), "
-        "best-of-evaluations policy: several times slower than `full`",
-    ),
+_WALKER: Mapping[str, Any] = {
+    "n_envs": 32,
+    "n_steps": 128,
+    "batch_size": 256,
+    "n_epochs": 4,
+    "learning_rate": 1e-3,
+    "gamma": 0.99,
 }
+
+
+def _ours(hyperparameters: Mapping[str, Any]) -> dict[str, Preset]:
+    standard = Preset(
+        budget=15,
+        timesteps=1_000_000,
+        eval_episodes=10,
+        algorithm="PPO",
+        recipe_name="fast",
+        hyperparameters=hyperparameters,
+        checkpoint="best",
+        checkpoint_episodes=4,
+        description="a fifth of the paper's steps with our faster recipe, "
+        "best-of-evaluations policy",
+    )
+    return {
+        "standard": standard,
+        "full": replace(
+            standard,
+            timesteps=5_000_000,
+            description="the paper's steps with our faster recipe, best-of-evaluations policy",
+        ),
+        "quick": replace(
+            standard,
+            budget=10,
+            timesteps=200_000,
+            eval_episodes=4,
+            description="a first look with our faster recipe, best-of-evaluations policy",
+        ),
+        "paper": replace(
+            standard,
+            timesteps=5_000_000,
+            eval_episodes=100,
+            recipe_name="sb3",
+            hyperparameters=None,
+            checkpoint_episodes=10,
+            description="the paper's steps and hyper-parameters (SB3's default PPO), "
+            "best-of-evaluations policy: several times slower than `full`",
+        ),
+    }
+
 
 _SB3 = {
     "standard": Preset(
@@ -79,6 +92,16 @@ _SB3 = {
 }
 
 LOCOMOTION_FAMILIES: Mapping[str, Family] = {
+    "walker": Family(
+        entry_point="mbtl.cmdps.locomotion.walker:BipedalWalker",
+        horizon=1000,
+        bounds=(-150.0, 300.0),
+        theta=0.005,
+        presets=_SB3,
+        jax=JaxFamily(
+            "mbtl.cmdps.locomotion.walker_batch:BipedalWalkers", _ours(_WALKER), on_host=True
+        ),
+    ),
     "cheetah": Family(
         entry_point="mbtl.cmdps.locomotion.cheetah:HalfCheetah",
         horizon=1000,
@@ -86,12 +109,52 @@ LOCOMOTION_FAMILIES: Mapping[str, Family] = {
         theta=0.005,
         presets=_SB3,
         jax=JaxFamily(
-            "mbtl.cmdps.locomotion.cheetah_batch:HalfCheetahs", _CHEETAH_PRESETS, on_host=True
+            "mbtl.cmdps.locomotion.cheetah_batch:HalfCheetahs", _ours(_CHEETAH), on_host=True
         ),
     ),
 }
 
+_PER_SCALE = "px/m"
+"""Unit of the walker's scale: the hull is drawn in pixels."""
+
 LOCOMOTION_VARIANTS: Mapping[str, Variant] = {
+    "walker-gravity": line(
+        "walker",
+        "gravity",
+        "m/s^2",
+        "0.2",
+        10.0,
+        paper_step="1",
+        description="BipedalWalker; gravity varies",
+    ),
+    "walker-friction": line(
+        "walker",
+        "friction",
+        "1",
+        "0.1",
+        2.5,
+        paper_step="0.25",
+        description="BipedalWalker; the friction of the ground varies",
+    ),
+    "walker-scale": line(
+        "walker",
+        "scale",
+        _PER_SCALE,
+        "1",
+        30.0,
+        paper_step="3",
+        description="BipedalWalker; the scale varies, by which hull and roughness are divided",
+    ),
+    "walker-512": Variant(
+        "walker",
+        (
+            GridAxis("gravity", "m/s^2", "2", 10.0, n=8, unit_index=4),
+            GridAxis("friction", "1", "0.5", 2.5, n=8, unit_index=4),
+            GridAxis("scale", _PER_SCALE, "6", 30.0, n=8, unit_index=4),
+        ),
+        theta=0.01,  # a step is two of the steps on one axis, in multiples of the nominal value
+        description="BipedalWalker; gravity, friction and scale vary (SD-MBTL's 512)",
+    ),
     "cheetah-gravity": line(
         "cheetah",
         "gravity",

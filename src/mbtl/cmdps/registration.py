@@ -46,6 +46,7 @@ def make(
     from mbtl.training.slots import as_one
 
     factory = env_factory(cmdp, **switches)
-    shown = {"render_mode": render_mode, "gui": gui} if render_mode is not None or gui else {}
+    asked = {"render_mode": render_mode, "gui": gui or None}
+    shown = {name: value for name, value in asked.items() if value is not None}
     factory = replace(factory, options={**factory.options, **shown})
     return as_one(factory(VARIANTS[cmdp].nominal if context is None else context))

@@ -1,0 +1,339 @@
+"""One walker: a Box2D world of its own, whose gravity, ground and hull are those of its context.
+
+Bodies: the hull, then thigh and shin of either leg. Joints: hip and knee of either leg.
+What is seen and paid is computed for many walkers together, in numpy: `advance`.
+
+Lengths are those of Gymnasium's BipedalWalker-v3 at scale 30. As in the reference the scale divides
+the hull, the roughness of the ground and what a metre forward is worth; legs, range finder and the
+ground's length stay as they are (cmdp-spec, 4.3).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import Box2D
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.arrays import Array
+from mbtl.errors import ContextMismatch
+
+FPS = 50
+TORQUE = 80.0
+SPEEDS = (4.0, 6.0, 4.0, 6.0)
+"""Of hips and knees [rad/s], at full speed."""
+N_MOTORS, N_FEATURES = 4, 24
+
+_NOMINAL_SCALE = 30.0
+STEP = 14.0 / _NOMINAL_SCALE
+"""Length of a piece of ground [m]."""
+POINTS = 200
+"""Points between the pieces of ground."""
+FLAT = 20
+"""Pieces of flat ground at the beginning; the walker starts in their middle."""
+HEIGHT = 400.0 / _NOMINAL_SCALE / 4.0
+"""Of the ground [m], on average."""
+END = (POINTS - 10) * STEP
+"""Where an episode is won [m]."""
+HULL = ((-30.0, 9.0), (6.0, 9.0), (34.0, 1.0), (34.0, -8.0), (-30.0, -8.0))
+LEG_WIDTH, LEG_HEIGHT = 8.0 / _NOMINAL_SCALE, 34.0 / _NOMINAL_SCALE
+_LEG_DOWN = -8.0 / _NOMINAL_SCALE
+_PUSH = 5.0
+"""Largest force on the hull in the first step [N]."""
+_RANGE = 160.0 / _NOMINAL_SCALE
+_RAYS = 10
+_NEAR = math.ceil(_RANGE / STEP) + 2
+"""Pieces of ground that a ray can meet."""
+
+N_NOISE = 2
+"""Uniform random numbers that start an episode; all its luck follows from them, see `luck`."""
+ROUGH, PATCHES = POINTS - FLAT - 1, (POINTS - FLAT) // 5 + 1
+"""Numbers that slopes and the distances of level pieces take."""
+
+_GROUND, _WALKER = 0x0001, 0x0020
+_SPREAD = 0.05
+"""Angle of each leg at the start [rad]; hips count from there."""
+_BENT = np.array([-_SPREAD, 0.0, _SPREAD, 0.0], np.float32)
+_SHOWN_BENT = np.array([0.0, 1.0, 0.0, 1.0])
+"""What observations add to the angles of hips and knees."""
+_SPEEDS32 = np.array(SPEEDS, np.float32)
+_AHEAD = np.array([math.sin(1.5 * i / 10.0) * _RANGE for i in range(_RAYS)])
+_BELOW = np.array([math.cos(1.5 * i / 10.0) * _RANGE for i in range(_RAYS)])
+
+
+class Constants(NamedTuple):
+    """What a context changes."""
+
+    gravity: float
+    friction: float
+    scale: float
+
+
+def luck(noise: Array) -> Array:
+    """(ROUGH + PATCHES + 1,) uniform numbers: for slopes, distances of level pieces, and the push.
+
+    Args:
+        noise: (2,) uniform numbers in [0, 1); what they have beyond 24 bits does not count.
+    """
+    words = np.floor(np.asarray(noise, np.float32) * np.float32(2**24)).astype(np.uint32)
+    return np.random.default_rng(words).random(ROUGH + PATCHES + 1)
+
+
+def heights(luck: Array, scale: float) -> list[float]:
+    """(200,) heights of the ground [m]: a random walk that is drawn back, with level pieces.
+
+    Args:
+        luck: uniform numbers; see the function.
+        scale: the larger, the smoother.
+    """
+    slopes, patches = luck[:ROUGH].tolist(), luck[ROUGH:-1].tolist()
+    y, slope, left, level, found = HEIGHT, 0.0, FLAT, False, []
+    slopes.reverse()
+    patches.reverse()
+    for i in range(POINTS):
+        if not level:
+            slope = 0.8 * slope + 0.01 * ((y < HEIGHT) - (y > HEIGHT))
+            if i > FLAT:
+                slope += (2.0 * slopes.pop() - 1.0) / scale
+            y += slope
+        level = False
+        found.append(y)
+        left -= 1
+        if left == 0:
+            left, level = 5 + int(5.0 * patches.pop()), True
+    return found
+
+
+class Walker:
+    """A walker on its ground.
+
+    Attributes:
+        scale: of its context.
+        world: of Box2D.
+        bodies: hull, thigh, shin, thigh, shin.
+        ground: (199, 7) float32: of each piece its first point, its extent, its normal and the
+            square of its length.
+        contact: whether hull, thighs and shins touch the ground; as in Gymnasium a shin that leaves
+            one piece of it counts as in the air, and the hull as fallen for ever.
+        progress: what the way so far is worth; None before the first step.
+    """
+
+    __slots__ = (
+        "_joints",
+        "_listener",
+        "bodies",
+        "contact",
+        "ground",
+        "progress",
+        "scale",
+        "world",
+    )
+
+    def __init__(self, constants: Constants, luck: Array) -> None:
+        """At its start.
+
+        Args:
+            constants: of its context.
+            luck: uniform numbers; see the function.
+
+        Raises:
+            ContextMismatch: Box2D cannot have such a hull.
+        """
+        self.scale = float(constants.scale)
+        self.world = Box2D.b2World(gravity=(0.0, -float(constants.gravity)))
+        self.ground = self._lay(heights(luck, self.scale), float(constants.friction))
+        try:
+            self.bodies, self._joints = self._build()
+        except (AssertionError, ValueError) as error:
+            raise ContextMismatch(
+                f"a walker needs a hull that Box2D can compute with, got scale {self.scale:g} "
+                f"({error}); the smaller the scale, the larger the hull"
+            ) from error
+        push = -_PUSH + 2.0 * _PUSH * float(luck[-1])
+        self.bodies[0].ApplyForceToCenter((push, 0.0), True)
+        self.contact = [False] * len(self.bodies)
+        self.progress: float | None = None
+        self._listener = _Touch(self.contact)
+        self.world.contactListener = self._listener
+
+    def close(self) -> None:
+        """Give its memory back now; nothing may be asked any more."""
+        self.world.contactListener = None
+        self.bodies = self._joints = ()
+
+    def push(self, speeds: Sequence[float], torques: Sequence[float]) -> list[float]:
+        """One step of the motors.
+
+        Returns:
+            Angles of the five bodies, their angular speeds, place and speed of the hull.
+        """
+        for joint, speed, torque in zip(self._joints, speeds, torques, strict=True):
+            joint.motorSpeed = speed
+            joint.maxMotorTorque = torque
+        self.world.Step(1.0 / FPS, 180, 60)
+        bodies = self.bodies
+        place, speed = bodies[0].position, bodies[0].linearVelocity
+        found = [body.angle for body in bodies]
+        found += [body.angularVelocity for body in bodies]
+        found += (place.x, place.y, speed.x, speed.y)
+        return found
+
+    def _lay(self, ys: Sequence[float], friction: float) -> NDArray[np.float32]:
+        body, edge = self.world.CreateStaticBody(), Box2D.b2EdgeShape()
+        piece = Box2D.b2FixtureDef(shape=edge, friction=friction, categoryBits=_GROUND)
+        points = [(i * STEP, y) for i, y in enumerate(ys)]
+        for first, second in pairwise(points):
+            edge.vertex1, edge.vertex2 = first, second
+            piece.shape = edge
+            body.CreateFixture(piece)
+        ends = np.array(points, np.float32)
+        v1, e = ends[:-1], ends[1:] - ends[:-1]
+        squared = e[:, 0] * e[:, 0] + e[:, 1] * e[:, 1]
+        normal = (
+            np.stack([e[:, 1], -e[:, 0]], axis=1) * (np.float32(1.0) / np.sqrt(squared))[:, None]
+        )
+        return np.concatenate([v1, e, normal, squared[:, None]], axis=1)
+
+    def _build(self) -> tuple[Any, Any]:
+        x, y = STEP * FLAT / 2.0, HEIGHT + 2.0 * LEG_HEIGHT
+        hull = self.world.CreateDynamicBody(
+            position=(x, y),
+            fixtures=_part([(a / self.scale, b / self.scale) for a, b in HULL], 5.0, friction=0.1),
+        )
+        hull.userData = 0
+        bodies, joints = [hull], []
+
+        def hang(above: Any, down: float, width: float, angle: float, **joint: float) -> Any:
+            """A part of a leg below another body; `down` is where they meet on that."""
+            body = self.world.CreateDynamicBody(
+                position=(x, y - LEG_HEIGHT * (0.5 if above is hull else 1.5) - _LEG_DOWN),
+                angle=angle,
+                fixtures=_part((width / 2.0, LEG_HEIGHT / 2.0), 1.0),
+            )
+            body.userData = len(bodies)
+            bodies.append(body)
+            meets = Box2D.b2RevoluteJointDef(
+                bodyA=above,
+                bodyB=body,
+                localAnchorA=(0.0, down),
+                localAnchorB=(0.0, LEG_HEIGHT / 2.0),
+                enableMotor=True,
+                enableLimit=True,
+                maxMotorTorque=TORQUE,
+                **joint,
+            )
+            joints.append(self.world.CreateJoint(meets))
+            return body
+
+        for side in (-1, 1):
+            angle, hip = side * _SPREAD, {"lowerAngle": -0.8, "upperAngle": 1.1}
+            thigh = hang(hull, _LEG_DOWN, LEG_WIDTH, angle, motorSpeed=side, **hip)
+            knee = {"lowerAngle": -1.6, "upperAngle": -0.1}
+            hang(thigh, -LEG_HEIGHT / 2.0, 0.8 * LEG_WIDTH, angle, motorSpeed=1.0, **knee)
+        return bodies, joints
+
+
+def advance(
+    walkers: Sequence[Walker], action: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_]]:
+    """One step of each walker.
+
+    Args:
+        walkers: n of them.
+        action: (n, 4) motors; clipped to +-1. A walker whose action is not a number stays where it
+            is, and what it sees and earns is not a number.
+
+    Returns:
+        (n, 24) what is seen, (n,) rewards, and (n,) whether it has fallen or is at the end.
+    """
+    strength = np.minimum(np.abs(action), np.float32(1.0))
+    torques, speeds = (np.float32(TORQUE) * strength), _SPEEDS32 * np.sign(action)
+    lost = np.logical_not(np.all(np.isfinite(action), axis=1))
+    moves = zip(walkers, list(lost), speeds.tolist(), torques.tolist(), strict=True)
+    rows = [
+        [math.nan] * 14 if nowhere else walker.push(speed, torque)
+        for walker, nowhere, speed, torque in moves
+    ]
+    now = np.array(rows, np.float32)  # they are of single precision
+    angles, spins = now[:, :5], now[:, 5:10]
+    x, y = now[:, 10].astype(float), now[:, 11].astype(float)
+    scale = np.array([walker.scale for walker in walkers])
+    contact = np.array([walker.contact for walker in walkers])
+    above = [0, 1, 0, 3]  # of thigh, shin, thigh, shin
+    bent = (angles[:, 1:] - angles[:, above] - _BENT).astype(float) + _SHOWN_BENT
+    turned = (spins[:, 1:] - spins[:, above]).astype(float) / SPEEDS
+    seen = np.empty((len(walkers), N_FEATURES))
+    seen[:, 0] = angles[:, 0]
+    seen[:, 1] = 2.0 * spins[:, 0].astype(float) / FPS
+    seen[:, 2] = 0.3 * now[:, 12].astype(float) * (600.0 / scale) / FPS
+    seen[:, 3] = 0.3 * now[:, 13].astype(float) * (400.0 / scale) / FPS
+    for leg, at in enumerate((4, 9)):
+        both = slice(2 * leg, 2 * leg + 2)
+        seen[:, at : at + 4 : 2], seen[:, at + 1 : at + 4 : 2] = bent[:, both], turned[:, both]
+        seen[:, at + 4] = contact[:, 2 * leg + 2]
+    seen[:, 14:] = _ranges(walkers, x, y)
+    progress = 130.0 * x / scale - 5.0 * np.abs(seen[:, 0])
+    before = np.array([walker.progress for walker in walkers], float)  # None becomes NaN
+    gain = np.where(np.isnan(before) & ~lost, 0.0, progress - before)
+    for walker, worth in zip(walkers, progress.tolist(), strict=True):
+        walker.progress = worth
+    reward = gain - 0.00035 * TORQUE * strength.sum(axis=1, dtype=float)
+    fallen = contact[:, 0] | (x < 0.0)
+    reward[fallen & ~lost] = -100.0
+    seen[lost] = math.nan
+    return seen.astype(np.float32), reward, fallen | (x > END) | ~np.isfinite(x)
+
+
+def _ranges(walkers: Sequence[Walker], x: Array, y: Array) -> NDArray[np.float32]:
+    """(n, 10) share of the range finder's reach that is free along each ray.
+
+    In the order of Box2D's operations, in single precision, so that the numbers are its own.
+    """
+    first = np.fmin(np.fmax(x / STEP - 1.0, 0.0), POINTS - 1 - _NEAR).astype(int).tolist()
+    near = [walker.ground[k : k + _NEAR] for walker, k in zip(walkers, first, strict=True)]
+    v1x, v1y, ex, ey, nx, ny, squared = np.stack(near).transpose(2, 0, 1)[:, :, None]
+    p1x, p1y = (p.astype(np.float32)[:, None] for p in (x, y))
+    dx = ((x[:, None] + _AHEAD).astype(np.float32) - p1x)[..., None]
+    dy = ((y[:, None] - _BELOW).astype(np.float32) - p1y)[..., None]
+    p1x, p1y = p1x[..., None], p1y[..., None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (nx * (v1x - p1x) + ny * (v1y - p1y)) / (nx * dx + ny * dy)
+        s = ((p1x + t * dx - v1x) * ex + (p1y + t * dy - v1y) * ey) / squared
+        hit = (t >= 0.0) & (t <= 1.0) & (s >= 0.0) & (s <= 1.0)
+    found: NDArray[np.float32] = np.where(hit, t, np.float32(1.0)).min(axis=-1)
+    return found
+
+
+def _part(shape: Any, density: float, **more: float) -> Any:
+    """A fixture: a polygon, or a box of half a width and half a height."""
+    box = isinstance(shape, tuple)
+    polygon = Box2D.b2PolygonShape(box=shape) if box else Box2D.b2PolygonShape(vertices=shape)
+    bits = {"categoryBits": _WALKER, "maskBits": _GROUND}
+    return Box2D.b2FixtureDef(shape=polygon, density=density, restitution=0.0, **bits, **more)
+
+
+class _Touch(Box2D.b2ContactListener):  # type: ignore[misc]  # it has no types
+    """Notes which body touches the ground."""
+
+    def __init__(self, contact: list[bool]) -> None:
+        super().__init__()
+        self._contact = contact
+
+    def BeginContact(self, contact: Any) -> None:
+        self._contact[_who(contact)] = True
+
+    def EndContact(self, contact: Any) -> None:
+        who = _who(contact)
+        if who:  # a hull that has touched the ground has fallen
+            self._contact[who] = False
+
+
+def _who(contact: Any) -> int:
+    """Number of the body; the ground has none."""
+    one = contact.fixtureA.body.userData
+    number: int = contact.fixtureB.body.userData if one is None else one
+    return number
