@@ -67,16 +67,18 @@ def test_grids_and_constants_of_traffic(id):
     assert cmdp.floor == (-100.0 if id.startswith("signal") else None)
 
 
-def test_the_seventeen_ids():
+def test_the_ids():
     control = ["cartpole-masscart", "cartpole-length", "cartpole-masspole"]
     control += ["cartpole-masses-length"]
     control += ["pendulum-length", "pendulum-mass", "pendulum-timestep"]
-    assert cmdp_ids() == [*control, *TRAFFIC]
+    robots = ["cheetah-gravity", "cheetah-friction", "cheetah-stiffness"]
+    assert cmdp_ids() == [*control, *robots, *TRAFFIC]
 
 
 def test_where_the_paper_s_text_and_scripts_disagree():
     differ = [id for id in cmdp_ids() if get_cmdp(id, grid="paper").space != get_cmdp(id).space]
-    assert differ == ["signal-length", "signal-speed", "eco-green"]
+    robots = ["cheetah-gravity", "cheetah-friction"]
+    assert differ == [*robots, "signal-length", "signal-speed", "eco-green"]
     assert get_cmdp("eco-green", grid="paper").space.values("green")[-1] == 175.0
 
 
