@@ -24,6 +24,7 @@ from mbtl.arrays import Array
 from mbtl.cmdps.contextual import ContextualEnv, Observation, TimeLimit, Visibility
 from mbtl.cmdps.locomotion.cheetah_model import MOTORS, SUBSTEPS, new_model
 from mbtl.contexts import Value
+from mbtl.errors import SimulationFailed
 
 STEP = 0.05
 """Seconds between two actions."""
@@ -34,6 +35,7 @@ N_FEATURES = 17
 """Of an observation: all positions but the way run, and all speeds."""
 N_NOISE = 2 * N_POSITIONS
 """Uniform random numbers that start an episode."""
+_PICTURE = (240, 320)
 _SPREAD = 0.1
 _LEAST = 2.0**-24  # of uniform numbers: normal ones must be finite
 
@@ -72,6 +74,8 @@ class HalfCheetah(ContextualEnv):
     actions. Actions beyond +-1 act as +-1 but cost what they are, as in Gymnasium.
     """
 
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}
+
     FEATURES: ClassVar[Mapping[str, float]] = {
         "gravity": 9.81,  # m/s^2
         "friction": 0.4,
@@ -86,6 +90,7 @@ class HalfCheetah(ContextualEnv):
         visibility: Visibility = "multiplier",
         time_limit: TimeLimit = "truncation",
         horizon: int = 1000,
+        render_mode: str | None = None,
     ) -> None:
         """Make the model of one context.
 
@@ -97,10 +102,13 @@ class HalfCheetah(ContextualEnv):
             time_limit: whether the horizon is reported as truncation or as a terminal state (the
                 reference).
             horizon: steps.
+            render_mode: "rgb_array": `render` gives images, drawn with OpenGL.
         """
         super().__init__(
             context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
         )
+        self.render_mode = render_mode
+        self._renderer: Any = None
         self.constants = derive(self.features)
         self.model = new_model()
         self.model.opt.gravity[2] = -self.constants.gravity
@@ -156,6 +164,30 @@ class HalfCheetah(ContextualEnv):
             out_of_time and not self._terminal,
             {},
         )
+
+    def render(self) -> Any:
+        """(240, 320, 3) uint8, seen from the side.
+
+        Raises:
+            SimulationFailed: MuJoCo finds no OpenGL.
+        """
+        if self._renderer is None:
+            try:
+                self._renderer = mujoco.Renderer(self.model, *_PICTURE)
+            except Exception as error:  # each of its platforms has errors of its own
+                raise SimulationFailed(
+                    "MuJoCo draws with OpenGL and found none that works "
+                    f"({type(error).__name__}); without a screen set MUJOCO_GL=egl or "
+                    "MUJOCO_GL=osmesa in the environment"
+                ) from error
+        self._renderer.update_scene(self.data, camera="track")
+        return self._renderer.render()
+
+    def close(self) -> None:
+        """Give back what drew the pictures."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
 
     def _seen(self) -> Observation:
         data = self.data

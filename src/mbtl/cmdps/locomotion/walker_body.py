@@ -11,16 +11,20 @@ ground's length stay as they are (cmdp-spec, 4.3).
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-import Box2D
 import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import ContextMismatch
+
+with warnings.catch_warnings():  # where its own is made an error, the import ends the process
+    warnings.simplefilter("ignore")
+    import Box2D
 
 FPS = 50
 TORQUE = 80.0

@@ -56,6 +56,7 @@ class PPORecipe:
         hidden: widths of the hidden layers of actor and critic.
         log_std: initial log standard deviation of a Gaussian policy.
         activation: between the layers.
+        standardize: learn from observations with mean 0 and deviation 1; see `units`.
 
     Raises:
         InvalidInput: a count is below 1, or the minibatches do not fill the rollout.
@@ -79,6 +80,7 @@ class PPORecipe:
     hidden: tuple[int, ...] = (64, 64)
     log_std: float = 0.0
     activation: Activation = "tanh"
+    standardize: bool = False
 
     def __post_init__(self) -> None:
         check_counts(self, "n_envs", "n_steps", "batch_size", "n_epochs")
