@@ -77,7 +77,7 @@ def test_gravity_is_that_of_the_context():
         for body in walker.bodies:
             body.position = (body.position.x, body.position.y + 50.0)
         walker.push([0.0] * 4, [0.0] * 4)
-        speeds[gravity] = walker.push([0.0] * 4, [0.0] * 4)[-1]
+        speeds[gravity] = walker.push([0.0] * 4, [0.0] * 4)[13]
     assert speeds == {g: pytest.approx(-2 * g / 50, rel=1e-3) for g in (1.0, 10.0)}
 
 
@@ -109,6 +109,14 @@ def test_a_walker_that_falls_loses_a_hundred_and_the_episode():
     assert (reward, truncated) == (-100.0, False)
     with pytest.raises(InvalidInput, match="reset"):
         env.step(action)
+
+
+def test_unguided_it_stands_still_at_little_cost():
+    env = BipedalWalker()
+    env.reset(seed=0)
+    steps = [env.drive() for _ in range(1000)]
+    assert [step[2] for step in steps] == [False] * 1000
+    assert -20 < sum(step[1] for step in steps) < 0
 
 
 @pytest.mark.parametrize("time_limit", ["truncation", "terminal"])

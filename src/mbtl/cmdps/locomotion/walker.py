@@ -22,6 +22,7 @@ from mbtl.cmdps.locomotion.walker_body import (
     FPS,
     N_MOTORS,
     N_NOISE,
+    STANCE,
     Constants,
     Walker,
     advance,
@@ -98,8 +99,8 @@ class BipedalWalker(ContextualEnv):
         return self._shown(seen[0]), {}
 
     def drive(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """One step without torque: standing still, as far as that goes."""
-        return self.step(np.zeros(N_MOTORS))
+        """One step of standing still, where that goes: the unguided baseline."""
+        return self.step(STANCE)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One step; actions beyond +-1 act as +-1.

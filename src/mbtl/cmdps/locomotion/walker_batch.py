@@ -15,7 +15,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.cmdps.contextual import TimeLimit
-from mbtl.cmdps.locomotion.walker_body import N_FEATURES, N_MOTORS, N_NOISE
+from mbtl.cmdps.locomotion.walker_body import N_FEATURES, N_MOTORS, N_NOISE, STANCE
 from mbtl.cmdps.locomotion.walker_herd import Herd, LocalHerd, SharedHerd
 from mbtl.processes import native_threads
 from mbtl.worlds import Box
@@ -39,7 +39,7 @@ class BipedalWalkers:
     horizon: int = 1000
     time_limit: TimeLimit = "truncation"
     action: Box = _MOTORS
-    idle: tuple[float, ...] = (0.0,) * N_MOTORS
+    idle: tuple[float, ...] = STANCE
 
     shapes: ClassVar[tuple[tuple[str, tuple[int, ...]], ...]] = (("walker", ()),)
     n_features: ClassVar[int] = N_FEATURES

@@ -31,6 +31,8 @@ TORQUE = 80.0
 SPEEDS = (4.0, 6.0, 4.0, 6.0)
 """Of hips and knees [rad/s], at full speed."""
 N_MOTORS, N_FEATURES = 4, 24
+STANCE = (-0.2, 0.0, 0.2, 0.0)
+"""An action with which it stands still: hips held apart. Without any torque it falls."""
 
 _NOMINAL_SCALE = 30.0
 STEP = 14.0 / _NOMINAL_SCALE
@@ -61,9 +63,16 @@ ROUGH, PATCHES = POINTS - FLAT - 1, (POINTS - FLAT) // 5 + 1
 _GROUND, _WALKER = 0x0001, 0x0020
 _SPREAD = 0.05
 """Angle of each leg at the start [rad]; hips count from there."""
-_BENT = np.array([-_SPREAD, 0.0, _SPREAD, 0.0], np.float32)
-_SHOWN_BENT = np.array([0.0, 1.0, 0.0, 1.0])
-"""What observations add to the angles of hips and knees."""
+
+# What a step measures, see `Walker.push`, and where it is seen.
+N_MEASURED = 19
+_HULL, _HULL_FACTORS = [0, 5, 12, 13], np.array([1.0, 2.0, 0.3, 0.3])
+_PARTS, _ABOVE = [1, 2, 3, 4, 6, 7, 8, 9], [0, 1, 0, 3, 5, 6, 5, 8]
+"""Angles and speeds of thigh, shin, thigh, shin, and of what they hang on."""
+_BENT = np.array([-_SPREAD, 0.0, _SPREAD, 0.0, 0.0, 0.0, 0.0, 0.0], np.float32)
+_OFFSET = np.array([0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+_FULL = np.array([1.0, 1.0, 1.0, 1.0, *SPEEDS])
+_JOINTS_AT, _FEET, _FEET_AT = [4, 6, 9, 11, 5, 7, 10, 12], [16, 18], [8, 13]
 _SPEEDS32 = np.array(SPEEDS, np.float32)
 _AHEAD = np.array([math.sin(1.5 * i / 10.0) * _RANGE for i in range(_RAYS)])
 _BELOW = np.array([math.cos(1.5 * i / 10.0) * _RANGE for i in range(_RAYS)])
@@ -119,7 +128,7 @@ class Walker:
         scale: of its context.
         world: of Box2D.
         bodies: hull, thigh, shin, thigh, shin.
-        ground: (199, 7) float32: of each piece its first point, its extent, its normal and the
+        ground: (7, 199) float32: of each piece its first point, its extent, its normal and the
             square of its length.
         contact: whether hull, thighs and shins touch the ground; as in Gymnasium a shin that leaves
             one piece of it counts as in the air, and the hull as fallen for ever.
@@ -173,7 +182,8 @@ class Walker:
         """One step of the motors.
 
         Returns:
-            Angles of the five bodies, their angular speeds, place and speed of the hull.
+            N_MEASURED numbers: angles of the five bodies, their angular speeds, place and speed of
+            the hull, and which bodies touch the ground.
         """
         for joint, speed, torque in zip(self._joints, speeds, torques, strict=True):
             joint.motorSpeed = speed
@@ -184,6 +194,7 @@ class Walker:
         found = [body.angle for body in bodies]
         found += [body.angularVelocity for body in bodies]
         found += (place.x, place.y, speed.x, speed.y)
+        found += self.contact
         return found
 
     def _lay(self, ys: Sequence[float], friction: float) -> NDArray[np.float32]:
@@ -200,7 +211,7 @@ class Walker:
         normal = (
             np.stack([e[:, 1], -e[:, 0]], axis=1) * (np.float32(1.0) / np.sqrt(squared))[:, None]
         )
-        return np.concatenate([v1, e, normal, squared[:, None]], axis=1)
+        return np.ascontiguousarray(np.concatenate([v1, e, normal, squared[:, None]], axis=1).T)
 
     def _build(self) -> tuple[Any, Any]:
         x, y = STEP * FLAT / 2.0, HEIGHT + 2.0 * LEG_HEIGHT
@@ -259,56 +270,52 @@ def advance(
     lost = np.logical_not(np.all(np.isfinite(action), axis=1))
     moves = zip(walkers, list(lost), speeds.tolist(), torques.tolist(), strict=True)
     rows = [
-        [math.nan] * 14 if nowhere else walker.push(speed, torque)
+        [math.nan] * N_MEASURED if nowhere else walker.push(speed, torque)
         for walker, nowhere, speed, torque in moves
     ]
     now = np.array(rows, np.float32)  # they are of single precision
-    angles, spins = now[:, :5], now[:, 5:10]
-    x, y = now[:, 10].astype(float), now[:, 11].astype(float)
     scale = np.array([walker.scale for walker in walkers])
-    contact = np.array([walker.contact for walker in walkers])
-    above = [0, 1, 0, 3]  # of thigh, shin, thigh, shin
-    bent = (angles[:, 1:] - angles[:, above] - _BENT).astype(float) + _SHOWN_BENT
-    turned = (spins[:, 1:] - spins[:, above]).astype(float) / SPEEDS
     seen = np.empty((len(walkers), N_FEATURES))
-    seen[:, 0] = angles[:, 0]
-    seen[:, 1] = 2.0 * spins[:, 0].astype(float) / FPS
-    seen[:, 2] = 0.3 * now[:, 12].astype(float) * (600.0 / scale) / FPS
-    seen[:, 3] = 0.3 * now[:, 13].astype(float) * (400.0 / scale) / FPS
-    for leg, at in enumerate((4, 9)):
-        both = slice(2 * leg, 2 * leg + 2)
-        seen[:, at : at + 4 : 2], seen[:, at + 1 : at + 4 : 2] = bent[:, both], turned[:, both]
-        seen[:, at + 4] = contact[:, 2 * leg + 2]
-    seen[:, 14:] = _ranges(walkers, x, y)
-    progress = 130.0 * x / scale - 5.0 * np.abs(seen[:, 0])
+    hull = now[:, _HULL] * _HULL_FACTORS
+    hull[:, 2] *= 600.0 / scale
+    hull[:, 3] *= 400.0 / scale
+    hull[:, 1:] /= FPS
+    seen[:, :4] = hull
+    seen[:, _JOINTS_AT] = (now[:, _PARTS] - now[:, _ABOVE] - _BENT + _OFFSET) / _FULL
+    seen[:, _FEET_AT] = now[:, _FEET]
+    seen[:, 14:] = _ranges(walkers, now)
+    x = now[:, 10].astype(float)
+    progress = 130.0 * x / scale - 5.0 * np.abs(hull[:, 0])
     before = np.array([walker.progress for walker in walkers], float)  # None becomes NaN
     gain = np.where(np.isnan(before) & ~lost, 0.0, progress - before)
     for walker, worth in zip(walkers, progress.tolist(), strict=True):
         walker.progress = worth
     reward = gain - 0.00035 * TORQUE * strength.sum(axis=1, dtype=float)
-    fallen = contact[:, 0] | (x < 0.0)
-    reward[fallen & ~lost] = -100.0
+    fallen = (now[:, 14] > 0.0) | (x < 0.0)
+    reward[fallen] = -100.0
     seen[lost] = math.nan
     return seen.astype(np.float32), reward, fallen | (x > END) | ~np.isfinite(x)
 
 
-def _ranges(walkers: Sequence[Walker], x: Array, y: Array) -> NDArray[np.float32]:
+def _ranges(walkers: Sequence[Walker], now: NDArray[np.float32]) -> NDArray[np.float32]:
     """(n, 10) share of the range finder's reach that is free along each ray.
 
     In the order of Box2D's operations, in single precision, so that the numbers are its own.
     """
-    first = np.fmin(np.fmax(x / STEP - 1.0, 0.0), POINTS - 1 - _NEAR).astype(int).tolist()
-    near = [walker.ground[k : k + _NEAR] for walker, k in zip(walkers, first, strict=True)]
-    v1x, v1y, ex, ey, nx, ny, squared = np.stack(near).transpose(2, 0, 1)[:, :, None]
-    p1x, p1y = (p.astype(np.float32)[:, None] for p in (x, y))
-    dx = ((x[:, None] + _AHEAD).astype(np.float32) - p1x)[..., None]
-    dy = ((y[:, None] - _BELOW).astype(np.float32) - p1y)[..., None]
-    p1x, p1y = p1x[..., None], p1y[..., None]
+    last = POINTS - 1 - _NEAR
+    first = np.fmin(np.fmax(now[:, 10] / STEP - 1.0, 0.0), last).astype(int).tolist()
+    near = [walker.ground[:, k : k + _NEAR] for walker, k in zip(walkers, first, strict=True)]
+    v1x, v1y, ex, ey, nx, ny, squared = np.stack(near, axis=1)[:, :, None]
+    x, y = now[:, 10, None], now[:, 11, None]
+    dx = ((x + _AHEAD).astype(np.float32) - x)[..., None]
+    dy = ((y - _BELOW).astype(np.float32) - y)[..., None]
+    x, y = x[..., None], y[..., None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = (nx * (v1x - p1x) + ny * (v1y - p1y)) / (nx * dx + ny * dy)
-        s = ((p1x + t * dx - v1x) * ex + (p1y + t * dy - v1y) * ey) / squared
+        t = (nx * (v1x - x) + ny * (v1y - y)) / (nx * dx + ny * dy)
+        s = ((x + t * dx - v1x) * ex + (y + t * dy - v1y) * ey) / squared
         hit = (t >= 0.0) & (t <= 1.0) & (s >= 0.0) & (s <= 1.0)
-    found: NDArray[np.float32] = np.where(hit, t, np.float32(1.0)).min(axis=-1)
+    t[~hit] = 1.0
+    found: NDArray[np.float32] = t.min(axis=-1)
     return found
 
 

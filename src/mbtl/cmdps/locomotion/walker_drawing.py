@@ -30,12 +30,12 @@ def draw(walker: Walker) -> Image:
     left, bottom = x - 0.3 * width, y - 0.6 * _SHAPE * width
     window = Window(left, bottom, left + width, bottom + _SHAPE * width)
     canvas = Canvas(window, _SKY, WIDTH)
-    first = np.searchsorted(walker.ground[:, 0], (left - STEP, left + width))
-    for ax, ay, ex, ey in walker.ground[slice(*first), :4].astype(float):
+    first = np.searchsorted(walker.ground[0], (left - STEP, left + width))
+    for ax, ay, ex, ey in walker.ground[:4, slice(*first)].T.astype(float):
         below = min(ay, ay + ey, bottom) - 1.0
         piece = [(ax, ay), (ax + ex + 0.01, ay + ey), (ax + ex + 0.01, below), (ax, below)]
         canvas.area(np.array(piece), _GROUND)
-    height = float(walker.ground[min(int(END / STEP), len(walker.ground) - 1), 1])
+    height = float(walker.ground[1, int(END / STEP)])
     canvas.line(np.array([[END, height], [END, height + 2.0]]), canvas.at_least(0.05), _FLAG)
     for number in _ORDER:
         canvas.area(parts[number], _COLOURS[number])
