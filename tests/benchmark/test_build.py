@@ -187,15 +187,20 @@ def test_what_the_system_gives_without_a_policy_is_played_once(tmp_path):
     np.testing.assert_array_equal(one.references()["unguided"], [[1.0, 2.0]] * 5)
 
 
-def test_a_failure_keeps_what_was_done(tmp_path):
-    def fails_at_two(context, seed):
-        if context["x"] == 2.0:
-            raise TrainingFailed("diverged")
-        return train(context, seed)
+def fails_at_two(context, seed):
+    if context["x"] == 2.0:
+        raise TrainingFailed("diverged")
+    return train(context, seed)
 
-    with pytest.raises(TrainingFailed, match="diverged"):
-        building(tmp_path, FunctionTrainer(fails_at_two, evaluate)).run()
-    assert len(list((tmp_path / "work").glob("sources-*.npz"))) == 2
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_training_that_fails_leaves_the_others_alone(tmp_path, workers):
+    build = building(tmp_path, FunctionTrainer(fails_at_two, evaluate))
+    with pytest.raises(TrainingFailed, match=r"got none of source 2 \(diverged\)"):
+        build.run(workers)
+    assert len(list((tmp_path / "work").glob("sources-*.npz"))) == 4
+    with pytest.raises(StorageError, match="1 are missing"):
+        build.returns(ONLY)
 
 
 def test_a_folder_of_another_matrix_is_refused(tmp_path):
@@ -233,3 +238,15 @@ def test_rows_along_a_training_are_of_the_weights_on_the_way(tmp_path):
 def test_rows_along_a_training_need_a_trainer_that_keeps_weights(tmp_path):
     with pytest.raises(InvalidInput, match="keeps weights on the way"):
         building(tmp_path, FunctionTrainer(train, evaluate), along=Along(2))
+
+
+def test_every_second_context_is_trained_on_and_all_are_targets(tmp_path):
+    building = Build(Several(), SPACE, 3, tmp_path, SETTINGS, keep=("best",), lanes=2, every=2)
+    seen = []
+    building.run(on_piece=lambda done, total: seen.append((done, total)))
+    assert seen == [(0, 3), (2, 3), (3, 3)]
+    np.testing.assert_allclose(building.returns("best").mean(axis=2), expected()[::2])
+    with pytest.raises(InvalidInput, match="every"):
+        Build(Several(), SPACE, 3, tmp_path, SETTINGS, keep=("best",), lanes=2).run()
+    with pytest.raises(InvalidInput, match="every must be from 1"):
+        Build(Several(), SPACE, 3, tmp_path, SETTINGS, every=6)

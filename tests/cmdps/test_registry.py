@@ -243,7 +243,8 @@ def test_registering_again_changes_nothing():
     "ignore:.*symmetric and normalized space"
 )  # torques of +-2 are the task
 def test_gymnasium_s_own_checker_agrees(id):
-    check_env(gymnasium.make(gym_id(id)).unwrapped)
+    # to draw takes OpenGL, which not every machine has
+    check_env(gymnasium.make(gym_id(id)).unwrapped, skip_render_check=True)
 
 
 def test_stable_baselines3_s_own_checker_agrees():

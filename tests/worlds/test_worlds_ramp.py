@@ -15,7 +15,8 @@ import jax.numpy as jnp
 
 from mbtl.cmdps.traffic.twins import RampProblem
 from mbtl.errors import ContextMismatch
-from mbtl.training.jax.episodic.episodes import Episodes
+from mbtl.training.jax import networks
+from mbtl.training.jax.episodic.episodes import Actor, Episodes, record, scores
 from mbtl.training.jax.episodic.recipes import TRPORecipe
 from mbtl.training.jax.episodic.returns import Returns, advantages
 from mbtl.worlds.traffic.idm import IDM
@@ -118,6 +119,39 @@ def test_cars_that_found_no_room_are_counted(driven):
     assert (np.asarray(counts.missed) > 0).all()
     assert (np.asarray(counts.missed) < 26).all()
     assert (np.asarray(counts.collided) == 0).all()
+
+
+@pytest.mark.parametrize("obs", ["fresh", "stale"])
+def test_ramps_of_several_holds_live_together_as_they_do_alone(obs):
+    contexts = [{"hold": hold} for hold in (1.0, 3.0, 4.0)]
+    twin, each = RampProblem("acceleration", obs=obs, visibility="multiplier")(contexts)
+    twin = replace(twin, warm_up=600, unmeasured=20, total_steps=100)
+    together = jax.tree.map(lambda *x: jnp.stack(x), *each)
+    seeds = np.arange(6, dtype=np.uint32).reshape(3, 2)
+    weights = networks.stack([networks.init_weights(i, 9, twin.action, (8,)) for i in range(3)])
+    actor = Actor(weights.actor, weights.log_std, weights.critic)
+    params = jax.tree.map(lambda x: jnp.repeat(x, 2, axis=0), together)
+    beats = twin.decisions(together)
+    assert beats == (10, 12, 10)  # three holds of 4 s, of 1 s each, are the longest episode
+    recorded = jax.jit(record, static_argnums=(0, 1, 2))
+    mixed = recorded(twin, "tanh", beats, actor, seeds, params)
+    judged = scores(twin, "tanh", "mean", actor, seeds, seeds, params, beats)
+    for p, own in enumerate(each):
+        some = jax.tree.map(lambda x, p=p: x[p : p + 1], actor)
+        count, its = twin.decisions(own), seeds[p : p + 1]
+        alone = recorded(twin, "tanh", count, some, its, own)
+        later = slice(10 - count, None)
+        assert not mixed.acting[p, : 10 - count].any()
+        np.testing.assert_array_equal(mixed.acting[p, later], alone.acting[0])
+        assert alone.acting.sum() > 4 * count  # several cars of each simulation
+        told = np.asarray(alone.acting[0])
+        for name in ("outputs", "action", "value", "reward", "done"):
+            found, wanted = getattr(mixed, name)[p, later], getattr(alone, name)[0]
+            np.testing.assert_allclose(found[told], wanted[told], atol=1e-4)
+        for name in ("score", "last_value", "last_acting"):
+            np.testing.assert_allclose(getattr(mixed, name)[p], getattr(alone, name)[0], atol=1e-4)
+        own_score = scores(twin, "tanh", "mean", some, its, its, own, count)
+        np.testing.assert_allclose(judged[p], own_score[0], atol=1e-4)
 
 
 @pytest.mark.long

@@ -270,3 +270,14 @@ def test_rows_without_a_policy_are_those_of_nobody_and_of_anybody():
     assert rows["unguided"][0] == pytest.approx(unguided(*ring(40.0), seeds))
     assert rows["random_actions"].shape == (1, 4)
     assert rows["random_actions"].mean() < rows["unguided"].mean()
+
+
+def test_coins_are_nearly_normal_and_independent_of_their_neighbours():
+    seeds = jnp.arange(200, dtype=jnp.uint32)
+    drawn = np.stack([random.coins(seeds, 5, jnp.int32(t), 40) for t in range(50)]).astype(float)
+    assert drawn.mean() == pytest.approx(0.0, abs=0.01)  # 400,000 of them
+    assert drawn.var() == pytest.approx(1.0, abs=0.01)
+    assert (drawn**4).mean() - 3.0 == pytest.approx(-1 / 16, abs=0.03)
+    for axis in range(3):  # moments, cars, simulations
+        later, earlier = (np.delete(drawn, k, axis) for k in (0, -1))
+        assert abs((later * earlier).mean()) < 0.01

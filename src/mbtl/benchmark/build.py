@@ -3,7 +3,7 @@
 Work is done in pieces of a few sources (`mbtl.benchmark.piece`). A piece is one file that appears
 whole or not at all, so an interrupted build goes on where it was, in any number of processes.
 
-Notation (shapes): N contexts, P sources of a piece, E episodes.
+Notation (shapes): N contexts, M of them sources, P sources of a piece, E episodes.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from mbtl.benchmark.npz import read_npz, read_text, write_npz
 from mbtl.benchmark.piece import ONLY, Piece, perform
 from mbtl.checkpoints import Along
 from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, StorageError, StudyError
+from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
 from mbtl.files import claimed_folder
 from mbtl.processes import worker_pool
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
@@ -44,6 +45,7 @@ class Build:
         lanes: sources trained together, P.
         kept: folder of policies that are only to be evaluated again; None: train.
         along: rows along the trainings, of a `ManyTrainer`, if any.
+        every: train on each so many-th context only, beginning with the first; all are targets.
     """
 
     trainer: Trainer
@@ -55,8 +57,13 @@ class Build:
     lanes: int = 1
     kept: Path | None = None
     along: Along | None = None
+    every: int = 1
 
     def __post_init__(self) -> None:
+        if not 1 <= self.every <= self.space.n:
+            raise InvalidInput(
+                f"every must be from 1 to the number of contexts ({self.space.n}), got {self.every}"
+            )
         if self.lanes < 1:
             raise InvalidInput(f"lanes must be >= 1, got {self.lanes}")
         if self.along and not isinstance(self.trainer, ManyTrainer):
@@ -69,29 +76,38 @@ class Build:
     def claim(self) -> dict[str, Any]:
         """JSON-able; what a folder must have been begun with to go on."""
         own = {"seed": self.seed, "lanes": self.lanes, "keep": self.keep}
-        return {**self.settings, **own, **({"along": asdict(self.along)} if self.along else {})}
+        more: dict[str, Any] = {"along": asdict(self.along)} if self.along else {}
+        if self.every != 1:
+            more["every"] = self.every
+        return {**self.settings, **own, **more}
+
+    @property
+    def sources(self) -> range:
+        """(M,) contexts to train on."""
+        return range(0, self.space.n, self.every)
 
     def pieces(self) -> list[Piece]:
         """All of the matrix, done or not."""
         contexts = self.space.contexts
+        groups = [
+            self.sources[first : first + self.lanes]
+            for first in range(0, len(self.sources), self.lanes)
+        ]
         return [
             Piece(
                 self.trainer,
-                range(first, min(first + self.lanes, self.space.n)),
-                contexts[first : first + self.lanes],
-                [
-                    training_seed(self.seed, MATRIX_TRIAL, source)
-                    for source in range(first, min(first + self.lanes, self.space.n))
-                ],
+                some,
+                [contexts[source] for source in some],
+                [training_seed(self.seed, MATRIX_TRIAL, source) for source in some],
                 contexts,
                 evaluation_seed(self.seed, MATRIX_TRIAL),
                 self.keep,
-                self.folder / f"sources-{first:05d}.npz",
+                self.folder / f"sources-{some[0]:05d}.npz",
                 self.kept or self.folder / "policies",
                 self.kept is None,
                 self.along,
             )
-            for first in range(0, self.space.n, self.lanes)
+            for some in groups
         ]
 
     def run(self, workers: int = 1, on_piece: Callable[[int, int], None] | None = None) -> None:
@@ -99,30 +115,36 @@ class Build:
 
         Args:
             workers: processes; with 1 this process does it itself.
-            on_piece: called with (sources done, N), first with what was there already.
+            on_piece: called with (sources done, M), first with what was there already.
 
         Raises:
             InvalidInput: the folder holds another matrix, or `workers` < 1.
             StorageError: the folder cannot be written, or another process builds in it.
             StudyError: a worker process died; or a policy that is to be evaluated again is gone.
-            TrainingFailed: a training failed; what was done before is kept.
+            TrainingFailed: a training failed; all others were done and are kept.
         """
         if workers < 1:
             raise InvalidInput(f"workers must be >= 1, got {workers}")
         with claimed_folder(self.folder, self.claim, "a transfer matrix"):
             pieces = self.pieces()
             todo = [piece for piece in pieces if not piece.path.is_file()]
-            done = self.space.n - sum(len(piece.sources) for piece in todo)
+            done = len(self.sources) - sum(len(piece.sources) for piece in todo)
             if on_piece is not None:
-                on_piece(done, self.space.n)
-            for piece in _perform_all(todo, workers):
+                on_piece(done, len(self.sources))
+            failed: list[tuple[Piece, TrainingFailed]] = []
+            for piece, error in _perform_all(todo, workers):
+                if error is not None:
+                    failed.append((piece, error))
+                    continue
                 done += len(piece.sources)
                 if on_piece is not None:
-                    on_piece(done, self.space.n)
+                    on_piece(done, len(self.sources))
+            if failed:
+                raise _some_failed(failed)
             self._refer()
 
     def returns(self, checkpoint: str) -> Floats:
-        """(N, N, E) return of every episode, axes (source, target, episode).
+        """(M, N, E) return of every episode, axes (source, target, episode).
 
         Raises:
             StorageError: pieces are missing, or were written by an older version.
@@ -130,11 +152,11 @@ class Build:
         return np.concatenate(self._entries(f"{checkpoint}_returns"))
 
     def along_returns(self) -> Floats:
-        """(2, L, N, N, E) of the rows along the trainings, in the order of `Along.names`."""
+        """(2, L, M, N, E) of the rows along the trainings, in the order of `Along.names`."""
         return np.concatenate(self._entries("along_returns"), axis=2)
 
     def lasted(self) -> NDArray[np.int64]:
-        """(N, 3) environment steps, or episodes, of each training: done, planned, of an update."""
+        """(M, 3) environment steps, or episodes, of each training: done, planned, of an update."""
         return np.concatenate(self._entries("lasted"))
 
     def seconds(self, key: str = "seconds") -> float:
@@ -198,12 +220,15 @@ class Build:
         return entries
 
 
-def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Piece]:
-    """Do all pieces; yields each when its file is there. After a failure none is begun."""
+Done = tuple[Piece, TrainingFailed | None]
+"""A piece, and why there is no file of it."""
+
+
+def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Done]:
+    """Do all pieces; yields each when it is over. After another failure none is begun."""
     if workers == 1 or len(pieces) <= 1:
         for piece in pieces:
-            perform(piece)
-            yield piece
+            yield piece, _outcome(partial(perform, piece))
         return
     todo = iter(pieces)
     with worker_pool(workers) as pool:
@@ -212,11 +237,31 @@ def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Piece]:
             while running:
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     piece = running.pop(future)
-                    future.result()
+                    outcome = _outcome(future.result)
                     running |= {pool.submit(perform, coming): coming for coming in islice(todo, 1)}
-                    yield piece
+                    yield piece, outcome
         except BrokenExecutor as error:
             raise StudyError(
                 "a worker process died (killed, or out of memory); what was done is kept: run "
                 "again, with fewer workers if memory is short"
             ) from error
+
+
+def _outcome(work: Callable[[], None]) -> TrainingFailed | None:
+    try:
+        work()
+    except TrainingFailed as error:
+        return error
+    return None
+
+
+def _some_failed(failed: Sequence[tuple[Piece, TrainingFailed]]) -> TrainingFailed:
+    sources = [str(source) for piece, _ in failed for source in piece.sources]
+    which = ", ".join(sources[:10]) + (", ..." if len(sources) > 10 else "")
+    first = failed[0][1]
+    error = TrainingFailed(
+        f"a matrix needs the policy of every source, got none of source {which} ({first}); the "
+        "others are kept: run again when that is mended, or leave the contexts out"
+    )
+    error.__cause__ = first
+    return error

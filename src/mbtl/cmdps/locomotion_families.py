@@ -13,11 +13,14 @@ from mbtl.cmdps.cmdp import Preset
 from mbtl.cmdps.family import Family, GridAxis, JaxFamily, Variant, line
 
 _CHEETAH: Mapping[str, Any] = {
-    "n_envs": 32,
-    "n_steps": 64,
+    "n_envs": 64,
+    "n_steps": 32,
     "batch_size": 256,
-    "n_epochs": 4,
-    "learning_rate": 1e-3,
+    "n_epochs": 8,
+    "learning_rate": 7e-4,
+    "gamma": 0.98,
+    "gae_lambda": 0.92,
+    "log_std": -1.0,
     "standardize": True,
 }
 """Many copies, since MuJoCo steps all of them in one call, and numbers of one size: speeds are a

@@ -37,7 +37,7 @@ def make(
     Args:
         cmdp: id of the CMDP.
         context: values of the varied features, within their axes; missing: the nominal ones.
-        render_mode: "rgb_array" in traffic: `render` gives images.
+        render_mode: "rgb_array" in traffic and of HalfCheetah: `render` gives images.
         gui: in traffic, show it in sumo-gui.
         **switches: `physics`, `visibility`, `time_limit`, `obs` as in `mbtl.cmdps.get_cmdp`.
 

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from mbtl.worlds.environments import Beats, Tree
+from mbtl.worlds.environments import Beats, Length, Tree
 from mbtl.worlds.world import Moved, World
 
 Decide = Callable[[Tree, jax.Array], tuple[jax.Array, Tree]]
@@ -46,6 +47,21 @@ class Holding(World, Protocol):
         still.
         """
         ...
+
+
+def length(steps: int, hold: jax.Array) -> Length:
+    """Decisions that fill so many steps; the last may go beyond.
+
+    Args:
+        steps: of an episode.
+        hold: steps of a decision, () or (n,).
+    """
+    holds = np.atleast_1d(np.asarray(hold))
+    counts = -(-steps // holds)
+    if hold.ndim == 0:
+        return int(counts[0])
+    beat = int(np.gcd.reduce(holds))
+    return Beats(int(counts.max()), int((counts * holds).max()) // beat, beat)
 
 
 class Decisions(NamedTuple):

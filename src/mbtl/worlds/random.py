@@ -43,6 +43,16 @@ def normal(seed: jax.Array, stream: int, moment: jax.Array, count: int) -> jax.A
     return jnp.float32(2.0**0.5) * jax.lax.erf_inv(centred)
 
 
+def coins(seed: jax.Array, stream: int, moment: jax.Array, count: int) -> jax.Array:
+    """(count, n) nearly normal: how many of 32 coins show heads, with mean 0 and deviation 1.
+
+    A third of the cost of `normal`, for what is added up over many steps; the excess kurtosis is
+    -1/16. Arguments as in `bits`.
+    """
+    heads = jax.lax.population_count(bits(seed, stream, moment, count))
+    return (heads.astype(jnp.float32) - 16.0) * jnp.float32(8.0**-0.5)
+
+
 def _mix(x: jax.Array) -> jax.Array:
     """A bijection of 32-bit integers in which every input bit changes half of the output bits."""
     x ^= x >> 16

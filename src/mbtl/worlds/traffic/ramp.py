@@ -13,24 +13,26 @@ slow down at the ends of roads no more than elsewhere.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from mbtl.worlds import beats as beats_of
 from mbtl.worlds import random
-from mbtl.worlds.environments import Box, Discrete, TimeLimit
+from mbtl.worlds.environments import Beats, Box, Discrete, Length, TimeLimit
 from mbtl.worlds.traffic import lane
-from mbtl.worlds.traffic.lane import Incomer
+from mbtl.worlds.traffic.ramp_queues import driven, joined, with_last, without_collided
 from mbtl.worlds.traffic.ramp_speeds import Drivers
 from mbtl.worlds.traffic.ramp_state import (
+    EPSILON,
     NO_CAR,
     RAMP_CAR,
-    VACANT,
     Counts,
     Flow,
+    Held,
     Look,
     Queue,
     RampParams,
@@ -43,7 +45,6 @@ from mbtl.worlds.traffic.ramp_view import look, numbers
 from mbtl.worlds.world import Moved, Seeded, Seen
 
 _FACTORS, _NOISE = 4, (5, 6, 7)  # streams of random numbers; noise of main, side and end
-_EPSILON = 0.1  # metres: SUMO lets tails enter, and fronts leave, that far from a road's end
 _FEW = 6  # rows of `side` that are computed while no simulation needs more
 _END_ROWS = 8
 
@@ -92,12 +93,12 @@ class RampTwin(Seeded):
     time_limit: TimeLimit = "truncation"
     stale: bool = False
     n_features: int = 8
-    mixes: bool = False
+    mixes: bool = True
     params: type[RampParams] = RampParams
 
-    def decisions(self, params: RampParams) -> int:
+    def decisions(self, params: RampParams) -> Length:
         """Enough holds to fill the controlled time."""
-        return math.ceil(self.total_steps / int(params.hold))
+        return beats_of.length(self.total_steps, params.hold)
 
     # ---- episodes ----------------------------------------------------------------------------
 
@@ -113,7 +114,7 @@ class RampTwin(Seeded):
             end=empty(_END_ROWS, n),
             waiting=jnp.zeros((2, n), bool),
             entered=none,
-            counts=Counts(zero, none, none, none, none),
+            counts=Counts(none, zero, none, none, none, none),
             look=Look(nobody, jnp.zeros((self.n_features, self.agents, n))),
             seed=seeds,
             steps=jnp.int32(0),
@@ -127,35 +128,61 @@ class RampTwin(Seeded):
     def observe(self, state: RampState, params: RampParams) -> Seen:
         """The layout of `mbtl.cmdps.traffic.ramp`, then the visible features."""
         physical = numbers(state.look, self.scale)
-        shape = physical.shape[:2]
-        visible = jnp.broadcast_to(params.visible, (*shape, *params.visible.shape))
+        features = params.visible[..., None, :]  # of all, or of each simulation
+        visible = jnp.broadcast_to(features, (*physical.shape[:2], features.shape[-1]))
         obs = jnp.concatenate([physical, visible], axis=-1).astype(jnp.float32)
         return Seen(obs, (state.look.car != NO_CAR).T)
 
     def step(self, state: RampState, action: jax.Array, params: RampParams) -> Moved:
         """Follow one instruction per agent for the hold."""
-        action = action.reshape(len(state.seed), self.agents).T
-        if isinstance(self.action, Discrete):
-            told = self.top_speed * action / (self.action.n - 1)
-            told = jnp.minimum(told, self.roads.limit)
-        else:
-            told = action * jnp.where(action > 0.0, *self.push)
-        told = jnp.where(state.look.car != NO_CAR, told, jnp.inf)
-        return self._hold(self._instructed(state, told), params)
+        return self._hold(self._instructed(state, self._told(state, action)), params)
 
     def drive(self, state: RampState, params: RampParams) -> Moved:
         """All cars drive by themselves."""
         told = jnp.full((self.agents, len(state.seed)), jnp.inf)
         return self._hold(self._instructed(state, told), params)
 
+    # ---- decisions that last differently long ------------------------------------------------
+
+    def beats(self, params: RampParams, beats: Beats) -> tuple[jax.Array, jax.Array]:
+        """See `mbtl.worlds.beats.Holding`."""
+        return params.hold // beats.steps, -(-self.total_steps // params.hold)
+
+    def held(self, state: RampState) -> Held:
+        """See `mbtl.worlds.beats.Holding`."""
+        return Held(jnp.zeros_like(state.counts.speed), state.look, state.look.car)
+
+    def beat(
+        self,
+        state: RampState,
+        held: Held,
+        action: jax.Array,
+        params: RampParams,
+        beats: Beats,
+        now: jax.Array,
+    ) -> tuple[Moved, Held]:
+        """See `mbtl.worlds.beats.Holding`; where the episode is over cars drive on uncounted."""
+        every, decisions = self.beats(params, beats)
+        due, over = now % every == 0, now >= every * decisions
+        anew = partial(jax.tree.map, partial(jnp.where, due))
+        told = self._instructed(state, self._told(state, action))
+        state = state._replace(main=anew(told.main, state.main), end=anew(told.end, state.end))
+        held = anew(self.held(state), held)
+        state, held = self._through(state, held, beats.steps, due, over)
+        ends = ((now + 1) % every == 0) & ~over
+        moved = self._decided(state, held, params)
+        look = jax.tree.map(partial(jnp.where, ends), moved.state.look, state.look)
+        reward = jnp.where(ends[:, None], moved.reward, 0.0)
+        return Moved(state._replace(look=look), reward, ends[:, None] & moved.done), held
+
     def score(self, state: RampState) -> jax.Array:
         """Mean speed of all cars over the measured part [m/s], those that collided standing."""
-        return state.counts.speed / jnp.maximum(self._measured(state), 1)
+        return state.counts.speed / jnp.maximum(state.counts.steps, 1)
 
     def measures(self, state: RampState) -> dict[str, jax.Array]:
         """(n,) what an episode is compared by; see `mbtl.cmdps.traffic.ramp.Ramp.summary`."""
         counts = state.counts
-        hours = jnp.maximum(self._measured(state), 1) * (self.drivers.dt / 3600.0)
+        hours = jnp.maximum(counts.steps, 1) * (self.drivers.dt / 3600.0)
         return {
             "score": self.score(state),
             "throughput": counts.left / hours,
@@ -164,10 +191,6 @@ class RampTwin(Seeded):
         }
 
     # ---- inside ------------------------------------------------------------------------------
-
-    def _measured(self, state: RampState) -> jax.Array:
-        """Measured steps so far; 0 or less before."""
-        return state.steps - self.warm_up - self.unmeasured
 
     def _look(self, state: RampState) -> Look:
         return look(state, self.agents, self.every, self.drivers.length, self.scale[0])
@@ -183,69 +206,106 @@ class RampTwin(Seeded):
 
         return state._replace(main=of(state.main), end=of(state.end))
 
+    def _told(self, state: RampState, action: jax.Array) -> jax.Array:
+        """(A, n) a speed or an acceleration; infinite for a place without a car."""
+        action = action.reshape(len(state.seed), self.agents).T
+        if isinstance(self.action, Discrete):
+            told = self.top_speed * action / (self.action.n - 1)
+            told = jnp.minimum(told, self.roads.limit)
+        else:
+            told = action * jnp.where(action > 0.0, *self.push)
+        return jnp.where(state.look.car != NO_CAR, told, jnp.inf)
+
     def _hold(self, state: RampState, params: RampParams) -> Moved:
-        agents = state.look.car
+        """One decision of all ramps, as long in each."""
+        all_, nobody = jnp.array(True), jnp.array(False)
+        state, held = self._through(state, self.held(state), params.hold, all_, nobody)
+        return self._decided(state, held, params)
+
+    def _through(
+        self,
+        state: RampState,
+        held: Held,
+        steps: jax.Array | int,
+        due: jax.Array,
+        over: jax.Array,
+    ) -> tuple[RampState, Held]:
+        """So many steps; a decision was `due` before them, and where it is `over` none counts."""
 
         def one(_: int, carry: tuple[RampState, jax.Array]) -> tuple[RampState, jax.Array]:
-            state, reward = self._advance(carry[0], human=False)
+            state, reward = self._advance(carry[0], human=False, over=over)
             return state, carry[1] + reward
 
-        first: Any = (state, jnp.zeros(len(state.seed)))
+        carry: Any = (state, held.reward)
         if self.stale:
-            first = one(0, first)
-        early = self._look(first[0])
-        state, reward = jax.lax.fori_loop(int(self.stale), params.hold, one, first)
+            carry = one(0, carry)
+            early = jax.tree.map(partial(jnp.where, due), self._look(carry[0]), held.early)
+            held = held._replace(early=early)
+        state, reward = jax.lax.fori_loop(int(self.stale), steps, one, carry)
+        return state, held._replace(reward=reward)
+
+    def _decided(self, state: RampState, held: Held, params: RampParams) -> Moved:
+        """The end of a decision: what is seen, gained and over."""
         now = self._look(state)
         if self.stale:  # cars that came later have nothing older
-            now = now._replace(raw=jnp.where(early.car == now.car, early.raw, now.raw))
-        acting, mean = agents != NO_CAR, reward / params.hold
-        done = acting & (now.car != agents)
+            now = now._replace(raw=jnp.where(held.early.car == now.car, held.early.raw, now.raw))
+        acting, mean = held.car != NO_CAR, held.reward / params.hold
+        done = acting & (now.car != held.car)
         return Moved(state._replace(look=now), jnp.where(acting, mean, 0.0).T, done.T)
 
-    def _advance(self, state: RampState, *, human: bool) -> tuple[RampState, jax.Array]:
+    def _advance(
+        self, state: RampState, *, human: bool, over: jax.Array | bool = False
+    ) -> tuple[RampState, jax.Array]:
         """One simulation step and its reward, (n,)."""
 
         def cut(side: Queue) -> Queue:
             return Queue(*(field[:_FEW] for field in side))
 
         def short(state: RampState) -> Any:
-            new, reward = self._step(state._replace(side=cut(state.side)), human)
+            new, reward = self._step(state._replace(side=cut(state.side)), human, over)
             side = jax.tree.map(lambda all, few: all.at[:_FEW].set(few), state.side, new.side)
             return new._replace(side=side), reward
 
         def long(state: RampState) -> Any:
-            return self._step(state, human)
+            return self._step(state, human, over)
 
         many = there(state.side)[_FEW - 1].any()  # one car at most comes in a step
         found: tuple[RampState, jax.Array] = jax.lax.cond(many, long, short, state)
         return found
 
-    def _step(self, state: RampState, human: bool) -> tuple[RampState, jax.Array]:
+    def _step(
+        self, state: RampState, human: bool, over: jax.Array | bool
+    ) -> tuple[RampState, jax.Array]:
         """The same, with the rows that the state has."""
         constant = isinstance(self.action, Discrete)
         speeds = self.drivers.speeds(state.main, state.side, state.end, constant)
         queues = zip((state.main, state.side, state.end), speeds, strict=True)
-        main, side, end = (self._moved(queue, speed) for queue, speed in queues)
+        main, side, end = (driven(queue, speed, self.drivers.dt) for queue, speed in queues)
         wants, last_chance = self._demand(state.steps)
         waiting = state.waiting | wants
         enters = waiting & jnp.stack([self._room(queue, k) for k, queue in enumerate((main, side))])
         missed = waiting & ~enters & last_chance
-        left = end.x[0] > self.roads.end - _EPSILON
+        left = end.x[0] > self.roads.end - EPSILON
         passes = jnp.stack([main.x[0] > 0.0, side.x[0] > 0.0])
         newcomers = self._newcomers(state)
 
         def rearranged(main: Queue, side: Queue, end: Queue) -> tuple[Queue, Queue, Queue]:
             return (
-                self._with(main, passes[0], enters[0], newcomers[0]),
-                self._with(side, passes[1], enters[1], newcomers[1]),
-                _joined(main, side, end, passes, left),
+                with_last(main, passes[0], enters[0], newcomers[0]),
+                with_last(side, passes[1], enters[1], newcomers[1]),
+                joined(main, side, end, passes, left),
             )
 
         # conditional also because XLA would else fuse the motion above into every shifted row
         happens = (passes | enters).any() | left.any()
         main, side, end = jax.lax.cond(happens, rearranged, lambda *same: same, main, side, end)
-        (main, side, end), collided = self._without_collided((main, side, end))
-        counts = self._counted(state, (main, side, end), left, missed, last_chance, collided)
+        least = 0.5 * self.drivers.min_gap  # SUMO removes cars that are closer
+        (main, side, end), collided = without_collided(
+            (main, side, end), self.drivers.length, least
+        )
+        counts = self._counted(
+            state, (main, side, end), left, missed, last_chance, jnp.where(over, 0, collided), over
+        )
         moment, queues = state.steps, zip((main, side, end), _NOISE, strict=True)
         main, side, end = (
             self._disturbed(queue, state.seed, stream, moment, human) for queue, stream in queues
@@ -261,20 +321,10 @@ class RampTwin(Seeded):
         )
         return state, left - self.collision * collided
 
-    def _moved(self, queue: Queue, speed: jax.Array) -> Queue:
-        is_car = there(queue)
-        x = jnp.where(is_car, queue.x + self.drivers.dt * speed, lane.EMPTY)
-        return queue._replace(x=x, speed=jnp.where(is_car, speed, 0.0))
-
     def _demand(self, step: jax.Array) -> tuple[jax.Array, jax.Array]:
         """(2, 1) a car comes; the one before it that still waits has its last chance."""
-
-        def at(flow: Flow, step: jax.Array) -> jax.Array:
-            since = step - flow.first
-            return (since >= 0) & (since % flow.every == 0)
-
-        comes = [at(flow, step) for flow in self.flows]
-        goes = [at(flow, step - flow.patience) for flow in self.flows]
+        comes = [flow.comes(step) for flow in self.flows]
+        goes = [flow.comes(step - flow.patience) for flow in self.flows]
         return jnp.stack(comes)[:, None], jnp.stack(goes)[:, None]
 
     def _room(self, queue: Queue, k: int) -> jax.Array:
@@ -282,19 +332,12 @@ class RampTwin(Seeded):
         drivers, speed = self.drivers, self.flows[k].speed
         count = there(queue).sum(axis=0)
         last = jnp.maximum(count - 1, 0)
-        gap = lane.at(queue.x, last) - drivers.length - self._entry(k)
+        gap = lane.at(queue.x, last) - drivers.length - self.roads.entry(k, drivers.length)
         braking = (speed - lane.at(queue.speed, last)) * speed * drivers.per_speed
         needed = drivers.min_gap + jnp.maximum(0.0, speed * drivers.model.tau + braking)
         # every row of the ramp is there to be computed or it is not full
-        rows = math.ceil((self._before(k) + self.roads.merge) / (drivers.length + drivers.min_gap))
+        rows = math.ceil((self.roads.lane(k)) / (drivers.length + drivers.min_gap))
         return (count == 0) | ((gap >= needed) & (count < rows))
-
-    def _before(self, k: int) -> float:
-        return (self.roads.main, self.roads.side)[k]
-
-    def _entry(self, k: int) -> float:
-        """Where the front of a car is that has entered."""
-        return self.drivers.length + _EPSILON - self._before(k) - self.roads.merge
 
     def _newcomers(self, state: RampState) -> list[Queue]:
         """The cars that enter in this step if there is room, of either road."""
@@ -303,7 +346,7 @@ class RampTwin(Seeded):
         cars = (state.entered, jnp.full_like(state.entered, RAMP_CAR))
         return [
             Queue(
-                x=jnp.full_like(desired[k], self._entry(k)),
+                x=jnp.full_like(desired[k], self.roads.entry(k, self.drivers.length)),
                 speed=jnp.full_like(desired[k], self.flows[k].speed),
                 desired=jnp.minimum(desired[k], self.max_speed),
                 told=jnp.full_like(desired[k], jnp.inf),
@@ -311,26 +354,6 @@ class RampTwin(Seeded):
             )
             for k in (0, 1)
         ]
-
-    def _with(self, queue: Queue, gone: jax.Array, comes: jax.Array, car: Queue) -> Queue:
-        """Without the foremost car, if it has gone, and with a last one, if it comes."""
-        row = there(queue).sum(axis=0) - gone
-        return lane.shifted(queue, VACANT, gone, Incomer(comes, row, car))
-
-    def _without_collided(self, queues: tuple[Queue, ...]) -> tuple[tuple[Queue, ...], jax.Array]:
-        """SUMO removes cars that are closer than half the least gap; and how many, (n,)."""
-        masks = []
-        for queue in queues:
-            gap = lane.one_ahead(queue.x - self.drivers.length, lane.FREE) - queue.x
-            hits = there(queue) & (gap < 0.5 * self.drivers.min_gap)
-            masks.append(hits | lane.one_behind(hits, False))
-        collided = sum(mask.sum(axis=0) for mask in masks)
-        removed: tuple[Queue, ...] = jax.lax.cond(
-            (collided > 0).any(),
-            lambda: tuple(_without(q, mask) for q, mask in zip(queues, masks, strict=True)),
-            lambda: queues,
-        )
-        return removed, jnp.asarray(collided)
 
     def _counted(
         self,
@@ -340,14 +363,17 @@ class RampTwin(Seeded):
         missed: jax.Array,
         last_chance: jax.Array,
         collided: jax.Array,
+        over: jax.Array | bool,
     ) -> Counts:
         """With this step."""
-        counts, measured = state.counts, self._measured(state) >= 0
+        counts, begins = state.counts, self.warm_up + self.unmeasured
+        measured = (state.steps >= begins) & jnp.logical_not(over)
         cars = sum(there(queue).sum(axis=0) for queue in queues)
         total = sum(queue.speed.sum(axis=0) for queue in queues)
         gone = counts.collided + collided
         mean = jnp.where(cars > 0, total / jnp.maximum(cars + gone, 1), 0.0)
         return Counts(
+            steps=counts.steps + measured,
             speed=counts.speed + measured * mean,
             left=counts.left + measured * left,
             wanted=counts.wanted + measured * last_chance.sum(),
@@ -362,7 +388,7 @@ class RampTwin(Seeded):
         if self.noise == 0.0:
             return queue
         rows = len(queue.x)
-        z = random.normal(seed, stream, moment, max(rows, _MOST_SIDE))[:rows]
+        z = random.coins(seed, stream, moment, max(rows, _MOST_SIDE))[:rows]
         steady = (queue.car < 0) & (queue.car != RAMP_CAR)
         if not human:
             steady |= (queue.car >= 0) & (queue.car % self.every == 0)
@@ -372,27 +398,3 @@ class RampTwin(Seeded):
 
 _MOST_SIDE = 32
 """So many random numbers, at least, are of one step, however few rows are computed."""
-
-
-def _joined(main: Queue, side: Queue, end: Queue, passes: jax.Array, left: jax.Array) -> Queue:
-    """The cars behind the zipper with those that have passed it."""
-    heads = [Queue(*(field[0] for field in queue)) for queue in (main, side)]
-    main_first = passes[0] & (~passes[1] | (heads[0].x >= heads[1].x))
-    row = there(end).sum(axis=0) - left
-
-    def chosen(first: jax.Array) -> Any:
-        return jax.tree.map(lambda a, b: jnp.where(first, a, b), *heads)
-
-    between = Incomer(passes.any(axis=0), row, chosen(main_first))
-    last = Incomer(passes.all(axis=0), row + 1, chosen(~main_first))
-    return lane.shifted(end, VACANT, left, last, between)
-
-
-def _without(queue: Queue, gone: jax.Array) -> Queue:
-    """The queue without some cars, closed up."""
-    order = jnp.argsort(gone, axis=0, stable=True)
-    vacated = jnp.take_along_axis(gone, order, axis=0)
-    take: Callable[[jax.Array, Any], jax.Array] = lambda field, nobody: jnp.where(  # noqa: E731
-        vacated, jnp.asarray(nobody, field.dtype), jnp.take_along_axis(field, order, axis=0)
-    )
-    return Queue(*(take(field, nobody) for field, nobody in zip(queue, VACANT, strict=True)))

@@ -45,6 +45,7 @@ class Queue(NamedTuple):
 
 
 RAMP_CAR, NO_CAR = -1, -2
+EPSILON = 0.1  # metres: SUMO lets tails enter, and fronts leave, that far from a road's end
 
 VACANT = Queue(EMPTY, 0.0, 1.0, jnp.inf, NO_CAR)
 """Fields of a row without a car."""
@@ -76,6 +77,7 @@ class Counts(NamedTuple):
     """Sums over the measured steps, (n,), but `collided`: over all of them.
 
     Attributes:
+        steps: so many.
         speed: means over the cars [m/s].
         left: cars that reached the end.
         wanted: cars whose last chance to enter came.
@@ -83,11 +85,26 @@ class Counts(NamedTuple):
         collided: cars.
     """
 
+    steps: jax.Array
     speed: jax.Array
     left: jax.Array
     wanted: jax.Array
     missed: jax.Array
     collided: jax.Array
+
+
+class Held(NamedTuple):
+    """What happened since the last decision.
+
+    Attributes:
+        reward: (n,) sum.
+        early: what was seen after the first step.
+        car: (A, n) who was told.
+    """
+
+    reward: jax.Array
+    early: Look
+    car: jax.Array
 
 
 class RampState(NamedTuple):
@@ -136,6 +153,14 @@ class Roads:
     gaps: tuple[float, float]
     limit: float
 
+    def lane(self, k: int) -> float:
+        """From the start of the main road, or of the ramp, to the zipper."""
+        return (self.main, self.side)[k] + self.merge
+
+    def entry(self, k: int, car: float) -> float:
+        """Where the front of a car of that length is that has entered."""
+        return car + EPSILON - self.lane(k)
+
 
 @dataclass(frozen=True)
 class Flow:
@@ -152,3 +177,8 @@ class Flow:
     every: int
     patience: int
     speed: float
+
+    def comes(self, step: jax.Array) -> jax.Array:
+        """Whether a car comes in this step."""
+        since = step - self.first
+        return (since >= 0) & (since % self.every == 0)

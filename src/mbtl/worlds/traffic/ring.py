@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
+from mbtl.worlds import beats as beats_of
 from mbtl.worlds import random
 from mbtl.worlds.environments import Beats, Box, Discrete, Length, TimeLimit
 from mbtl.worlds.traffic.idm import IDM, follow, obey
@@ -146,12 +146,7 @@ class RingTwin(Seeded):
 
     def decisions(self, params: RingParams) -> Length:
         """Enough holds to fill the controlled time."""
-        holds = np.atleast_1d(np.asarray(params.hold))
-        counts = -(-self.total_steps // holds)
-        if params.hold.ndim == 0:
-            return int(counts[0])
-        steps = int(np.gcd.reduce(holds))
-        return Beats(int(counts.max()), int((counts * holds).max()) // steps, steps)
+        return beats_of.length(self.total_steps, params.hold)
 
     # ---- episodes ----------------------------------------------------------------------------
 
