@@ -110,3 +110,14 @@ def test_a_training_whose_simulator_gives_no_numbers_fails():
     recipe = engine.PPORecipe(n_envs=2, n_steps=32, learning_rate=float("nan"))
     with pytest.raises(TrainingFailed, match="finite"):
         engine.train(world, recipe, [0], params, 256, checkpoint_every=64, checkpoint_episodes=1)
+
+
+def test_an_interrupted_training_is_not_kept_for_another_process(tmp_path, monkeypatch):
+    monkeypatch.setattr("mbtl.training.jax.saving._SECONDS", 0.0)
+    few = {"n_envs": 2, "n_steps": 16, "batch_size": 32}
+    trainer = get_cmdp("walker-gravity", engine="jax").trainer_for(
+        timesteps=64, hyperparameters=few, checkpoint_every=32, checkpoint_episodes=1
+    )
+    file = tmp_path / "partial.npz"
+    trainer.train_many([{"gravity": 10.0}], [0], partial=file)
+    assert not file.exists()
