@@ -10,6 +10,7 @@ ground's length stay as they are (cmdp-spec, 4.3).
 
 from __future__ import annotations
 
+import functools
 import math
 import warnings
 from collections.abc import Sequence
@@ -217,7 +218,7 @@ class Walker:
         x, y = STEP * FLAT / 2.0, HEIGHT + 2.0 * LEG_HEIGHT
         hull = self.world.CreateDynamicBody(
             position=(x, y),
-            fixtures=_part([(a / self.scale, b / self.scale) for a, b in HULL], 5.0, friction=0.1),
+            fixtures=_part(tuple((a / self.scale, b / self.scale) for a, b in HULL), 5.0, 0.1),
         )
         hull.userData = 0
         bodies, joints = [hull], []
@@ -319,12 +320,18 @@ def _ranges(walkers: Sequence[Walker], now: NDArray[np.float32]) -> NDArray[np.f
     return found
 
 
-def _part(shape: Any, density: float, **more: float) -> Any:
-    """A fixture: a polygon, or a box of half a width and half a height."""
-    box = isinstance(shape, tuple)
-    polygon = Box2D.b2PolygonShape(box=shape) if box else Box2D.b2PolygonShape(vertices=shape)
+@functools.lru_cache(maxsize=4096)
+def _part(shape: tuple[Any, ...], density: float, friction: float = 0.2) -> Any:
+    """A fixture: a polygon's corners, or half a box's width and height; made once.
+
+    Box2D's Python package never gives back the memory of one.
+    """
+    corners = isinstance(shape[0], tuple)
+    polygon = Box2D.b2PolygonShape(**{"vertices" if corners else "box": shape})
     bits = {"categoryBits": _WALKER, "maskBits": _GROUND}
-    return Box2D.b2FixtureDef(shape=polygon, density=density, restitution=0.0, **bits, **more)
+    return Box2D.b2FixtureDef(
+        shape=polygon, density=density, friction=friction, restitution=0.0, **bits
+    )
 
 
 class _Touch(Box2D.b2ContactListener):  # type: ignore[misc]  # it has no types
