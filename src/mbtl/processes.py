@@ -28,6 +28,17 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
+def native_threads() -> int:
+    """Threads that a native simulator of this process may use: all cores, but one in a worker.
+
+    A number in the environment variable `NPROC` comes first, as it does in jax.
+    """
+    given = os.environ.get("NPROC", "")
+    if given.isdecimal() and int(given) > 0:
+        return int(given)
+    return usable_cores() if parent_process() is None else 1
+
+
 @contextlib.contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """A pool of fresh processes for the block.

@@ -106,7 +106,8 @@ def test_without_policies_choices_are_drawn(mbtl_command):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["cartpole-length"], "simulated in gymnasium"),
+        (["cartpole-length", "--gui"], "for traffic"),
+        (["cartpole-length", "--film", "pole.gif"], "can be drawn"),
         (["nothing"], "neither"),
         (["ring-acc", "--at", "hold"], "NAME=VALUE"),
         (["ring-acc", "--at", "hald=3"], "Did you mean 'hold'"),

@@ -213,7 +213,8 @@ class WorldTrainer:
 
         world, params = self._lessons(contexts)
         recipe, marks = self.learner, shares_of(keep)
-        saved = engine.SavedTraining(partial)
+        storable = getattr(world, "storable", True)  # else a training goes on in no other process
+        saved = engine.SavedTraining(partial if storable else None)
         training = engine.train(
             world,
             recipe,

@@ -240,6 +240,11 @@ class Solo:
         return self.env.params
 
     @property
+    def storable(self) -> bool:
+        """Whether its states mean something in another process."""
+        return bool(getattr(self.env, "storable", True))
+
+    @property
     def drives(self) -> bool:
         """Whether the environment has an action that is none, `idle`."""
         return hasattr(self.env, "idle")

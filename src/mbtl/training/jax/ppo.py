@@ -28,6 +28,7 @@ from mbtl.training.jax.estimates import mean_of
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import PPORecipe
 from mbtl.training.jax.rollout import Rollout, State, advantages, draw, play, start
+from mbtl.training.jax.units import Units, both
 from mbtl.worlds.environments import Box, Discrete, Tree
 from mbtl.worlds.world import Solo
 
@@ -91,8 +92,33 @@ def update(world: Solo, recipe: PPORecipe, state: State, params: Tree, clock: Cl
     """
     key, noise = draw(world, state.key, (recipe.n_steps, recipe.n_envs))
     state, rollout = play(world, recipe, state._replace(key=key), params, noise)
-    weights, moments = learn(world, recipe, state.weights, state.optimizer, rollout, clock)
+    how = learn_in_units if recipe.standardize else learn
+    weights, moments = how(world, recipe, state.weights, state.optimizer, rollout, clock)
     return state._replace(weights=weights, optimizer=moments)
+
+
+def learn_in_units(
+    world: Solo,
+    recipe: PPORecipe,
+    weights: Weights,
+    moments: Tree,
+    rollout: Rollout,
+    clock: Clock,
+) -> tuple[Weights, Tree]:
+    """As `learn`, from standardised observations; see `units`.
+
+    New weights are meant for those, too: the first rollout only shows the units.
+    """
+    units = Units.of(rollout.obs)
+    obs, after = map(units.measured, (rollout.obs, rollout.after))
+    rollout = rollout._replace(obs=obs, after=after)
+    entered = both(units.entered, weights)
+    learnt, changed = learn(world, recipe, entered, moments, rollout, clock)
+    first = clock.progress == 0.0
+    learnt, changed = jax.tree.map(
+        lambda old, new: jnp.where(first, old, new), (weights, moments), (learnt, changed)
+    )
+    return both(units.left, learnt), changed
 
 
 def learn(

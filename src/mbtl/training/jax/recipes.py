@@ -97,6 +97,7 @@ class PPORecipe(WithCopies, ActorCritic):
         entropy_coef: weight of the entropy bonus.
         value_coef: weight of the value loss.
         adam_eps: Adam's denominator offset.
+        standardize: learn from observations with mean 0 and deviation 1; see `units`.
 
     Raises:
         InvalidInput: a count is below 1, or the minibatches do not fill the rollout.
@@ -111,6 +112,7 @@ class PPORecipe(WithCopies, ActorCritic):
     value_coef: float = 0.5
     adam_eps: float = 1e-5
     normalize_advantage: bool = True
+    standardize: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
