@@ -4,7 +4,8 @@ Per seed one policy of each is trained in the nominal context for the same numbe
 preset, with its checkpoints, and Stable-Baselines3's default PPO on Gymnasium's HalfCheetah-v5
 (without evaluations, so it is charged for less). Both are then played in Gymnasium's environment.
 What is compiled once per process is counted apart, as a matrix or a study pays it once. `--physics`
-only steps the simulators, without any policy: ours, Gymnasium's, and MuJoCo in a bare loop.
+only steps the simulators, without any policy: ours, `mujoco.rollout`, Gymnasium's, and MuJoCo in a
+bare loop.
 
 example: python benchmarks/locomotion_training.py --steps 300000 --seeds 2
 """
@@ -97,6 +98,7 @@ def stepped(copies: int, steps: int) -> dict[str, Any]:
 
     from mbtl.cmdps.locomotion.cheetah import HalfCheetah
     from mbtl.cmdps.locomotion.cheetah_batch import CheetahParams, HalfCheetahs
+    from mbtl.cmdps.locomotion.cheetah_model import new_model
 
     batch, rng = HalfCheetahs(), np.random.default_rng(0)
     actions = rng.uniform(-1.0, 1.0, (steps // copies, copies, 6)).astype(np.float32)
@@ -118,6 +120,19 @@ def stepped(copies: int, steps: int) -> dict[str, Any]:
 
         return run
 
+    def by_rollout() -> None:
+        from mujoco.rollout import Rollout
+
+        models = [new_model() for _ in range(copies)]
+        size = mujoco.mj_stateSize(models[0], mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        data = [mujoco.MjData(models[0])]  # of one thread
+        now, every = np.zeros((copies, size)), np.zeros((copies, 5, size))
+        with Rollout(nthread=0) as rollout:
+            for action in actions.astype(np.float64):
+                held = np.repeat(action[:, None], 5, axis=1)
+                rollout.rollout(models, data, now, held, nstep=5, state=every, skip_checks=True)
+                now = every[:, -1].copy()
+
     def bare() -> None:
         env = HalfCheetah()
         for action in actions.reshape(-1, 6):
@@ -126,6 +141,7 @@ def stepped(copies: int, steps: int) -> dict[str, Any]:
 
     each = {
         f"ours, {copies} at once": in_batches,
+        "mujoco.rollout, as many": by_rollout,
         "our environment": one_by_one(HalfCheetah(visibility="hidden")),
         "Gymnasium": one_by_one(gymnasium.make("HalfCheetah-v5")),
         "MuJoCo in a loop": bare,

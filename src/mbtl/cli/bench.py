@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -14,8 +15,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from mbtl.benchmark.base import RowSource
 from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.compare import RANDOM, Step, compare, default_selectors
+from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.records import (
     Comparison,
     Estimate,
@@ -49,6 +52,13 @@ def bench(
         int,
         typer.Option(help="Selector seeds per matrix seed; a deterministic selector runs once."),
     ] = 3,
+    bounds: Annotated[
+        str | None,
+        typer.Option(
+            help="LOW,HIGH: returns of performance 0 and 1 instead of the matrices' own; or "
+            "`seen`: the smallest and largest of each."
+        ),
+    ] = None,
     as_json: JsonFlag = False,
     out: Annotated[
         Path | None, typer.Option(help="Also write the JSON document to this file.")
@@ -62,7 +72,7 @@ def bench(
         raise InvalidInput(
             f"--out must be a file in a folder that can be written, got {str(out)!r}"
         )
-    sources = list(open_matrices(matrix).values())
+    sources = [_scaled(source, bounds) for source in open_matrices(matrix).values()]
     if selectors is None:
         names = default_selectors(sources)
     else:
@@ -87,6 +97,22 @@ def bench(
         print_json(comparison.to_json())
     else:
         _show(comparison)
+
+
+def _scaled(source: RowSource, bounds: str | None) -> RowSource:
+    """With other bounds; the direction and the floor stay."""
+    if bounds is None:
+        return source
+    if not isinstance(source, TransferMatrix):
+        raise InvalidInput(f"--bounds is for matrices of returns, got {source.name!r}")
+    if bounds == "seen":
+        low, high = float(source.returns.min()), float(source.returns.max())
+    else:
+        try:
+            low, high = map(float, bounds.split(","))
+        except ValueError:
+            raise InvalidInput(f"--bounds is LOW,HIGH or seen, got {bounds!r}") from None
+    return replace(source, bounds=replace(source.bounds, low=low, high=high))
 
 
 def _writable(folder: Path) -> bool:
