@@ -28,7 +28,8 @@ from mbtl.study.given import (
 )
 from mbtl.study.places import fixed_url, policy_folder
 from mbtl.study.problem import Problem, ProblemFacts, check_problem, facts_of
-from mbtl.study.state import StudySpec, replay
+from mbtl.study.spec import StudySpec
+from mbtl.study.state import replay
 from mbtl.study.storage import (
     Conflict,
     EventLog,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import unquote
 
-from mbtl.study.storage import as_url
+from mbtl.study.database import as_url
 
 _IN_FILES = ("sqlite", "duckdb")
 """Databases that are files of this machine."""
