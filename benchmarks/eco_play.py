@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from mbtl.cmdps.traffic import eco
 from mbtl.cmdps.traffic.twins import EcoProblem
-from mbtl.training.jax.traffic import lane
+from mbtl.worlds.traffic import lane
 
 Rule = Callable[[Any, Any], Any]
 Measures = dict[str, Any]

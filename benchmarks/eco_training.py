@@ -16,10 +16,10 @@ import jax.numpy as jnp
 
 from mbtl.cmdps.traffic.twins import EcoProblem
 from mbtl.training.jax import loop, networks
-from mbtl.training.jax.traffic import learning
-from mbtl.training.jax.traffic.eco import EcoTwin
-from mbtl.training.jax.traffic.episodes import actor_of, scores
-from mbtl.training.jax.traffic.recipes import TWIN_RECIPES
+from mbtl.training.jax.episodic import learning
+from mbtl.training.jax.episodic.episodes import actor_of, scores
+from mbtl.training.jax.episodic.recipes import TWIN_RECIPES
+from mbtl.worlds.traffic.eco import EcoTwin
 
 SEEDS = 2
 """Trainings per way; a way's seeds are the same as another's."""

@@ -98,7 +98,7 @@ def policies(family: str) -> dict[str, tuple[Policy | None, Policy | None]]:
 
     from mbtl.cmdps import get_cmdp
     from mbtl.training.jax import networks
-    from mbtl.training.jax.traffic.episodes import import_actor
+    from mbtl.training.jax.episodic.episodes import import_actor
 
     cmdp_id, preset, context = LESSON[family]
     cmdp = get_cmdp(cmdp_id, engine="jax", visibility="hidden")

@@ -49,7 +49,7 @@ def life(trainer: Any, policy: Any, context: Any) -> tuple[float, float]:
     import jax.numpy as jnp
 
     from mbtl.training.jax import networks
-    from mbtl.training.jax.traffic.episodes import import_actor
+    from mbtl.training.jax.episodic.episodes import import_actor
 
     twin, params = trainer.problem([context])
     params = jax.tree.map(lambda x: x[0], params)

@@ -35,11 +35,12 @@ CORE = [
     "study",
 ]
 OUTSIDE = {
-    "training": set(),
+    "worlds": set(),
+    "training": {"worlds"},
     "benchmark": set(),
-    "cmdps": {"training"},
+    "cmdps": {"training", "worlds"},
     "report": {"benchmark"},
-    "testing": {"cmdps", "training"},
+    "testing": {"cmdps", "training", "worlds"},
     "cli": {"training", "benchmark", "cmdps", "report"},
 }
 LAZY = {("portfolio", "training")}  # a saved Stable-Baselines3 policy is read by its adapter

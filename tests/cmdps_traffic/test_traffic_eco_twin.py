@@ -18,7 +18,7 @@ from mbtl.cmdps.traffic import eco
 from mbtl.cmdps.traffic.corridor import FEEDERS, STARTS
 from mbtl.cmdps.traffic.population import Car
 from mbtl.cmdps.traffic.twins import EcoProblem
-from mbtl.training.jax.traffic.arrivals import Car as Waiting
+from mbtl.worlds.traffic.arrivals import Car as Waiting
 
 ATOL = 2e-3  # m, m/s, and what follows from them
 

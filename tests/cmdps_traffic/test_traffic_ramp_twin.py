@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic import ramp
 from mbtl.cmdps.traffic.twins import RampProblem
-from mbtl.training.jax.traffic import episodes
-from mbtl.training.jax.traffic.ramp_state import RAMP_CAR, Queue, empty
+from mbtl.training.jax.episodic import episodes
+from mbtl.worlds.traffic.ramp_state import RAMP_CAR, Queue, empty
 
 ACTIONS = {"acceleration": ramp.RampAcc, "speed": ramp.RampVel}
 

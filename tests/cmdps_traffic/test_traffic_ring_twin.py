@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic import ring
 from mbtl.cmdps.traffic.twins import RingProblem
-from mbtl.training.jax.traffic import episodes
+from mbtl.training.jax.episodic import episodes
 
 ACTIONS = {"acceleration": ring.RingAcc, "speed": ring.RingVel}
 

@@ -14,12 +14,12 @@ from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic.corridor import LIMIT
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
-from mbtl.training.jax.environments import Box
-from mbtl.training.jax.traffic import ppo
-from mbtl.training.jax.traffic.distributions import kl
-from mbtl.training.jax.traffic.episodes import Episodes
-from mbtl.training.jax.traffic.recipes import EpisodicPPORecipe
-from mbtl.training.jax.traffic.returns import Returns
+from mbtl.training.jax.episodic import ppo
+from mbtl.training.jax.episodic.distributions import kl
+from mbtl.training.jax.episodic.episodes import Episodes
+from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
+from mbtl.training.jax.episodic.returns import Returns
+from mbtl.worlds.environments import Box
 
 BOX = Box((-1.0,), (1.0,))
 D, A = 60, 3

@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.training.jax import networks
-from mbtl.training.jax.environments import Box
-from mbtl.training.jax.traffic import random
-from mbtl.training.jax.traffic.episodes import Actor, delayed, joined, record, scores
-from mbtl.training.jax.traffic.packing import Agents, chunk_size, most_rows
-from mbtl.training.jax.traffic.twin import Moved, Seeded, Seen, everyone
+from mbtl.training.jax.episodic.episodes import Actor, delayed, joined, record, scores
+from mbtl.training.jax.episodic.packing import Agents, chunk_size, most_rows
+from mbtl.worlds import random
+from mbtl.worlds.environments import Box
+from mbtl.worlds.world import Moved, Seeded, Seen, everyone
 
 BOX = Box((-1.0,), (1.0,))
 SHARES = (0.0, 0.1, 0.6, 1.0)

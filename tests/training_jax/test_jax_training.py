@@ -19,9 +19,9 @@ from mbtl.cmdps import cartpole, pendulum
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed, UnknownName
 from mbtl.portfolio import MLPPolicy
 from mbtl.training.jax import blocks, networks, ppo
-from mbtl.training.jax.environments import Box, Discrete
-from mbtl.training.jax.flags import settings
 from mbtl.training.jax.rollout import draw, play
+from mbtl.worlds.environments import Box, Discrete
+from mbtl.worlds.flags import settings
 
 TINY = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32, n_epochs=2, learning_rate=1e-3)
 CARTPOLE = engine.Solo(engine.CartPole())
@@ -332,7 +332,7 @@ import jax
 jax.devices()
 import mbtl.processes
 mbtl.processes.usable_cores = lambda: 2
-import mbtl.training.jax, mbtl.training.jax.traffic.ring
+import mbtl.training.jax, mbtl.worlds.traffic.ring
 """
 
 

@@ -284,7 +284,7 @@ class WorldTrainer:
             InvalidInput: there are no contexts.
         """
         import mbtl.training.jax as engine
-        from mbtl.training.jax.traffic.multitask import train_on_all
+        from mbtl.training.jax.episodic.multitask import train_on_all
 
         if not contexts:
             raise InvalidInput("multi-task training takes at least one context, got none")

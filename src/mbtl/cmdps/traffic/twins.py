@@ -47,9 +47,9 @@ class RingProblem:
         import jax.numpy as jnp
 
         import mbtl.training.jax  # noqa: F401  first: flags of jax
-        from mbtl.training.jax.environments import Box, Discrete
-        from mbtl.training.jax.traffic.idm import IDM
-        from mbtl.training.jax.traffic.ring import RingParams, RingTwin
+        from mbtl.worlds.environments import Box, Discrete
+        from mbtl.worlds.traffic.idm import IDM
+        from mbtl.worlds.traffic.ring import RingParams, RingTwin
 
         advisory.check_seen(self.obs)
         speeds = self.actions == "speed"
@@ -112,11 +112,11 @@ class EcoProblem:
 
         import mbtl.training.jax  # noqa: F401  first: flags of jax
         from mbtl.cmdps.traffic import corridor, eco, emissions, population, trips
-        from mbtl.training.jax.environments import Box
-        from mbtl.training.jax.traffic.arrivals import Demand, Kind
-        from mbtl.training.jax.traffic.eco import EcoTwin
-        from mbtl.training.jax.traffic.eco_state import Costs, EcoParams, Look, Road, Stops
-        from mbtl.training.jax.traffic.signal import Light
+        from mbtl.worlds.environments import Box
+        from mbtl.worlds.traffic.arrivals import Demand, Kind
+        from mbtl.worlds.traffic.eco import EcoTwin
+        from mbtl.worlds.traffic.eco_state import Costs, EcoParams, Look, Road, Stops
+        from mbtl.worlds.traffic.signal import Light
 
         west, south = corridor.FEEDERS["AB"], corridor.FEEDERS["AA"]
         shortest = population.CONTROLLED_LENGTH + population.CONTROLLED.min_gap
@@ -205,11 +205,11 @@ class RampProblem:
 
         import mbtl.training.jax  # noqa: F401  first: flags of jax
         from mbtl.cmdps.traffic import ramp
-        from mbtl.training.jax.environments import Box, Discrete
-        from mbtl.training.jax.traffic.idm import IDM
-        from mbtl.training.jax.traffic.ramp import RampTwin
-        from mbtl.training.jax.traffic.ramp_speeds import Drivers
-        from mbtl.training.jax.traffic.ramp_state import Flow, RampParams, Roads
+        from mbtl.worlds.environments import Box, Discrete
+        from mbtl.worlds.traffic.idm import IDM
+        from mbtl.worlds.traffic.ramp import RampTwin
+        from mbtl.worlds.traffic.ramp_speeds import Drivers
+        from mbtl.worlds.traffic.ramp_state import Flow, RampParams, Roads
 
         def flow(road: str) -> Flow:
             demand = ramp.DEMAND[road]

@@ -9,14 +9,12 @@ policies = export_policies(world, training.best)
 
 from __future__ import annotations
 
-from mbtl.training.jax import flags as flags  # isort: skip  # first: it starts jax
+from mbtl.worlds import flags as flags  # isort: skip  # first: it starts jax
 from mbtl.training.jax.algorithms import recipe_named
 from mbtl.training.jax.blocks import Block, Training, from_arrays, to_arrays, weights_of
-from mbtl.training.jax.cartpole import CartPole
-from mbtl.training.jax.environments import Box, Discrete, Environment, Step
+from mbtl.training.jax.episodic.episodes import actor_of, import_actor
 from mbtl.training.jax.evaluation import evaluate, on_cpu, reference_returns
 from mbtl.training.jax.export import export_policies
-from mbtl.training.jax.hosted import hosted
 from mbtl.training.jax.loop import start, train
 from mbtl.training.jax.multitask.run import MultiTaskRun, multitask_settings, run_multitask
 from mbtl.training.jax.multitask.training import (
@@ -24,7 +22,6 @@ from mbtl.training.jax.multitask.training import (
     start_multitask,
     train_multitask,
 )
-from mbtl.training.jax.pendulum import Pendulum
 from mbtl.training.jax.recipes import (
     RECIPES,
     A2CRecipe,
@@ -35,8 +32,11 @@ from mbtl.training.jax.recipes import (
     multitask_recipe,
 )
 from mbtl.training.jax.saving import SavedTraining
-from mbtl.training.jax.traffic.episodes import actor_of, import_actor
-from mbtl.training.jax.world import Solo, World, context_of, stack_params
+from mbtl.worlds.cartpole import CartPole
+from mbtl.worlds.environments import Box, Discrete, Environment, Step
+from mbtl.worlds.hosted import hosted
+from mbtl.worlds.pendulum import Pendulum
+from mbtl.worlds.world import Solo, World, context_of, stack_params
 
 __all__ = [
     "RECIPES",

@@ -16,11 +16,11 @@ from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import A2CRecipe
 from mbtl.training.jax.rollout import Noise, Rollout, State, advantages, draw, play, start
-from mbtl.training.jax.world import Solo
+from mbtl.worlds.environments import Tree
+from mbtl.worlds.world import Solo
 
 
 def init(

@@ -26,7 +26,8 @@ import jax
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import a2c, dqn, ppo
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.environments import Length, Tree
+from mbtl.training.jax.episodic import learning
+from mbtl.training.jax.episodic.recipes import TWIN_RECIPES, TwinRecipe
 from mbtl.training.jax.multitask import policies
 from mbtl.training.jax.recipes import (
     RECIPES,
@@ -37,9 +38,8 @@ from mbtl.training.jax.recipes import (
     Recipe,
     named,
 )
-from mbtl.training.jax.traffic import learning
-from mbtl.training.jax.traffic.recipes import TWIN_RECIPES, TwinRecipe
-from mbtl.training.jax.world import Solo, World
+from mbtl.worlds.environments import Length, Tree
+from mbtl.worlds.world import Solo, World
 
 AnyRecipe = Recipe | TwinRecipe
 

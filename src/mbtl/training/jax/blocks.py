@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbtl.checkpoints import Checkpoint
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed
-from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.networks import Weights
+from mbtl.worlds.environments import Tree
 
 BLOCKS = 50
 """Evaluations per training unless told otherwise: one every 2 % of it."""

@@ -25,11 +25,11 @@ from jax.flatten_util import ravel_pytree
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.environments import Discrete, Tree
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.recipes import DQNRecipe
 from mbtl.training.jax.rollout import Copies, advance, first_copies, look
-from mbtl.training.jax.world import Solo
+from mbtl.worlds.environments import Discrete, Tree
+from mbtl.worlds.world import Solo
 
 
 class State(NamedTuple):

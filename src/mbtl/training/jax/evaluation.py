@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.environments import Tree
+from mbtl.training.jax.episodic.episodes import Acting, Actor, scores
 from mbtl.training.jax.recipes import Activation
-from mbtl.training.jax.traffic.episodes import Acting, Actor, scores
-from mbtl.training.jax.world import World, context_of, of_simulations
+from mbtl.worlds.environments import Tree
+from mbtl.worlds.world import World, context_of, of_simulations
 
 CPU_ROWS = 400
 """Simulations of one small agent played together on a CPU: their activations stay in its cache."""

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from mbtl.portfolio import BoxHead, DiscreteHead, MLPPolicy
-from mbtl.training.jax.environments import Box, Discrete
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.recipes import Activation
-from mbtl.training.jax.world import World
+from mbtl.worlds.environments import Box, Discrete
+from mbtl.worlds.world import World
 
 
 def export_policies(

@@ -25,12 +25,12 @@ from mbtl.training.jax.blocks import (
     keep_better,
 )
 from mbtl.training.jax.clock import clock_at
-from mbtl.training.jax.environments import Length, Tree
+from mbtl.training.jax.episodic.episodes import Acting, actor_of
 from mbtl.training.jax.evaluation import own_scores
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import check_lengths
-from mbtl.training.jax.traffic.episodes import Acting, actor_of
-from mbtl.training.jax.world import World
+from mbtl.worlds.environments import Length, Tree
+from mbtl.worlds.world import World
 
 
 def start(

@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mbtl.training.jax.environments import Box, Discrete, Tree
 from mbtl.training.jax.recipes import Activation
+from mbtl.worlds.environments import Box, Discrete, Tree
 
 Network = tuple[tuple[jax.Array, jax.Array], ...]
 

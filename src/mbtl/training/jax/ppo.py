@@ -20,11 +20,11 @@ from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import PPORecipe
 from mbtl.training.jax.rollout import Rollout, State, advantages, draw, play, start
-from mbtl.training.jax.world import Solo
+from mbtl.worlds.environments import Tree
+from mbtl.worlds.world import Solo
 
 
 class Batch(NamedTuple):

@@ -22,10 +22,10 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
-from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import A2CRecipe, PPORecipe
-from mbtl.training.jax.world import Solo
+from mbtl.worlds.environments import Tree
+from mbtl.worlds.world import Solo
 
 
 class Copies(NamedTuple):

@@ -32,7 +32,7 @@ from mbtl.training.jax import networks
 from mbtl.training.jax.multitask.table import initial_table, rows_at
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
-from mbtl.training.jax.world import Solo
+from mbtl.worlds.world import Solo
 
 _TINY = 1e-12  # under the root of a squared length: the gradient of a zero vector is finite
 

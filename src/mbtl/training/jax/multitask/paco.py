@@ -29,7 +29,7 @@ from mbtl.training.jax import networks
 from mbtl.training.jax.multitask.table import initial_table, rows_at
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
-from mbtl.training.jax.world import Solo
+from mbtl.worlds.world import Solo
 
 
 class Composed(NamedTuple):

@@ -7,11 +7,11 @@ from typing import Any
 
 from mbtl.training.jax import networks, ppo
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.multitask import moore, paco
 from mbtl.training.jax.recipes import MultiTaskRecipe
 from mbtl.training.jax.rollout import State
-from mbtl.training.jax.world import Solo
+from mbtl.worlds.environments import Tree
+from mbtl.worlds.world import Solo
 
 
 def init(

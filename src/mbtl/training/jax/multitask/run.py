@@ -25,7 +25,6 @@ from mbtl.errors import InvalidInput, StorageError
 from mbtl.files import claimed_folder, whole_file
 from mbtl.seeds import MATRIX_TRIAL, episode_seed, evaluation_seed, training_seed
 from mbtl.training.jax.blocks import Block, Training
-from mbtl.training.jax.environments import Tree
 from mbtl.training.jax.multitask.training import (
     CHECKPOINT_EPISODES,
     evaluate_multitask,
@@ -34,8 +33,9 @@ from mbtl.training.jax.multitask.training import (
 )
 from mbtl.training.jax.recipes import MultiTaskRecipe
 from mbtl.training.jax.saving import SavedTraining
-from mbtl.training.jax.world import World
 from mbtl.untrusted import read_arrays
+from mbtl.worlds.environments import Tree
+from mbtl.worlds.world import World
 
 CHECKPOINTS = ("best", "final")
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbtl.training.jax.environments import Tree
+from mbtl.worlds.environments import Tree
 
 
 def rows_at(table: jax.Array, place: jax.Array) -> jax.Array:

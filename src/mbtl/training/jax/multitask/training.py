@@ -16,12 +16,12 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import loop
 from mbtl.training.jax.blocks import Block, Training
-from mbtl.training.jax.environments import Tree
+from mbtl.training.jax.episodic.episodes import actor_of
 from mbtl.training.jax.evaluation import evaluate
 from mbtl.training.jax.multitask.table import with_place
 from mbtl.training.jax.recipes import MultiTaskRecipe
-from mbtl.training.jax.traffic.episodes import actor_of
-from mbtl.training.jax.world import World
+from mbtl.worlds.environments import Tree
+from mbtl.worlds.world import World
 
 CHECKPOINT_EPISODES = 2
 """Per context; over a hundred contexts that is twenty times what a single-task policy plays."""

@@ -1,0 +1,302 @@
+"""Whole episodes of a twin: recorded to learn from, or only scored.
+
+Notation (shapes): P policies, E episodes each, D decisions, A agents; simulations are ordered
+policy by policy, n = P x E. All play in one context.
+
+Random actions too are functions of the episode's seed, which makes it independent of its company.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Literal, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mbtl.portfolio import BoxHead, MLPPolicy
+from mbtl.training.jax import networks
+from mbtl.training.jax.episodic.packing import most_rows
+from mbtl.training.jax.episodic.watching import Rows, each, watched
+from mbtl.training.jax.export import import_actors
+from mbtl.training.jax.networks import Network
+from mbtl.training.jax.recipes import Activation
+from mbtl.worlds import beats as beats_of
+from mbtl.worlds import random
+from mbtl.worlds.beats import Holding
+from mbtl.worlds.environments import Beats, Discrete, Length, Tree
+from mbtl.worlds.world import Crowd, Moved, World
+
+Acting = Literal["sampled", "mean", "random", "none"]
+"""How actions follow from a policy: drawn, the most likely one, or not: any, or no advice."""
+
+_ACTION = 1 << 20  # stream of random numbers, apart from those of the twins
+
+
+class Actor(NamedTuple):
+    """The acting part of P policies.
+
+    Attributes:
+        network: leading axis P.
+        log_std: (P, d) of a Gaussian, (P, 0) for discrete actions.
+        critic: leading axis P; () where nobody learns.
+    """
+
+    network: Network
+    log_std: jax.Array
+    critic: Network = ()
+
+
+def actor_of(weights: Any) -> Actor:
+    """What P policies have learnt, as it plays and watches."""
+    return Actor(weights.actor, weights.log_std, weights.critic)
+
+
+def import_actor(policies: list[MLPPolicy]) -> Actor:
+    """The acting part of policies of one shape."""
+    stds = [p.head.log_std if isinstance(p.head, BoxHead) else np.zeros(0) for p in policies]
+    return Actor(import_actors(policies), jnp.asarray(np.stack(stds), jnp.float32))  # type: ignore[arg-type]
+
+
+class Episodes(NamedTuple):
+    """What was lived through; leading axes (P, D, E, A) unless said otherwise.
+
+    Attributes:
+        obs: (P, rows, f) of agents that decided, one after the other; then nonsense.
+        row: of `obs`; any where nobody decided.
+        outputs: (..., m) of the actor that played.
+        action: integers, or (..., d).
+        value: of the critic that watched.
+        acting: there was an agent that decided.
+        reward: until the next decision.
+        done: the life of the agent ended then.
+        last_value: (P, E, A) after the last decision.
+        last_acting: (P, E, A) whose life goes on then; nobody's at a time limit that is terminal.
+        score: (P, E).
+    """
+
+    obs: jax.Array
+    row: jax.Array
+    outputs: jax.Array
+    action: jax.Array
+    value: jax.Array
+    acting: jax.Array
+    reward: jax.Array
+    done: jax.Array
+    last_value: jax.Array
+    last_acting: jax.Array
+    score: jax.Array
+
+
+BY_DECISION = ("row", "outputs", "action", "value", "acting", "reward", "done")
+"""Fields of `Episodes` with axes (P, D, E, ...); but for `obs` the others have (P, E, ...)."""
+
+
+def delayed(lived: Episodes, decisions: int) -> Episodes:
+    """The same episodes after so many decisions of nobody."""
+
+    def later(x: jax.Array) -> jax.Array:
+        return jnp.pad(x, [(0, 0), (decisions, 0)] + [(0, 0)] * (x.ndim - 2))
+
+    return lived._replace(**{name: later(getattr(lived, name)) for name in BY_DECISION})
+
+
+def joined(each: list[Episodes]) -> Episodes:
+    """Episodes of the same policies and of as many decisions, side by side."""
+    first, rows = 0, []
+    for lived in each:
+        rows.append(lived._replace(row=lived.row + first))
+        first += lived.obs.shape[1]
+
+    def together(name: str) -> jax.Array:
+        axis = 2 if name in BY_DECISION else 1
+        return jnp.concatenate([getattr(lived, name) for lived in rows], axis=axis)
+
+    return Episodes(*map(together, Episodes._fields))
+
+
+def record(
+    twin: World,
+    activation: Activation,
+    decisions: Length,
+    actor: Actor,
+    seeds: jax.Array,
+    params: Tree,
+    lasting: jax.Array | None = None,
+) -> Episodes:
+    """Play with sampled actions and keep everything.
+
+    Args:
+        twin: the dynamics; static.
+        activation: between the layers of the actor; static.
+        decisions: of an episode at most, or beats; static.
+        actor: of P policies, with their critics.
+        seeds: (P, E) uint32, one per episode.
+        params: of one context, or of every simulation.
+        lasting: decisions of an episode in this context, where one program serves several: before
+            the first of them nobody acts. That is no delay of what comes later, and advantages run
+            from the end of an episode to its beginning. None: as many as at most.
+    """
+    if isinstance(decisions, Beats):
+        return _in_beats(twin, activation, decisions, actor, seeds, params)
+    shape, flat = seeds.shape, seeds.reshape(-1)
+    crowd = isinstance(twin, Crowd)
+    played = (actor.network, actor.critic) if crowd else (actor.network,)
+    watch = partial(watched, twin, activation, params, shape)
+
+    def split(x: jax.Array) -> jax.Array:
+        return x.reshape(*shape, *x.shape[1:])
+
+    idle = jnp.uint32(0) if lasting is None else (decisions - lasting).astype(jnp.uint32)
+
+    def step(state: Tree, action: jax.Array) -> Moved:
+        applied = networks.to_environment(action, twin.action)
+        return twin.step(state, applied.reshape(-1, *action.shape[2:]), params)
+
+    def wait(state: Tree, action: jax.Array) -> Moved:
+        nobody = jnp.zeros((len(flat), twin.agents), bool)
+        return Moved(state, nobody.astype(jnp.float32), nobody)
+
+    def one(carry: tuple[Tree, Rows], moment: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
+        state, rows = carry
+        playing = None if lasting is None else moment >= idle
+        seen, rows = watch(played, state, rows, playing)
+        action = _sampled(twin, actor, seen.found[0], flat, moment - idle)
+        if playing is None:
+            moved = step(state, action)
+        else:
+            moved = jax.lax.cond(playing, step, wait, state, action)
+        now = map(split, (moved.reward, moved.done))
+        return (moved.state, rows), (seen.row, action, seen.acting, *now, *seen.found)
+
+    places = shape[1] * twin.agents
+    most = decisions * (most_rows(places) if crowd else places)
+    n_features = twin.n_features + params.visible.shape[-1]
+    rows = Rows(jnp.zeros((shape[0], most, n_features)), jnp.int32(0))
+    moments = jnp.arange(decisions, dtype=jnp.uint32)
+    (state, rows), by_moment = jax.lax.scan(one, (twin.start(flat, params), rows), moments)
+    row, action, acting, reward, done, *found = (jnp.moveaxis(x, 0, 1) for x in by_moment)
+    if not crowd:  # all rows at once are faster where none is empty
+        found.append(each(activation, actor.critic, rows.obs).reshape(*row.shape, 1))
+    last, _ = watch((actor.critic,), state, None, None)
+    return Episodes(
+        obs=rows.obs,
+        row=row,
+        outputs=found[0],
+        action=action,
+        value=found[1][..., 0],
+        acting=acting,
+        reward=reward,
+        done=done,
+        last_value=last.found[0][..., 0],
+        last_acting=last.acting & (twin.time_limit == "truncation"),
+        score=split(twin.score(state)),
+    )
+
+
+def _in_beats(
+    twin: Any, activation: Activation, beats: Beats, actor: Actor, seeds: jax.Array, params: Tree
+) -> Episodes:
+    """`record` where decisions last differently long."""
+    shape, flat = seeds.shape, seeds.reshape(-1)
+
+    def split(x: jax.Array) -> jax.Array:  # (n, ...) -> (P, E, ...)
+        return x.reshape(*shape, *x.shape[1:])
+
+    def by_policy(x: jax.Array) -> jax.Array:  # (D, n, ...) -> (P, D, E, ...)
+        return jnp.moveaxis(x.reshape(len(x), *shape, *x.shape[2:]), 0, 1)
+
+    def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, Tree]:
+        seen = twin.observe(state, params)
+        outputs = each(activation, actor.network, split(seen.obs))
+        action = _sampled(twin, actor, outputs, flat, number)
+        joint = (x.reshape(-1, *x.shape[2:]) for x in (outputs, action))
+        applied = networks.to_environment(action, twin.action)
+        return applied.reshape(-1, *action.shape[2:]), (seen.obs, seen.acting, *joint)
+
+    state, found = beats_of.lived(twin, beats, twin.start(flat, params), params, decide)
+    obs, acting, outputs, action = map(by_policy, found.kept)
+    row = jnp.arange(acting[0].size).reshape(acting.shape[1:])
+    last = twin.observe(state, params)
+    value, last_value = (each(activation, actor.critic, x)[..., 0] for x in (obs, split(last.obs)))
+    return Episodes(
+        obs=obs.reshape(len(obs), -1, obs.shape[-1]),
+        row=jnp.broadcast_to(row, acting.shape),
+        outputs=outputs,
+        action=action,
+        value=value,
+        acting=acting & by_policy(found.due)[..., None],
+        reward=by_policy(found.reward),
+        done=by_policy(found.done),
+        last_value=last_value,
+        last_acting=split(last.acting) & (twin.time_limit == "truncation"),
+        score=split(twin.score(state)),
+    )
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def scores(
+    twin: World,
+    activation: Activation,
+    how: Acting,
+    actor: Actor,
+    seeds: jax.Array,
+    drawn: jax.Array,
+    params: Tree,
+    decisions: Tree,
+) -> jax.Array:
+    """(P, E) scores; arguments as in `record`, `drawn` is `World.draws` of the seeds.
+
+    One compiled program serves all contexts, one after the other or, in beats, together; it ends as
+    soon as all episodes have. The numbers of `decisions` need not be static.
+    """
+    shape, flat = seeds.shape, seeds.reshape(-1)
+    watch = partial(watched, twin, activation, params, shape, (actor.network,))
+
+    def told(state: Tree, moment: jax.Array) -> jax.Array:
+        if how == "random":
+            return twin.any_actions(flat, moment)
+        (outputs,) = watch(state, None, None)[0].found
+        if how == "sampled":
+            action = _sampled(twin, actor, outputs, flat, moment)
+            action = networks.to_environment(action, twin.action)
+        else:
+            action = networks.mode(outputs, twin.action)
+        return action.reshape(-1, *action.shape[2:])
+
+    def going_on(carry: tuple[jax.Array, Tree]) -> jax.Array:
+        return (carry[0] < decisions) & ~twin.over(carry[1]).all()
+
+    def next_one(carry: tuple[jax.Array, Tree]) -> tuple[jax.Array, Tree]:
+        moment, state = carry
+        if how == "none":
+            return moment + 1, twin.drive(state, params).state
+        return moment + 1, twin.step(state, told(state, moment), params).state
+
+    def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, None]:
+        return told(state, number), None
+
+    state = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
+    if isinstance(decisions, Beats):
+        state = beats_of.played(cast(Holding, twin), decisions, state, params, decide)
+    else:
+        _, state = jax.lax.while_loop(going_on, next_one, (jnp.int32(0), state))
+    return twin.score(state).reshape(shape)
+
+
+def _sampled(
+    twin: World, actor: Actor, outputs: jax.Array, seeds: jax.Array, moment: jax.Array
+) -> jax.Array:
+    """(P, E, A) or (P, E, A, d) actions, not clipped."""
+    policies, episodes = outputs.shape[:2]
+    if isinstance(twin.action, Discrete):
+        draw = random.uniform(seeds, _ACTION, moment, twin.agents)
+        noise = draw.T.reshape(policies, episodes, twin.agents)
+    else:
+        d = actor.log_std.shape[-1]
+        draw = random.normal(seeds, _ACTION, moment, twin.agents * d)
+        noise = draw.T.reshape(policies, episodes, twin.agents, d)
+    each = partial(networks.sample, action=twin.action)
+    actions: jax.Array = jax.vmap(each)(outputs, actor.log_std, noise)
+    return actions

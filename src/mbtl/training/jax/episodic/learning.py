@@ -1,0 +1,88 @@
+"""Policies that learn from whole episodes, in which agents come and go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mbtl.training.jax import networks
+from mbtl.training.jax.clock import Clock
+from mbtl.training.jax.episodic import ppo, trpo
+from mbtl.training.jax.episodic.episodes import Episodes, actor_of, record
+from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe, TRPORecipe, TwinRecipe
+from mbtl.training.jax.networks import Weights
+from mbtl.worlds import random
+from mbtl.worlds.environments import Length, Tree
+from mbtl.worlds.world import World, of_simulations
+
+_ALGORITHMS: Mapping[type, Any] = {TRPORecipe: trpo, EpisodicPPORecipe: ppo}
+"""Modules with `start(recipe, weights)` and `learn(...)`, of one policy."""
+
+_EPISODE = 1 << 21  # stream of random numbers: seeds of training episodes
+
+
+class State(NamedTuple):
+    """P policies between two updates.
+
+    Attributes:
+        weights: leading axis P.
+        memory: the algorithm's, leading axis P.
+        seed: (P,) uint32.
+    """
+
+    weights: Weights
+    memory: Tree
+    seed: jax.Array
+
+
+def init(
+    world: World, recipe: TwinRecipe, seeds: Sequence[int], params: Tree, weights: Any = None
+) -> State:
+    """P policies before their first update; fresh unless given weights."""
+    if weights is None:
+        n_inputs = world.n_features + params.visible.shape[-1]
+        each = [
+            networks.init_weights(
+                seed,
+                n_inputs,
+                world.action,
+                recipe.hidden,
+                recipe.log_std,
+                recipe.critic_gain,
+                recipe.first_action,
+            )
+            for seed in seeds
+        ]
+        weights = networks.stack(each)
+    memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))(weights)
+    return State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))
+
+
+def update(
+    world: World, recipe: TwinRecipe, decisions: Length, state: State, params: Tree, clock: Clock
+) -> State:
+    """Live through `n_episodes` of each policy and learn from them; args as `algorithms.update`."""
+    seeds = episode_seeds(recipe, state, clock.number)
+    every = of_simulations(params, recipe.n_episodes)
+    lived = record(world, recipe.activation, decisions, actor_of(state.weights), seeds, every)
+    return learnt(world, recipe, state, clock.number, lived)
+
+
+def episode_seeds(recipe: TwinRecipe, state: State, number: jax.Array) -> jax.Array:
+    """(P, `n_episodes`) seeds of the episodes of an update."""
+    return random.bits(state.seed, _EPISODE, number, recipe.n_episodes).T
+
+
+def learnt(
+    world: World, recipe: TwinRecipe, state: State, number: jax.Array, lived: Episodes
+) -> State:
+    """Each policy after an update with its episodes."""
+    learn = partial(_ALGORITHMS[type(recipe)].learn, world.action, recipe)
+    policies = jax.vmap(learn, in_axes=(0, 0, 0, None))
+    weights, memory = policies(state.weights, state.memory, lived, number)
+    return State(weights, memory, state.seed)

@@ -1,0 +1,123 @@
+"""Advantages of agents that come and go, and rewards brought to one scale."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+
+from mbtl.training.jax.episodic.distributions import mean_of
+from mbtl.training.jax.episodic.episodes import Episodes
+from mbtl.training.jax.episodic.team import Credit, of_team
+
+
+class Discounting(Protocol):
+    """The part of a recipe that says what a return is."""
+
+    @property
+    def gamma(self) -> float: ...  # noqa: D102
+    @property
+    def gae_lambda(self) -> float: ...  # noqa: D102
+    @property
+    def normalize_reward(self) -> bool: ...  # noqa: D102
+    @property
+    def center_reward(self) -> bool: ...  # noqa: D102
+    @property
+    def credit(self) -> Credit: ...  # noqa: D102
+
+
+class Returns(NamedTuple):
+    """Running statistics over all decisions so far.
+
+    Attributes:
+        count: decisions seen.
+        reward_mean: of the raw rewards.
+        mean: of the discounted sum of past rewards, as Stable-Baselines3's `VecNormalize` keeps it;
+            of centred ones where they are centred.
+        variance: of the same.
+    """
+
+    count: jax.Array
+    reward_mean: jax.Array
+    mean: jax.Array
+    variance: jax.Array
+
+    @classmethod
+    def empty(cls) -> Returns:
+        """Nothing seen."""
+        zero = jnp.float32(0.0)
+        return cls(zero, zero, zero, zero)
+
+    def updated(self, recipe: Discounting, lived: Episodes) -> Returns:
+        """With more episodes of one policy."""
+        weight = lived.acting.astype(jnp.float32)
+        n = weight.sum()
+        both = jnp.maximum(self.count + n, 1.0)
+        share = n / both
+        reward_mean = self.reward_mean + share * (mean_of(lived.reward, weight) - self.reward_mean)
+        rewards = jnp.where(lived.acting, _centred(recipe, lived.reward, reward_mean), 0.0)
+
+        def forward(past: jax.Array, now: tuple[jax.Array, jax.Array]) -> Any:
+            total = recipe.gamma * past + now[0]
+            return jnp.where(now[1], 0.0, total), total
+
+        _, discounted = jax.lax.scan(forward, jnp.zeros_like(rewards[0]), (rewards, lived.done))
+        mean = mean_of(discounted, weight)
+        variance = mean_of(jnp.square(discounted - mean), weight)
+        apart = mean - self.mean
+        return Returns(
+            self.count + n,
+            reward_mean,
+            self.mean + share * apart,
+            (1.0 - share) * self.variance
+            + share * variance
+            + share * (1.0 - share) * jnp.square(apart),
+        )
+
+
+def advantages(
+    recipe: Discounting, returns: Returns, lived: Episodes
+) -> tuple[jax.Array, jax.Array, Returns]:
+    """Generalised advantage estimates along each agent's life, or along the team's.
+
+    delta = r + gamma V(next) - V(obs). A life that has ended is worth nothing more; one that the
+    end of the episode cut off is worth V of what its agent saw last. A team (`team.of_team`) lives
+    until the episode ends, and an agent's advantage is what the team's return exceeds V(obs) by.
+
+    Args:
+        recipe: what a return is.
+        returns: running statistics before these episodes.
+        lived: of one policy, axes (D, E, A).
+
+    Returns:
+        (D, E, A) advantages, (D, E, A) targets of the critic, and the statistics after.
+    """
+    own_value = lived.value
+    if recipe.credit == "team":
+        lived = of_team(lived)
+    returns = returns.updated(recipe, lived)
+    reward = _centred(recipe, lived.reward, returns.reward_mean)
+    if recipe.normalize_reward:
+        reward = reward * jax.lax.rsqrt(returns.variance + 1e-8)
+    reward = jnp.where(lived.acting, reward, 0.0)
+    value = lived.value
+    last = jnp.where(lived.last_acting, lived.last_value, 0.0)
+    following = jnp.concatenate([value[1:], last[None]])
+    alive = ~lived.done
+    delta = reward + recipe.gamma * jnp.where(alive, following, 0.0) - value
+
+    def back(later: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        advantage = now[0] + recipe.gamma * recipe.gae_lambda * jnp.where(now[1], later, 0.0)
+        return advantage, advantage
+
+    _, advantage = jax.lax.scan(back, jnp.zeros_like(delta[0]), (delta, alive), reverse=True)
+    target = advantage + value
+    if recipe.credit == "team":
+        advantage = target - own_value
+    return advantage, target, returns
+
+
+def _centred(recipe: Discounting, reward: jax.Array, mean: jax.Array) -> jax.Array:
+    """Less their running mean, where the recipe says so."""
+    return reward - mean if recipe.center_reward else reward

@@ -1,0 +1,126 @@
+"""Episodes of contexts whose decisions last differently long, lived through together.
+
+All simulations move in beats, of which every decision is a multiple, so that none waits for
+another; who has no decision due keeps its instruction. What was recorded by beat is then put in the
+order of decisions. Episodes of few decisions end with the others and begin later: before their
+first decision nobody acts, and as advantages run from the end to the beginning, that is no delay.
+
+Notation (shapes): n simulations, D decisions of the longest episode, B beats.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mbtl.worlds.environments import Beats, Length, Tree
+from mbtl.worlds.world import Moved, World
+
+Decide = Callable[[Tree, jax.Array], tuple[jax.Array, Tree]]
+"""state, (n,) numbers of decisions -> (n, ...) actions to apply, and what shall be kept of it."""
+
+
+class Holding(World, Protocol):
+    """A world in whose contexts decisions last differently long; its batches move in beats.
+
+    A beat is a time of which all decisions are multiples. Between decisions an instruction holds.
+    """
+
+    def beats(self, params: Tree, beats: Beats) -> tuple[jax.Array, jax.Array]:
+        """(n,) beats of one decision, and decisions of an episode."""
+        ...
+
+    def held(self, state: Tree) -> Tree:
+        """Instructions before the first beat."""
+        ...
+
+    def beat(
+        self, state: Tree, held: Tree, action: jax.Array, params: Tree, beats: Beats, now: jax.Array
+    ) -> tuple[Moved, Tree]:
+        """One beat; instructions are taken where a decision is due.
+
+        `Moved` tells reward and end of a decision with its last beat. Whose episode is over stands
+        still.
+        """
+        ...
+
+
+def length(steps: int, hold: jax.Array) -> Length:
+    """Decisions that fill so many steps; the last may go beyond.
+
+    Args:
+        steps: of an episode.
+        hold: steps of a decision, () or (n,).
+    """
+    holds = np.atleast_1d(np.asarray(hold))
+    counts = -(-steps // holds)
+    if hold.ndim == 0:
+        return int(counts[0])
+    beat = int(np.gcd.reduce(holds))
+    return Beats(int(counts.max()), int((counts * holds).max()) // beat, beat)
+
+
+class Decisions(NamedTuple):
+    """What was lived through, (D, n, ...).
+
+    Attributes:
+        kept: by `Decide`.
+        due: there was a decision; not before the first of an episode.
+        reward: until the next decision, (D, n, A).
+        done: a life ended then, (D, n, A).
+    """
+
+    kept: Tree
+    due: jax.Array
+    reward: jax.Array
+    done: jax.Array
+
+
+def lived(
+    twin: Holding, beats: Beats, state: Tree, params: Tree, decide: Decide
+) -> tuple[Tree, Decisions]:
+    """The state after the longest episode, and what happened on the way.
+
+    Args:
+        twin: the dynamics.
+        beats: of the longest episode; static.
+        state: at the first decision.
+        params: of every simulation.
+        decide: what agents are told.
+    """
+    every, decisions = twin.beats(params, beats)
+
+    def one(carry: tuple[Tree, Tree], now: jax.Array) -> tuple[tuple[Tree, Tree], Any]:
+        state, held = carry
+        action, kept = decide(state, now // every)
+        moved, held = twin.beat(state, held, action, params, beats, now)
+        return (moved.state, held), (kept, moved.reward, moved.done)
+
+    first = (state, twin.held(state))
+    (state, _), (kept, reward, done) = jax.lax.scan(one, first, jnp.arange(beats.total))
+    number = jnp.arange(beats.decisions)[:, None] - (beats.decisions - decisions)  # (D, n)
+    begins = jnp.maximum(number, 0) * every
+    ends, own = begins + every - 1, jnp.arange(len(every))
+    return state, Decisions(
+        jax.tree.map(lambda x: x[begins, own], kept),
+        number >= 0,
+        reward[ends, own],
+        done[ends, own] & (number >= 0)[..., None],
+    )
+
+
+def played(twin: Holding, beats: Beats, state: Tree, params: Tree, decide: Decide) -> Tree:
+    """The state after the longest episode, of which nothing is kept; `beats` may be traced."""
+    every, _ = twin.beats(params, beats)
+
+    def one(now: jax.Array, carry: tuple[Tree, Tree]) -> tuple[Tree, Tree]:
+        state, held = carry
+        action, _ = decide(state, now // every)
+        moved, held = twin.beat(state, held, action, params, beats, now)
+        return moved.state, held
+
+    return jax.lax.fori_loop(0, beats.total, one, (state, twin.held(state)))[0]
