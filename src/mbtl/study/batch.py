@@ -11,7 +11,6 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass, field
 from functools import partial
 from logging import getLogger
-from pathlib import Path
 from typing import Any
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed
@@ -31,7 +30,6 @@ from mbtl.study.keeper import Keeper
 from mbtl.study.pick import Pick
 from mbtl.study.study import Study
 from mbtl.trainer import Progress, Trainer
-from mbtl.untrusted import inside
 
 _logger = getLogger(__name__)
 
@@ -146,8 +144,7 @@ class Batches:
 
     def _job(self, pick: Pick) -> Job:
         study, spec = self.study, self.study.spec
-        place = policy_path(study, pick).as_posix()
-        folder = inside(study.folder, place, "a study") if study.folder else None
+        places = places_of(study, pick)
         targets = range(study.space.n) if pick.targets is None else pick.targets
         return Job(
             self.trainer,
@@ -155,25 +152,27 @@ class Batches:
             pick.seed,
             [study.space.context(target) for target in targets],
             evaluation_seed(spec.seed, spec.trial),
-            folder,
+            study.artifacts,
+            places[-1],
+            tuple(places[:-1]),
             Kept(study.untold[pick.number]) if pick.number in study.untold else None,
             self.rehearse and not study.has_succeeded,
         )
 
     def _keep(self, pick: Pick, kept: Kept | None) -> None:
         """Hold on to a policy that is nowhere else."""
-        if kept is not None and not kept.saved:
+        if kept is not None and kept.artifact is None:
             self.study.untold[pick.number] = kept.policy
         else:
             self.study.untold.pop(pick.number, None)
 
     def _tell(self, pick: Pick, outcome: Outcome) -> bool:
-        self._keep(pick, Kept(outcome.policy, outcome.saved))
+        self._keep(pick, Kept(outcome.policy, outcome.artifact))
         in_time = self.study.tell(
             pick,
             outcome.returns,
             seconds=outcome.seconds,
-            policy=policy_path(self.study, pick).as_posix() if outcome.saved else None,
+            policy=outcome.artifact,
             policy_object=outcome.policy,
         )
         self.study.untold.pop(pick.number, None)
@@ -213,9 +212,9 @@ class Batches:
         then = "run again: the policy is kept and only evaluated"
         if trouble.kept is None:
             then = "run again, with retry_failed=True (--retry-failed) to train there again"
-        elif trouble.stage == "loading" and self.study.folder is not None:
-            folder = self.study.folder / policy_path(self.study, pick)
-            then = f"run again, or remove {folder} to have the policy trained again"
+        elif trouble.stage == "loading" and trouble.kept.artifact is not None:
+            place = trouble.kept.artifact.place
+            then = f"run again, or remove {place} to have the policy trained again"
         return failure(
             f"{where(self.study, pick)} failed: {_reason(trouble)}; the run ends here ({why}), so "
             f"mend the cause and {then}",
@@ -289,7 +288,12 @@ def brought_back(future: Future[Any]) -> Any:
         ) from error
 
 
-def policy_path(study: Study, pick: Pick) -> Path:
-    """Below the study's folder; studies that share it, or a database, keep apart by their uid."""
+def places_of(study: Study, pick: Pick) -> list[str]:
+    """Where the policy of a pick may be, and last where it is to be written.
+
+    Below the study's folder; studies that share it, or a database, keep apart by their uid.
+    """
     again = f"-{pick.repeat}" if pick.repeat else ""
-    return Path("policies", study.state.uid, f"source-{pick.source:04d}{again}")
+    base = f"policies/{study.state.uid}/source-{pick.source:04d}{again}"
+    tokens = (*study.state.picks[pick.number].tokens, pick.token)
+    return [base, *dict.fromkeys(f"{base}-{token}" for token in tokens if token)]

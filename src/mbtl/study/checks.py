@@ -238,6 +238,8 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
             "cost": (_at_least(0.0), "a finite number >= 0"),
             "seconds": _NUMBER,
             "policy": _POLICY,
+            "sha256": _MAYBE_TEXT,
+            "recipe": _MAYBE_TEXT,
             "token": _TOKEN,
         },
         "failed": failure,

@@ -15,6 +15,7 @@ from mbtl.errors import InvalidInput, StorageError, StudyError
 from mbtl.seeds import training_seed
 from mbtl.selectors import Selector
 from mbtl.study import asking, telling
+from mbtl.study.artifacts import ArtifactStore
 from mbtl.study.checks import check_event
 from mbtl.study.events import Event
 from mbtl.study.pick import Pick, StudyFinished
@@ -36,7 +37,7 @@ class LeasingStudy(StudyView):
         log: EventLog,
         selector: Selector,
         *,
-        folder: Path | None,
+        folder: Path | ArtifactStore | None,
         name: str = "study",
         trainer: Trainer | None = None,
     ) -> None:

@@ -68,6 +68,8 @@ class ToldRow:
         policy: folder of the saved policy, relative to the study; None when not saved.
         told_at: seconds since the epoch.
         event: number of the event that told it, by which it may be voided.
+        sha256: of the policy's files; None: not known.
+        recipe: digest of the recipe that it was made with; None: not known.
     """
 
     source: int
@@ -80,6 +82,8 @@ class ToldRow:
     policy: str | None
     told_at: float
     event: int = 0
+    sha256: str | None = None
+    recipe: str | None = None
 
 
 @dataclass(frozen=True)

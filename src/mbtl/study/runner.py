@@ -241,8 +241,8 @@ def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
         return
     if not getattr(trainer, "saves", True):
         fix = "give save and load functions, or make the study without storage"
-    elif study.folder is None:
-        fix = "its database is no file, so give artifacts=<a folder> where the study is made"
+    elif study.artifacts is None:
+        fix = "its database is no file, so give artifacts=<a folder or URL> where the study is made"
     else:
         return
     words = f"this study is stored, but its policies will be in memory only: {fix}"

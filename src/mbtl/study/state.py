@@ -241,6 +241,8 @@ class StudyState:
                 data["policy"],
                 event.time,
                 event.seq,
+                data.get("sha256"),
+                data.get("recipe"),
             )
         )
 

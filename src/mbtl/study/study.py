@@ -18,6 +18,7 @@ from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.settings import first_difference
 from mbtl.study import telling
+from mbtl.study.artifacts import Artifact
 from mbtl.study.events import Event, Kind
 from mbtl.study.leasing import LeasingStudy
 from mbtl.study.pick import Pick
@@ -29,6 +30,7 @@ from mbtl.trainer import (
     checked_returns,
     checked_targets,
     equipment_of,
+    recipe_digest,
 )
 
 if TYPE_CHECKING:
@@ -46,7 +48,7 @@ class Study(LeasingStudy):
         targets: Sequence[int] | None = None,
         cost: float | None = None,
         seconds: float | None = None,
-        policy: str | None = None,
+        policy: str | Artifact | None = None,
         policy_object: Any = None,
     ) -> bool:
         """Record the transfer row of one trained policy.
@@ -60,7 +62,8 @@ class Study(LeasingStudy):
             cost: cost of the training, in the unit of the cost budget; None: what `costs` says of
                 the source, or 1; 0 for a row that nobody asked for.
             seconds: wall time of training and evaluation.
-            policy: folder of the saved policy, relative to the study's folder.
+            policy: folder of the saved policy, relative to the study's folder; as an `Artifact`
+                with its hash, which is then checked whenever it is read.
             policy_object: the policy itself, kept in this process only.
 
         Returns:
@@ -91,7 +94,8 @@ class Study(LeasingStudy):
             "ddof": 1,
             "episodes": rows.shape[1],
             "seconds": seconds,
-            "policy": policy,
+            "policy": policy.place if isinstance(policy, Artifact) else policy,
+            "sha256": policy.sha256 if isinstance(policy, Artifact) else None,
         }
         if isinstance(pick, Pick) and pick.token:
             data["token"] = pick.token
@@ -105,7 +109,8 @@ class Study(LeasingStudy):
             number = telling.answered(state, pick, source)
             expected = 0.0 if number is None else usual
             spent = expected if cost is None else float(cost)
-            return Event("told", {**data, "pick": number, "cost": spent}, arrays)
+            made = None if state.equipment is None else recipe_digest(state.equipment)
+            return Event("told", {**data, "pick": number, "cost": spent, "recipe": made}, arrays)
 
         in_time = self._commit(told).kind == "told"
         if policy_object is not None and in_time:

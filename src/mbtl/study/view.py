@@ -15,6 +15,7 @@ from mbtl.objective import Bounds
 from mbtl.routing import Routing
 from mbtl.selectors import SelectionProblem
 from mbtl.study import asking
+from mbtl.study.artifacts import ArtifactStore, FolderStore
 from mbtl.study.leases import Watch, new_worker
 from mbtl.study.places import database_file
 from mbtl.study.presence import Presence
@@ -22,7 +23,6 @@ from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
 from mbtl.study.storage import EventLog, MemoryLog
 from mbtl.trainer import Trainer
-from mbtl.untrusted import inside
 
 if TYPE_CHECKING:
     from mbtl.portfolio import Portfolio
@@ -33,7 +33,7 @@ class StudyView:
 
     Attributes:
         name: within its storage.
-        folder: absolute; policies are saved below it. None: they cannot be.
+        artifacts: keeps the policies; None: they cannot be kept.
         trainer: trains and reads policies where no other is given.
         worker: name by which this object holds picks.
         presence: who surely is gone, where that can be known.
@@ -42,11 +42,16 @@ class StudyView:
     """
 
     def __init__(
-        self, log: EventLog, *, folder: Path | None, name: str, trainer: Trainer | None
+        self,
+        log: EventLog,
+        *,
+        folder: Path | ArtifactStore | None,
+        name: str,
+        trainer: Trainer | None,
     ) -> None:
         """The log must hold a `created` event."""
         self.name = name
-        self.folder = None if folder is None else folder.absolute()
+        self.artifacts = FolderStore(folder.absolute()) if isinstance(folder, Path) else folder
         self.trainer = trainer
         self.policies: dict[int, Any] = {}
         self.untold: dict[int, Any] = {}
@@ -71,6 +76,11 @@ class StudyView:
         if self._state.spec is None:
             raise StudyError(f"there is no study {self.name!r} in this storage; create it first")
         return self._state
+
+    @property
+    def folder(self) -> Path | None:
+        """Policies are saved below it; None where they are elsewhere, or nowhere."""
+        return self.artifacts.root if isinstance(self.artifacts, FolderStore) else None
 
     @property
     def log(self) -> EventLog:
@@ -170,13 +180,14 @@ class StudyView:
                 is your own, or of somebody you trust.
 
         Raises:
-            StorageError: a policy's folder is not inside the study's, or is reached by a link.
+            StorageError: a policy's folder is not inside the study's, or is reached by a link, or
+                a policy is not the one that was told.
         """
         from mbtl.portfolio import Portfolio
 
         rows, spec = self.refresh().rows, self.spec
         folders = [
-            inside(self.folder, r.policy, "a study") if self.folder and r.policy else None
+            self.artifacts.read(r.policy, r.sha256) if self.artifacts and r.policy else None
             for r in rows
         ]
         made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}
