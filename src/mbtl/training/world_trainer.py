@@ -82,6 +82,7 @@ class WorldTrainer:
     reward: str | None = None
 
     policy_format = "mlp"
+    resumes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         by_steps = self.episodes is None
@@ -186,8 +187,6 @@ class WorldTrainer:
 
     # ---- training ----------------------------------------------------------------------------
 
-    resumes: ClassVar[bool] = True
-
     def train(
         self,
         context: Context,
@@ -225,8 +224,7 @@ class WorldTrainer:
                 evaluations.
             keep: names of checkpoints (`mbtl.checkpoints`); without "final" a training may need
                 fewer steps.
-            partial: file in which to save the training now and then, and from which to go on if it
-                is there. Remove it when the policies are safe.
+            partial: file to save the training in now and then, and to go on from; remove it after.
 
         Returns:
             P policies under each name of `keep`.
