@@ -7,6 +7,8 @@ library.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -78,6 +80,27 @@ class RehearsingTrainer(Trainer, Protocol):
 
     def untrained(self, context: Context) -> Any:
         """A policy as `train` gives it, but not trained: in seconds, whatever its returns."""
+        ...
+
+
+@runtime_checkable
+class ResumingTrainer(Trainer, Protocol):
+    """A trainer that saves a training now and then, so that another worker can go on with it."""
+
+    @property
+    def resumes(self) -> bool:
+        """True; what tells it from others."""
+        ...
+
+    def train(
+        self,
+        context: Context,
+        seed: int,
+        on_progress: OnProgress | None = None,
+        *,
+        partial: Path | None = None,
+    ) -> Any:
+        """As `Trainer.train`; `partial` is a file to save the training in, and to go on from."""
         ...
 
 
@@ -284,6 +307,12 @@ def recipe_of(trainer: Trainer) -> dict[str, Any]:
     """
     given = getattr(trainer, "recipe", None)
     return dict(given) if given is not None else {"trainer": type(trainer).__name__}
+
+
+def recipe_digest(equipment: Mapping[str, Any]) -> str:
+    """Sixteen letters and digits that tell recipes apart."""
+    text = json.dumps(equipment, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def equipment_of(trainer: Trainer) -> dict[str, Any]:

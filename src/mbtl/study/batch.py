@@ -11,7 +11,6 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass, field
 from functools import partial
 from logging import getLogger
-from pathlib import Path
 from typing import Any
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed
@@ -27,10 +26,10 @@ from mbtl.study.job import (
     perform_elsewhere,
     reason_of,
 )
+from mbtl.study.keeper import Keeper
 from mbtl.study.pick import Pick
 from mbtl.study.study import Study
-from mbtl.trainer import Trainer
-from mbtl.untrusted import inside
+from mbtl.trainer import Progress, Trainer
 
 _logger = getLogger(__name__)
 
@@ -46,6 +45,7 @@ class Batches:
         failures_allowed: failures in a row that are borne; one more ends the run.
         rehearse: the first policy is read back and evaluated on two targets before all else.
         callbacks: told what happens.
+        keeper: keeps the leases of the picks.
         held: picks whose policy could not be evaluated. They stay with this process meanwhile, so
             that nobody tries again at once.
     """
@@ -56,6 +56,7 @@ class Batches:
     failures_allowed: int
     rehearse: bool
     callbacks: Sequence[Callback]
+    keeper: Keeper
     held: list[Pick] = field(default_factory=list)
     _in_a_row: int = 0
 
@@ -72,17 +73,24 @@ class Batches:
             for pick in batch:
                 self._announce("on_pick", pick)
             for pick, outcome in self._outcomes(batch):
-                if isinstance(outcome, Outcome):
-                    self._tell(pick, outcome)
+                if outcome is None:
                     waiting.remove(pick)
-                    self._announce("on_told", pick)
+                    self._lose(pick)
+                    continue
+                if isinstance(outcome, Outcome):
+                    in_time = self._tell(pick, outcome)
+                    waiting.remove(pick)
+                    if in_time:
+                        self._announce("on_told", pick)
                     continue
                 self._keep(pick, outcome.kept)
                 if isinstance(outcome.error, NOT_THE_TRAININGS_FAULT):
                     end = end or outcome.error
                     continue
-                self._record(pick, outcome)
+                in_time = self._record(pick, outcome)
                 waiting.remove(pick)
+                if not in_time:
+                    continue
                 self._announce("on_failed", pick, _reason(outcome))
                 failed = pick, outcome
                 if self._in_a_row > self.failures_allowed:
@@ -106,8 +114,8 @@ class Batches:
 
     # ---- inside ------------------------------------------------------------------------------
 
-    def _outcomes(self, batch: Sequence[Pick]) -> Iterator[tuple[Pick, Outcome | Trouble]]:
-        """What each pick gave, in pick order."""
+    def _outcomes(self, batch: Sequence[Pick]) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
+        """What each pick gave, in pick order; None where its training was stopped."""
         jobs = [self._job(pick) for pick in batch]
         if self.executor is None:
             for pick, job in zip(batch, jobs, strict=True):
@@ -117,18 +125,26 @@ class Batches:
         for pick, future in zip(batch, futures, strict=True):
             yield pick, brought_back(future)
 
-    def _perform_here(self, pick: Pick, job: Job) -> Outcome | Trouble:
-        return perform(
-            job,
-            partial(self._announce, "on_progress", pick),
-            partial(self._keep, pick),
-            partial(self._announce, "on_evaluation", pick),
-        )
+    def _perform_here(self, pick: Pick, job: Job) -> Outcome | Trouble | None:
+        try:
+            return perform(
+                job,
+                partial(self._progressed, pick),
+                partial(self._keep, pick),
+                partial(self._announce, "on_evaluation", pick),
+            )
+        except _Stopped:
+            return None
+
+    def _progressed(self, pick: Pick, progress: Progress) -> None:
+        self._announce("on_progress", pick, progress)
+        self.keeper.said(pick, progress)
+        if self.keeper.is_lost(pick):
+            raise _Stopped
 
     def _job(self, pick: Pick) -> Job:
         study, spec = self.study, self.study.spec
-        place = policy_path(study, pick).as_posix()
-        folder = inside(study.folder, place, "a study") if study.folder else None
+        places = places_of(study, pick)
         targets = range(study.space.n) if pick.targets is None else pick.targets
         return Job(
             self.trainer,
@@ -136,48 +152,69 @@ class Batches:
             pick.seed,
             [study.space.context(target) for target in targets],
             evaluation_seed(spec.seed, spec.trial),
-            folder,
+            study.artifacts,
+            places[-1],
+            tuple(places[:-1]),
             Kept(study.untold[pick.number]) if pick.number in study.untold else None,
             self.rehearse and not study.has_succeeded,
         )
 
     def _keep(self, pick: Pick, kept: Kept | None) -> None:
         """Hold on to a policy that is nowhere else."""
-        if kept is not None and not kept.saved:
+        if kept is not None and kept.artifact is None:
             self.study.untold[pick.number] = kept.policy
         else:
             self.study.untold.pop(pick.number, None)
 
-    def _tell(self, pick: Pick, outcome: Outcome) -> None:
-        self._keep(pick, Kept(outcome.policy, outcome.saved))
-        self.study.tell(
+    def _tell(self, pick: Pick, outcome: Outcome) -> bool:
+        self._keep(pick, Kept(outcome.policy, outcome.artifact))
+        in_time = self.study.tell(
             pick,
             outcome.returns,
             seconds=outcome.seconds,
-            policy=policy_path(self.study, pick).as_posix() if outcome.saved else None,
+            policy=outcome.artifact,
             policy_object=outcome.policy,
         )
         self.study.untold.pop(pick.number, None)
         self._in_a_row = 0
+        if not in_time:
+            self._lose(pick)
+            return False
+        self.keeper.drop(pick)
         _logger.info("%s, V = %.4f", where(self.study, pick), self.study.value)
+        return True
 
-    def _record(self, pick: Pick, trouble: Trouble) -> None:
+    def _lose(self, pick: Pick) -> None:
+        """Somebody else does it, or has done it."""
+        self.study.untold.pop(pick.number, None)
+        self.keeper.drop(pick)
+        _logger.warning("%s is somebody else's by now", where(self.study, pick))
+        self._announce("on_lost", pick)
+
+    def _record(self, pick: Pick, trouble: Trouble) -> bool:
         reason = _reason(trouble)
         if trouble.kept is None:
-            self.study.fail(pick, reason, traceback=trouble.traceback)
+            in_time = self.study.fail(pick, reason, traceback=trouble.traceback)
         else:
-            self.study.defer(pick, reason, traceback=trouble.traceback)
+            in_time = self.study.defer(pick, reason, traceback=trouble.traceback)
+        if not in_time:
+            self._lose(pick)
+            return False
+        if trouble.kept is None:
+            self.keeper.drop(pick)
+        else:
             self.held.append(pick)
         self._in_a_row += 1
         _logger.warning("%s failed: %s", where(self.study, pick), reason)
+        return True
 
     def _end(self, pick: Pick, trouble: Trouble, why: str) -> TrainingFailed:
         then = "run again: the policy is kept and only evaluated"
         if trouble.kept is None:
             then = "run again, with retry_failed=True (--retry-failed) to train there again"
-        elif trouble.stage == "loading" and self.study.folder is not None:
-            folder = self.study.folder / policy_path(self.study, pick)
-            then = f"run again, or remove {folder} to have the policy trained again"
+        elif trouble.stage == "loading" and trouble.kept.artifact is not None:
+            place = trouble.kept.artifact.place
+            then = f"run again, or remove {place} to have the policy trained again"
         return failure(
             f"{where(self.study, pick)} failed: {_reason(trouble)}; the run ends here ({why}), so "
             f"mend the cause and {then}",
@@ -186,6 +223,7 @@ class Batches:
 
     def _give_back(self, picks: Sequence[Pick]) -> None:
         for pick in picks:
+            self.keeper.drop(pick)
             try:
                 self.study.release(pick)
             except StorageError:  # the storage is what failed; the pick is taken over later
@@ -207,6 +245,10 @@ class _CallbackError(BaseException):
     def __init__(self, error: Exception) -> None:
         super().__init__(error)
         self.error = error
+
+
+class _Stopped(BaseException):
+    """Ends a training whose pick is somebody else's by now."""
 
 
 def _reason(trouble: Trouble) -> str:
@@ -246,7 +288,12 @@ def brought_back(future: Future[Any]) -> Any:
         ) from error
 
 
-def policy_path(study: Study, pick: Pick) -> Path:
-    """Below the study's folder; studies that share it, or a database, keep apart by their uid."""
+def places_of(study: Study, pick: Pick) -> list[str]:
+    """Where the policy of a pick may be, and last where it is to be written.
+
+    Below the study's folder; studies that share it, or a database, keep apart by their uid.
+    """
     again = f"-{pick.repeat}" if pick.repeat else ""
-    return Path("policies", study.state.uid, f"source-{pick.source:04d}{again}")
+    base = f"policies/{study.state.uid}/source-{pick.source:04d}{again}"
+    tokens = (*study.state.picks[pick.number].tokens, pick.token)
+    return [base, *dict.fromkeys(f"{base}-{token}" for token in tokens if token)]

@@ -6,6 +6,7 @@ It loses at most the training in flight; see `mbtl.study.job` and `mbtl.study.ba
 from __future__ import annotations
 
 import pickle
+import time
 import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -26,12 +27,18 @@ from mbtl.study.batch import Batches, brought_back, failure
 from mbtl.study.callbacks import Callback, shared_words
 from mbtl.study.fresh import can_report, report_fresh_returns
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, reason_of
+from mbtl.study.keeper import Keeper
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.rehearsal import rehearse as rehearsed
 from mbtl.study.study import Study
 from mbtl.trainer import RehearsingTrainer, Trainer
 
 _logger = getLogger(__name__)
+
+LEASE = 60.0
+"""Seconds for which a run may be silent before others take its trainings over."""
+_LOOK = 0.2
+"""Seconds between looks at what others do."""
 
 
 def run(
@@ -46,6 +53,7 @@ def run(
     rehearse: bool = True,
     callbacks: Sequence[Callback] = (),
     report: bool = True,
+    lease: float = LEASE,
 ) -> None:
     """Run a study to its end; interrupted, it goes on where it was when called again.
 
@@ -66,13 +74,15 @@ def run(
             trainer can make one; else the first policy on two contexts before all others.
         callbacks: told what happens.
         report: evaluate the routed policies on fresh seeds at the end.
+        lease: seconds without a sign of life from a run after which others take its trainings
+            over. On one machine they do so at once when its process has ended.
 
     Raises:
         TrainingFailed: failures ended the run, or no training succeeded.
     """
-    check_options(parallel, on_failure, stop_after_failures)
+    check_options(parallel, on_failure, stop_after_failures, lease)
     try:
-        with _workers(parallel, executor) as pooled:
+        with Keeper(study, lease) as keeper, _workers(parallel, executor) as pooled:
             if pooled is not None:
                 _check_can_travel(pooled, trainer)
             _warn_of_unsaved(study, trainer)
@@ -84,11 +94,13 @@ def run(
                 _rehearse(study, trainer, pooled)
                 first_policy = False
             allowed = 0 if on_failure == "stop" else stop_after_failures - 1
-            batches = Batches(study, trainer, pooled, allowed, first_policy, callbacks)
+            batches = Batches(study, trainer, pooled, allowed, first_policy, callbacks, keeper)
             if study.state.equipment is not None or not study.is_finished:
                 study.equip(trainer)
             try:
                 _do_all(study, batches, parallel)
+                while _wait_for_others(study, callbacks):
+                    _do_all(study, batches, parallel)
                 if batches.give_back_held():
                     _do_all(study, batches, parallel)
             finally:
@@ -102,7 +114,10 @@ def run(
 
 
 def check_options(
-    parallel: int = 1, on_failure: str = "continue", stop_after_failures: int = 1
+    parallel: int = 1,
+    on_failure: str = "continue",
+    stop_after_failures: int = 1,
+    lease: float = LEASE,
 ) -> None:
     """Refuse what `run` cannot do, before anything is stored.
 
@@ -111,6 +126,8 @@ def check_options(
     """
     if on_failure not in ("continue", "stop"):
         raise InvalidInput(f"on_failure must be 'continue' or 'stop', got {on_failure!r}")
+    if not lease > 0:
+        raise InvalidInput(f"a lease lasts a number of seconds > 0, got {lease!r}")
     for name, number in (("parallel", parallel), ("stop_after_failures", stop_after_failures)):
         if number < 1:
             raise InvalidInput(f"{name} must be >= 1, got {number}")
@@ -161,8 +178,26 @@ def _rehearse(study: Study, trainer: RehearsingTrainer, executor: Executor | Non
 
 
 def _do_all(study: Study, batches: Batches, size: int) -> None:
-    while batch := _next_batch(study, size):
+    while batch := _next_batch(study, size, batches.keeper):
         batches.do(batch)
+
+
+def _wait_for_others(study: Study, callbacks: Sequence[Callback]) -> bool:
+    """Wait for a change while others hold what is left; False when there is nothing to wait for.
+
+    One of them may die, and its training is then to be done here.
+    """
+    seq, left, announced = study.refresh().seq, study.orphans, False
+    while seq == study.refresh().seq and study.orphans == left:
+        theirs = asking.others(study.state, study.watch(), study.worker, for_ever=False)
+        if not theirs:
+            return False
+        if not announced:
+            announced = True
+            for callback in callbacks:
+                callback.on_waiting(study, theirs)
+        time.sleep(_LOOK)
+    return True
 
 
 def _report(study: Study, trainer: Trainer, callbacks: Sequence[Callback]) -> None:
@@ -182,7 +217,7 @@ def _report(study: Study, trainer: Trainer, callbacks: Sequence[Callback]) -> No
             callback.on_report_failed(study, reason_of(error))
 
 
-def _next_batch(study: Study, size: int) -> list[Pick]:
+def _next_batch(study: Study, size: int, keeper: Keeper) -> list[Pick]:
     """The next picks to train together; empty when the study is finished.
 
     Picks left by a killed run come first. A batch then fills up to a multiple of `size` picks
@@ -191,7 +226,8 @@ def _next_batch(study: Study, size: int) -> list[Pick]:
     batch: list[Pick] = []
     while len(batch) < size:
         try:
-            batch.append(study.ask(take_over=True))
+            batch.append(study.ask(lease=keeper.seconds))
+            keeper.hold(batch[-1])
         except StudyFinished:
             break
         if not study.orphans and len(study.state.picks) % size == 0:
@@ -205,8 +241,8 @@ def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
         return
     if not getattr(trainer, "saves", True):
         fix = "give save and load functions, or make the study without storage"
-    elif study.folder is None:
-        fix = "its database is no file, so give artifacts=<a folder> where the study is made"
+    elif study.artifacts is None:
+        fix = "its database is no file, so give artifacts=<a folder or URL> where the study is made"
     else:
         return
     words = f"this study is stored, but its policies will be in memory only: {fix}"
@@ -216,7 +252,7 @@ def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
 
 def _announce_others(study: Study, callbacks: Sequence[Callback]) -> None:
     """A second process joins on purpose or by mistake; people should know which."""
-    others = asking.others(study.refresh())
+    others = asking.others(study.refresh(), study.watch(), study.worker)
     if not others:
         return
     _logger.warning("%s", shared_words(others))

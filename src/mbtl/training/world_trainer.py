@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -85,6 +85,7 @@ class WorldTrainer:
     reward: str | None = None
 
     policy_format = "mlp"
+    resumes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         by_steps = self.episodes is None
@@ -173,16 +174,22 @@ class WorldTrainer:
     # ---- training ----------------------------------------------------------------------------
 
     def train(
-        self, context: Context, seed: int, on_progress: OnProgress | None = None
+        self,
+        context: Context,
+        seed: int,
+        on_progress: OnProgress | None = None,
+        *,
+        partial: Path | None = None,
     ) -> MLPPolicy:
-        """Train on one context; the same seed gives the same policy.
+        """Train on one context; the same seed gives the same policy. `partial`: see `train_many`.
 
         Raises:
             TrainingFailed: the weights became NaN.
             InvalidInput: a hyper-parameter that the recipe does not have.
             MissingExtra: jax is not installed.
         """
-        policies = self.train_many([context], [seed], on_progress, keep=(self.checkpoint,))
+        keep = (self.checkpoint,)
+        policies = self.train_many([context], [seed], on_progress, keep=keep, partial=partial)
         return policies[self.checkpoint][0]
 
     def train_many(
@@ -203,8 +210,7 @@ class WorldTrainer:
                 evaluations.
             keep: names of checkpoints (`mbtl.checkpoints`); without "final" a training may need
                 fewer steps.
-            partial: file in which to save the training now and then, and from which to go on if it
-                is there. Remove it when the policies are safe.
+            partial: file to save the training in now and then, and to go on from; remove it after.
 
         Returns:
             P policies under each name of `keep`.
@@ -254,8 +260,7 @@ class WorldTrainer:
             contexts: of which to draw.
             seed: training seed.
             on_progress: told episodes, and the mean score on all contexts.
-            partial: file in which to save the training now and then, and from which to go on if it
-                is there. Remove it when the policy is safe.
+            partial: see `train_many`.
 
         Raises:
             InvalidInput: there are no contexts.
