@@ -124,6 +124,7 @@ def record(
     seeds: jax.Array,
     params: Tree,
     lasting: jax.Array | None = None,
+    hold: int = 1,
 ) -> Episodes:
     """Play with sampled actions and keep everything.
 
@@ -137,9 +138,10 @@ def record(
         lasting: decisions of an episode in this context, where one program serves several: before
             the first of them nobody acts. That is no delay of what comes later, and advantages run
             from the end of an episode to its beginning. None: as many as at most.
+        hold: decisions for which what is random in an action stays the same; static.
     """
     if isinstance(decisions, Beats):
-        return _in_beats(twin, activation, decisions, actor, seeds, params)
+        return _in_beats(twin, activation, decisions, actor, seeds, params, hold)
     shape, flat = seeds.shape, seeds.reshape(-1)
     crowd = isinstance(twin, Crowd)
     played = (actor.network, actor.critic) if crowd else (actor.network,)
@@ -162,7 +164,7 @@ def record(
         state, rows = carry
         playing = None if lasting is None else moment >= idle
         seen, rows = watch(played, state, rows, playing)
-        action = _sampled(twin, actor, seen.found[0], flat, moment - idle)
+        action = _sampled(twin, actor, seen.found[0], flat, (moment - idle) // hold)
         if playing is None:
             moved = step(state, action)
         else:
@@ -196,7 +198,13 @@ def record(
 
 
 def _in_beats(
-    twin: Any, activation: Activation, beats: Beats, actor: Actor, seeds: jax.Array, params: Tree
+    twin: Any,
+    activation: Activation,
+    beats: Beats,
+    actor: Actor,
+    seeds: jax.Array,
+    params: Tree,
+    hold: int,
 ) -> Episodes:
     """`record` where decisions last differently long."""
     shape, flat = seeds.shape, seeds.reshape(-1)
@@ -210,7 +218,7 @@ def _in_beats(
     def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, Tree]:
         seen = twin.observe(state, params)
         outputs = each(activation, actor.network, split(seen.obs))
-        action = _sampled(twin, actor, outputs, flat, number)
+        action = _sampled(twin, actor, outputs, flat, number // hold)
         joint = (x.reshape(-1, *x.shape[2:]) for x in (outputs, action))
         applied = networks.to_environment(action, twin.action)
         return applied.reshape(-1, *action.shape[2:]), (seen.obs, seen.acting, *joint)

@@ -85,7 +85,7 @@ def train_on_all(
             lived = [
                 _lived(
                     twin, recipe.activation, most[i], max(lasting), training.state, seeds[:, [k]],
-                    contexts[i], jnp.int32(lasting[i]),
+                    contexts[i], jnp.int32(lasting[i]), recipe.hold,
                 )
                 for k, i in enumerate(met.tolist())
             ]  # fmt: skip
@@ -115,7 +115,7 @@ def _drawn(seed: int, number: int, contexts: int, count: int) -> NDArray[np.int6
 _seeds = jax.jit(episode_seeds, static_argnums=0)
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2, 3))
+@partial(jax.jit, static_argnums=(0, 1, 2, 3, 8))
 def _lived(
     twin: World,
     activation: Activation,
@@ -125,9 +125,11 @@ def _lived(
     seeds: jax.Array,
     params: Tree,
     lasting: jax.Array,
+    hold: int,
 ) -> Episodes:
     """Episodes of `lasting` decisions, `most` at most, as if there were `longest`."""
-    lived = record(twin, activation, most, actor_of(state.weights), seeds, params, lasting)
+    actor = actor_of(state.weights)
+    lived = record(twin, activation, most, actor, seeds, params, lasting, hold)
     return delayed(lived, longest - most)
 
 

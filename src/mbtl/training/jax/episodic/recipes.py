@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 from mbtl.errors import InvalidInput
@@ -36,6 +36,10 @@ class TRPORecipe:
         hidden: widths of the hidden layers of actor and critic.
         log_std: initial log standard deviation of a Gaussian policy.
         first_action: its mean before the first update, in every dimension.
+        begin: what a new policy does: a name that the world knows (`mbtl.worlds.world.Rules`);
+            empty: its first action.
+        hold: decisions for which a deviation from the mean stays the same. Fresh ones at every
+            decision average out before they come to anything.
         activation: between the layers.
         credit: whose rewards an action is worth (`team`).
 
@@ -63,11 +67,13 @@ class TRPORecipe:
     hidden: tuple[int, ...] = (64, 64)
     log_std: float = 0.0
     first_action: float = 0.0
+    begin: str = ""
+    hold: int = 1
     activation: Activation = "tanh"
     credit: Literal["own", "team"] = "own"
 
     def __post_init__(self) -> None:
-        check_counts(self, "n_episodes", "cg_steps", "backtracks", "critic_passes")
+        check_counts(self, "n_episodes", "cg_steps", "backtracks", "critic_passes", "hold")
 
     @property
     def update_length(self) -> int:
@@ -107,6 +113,10 @@ class EpisodicPPORecipe:
         hidden: widths of the hidden layers of actor and critic.
         log_std: initial log standard deviation of a Gaussian policy.
         first_action: its mean before the first update, in every dimension.
+        begin: what a new policy does: a name that the world knows (`mbtl.worlds.world.Rules`);
+            empty: its first action.
+        hold: decisions for which a deviation from the mean stays the same. Fresh ones at every
+            decision average out before they come to anything.
         activation: between the layers.
         credit: whose rewards an action is worth (`team`).
 
@@ -136,11 +146,13 @@ class EpisodicPPORecipe:
     hidden: tuple[int, ...] = (256, 256, 256, 256)
     log_std: float = 0.0
     first_action: float = 0.0
+    begin: str = ""
+    hold: int = 1
     activation: Activation = "tanh"
     credit: Literal["own", "team"] = "own"
 
     def __post_init__(self) -> None:
-        check_counts(self, "n_episodes", "rows", "minibatches", "n_epochs")
+        check_counts(self, "n_episodes", "rows", "minibatches", "n_epochs", "hold")
         if self.rows % self.minibatches:
             raise InvalidInput(
                 f"minibatches must divide rows = {self.rows}, got {self.minibatches}"
@@ -159,6 +171,27 @@ class EpisodicPPORecipe:
 
 TwinRecipe = TRPORecipe | EpisodicPPORecipe
 
+_FAST = EpisodicPPORecipe(
+    rows=2048,
+    minibatches=8,
+    n_epochs=6,
+    learning_rate=1e-3,
+    gamma=0.95,
+    gae_lambda=0.9,
+    clip_range=0.2,
+    value_clip=1e9,
+    value_coef=0.5,
+    entropy_coef=0.0,
+    kl_coef=0.0,
+    target_kl=0.05,
+    max_grad_norm=0.5,
+    normalize_advantage=True,
+    normalize_reward=True,
+    critic_gain=1.0,
+    hidden=(64, 64),
+    log_std=-1.0,
+)
+
 TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
     "TRPO": {
         "paper": TRPORecipe(),
@@ -171,26 +204,21 @@ TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
     },
     "PPO": {
         "paper": EpisodicPPORecipe(),
-        "fast": EpisodicPPORecipe(
-            rows=2048,
-            minibatches=8,
-            n_epochs=6,
-            learning_rate=1e-3,
-            gamma=0.95,
-            gae_lambda=0.9,
-            clip_range=0.2,
-            value_clip=1e9,
-            value_coef=0.5,
-            entropy_coef=0.0,
-            kl_coef=0.0,
-            target_kl=0.05,
-            max_grad_norm=0.5,
-            normalize_advantage=True,
-            normalize_reward=True,
-            critic_gain=1.0,
-            hidden=(64, 64),
-            log_std=-1.0,
+        "fast": _FAST,
+        "glide": replace(
+            _FAST,
+            n_episodes=4,
+            rows=8192,
+            minibatches=16,
+            n_epochs=4,
+            learning_rate=1e-4,
+            gamma=0.99,
+            gae_lambda=0.99,
+            log_std=-2.0,
+            begin="glide",
+            hold=10,
         ),
     },
 }
-"""Recipes by algorithm and name; `paper` is the spec's, `fast` ends sooner on a CPU."""
+"""Recipes by algorithm and name; `paper` is the spec's, `fast` ends sooner on a CPU, `glide` begins
+with a rule of eco-driving and learns how fast to drive (docs/eco-driving.md)."""
