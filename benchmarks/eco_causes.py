@@ -86,7 +86,8 @@ def line(name: str, found: Any, base: Any, k: int) -> tuple[str, dict[str, Any]]
     record = {**mean, "difference": digits(float(apart.mean()), 3), "half_width": digits(half, 2)}
     text = (
         f"| {name} | {mean['score']:.2f} | {apart.mean():+.2f} +- {half:.2f} | {mean['co2']:.0f} "
-        f"| {mean['stops']:.2f} | {mean['throughput']:.0f} | {mean.get('system', np.nan):.2f} |"
+        f"| {mean['stops']:.2f} | {mean['throughput']:.0f} | "
+        + (f"{mean['system']:.2f} |" if "system" in mean else "|")
     )
     return text, record
 
