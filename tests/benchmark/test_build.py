@@ -233,3 +233,15 @@ def test_rows_along_a_training_are_of_the_weights_on_the_way(tmp_path):
 def test_rows_along_a_training_need_a_trainer_that_keeps_weights(tmp_path):
     with pytest.raises(InvalidInput, match="keeps weights on the way"):
         building(tmp_path, FunctionTrainer(train, evaluate), along=Along(2))
+
+
+def test_every_second_context_is_trained_on_and_all_are_targets(tmp_path):
+    building = Build(Several(), SPACE, 3, tmp_path, SETTINGS, keep=("best",), lanes=2, every=2)
+    seen = []
+    building.run(on_piece=lambda done, total: seen.append((done, total)))
+    assert seen == [(0, 3), (2, 3), (3, 3)]
+    np.testing.assert_allclose(building.returns("best").mean(axis=2), expected()[::2])
+    with pytest.raises(InvalidInput, match="every"):
+        Build(Several(), SPACE, 3, tmp_path, SETTINGS, keep=("best",), lanes=2).run()
+    with pytest.raises(InvalidInput, match="every must be from 1"):
+        Build(Several(), SPACE, 3, tmp_path, SETTINGS, every=6)

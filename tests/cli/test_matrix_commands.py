@@ -325,3 +325,24 @@ def test_a_coarser_grid_is_a_set_of_its_own(mbtl_command, problem):
     assert matrix.theta == 0.2
     assert "--every 2" in matrix.provenance["seeds"][0]["command"]
     assert mbtl_command(*BUILD, "--every", 0)[0] == 2
+
+
+def test_every_second_context_is_a_source(mbtl_command, problem):
+    build = (*BUILD, "--seeds", 1, "--sources-every", 2)
+    assert mbtl_command(*build)[0] == 0
+    assert (problem / "trained.txt").read_text().split() == ["1", "3"]
+    matrix = load_matrix("cartpole-length", folder=problem / "matrices")
+    np.testing.assert_array_equal(matrix.sources, [0, 2])
+    np.testing.assert_allclose(matrix.rows(0, [2])[0], [0.8, 0.9, 1.0, 0.9])
+    command = matrix.provenance["seeds"][0]["command"]
+    assert command.endswith("--sources-every 2 --seeds 1 --first-seed 0")
+    file = "matrices/cartpole-length-seed0.npz"
+    code, out, err = mbtl_command("matrix", "show", file)
+    assert (code, "Trained on 2 of the 4 contexts" in out) == (0, True), err
+    assert "2 of 4" in mbtl_command("matrix", "list", "--folder", "matrices")[1]
+    code, out, err = mbtl_command("bench", "--matrix", file, "--budget", 2)
+    assert code == 0, err
+    code, _, err = mbtl_command(*BUILD, "--seeds", 1)
+    assert (code, "has 2 sources and this build 4" in err) == (2, True)
+    code, _, err = mbtl_command(*BUILD, "--seeds", 1, "--sources-every", 5)
+    assert (code, "--sources-every must be from 1" in err) == (2, True)

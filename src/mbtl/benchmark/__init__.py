@@ -4,6 +4,7 @@ from mbtl.benchmark.base import Levels, RowSource, levels
 from mbtl.benchmark.catalogue import open_matrix, synthetic_ids, synthetic_world
 from mbtl.benchmark.compare import compare
 from mbtl.benchmark.curves import TransferCurves, load_curves
+from mbtl.benchmark.foreign import import_npy
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.oracle import (
     OracleRun,
@@ -30,6 +31,7 @@ __all__ = [
     "TransferCurves",
     "TransferMatrix",
     "compare",
+    "import_npy",
     "levels",
     "linear_gap_world",
     "load_curves",

@@ -4,8 +4,11 @@ A matrix may hold every policy twice, on two disjoint halves of its evaluation e
 chooses sees one half (`rows`); what is shown is of the other (`fresh_rows`), on which nothing was
 chosen: the best of many noisy numbers looks better than it is.
 
-Notation (shapes): N contexts, S matrix seeds, K trainings, m sources or targets of a block.
-    J  (N, N)  performance of one matrix seed, axis order (source, target); larger is better
+Contexts on which nobody was trained are targets only; a selector knows which (`problem`).
+
+Notation (shapes): N contexts, M of them sources, S matrix seeds, K trainings, m sources or targets
+of a block.
+    J  (M, N)  performance of one matrix seed, axis order (source, target); larger is better
 """
 
 from __future__ import annotations
@@ -75,8 +78,8 @@ class Levels:
     """Reference levels of one matrix seed, in performance on fresh episodes.
 
     Attributes:
-        independent: one policy per context, each used at home: mean of the diagonal.
-        oracle_transfer: all N policies, each target served by the best one that was seen.
+        independent: one policy per context, each used at home; mean over the M sources.
+        oracle_transfer: all M policies, each target served by the best one that was seen.
         grand_mean: one policy trained on a random context.
     """
 
@@ -90,36 +93,41 @@ def row_blocks(
 ) -> Iterator[tuple[NDArray[np.intp], Array]]:
     """All rows in order, in blocks of bounded memory: (sources (m,), rows (m, N))."""
     size = max(1, block_bytes // (8 * source.n))
-    for start in range(0, source.n, size):
-        sources = np.arange(start, min(start + size, source.n))
+    everyone = source.problem(1).sources
+    for start in range(0, len(everyone), size):
+        sources = everyone[start : start + size]
         yield sources, source.rows(seed, sources)
 
 
 def ranked_blocks(
     source: RowSource, seed: int, *, block_bytes: int = BLOCK_BYTES
 ) -> Iterator[tuple[slice, Array]]:
-    """Per target all N policies from the last that would serve it to the first, in blocks.
+    """Per target all M policies from the last that would serve it to the first, in blocks.
 
     They are ordered by what was seen, with the ties of `mbtl.routing`; the values are fresh. A
     column needs all rows, so a matrix that does not fit in memory is read once per block.
 
     Returns:
-        (targets, values (m, N)) of each block.
+        (targets, values (m, M)) of each block.
     """
-    n, apart = source.n, source.measures_apart
-    everyone, steps = np.arange(n), source.problem(1).steps
+    n, apart, problem = source.n, source.measures_apart, source.problem(1)
+    everyone, steps = problem.sources, problem.steps
+    homes = steps[everyone]
     width = max(1, min(n, block_bytes // (8 * n * (1 + apart))))
     for start in range(0, n, width):
         targets = slice(start, min(start + width, n))
-        seen = np.empty((targets.stop - start, n))  # target-major: each sort runs along memory
+        seen = np.empty(
+            (targets.stop - start, len(everyone))
+        )  # target-major: each sort runs along memory
         fresh = np.empty_like(seen) if apart else seen
         for sources, rows in row_blocks(source, seed, block_bytes=block_bytes // 4):
-            seen[:, sources] = rows[:, targets].T
+            among = np.searchsorted(everyone, sources)
+            seen[:, among] = rows[:, targets].T
             if apart:
-                fresh[:, sources] = source.fresh_rows(seed, sources)[:, targets].T
+                fresh[:, among] = source.fresh_rows(seed, sources)[:, targets].T
         if apart:
             for column, values, target in zip(seen, fresh, steps[targets], strict=True):
-                distance = np.linalg.norm(steps - target, axis=1)
+                distance = np.linalg.norm(homes - target, axis=1)
                 values[:] = values[rank(column, distance, everyone)[::-1]]
         else:  # policies that tie have the same value
             seen.sort(axis=1)
@@ -131,9 +139,10 @@ def levels(source: RowSource, seed: int) -> Levels:
 
     Target weights count in all three; the grand mean weighs sources equally, for each is as likely.
     """
-    weights = source.problem(1).weights
+    weights, everyone = source.problem(1).weights, source.problem(1).sources
+    home = weights if len(everyone) == source.n else weights / weights[everyone].sum()
     best = np.full(source.n, -np.inf)
-    diagonal = np.empty(source.n)
+    diagonal = np.zeros(source.n)
     total = np.zeros(source.n)
     for sources, seen in row_blocks(source, seed):
         rows = source.fresh_rows(seed, sources) if source.measures_apart else seen
@@ -144,9 +153,9 @@ def levels(source: RowSource, seed: int) -> Levels:
         for targets, ranked in ranked_blocks(source, seed):
             best[targets] = ranked[:, -1]
     return Levels(
-        independent=float(diagonal @ weights),
+        independent=float(diagonal @ home),
         oracle_transfer=float(best @ weights),
-        grand_mean=float(total @ weights) / source.n,
+        grand_mean=float(total @ weights) / len(everyone),
     )
 
 

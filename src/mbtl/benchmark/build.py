@@ -3,7 +3,7 @@
 Work is done in pieces of a few sources (`mbtl.benchmark.piece`). A piece is one file that appears
 whole or not at all, so an interrupted build goes on where it was, in any number of processes.
 
-Notation (shapes): N contexts, P sources of a piece, E episodes.
+Notation (shapes): N contexts, M of them sources, P sources of a piece, E episodes.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ class Build:
         lanes: sources trained together, P.
         kept: folder of policies that are only to be evaluated again; None: train.
         along: rows along the trainings, of a `ManyTrainer`, if any.
+        every: train on each so many-th context only, beginning with the first; all are targets.
     """
 
     trainer: Trainer
@@ -55,8 +56,13 @@ class Build:
     lanes: int = 1
     kept: Path | None = None
     along: Along | None = None
+    every: int = 1
 
     def __post_init__(self) -> None:
+        if not 1 <= self.every <= self.space.n:
+            raise InvalidInput(
+                f"every must be from 1 to the number of contexts ({self.space.n}), got {self.every}"
+            )
         if self.lanes < 1:
             raise InvalidInput(f"lanes must be >= 1, got {self.lanes}")
         if self.along and not isinstance(self.trainer, ManyTrainer):
@@ -69,29 +75,38 @@ class Build:
     def claim(self) -> dict[str, Any]:
         """JSON-able; what a folder must have been begun with to go on."""
         own = {"seed": self.seed, "lanes": self.lanes, "keep": self.keep}
-        return {**self.settings, **own, **({"along": asdict(self.along)} if self.along else {})}
+        more: dict[str, Any] = {"along": asdict(self.along)} if self.along else {}
+        if self.every != 1:
+            more["every"] = self.every
+        return {**self.settings, **own, **more}
+
+    @property
+    def sources(self) -> range:
+        """(M,) contexts to train on."""
+        return range(0, self.space.n, self.every)
 
     def pieces(self) -> list[Piece]:
         """All of the matrix, done or not."""
         contexts = self.space.contexts
+        groups = [
+            self.sources[first : first + self.lanes]
+            for first in range(0, len(self.sources), self.lanes)
+        ]
         return [
             Piece(
                 self.trainer,
-                range(first, min(first + self.lanes, self.space.n)),
-                contexts[first : first + self.lanes],
-                [
-                    training_seed(self.seed, MATRIX_TRIAL, source)
-                    for source in range(first, min(first + self.lanes, self.space.n))
-                ],
+                some,
+                [contexts[source] for source in some],
+                [training_seed(self.seed, MATRIX_TRIAL, source) for source in some],
                 contexts,
                 evaluation_seed(self.seed, MATRIX_TRIAL),
                 self.keep,
-                self.folder / f"sources-{first:05d}.npz",
+                self.folder / f"sources-{some[0]:05d}.npz",
                 self.kept or self.folder / "policies",
                 self.kept is None,
                 self.along,
             )
-            for first in range(0, self.space.n, self.lanes)
+            for some in groups
         ]
 
     def run(self, workers: int = 1, on_piece: Callable[[int, int], None] | None = None) -> None:
@@ -99,7 +114,7 @@ class Build:
 
         Args:
             workers: processes; with 1 this process does it itself.
-            on_piece: called with (sources done, N), first with what was there already.
+            on_piece: called with (sources done, M), first with what was there already.
 
         Raises:
             InvalidInput: the folder holds another matrix, or `workers` < 1.
@@ -112,17 +127,17 @@ class Build:
         with claimed_folder(self.folder, self.claim, "a transfer matrix"):
             pieces = self.pieces()
             todo = [piece for piece in pieces if not piece.path.is_file()]
-            done = self.space.n - sum(len(piece.sources) for piece in todo)
+            done = len(self.sources) - sum(len(piece.sources) for piece in todo)
             if on_piece is not None:
-                on_piece(done, self.space.n)
+                on_piece(done, len(self.sources))
             for piece in _perform_all(todo, workers):
                 done += len(piece.sources)
                 if on_piece is not None:
-                    on_piece(done, self.space.n)
+                    on_piece(done, len(self.sources))
             self._refer()
 
     def returns(self, checkpoint: str) -> Floats:
-        """(N, N, E) return of every episode, axes (source, target, episode).
+        """(M, N, E) return of every episode, axes (source, target, episode).
 
         Raises:
             StorageError: pieces are missing, or were written by an older version.
@@ -130,11 +145,11 @@ class Build:
         return np.concatenate(self._entries(f"{checkpoint}_returns"))
 
     def along_returns(self) -> Floats:
-        """(2, L, N, N, E) of the rows along the trainings, in the order of `Along.names`."""
+        """(2, L, M, N, E) of the rows along the trainings, in the order of `Along.names`."""
         return np.concatenate(self._entries("along_returns"), axis=2)
 
     def lasted(self) -> NDArray[np.int64]:
-        """(N, 3) environment steps, or episodes, of each training: done, planned, of an update."""
+        """(M, 3) environment steps, or episodes, of each training: done, planned, of an update."""
         return np.concatenate(self._entries("lasted"))
 
     def seconds(self, key: str = "seconds") -> float:

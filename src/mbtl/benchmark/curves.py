@@ -43,15 +43,16 @@ class TransferCurves:
         name: what results call it.
         lengths: (L,) environment steps of a training (of some problems: episodes), rising; the last
             is T.
-        steps: (S, L, N) how many of them were done: fewer where a training ended early, because
+        steps: (S, L, M) how many of them were done: fewer where a training ended early, because
             nothing was left to gain on its own context.
-        returns: kind -> (S, L, H, N, N) raw returns, axes (seed, length, half, source, target).
+        returns: kind -> (S, L, H, M, N) raw returns, axes (seed, length, half, source, target).
         episodes: (H,) behind an entry of each half.
         space: the N contexts.
         bounds: return -> performance.
         theta: slope of the linear gap, performance per grid step.
         unit: of `lengths`, "steps" or "episodes".
         provenance: how it was made.
+        sources: (M,) contexts that were trained on; None: all N.
     """
 
     name: str
@@ -64,18 +65,20 @@ class TransferCurves:
     theta: float
     unit: str = "steps"
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    sources: NDArray[np.intp] | None = None
 
     def __post_init__(self) -> None:
         n, lengths = self.space.n, np.asarray(self.lengths)
+        m = n if self.sources is None else len(self.sources)
         if lengths.ndim != 1 or not len(lengths) or (np.diff(lengths) <= 0).any() or lengths[0] < 1:
             raise InvalidInput(f"lengths must be whole numbers >= 1 that rise, got {lengths}")
         n_seeds = len(self.steps)
-        if np.shape(self.steps) != (n_seeds, len(lengths), n):
+        if np.shape(self.steps) != (n_seeds, len(lengths), m):
             raise InvalidInput(
-                f"steps must have shape (seed, length, source) {(n_seeds, len(lengths), n)}, got "
+                f"steps must have shape (seed, length, source) {(n_seeds, len(lengths), m)}, got "
                 f"{np.shape(self.steps)}"
             )
-        shape = (n_seeds, len(lengths), 2, n, n)
+        shape = (n_seeds, len(lengths), 2, m, n)
         for kind in get_args(Kind):
             got = self.returns[kind].shape if kind in self.returns else None
             if got != shape or not np.isfinite(self.returns[kind]).all():
@@ -91,15 +94,15 @@ class TransferCurves:
         """One seed from single episodes.
 
         Args:
-            returns: (2, L, N, N, E) of the best and the latest policies.
-            lasted: (N,) steps that each training took.
+            returns: (2, L, M, N, E) of the best and the latest policies.
+            lasted: (M,) steps that each training took.
             lengths: (L,) steps at which its policies were kept, unless it ended before.
             **entries: the other attributes.
         """
         means, count = halves(returns)
         if len(means) < 2:
             raise InvalidInput("rows along a training need two episodes or more, got one")
-        both = np.stack(means, axis=2)[:, None]  # (2, 1, L, H, N, N)
+        both = np.stack(means, axis=2)[:, None]  # (2, 1, L, H, M, N)
         steps = np.minimum(np.asarray(lengths)[:, None], lasted)[None]
         return cls(
             lengths=np.asarray(lengths),
@@ -139,6 +142,7 @@ class TransferCurves:
             bounds=self.bounds,
             theta=self.theta,
             provenance=self.provenance,
+            sources=self.sources,
         )
 
     def save(self, path: str | Path) -> None:
@@ -196,6 +200,7 @@ class TransferCurves:
                 theta=end.theta,
                 unit=str(arrays.get("unit", "steps")),
                 provenance=end.provenance,
+                sources=end.sources,
             )
         except InvalidInput as error:
             raise InvalidInput(f"{file}: {error}") from error
@@ -226,6 +231,9 @@ def load_curves(
         same = (part.space, part.bounds, part.theta, part.episodes, part.unit) == (
             first.space, first.bounds, first.theta, first.episodes, first.unit,
         ) and np.array_equal(part.lengths, first.lengths)  # fmt: skip
+        same &= np.array_equal(
+            part.matrix(0).problem(1).sources, first.matrix(0).problem(1).sources
+        )
         if not same:
             raise StorageError(
                 f"the curves of {name!r} must agree on contexts, scale, lengths and episodes, and "

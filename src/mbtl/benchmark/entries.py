@@ -26,15 +26,18 @@ REFERENCE = "reference_"
 """What the keys of reference rows begin with."""
 
 
-def checked_returns(returns: ArrayLike, key: str = "returns") -> Floats:
-    """Returns as (S, N, N) finite floats, or an `InvalidInput` that says what is wrong."""
+def checked_returns(returns: ArrayLike, key: str = "returns", *, square: bool = True) -> Floats:
+    """Returns as (S, M, N) finite floats, M = N if `square`, or an `InvalidInput`."""
     array = np.asarray(returns)
     if array.dtype.kind not in "fiu":
         raise InvalidInput(f"{key} must be real numbers, got dtype {array.dtype}")
     if array.dtype.kind != "f":
         array = array.astype(np.float64)
-    if array.ndim != 3 or array.shape[1] != array.shape[2] or 0 in array.shape:
+    fits = array.ndim == 3 and (array.shape[1] == array.shape[2] or not square)
+    if not fits or 0 in array.shape:
         hint = f"; add the seed axis with {key}[None]" if array.ndim == 2 else ""
+        if array.ndim == 3 and 0 < array.shape[1] < array.shape[2]:
+            hint = "; say which contexts were trained on with `sources`"
         raise InvalidInput(
             f"{key} must have shape (seed, source, target) with as many sources as targets, "
             f"got {array.shape}{hint}"
@@ -47,6 +50,25 @@ def checked_returns(returns: ArrayLike, key: str = "returns") -> Floats:
             f"[seed {seed}, source {source}, target {target}]"
         )
     return array
+
+
+def checked_sources(sources: ArrayLike | None, returns: Floats) -> NDArray[np.intp] | None:
+    """(M,) rising indices of contexts; None where they are all N."""
+    if sources is None:
+        return None
+    array, (_, m, n) = np.asarray(sources), returns.shape
+    if (
+        array.shape != (m,)
+        or array.dtype.kind not in "iu"
+        or not (np.diff(array) > 0).all()
+        or array[0] < 0
+        or array[-1] >= n
+    ):
+        raise InvalidInput(
+            f"sources must be the {m} context indices of the rows of returns, rising, from 0 to "
+            f"{n - 1}, got {array.tolist()!r:.80}"
+        )
+    return None if m == n else array.astype(np.intp)
 
 
 def checked_like(returns: Floats, entry: ArrayLike, key: str) -> Floats:
@@ -159,7 +181,7 @@ def _axis_through(name: str, column: Array) -> Linear:
 def keywords(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     """Entries of a file as keywords of `TransferMatrix.of`; other entries are the user's own."""
     words: dict[str, Any] = {"returns": arrays["returns"]}
-    for key in ("contexts", "bounds", "std", "fresh_returns", "episodes"):
+    for key in ("contexts", "bounds", "std", "fresh_returns", "episodes", "sources"):
         if key in arrays:
             words[key] = arrays[key]
     words["references"] = {

@@ -3,8 +3,11 @@
 The evaluation episodes of every entry are two disjoint halves: `returns` is of the one that a
 selector may see, `fresh_returns` of the other, of which every number shown to people is.
 
-Notation (shapes): S seeds, N contexts, d axes, E episodes, H halves (2; 1 without a fresh one).
-    returns  (S, N, N)  raw return of the policy trained on `source`, run on `target`
+Trainings may have been on some of the contexts only; targets are all of them.
+
+Notation (shapes): S seeds, N contexts, M sources (N unless said otherwise), d axes, E episodes,
+H halves (2; 1 without a fresh one).
+    returns  (S, M, N)  raw return of the policy trained on `source`, run on `target`
     performance         returns after `bounds`; larger is better, not clipped
 """
 
@@ -29,6 +32,7 @@ from mbtl.benchmark.entries import (
     checked_like,
     checked_references,
     checked_returns,
+    checked_sources,
     halves,
     keywords,
     space_of,
@@ -48,18 +52,19 @@ class TransferMatrix:
 
     Attributes:
         name: what results call it.
-        returns: (S, N, N) raw returns, axis order (seed, source, target): means over the episodes
+        returns: (S, M, N) raw returns, axis order (seed, source, target): means over the episodes
             that a selector may see; read-only.
         space: the N contexts in index order.
         bounds: return -> performance, with the direction.
         theta: slope of the linear gap, performance per grid step.
-        std: (S, N, N) standard deviation over all evaluation episodes, in units of return, with
+        std: (S, M, N) standard deviation over all evaluation episodes, in units of return, with
             n - 1; None where it is not known.
         provenance: how it was made; free-form.
-        fresh_returns: (S, N, N) means over the other episodes; None where all were seen.
+        fresh_returns: (S, M, N) means over the other episodes; None where all were seen.
         episodes: (H,) episodes behind an entry of `returns` and of `fresh_returns`, if known.
         references: (S, H, N) raw returns without any of these policies, by name, e.g.
             "random_actions", or "unguided": the system without a controller.
+        sources: (M,) contexts that were trained on, rising; None: all N.
     """
 
     name: str
@@ -72,18 +77,21 @@ class TransferMatrix:
     fresh_returns: Floats | None = None
     episodes: tuple[int, ...] | None = None
     references: Mapping[str, Floats] = field(default_factory=dict)
+    sources: NDArray[np.intp] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "returns", _read_only(checked_returns(self.returns)))
+        returns = checked_returns(self.returns, square=self.sources is None)
+        object.__setattr__(self, "returns", _read_only(returns))
+        object.__setattr__(self, "sources", checked_sources(self.sources, returns))
         if self.space.n != self.n:
             raise InvalidInput(
-                f"contexts must be one per row of `returns` ({self.n}), got {self.space.n}"
+                f"contexts must be one per target of `returns` ({self.n}), got {self.space.n}"
             )
         if self.std is not None:
             object.__setattr__(self, "std", _read_only(checked_like(self.returns, self.std, "std")))
         if self.fresh_returns is not None:
             fresh = checked_like(self.returns, self.fresh_returns, "fresh_returns")
-            fresh = checked_returns(fresh, "fresh_returns")
+            fresh = checked_returns(fresh, "fresh_returns", square=self.sources is None)
             object.__setattr__(self, "fresh_returns", _read_only(fresh))
         n_halves = 1 if self.fresh_returns is None else 2
         object.__setattr__(self, "episodes", checked_episodes(self.episodes, n_halves))
@@ -112,12 +120,13 @@ class TransferMatrix:
         episodes: Sequence[int] | None = None,
         references: Mapping[str, ArrayLike] | None = None,
         floor: float | None = None,
+        sources: ArrayLike | None = None,
         name: str = "matrix",
     ) -> TransferMatrix:
         """Build a matrix from arrays; the keywords are the keys of a `.npz` file.
 
         Args:
-            returns: (S, N, N) raw returns, finite; of the episodes that a selector may see.
+            returns: (S, M, N) raw returns, finite; of the episodes that a selector may see.
             contexts: (N, d) context values; one axis of indices 0..N-1 when missing.
             axes: d axis names.
             space: the context space itself, instead of `contexts` and `axes`.
@@ -125,19 +134,20 @@ class TransferMatrix:
                 `Bounds`; the smallest and largest return over all seeds when missing.
             theta: performance per grid step; 0.005 for N <= 100, else 0.5 / (N - 1), when missing.
             direction: "max" or "min" (or the long names), which returns are good.
-            std: (S, N, N) standard deviation over episodes, with n - 1.
+            std: (S, M, N) standard deviation over episodes, with n - 1.
             provenance: how it was made.
-            fresh_returns: (S, N, N) raw returns of other episodes, which are those reported.
+            fresh_returns: (S, M, N) raw returns of other episodes, which are those reported.
             episodes: (H,) episodes behind `returns` and `fresh_returns`.
             references: (S, H, N) returns without these policies, by name.
             floor: return below which none is worse in performance; what is stored stays.
+            sources: (M,) indices of the contexts trained on, rising; all when missing.
             name: what results call it.
 
         Raises:
             InvalidInput: anything breaks a rule above; the message names the key.
         """
-        array = checked_returns(returns)
-        n = array.shape[1]
+        array = checked_returns(returns, square=sources is None)
+        n = array.shape[2]
         return cls(
             name=name,
             returns=array,
@@ -149,6 +159,7 @@ class TransferMatrix:
             fresh_returns=None if fresh_returns is None else np.asarray(fresh_returns),
             episodes=None if episodes is None else tuple(episodes),
             references={key: np.asarray(row) for key, row in (references or {}).items()},
+            sources=None if sources is None else np.asarray(sources),
         )
 
     @classmethod
@@ -165,7 +176,7 @@ class TransferMatrix:
         no fresh half and no deviation.
 
         Args:
-            returns: (S, N, N, E) raw return of every episode.
+            returns: (S, M, N, E) raw return of every episode.
             references: (S, N, E) likewise without these policies, by name.
             **entries: further arguments of `of`.
         """
@@ -237,6 +248,8 @@ class TransferMatrix:
         for key in ("std", "fresh_returns"):
             if getattr(self, key) is not None:
                 entries[key] = getattr(self, key)
+        if self.sources is not None:
+            entries["sources"] = self.sources
         if self.episodes is not None:
             entries["episodes"] = np.array(self.episodes)
         entries |= {f"{REFERENCE}{name}": row for name, row in self.references.items()}
@@ -247,7 +260,7 @@ class TransferMatrix:
     @property
     def n(self) -> int:
         """Number of contexts N."""
-        return int(self.returns.shape[1])
+        return int(self.returns.shape[2])
 
     @property
     def n_seeds(self) -> int:
@@ -276,16 +289,33 @@ class TransferMatrix:
 
     def problem(self, budget: int) -> SelectionProblem:
         """What a selector may know of it beforehand."""
-        return SelectionProblem.of(self.space, budget=budget, theta=self.theta)
+        trainable = None
+        if self.sources is not None:
+            trainable = np.isin(np.arange(self.n), self.sources)
+        return SelectionProblem.of(self.space, budget=budget, theta=self.theta, trainable=trainable)
 
     def rows(self, seed: int, sources: ArrayLike) -> Array:
         """(m, N) performance of the policies trained on `sources` (m,), as a selector sees it."""
-        return self.bounds.normalise(self.returns[seed, np.asarray(sources, dtype=np.intp)])
+        return self.bounds.normalise(self.returns[seed, self._places(sources)])
 
     def fresh_rows(self, seed: int, sources: ArrayLike) -> Array:
         """(m, N) performance of the same policies on the other episodes, if there are any."""
         reported = self.returns if self.fresh_returns is None else self.fresh_returns
-        return self.bounds.normalise(reported[seed, np.asarray(sources, dtype=np.intp)])
+        return self.bounds.normalise(reported[seed, self._places(sources)])
+
+    def _places(self, sources: ArrayLike) -> NDArray[np.intp]:
+        """Rows of some sources."""
+        wanted = np.asarray(sources, dtype=np.intp)
+        if self.sources is None:
+            return wanted
+        places = np.searchsorted(self.sources, wanted).clip(max=len(self.sources) - 1)
+        missing = wanted[self.sources[places] != wanted]
+        if missing.size:
+            raise InvalidInput(
+                f"{self.name} has no training on context {missing.flat[0]}; those it has are in "
+                "`sources`"
+            )
+        return np.asarray(places)
 
     @property
     def normalisation(self) -> Bounds:
@@ -318,22 +348,22 @@ class TransferMatrix:
         )
 
     def performance(self, seed: int) -> Array:
-        """(N, N) performance of one seed as a selector sees it, axis order (source, target)."""
+        """(M, N) performance of one seed as a selector sees it, axis order (source, target)."""
         return self.bounds.normalise(self.returns[seed])
 
     @property
     def independent(self) -> Array:
-        """(S,) one policy per context, each used at home."""
+        """(S,) one policy per source, each used at home."""
         return np.array([level.independent for level in self._levels()])
 
     @property
     def oracle_transfer(self) -> Array:
-        """(S,) all N policies, each target served by the best one that was seen."""
+        """(S,) all M policies, each target served by the best one that was seen."""
         return np.array([level.oracle_transfer for level in self._levels()])
 
     @property
     def grand_mean(self) -> Array:
-        """(S,) one policy trained on a random context."""
+        """(S,) one policy trained on a random source."""
         return np.array([level.grand_mean for level in self._levels()])
 
     def _levels(self) -> list[Levels]:

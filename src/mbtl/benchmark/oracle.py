@@ -6,7 +6,7 @@ see; that is why they live here and not among the selectors.
 Like a selector, they choose by the half of the episodes that a selector may see; what they reach is
 measured on the other (`mbtl.benchmark.base`).
 
-Notation (shapes): N contexts, K trainings.
+Notation (shapes): N contexts, M of them sources, K trainings.
     curve  (K,)  V_1..V_K, performance on fresh episodes
 """
 
@@ -95,7 +95,8 @@ def sequential_oracle(source: RowSource, seed: int, budget: int) -> OracleRun:
     taken: list[int] = []
     curve: list[float] = []
     best = np.full(source.n, -np.inf)
-    ceiling = np.full(source.n, np.inf)  # upper bound of every row's gain in V
+    ceiling = np.full(source.n, -np.inf)  # upper bound of every row's gain in V
+    ceiling[problem.sources] = np.inf
     for _ in range(budget):
         now = curve[-1] if curve else 0.0
         ceiling[taken] = -np.inf
@@ -149,8 +150,8 @@ def random_curve(source: RowSource, seed: int, budget: int) -> Array:
     Per target, with its policies in the order a_1, ..., a_N in which they would serve it:
     sum_r a_r C(N-r, k-1) / C(N, k); then the weighted mean over targets.
     """
-    chance = random_weights(source.n, budget)
-    weights = source.problem(budget).weights
+    problem = source.problem(budget)
+    chance, weights = random_weights(len(problem.sources), budget), problem.weights
     curve = np.zeros(budget)
     for targets, ranked in ranked_blocks(source, seed, block_bytes=BLOCK_BYTES):
         curve += chance @ (weights[targets] @ ranked)[::-1]

@@ -58,9 +58,11 @@ def replay(
 
 def _check(selector: Selector, problem: SelectionProblem, history: History, source: int) -> None:
     again = history.sources.count(source) >= problem.repeats
-    if again or not 0 <= source < problem.n:
+    if again or source not in problem.sources:
+        some = "" if problem.trainable is None else " and trainable"
         raise InvalidInput(
-            f"a selector proposes contexts from 0 to {problem.n - 1} that are not yet trained, got "
+            f"a selector proposes contexts from 0 to {problem.n - 1} that are not yet trained"
+            f"{some}, got "
             f"{source}{' again' if again else ''} from {selector.name!r} at pick "
             f"{len(history) + 1}; leave out those in history.sources"
         )

@@ -102,6 +102,7 @@ def _difference(one: TransferMatrix, other: TransferMatrix) -> str | None:
     """What keeps two files from being seeds of one matrix; None if nothing does."""
     same = {
         "contexts": one.space == other.space,
+        "sources": np.array_equal(one.problem(1).sources, other.problem(1).sources),
         "bounds": one.bounds == other.bounds,
         "theta": one.theta == other.theta,
         "deviations (std)": (one.std is None) == (other.std is None),

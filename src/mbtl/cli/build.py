@@ -48,6 +48,10 @@ def build(
     every: Annotated[
         int, typer.Option(help="Only each so many-th context of the grid, per axis.")
     ] = 1,
+    sources_every: Annotated[
+        int,
+        typer.Option(help="Train on each so many-th context only; all are targets."),
+    ] = 1,
     algorithm: Annotated[str | None, typer.Option(help="Default: the preset's.")] = None,
     recipe: Annotated[
         str | None, typer.Option(help="Named hyper-parameters of the jax engine.")
@@ -105,6 +109,11 @@ def build(
     cmdp = resolve_cmdp(problem, visibility=visibility, physics=physics, engine=engine)
     if every != 1:
         cmdp = cmdp.every(every)
+    if not 1 <= sources_every <= cmdp.space.n:
+        raise InvalidInput(
+            f"--sources-every must be from 1 to the number of contexts ({cmdp.space.n}), got "
+            f"{sources_every}"
+        )
     keep = _checkpoints(checkpoint)
     overrides = {
         "timesteps": timesteps,
@@ -124,7 +133,7 @@ def build(
         cmdp,
         trainer,
         checkpoints=keep or (ONLY,),
-        lanes=min(lanes or best_lanes, cmdp.space.n),
+        lanes=min(lanes or best_lanes, -(-cmdp.space.n // sources_every)),
         preset=preset or cmdp.default_preset,
         variant=variant or _variant(cmdp, given),
         command=_command(
@@ -135,6 +144,7 @@ def build(
                 "physics": None if physics == "intended" else physics,
                 "engine": engine,
                 "every": None if every == 1 else every,
+                "sources-every": None if sources_every == 1 else sources_every,
                 "lanes": lanes,
                 "timesteps": timesteps,
                 "episodes": episodes,
@@ -147,6 +157,7 @@ def build(
             },
         ),
         along=Along(along, halvings) if along else None,
+        every=sources_every,
     )
     numbers = range(first_seed, first_seed + seeds)
     # before anything is trained

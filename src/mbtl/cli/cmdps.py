@@ -8,7 +8,8 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from mbtl.cli.common import JsonFlag, print_json, printer
+from mbtl.cli.common import JsonFlag, console, print_json, printer
+from mbtl.errors import MbtlError
 
 
 def cmdps(
@@ -27,14 +28,28 @@ def cmdps(
     Example: mbtl cmdps cartpole-length
     """
     from mbtl.cmdps import cmdp_ids, resolve_cmdp
+    from mbtl.cmdps.plugins import plugin_ids
 
-    records = [_record(resolve_cmdp(id)) for id in ([name] if name else cmdp_ids())]
+    if name:
+        record = _record(resolve_cmdp(name))
+        if json:
+            print_json(record)
+        else:
+            _show(record)
+        return
+    records = [_record(resolve_cmdp(id)) for id in cmdp_ids()]
+    broken = {}
+    for id in plugin_ids():
+        try:
+            records.append(_record(resolve_cmdp(id)))
+        except MbtlError as error:  # another package's fault must not hide what works
+            broken[id] = str(error)
     if json:
-        print_json(records[0] if name else records)
-    elif name:
-        _show(records[0])
+        print_json(records)
     else:
         _list(records)
+    for message in broken.values():
+        console.print(f"left out: {message}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _record(cmdp: Any) -> dict[str, Any]:

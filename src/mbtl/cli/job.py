@@ -42,6 +42,7 @@ class Job:
         variant: name of the set.
         command: that builds it, but for the seed.
         along: rows along the trainings, if any.
+        every: each so many-th context is a source; all are targets.
     """
 
     cmdp: CMDP
@@ -52,6 +53,7 @@ class Job:
     variant: str
     command: str
     along: Along | None = None
+    every: int = 1
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -62,6 +64,11 @@ class Job:
             "switches": dict(self.cmdp.settings),
             "recipe": recipe_of(self.trainer),
         }
+
+    @property
+    def sources(self) -> range:
+        """Contexts to train on."""
+        return range(0, self.cmdp.space.n, self.every)
 
     def of_checkpoint(self, checkpoint: str) -> dict[str, Any]:
         """`settings` of one of several."""
@@ -90,6 +97,12 @@ class Job:
             if file.is_file():
                 found[file] = TransferMatrix.load(file)
                 self._check(file, found[file].provenance, checkpoint)
+                there, wanted = len(found[file].problem(1).sources), len(self.sources)
+                if there != wanted:
+                    raise InvalidInput(
+                        f"{file} has {there} sources and this build {wanted}; name the set with "
+                        "--variant, or move the file away"
+                    )
         complete = len(found) == len(self.checkpoints)
         if self.along and not self.curves_file(out, seed).is_file():
             complete = False
@@ -108,7 +121,7 @@ class Job:
         """Train and evaluate what is missing, and write the files of a seed."""
         seed = building.seed
         if workers is None:
-            workers = 1 if self.lanes >= self.cmdp.space.n else usable_cores()
+            workers = 1 if self.lanes >= len(self.sources) else usable_cores()
         _perform(building, workers, f"{matrix_id(self.cmdp.id, self.variant)} seed {seed}")
         built = {}
         for checkpoint in self.checkpoints:
@@ -121,6 +134,7 @@ class Job:
                 theta=self.cmdp.theta,
                 direction="max" if self.cmdp.direction == "maximize" else "min",
                 provenance={**self.of_checkpoint(checkpoint), **self._record(building)},
+                sources=list(self.sources),
                 name=file.name,
             )
             variant = named(self.variant, checkpoint)
@@ -162,6 +176,7 @@ class Job:
             theta=self.cmdp.theta,
             unit="steps" if "timesteps" in self.settings["recipe"] else "episodes",
             provenance={**self.settings, **self._record(building)},
+            sources=None if self.every == 1 else np.array(self.sources),
         ).save(file)
 
     def building(self, work: Path, seed: int) -> Build:
@@ -213,6 +228,7 @@ class Job:
                 self.checkpoints,
                 self.lanes,
                 along=self.along,
+                every=self.every,
             )
             for preset in presets
             if preset
@@ -234,7 +250,7 @@ def _perform(building: Build, workers: int, label: str) -> None:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(label, total=building.space.n)
+        task = bar.add_task(label, total=len(building.sources))
         log = LongWork(console)
 
         def on_piece(done: int, total: int) -> None:

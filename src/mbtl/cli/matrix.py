@@ -22,6 +22,7 @@ from mbtl.benchmark.references import NAMES
 from mbtl.benchmark.shipped import load_by_id
 from mbtl.cli.build import build
 from mbtl.cli.common import JsonFlag, interruptible, print_json, printer
+from mbtl.cli.foreign import import_matrix
 from mbtl.cli.multitask import multitask
 from mbtl.cli.references import references
 
@@ -29,6 +30,7 @@ matrix_app = typer.Typer(help="Build transfer matrices and look at them.", no_ar
 matrix_app.command("build")(interruptible(build))
 matrix_app.command("multitask")(interruptible(multitask))
 matrix_app.command("references")(interruptible(references))
+matrix_app.command("import")(import_matrix)
 
 
 @matrix_app.command("show")
@@ -105,7 +107,7 @@ def list_matrices(
     for name, one in matrices.items():
         table.add_row(
             Text(name),
-            str(one.n),
+            str(one.n) if one.sources is None else f"{len(one.sources)} of {one.n}",
             str(one.n_seeds),
             _episodes(one),
             "halves" if one.measures_apart else "older",
@@ -138,6 +140,8 @@ def _facts(source: RowSource) -> dict[str, Any]:
         "direction": bounds.direction,
         "floor": bounds.floor,
         "scale": str(bounds),
+        "sources": len(source.problem(1).sources),
+        "targets": source.n,
         "episodes": None if source.episodes is None else list(source.episodes),
         "measures_apart": source.measures_apart,
         "caveat": source.caveat,
@@ -149,6 +153,11 @@ def _sentences(facts: dict[str, Any]) -> list[str]:
     if not facts:
         return []
     lines = [f"{facts['scale'][0].upper()}{facts['scale'][1:]}."]
+    if facts["sources"] < facts["targets"]:
+        lines.append(
+            f"Trained on {facts['sources']} of the {facts['targets']} contexts; Independent is the "
+            "mean over those."
+        )
     if facts["measures_apart"] and facts["episodes"]:
         chose, shown = facts["episodes"]
         lines.append(

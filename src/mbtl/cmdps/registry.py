@@ -9,6 +9,7 @@ from mbtl.cmdps.cmdp import CMDP, Preset
 from mbtl.cmdps.engines import ENGINES, EnvFactory, JaxProblem, TwinProblem, jax_is_installed
 from mbtl.cmdps.families import FAMILIES, VARIANTS
 from mbtl.cmdps.family import Family, TwinFamily, Variant
+from mbtl.cmdps.plugins import plugin_cmdp, plugin_ids
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.trainer import Trainer
 
@@ -82,10 +83,10 @@ def get_cmdp(
     obs: str = "fresh",
     engine: str | None = None,
 ) -> CMDP:
-    """One of our CMDPs.
+    """One of our CMDPs, or one of another package (`mbtl.cmdps.plugins`), which has no switches.
 
     Args:
-        id: e.g. "cartpole-length"; `cmdp_ids()` lists all.
+        id: e.g. "cartpole-length"; `cmdp_ids()` lists all of ours.
         physics: "intended": contexts act as the paper says. "reference": as in the released code,
             whose CartPole freezes derived masses (spec, section 1); Pendulum is the same in both.
         visibility: what of the context the policy sees: "hidden", "multiplier" or "raw"; None: the
@@ -102,8 +103,12 @@ def get_cmdp(
 
     Raises:
         UnknownName: no CMDP has this id, or a switch has no such setting.
-        InvalidInput: this CMDP is not simulated in that engine.
+        InvalidInput: this CMDP is not simulated in that engine; or it is of another package, and
+            cannot be loaded or was given a switch.
     """
+    if id not in VARIANTS:
+        switches = (physics, visibility, grid, time_limit, obs, engine)
+        return _of_package(id, switches != ("intended", None, "code", "truncation", "fresh", None))
     variant, family = _entry(id)
     if engine is None:
         engine = "jax" if family.jax is not None and jax_is_installed() else family.simulator
@@ -138,6 +143,19 @@ def get_cmdp(
         },
         description=variant.description,
     )
+
+
+def _of_package(id: str, switched: bool) -> CMDP:
+    found = plugin_cmdp(id)
+    if found is None:
+        known = [*VARIANTS, *plugin_ids()]
+        raise unknown_name("CMDP", id, known, hint="`mbtl cmdps` lists all.")
+    if switched:
+        raise InvalidInput(
+            f"physics, visibility, grid, time limit, obs and engine are switches of our CMDPs, and "
+            f"{id!r} is of the package {plugin_ids()[id]!r}; leave them out"
+        )
+    return found
 
 
 def _entry(id: str) -> tuple[Variant, Family]:

@@ -42,6 +42,7 @@ class SelectionProblem:
         least_gain: gain in V that one more training should be worth; None where that is not asked.
         least_left: gain in V that all trainings left together should be worth; None: not asked.
         axes: of the context space, D columns together; empty: D linear axes.
+        trainable: (N,) mask of the contexts that one may train on; None: all. All are targets.
     """
 
     unit: Array
@@ -56,15 +57,24 @@ class SelectionProblem:
     least_gain: float | None = None
     least_left: float | None = None
     axes: tuple[Axis, ...] = ()
+    trainable: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         if not self.repeats >= 1:
             raise InvalidInput(f"repeats must be at least 1, got {self.repeats}")
-        if not 1 <= self.budget <= self.n * self.repeats:
-            times = "" if self.repeats == 1 else f" times {self.repeats} repeats"
+        if self.trainable is not None and (
+            self.trainable.shape != (self.n,) or self.trainable.dtype != bool
+        ):
             raise InvalidInput(
-                f"budget must be from 1 to the number of contexts ({self.n}){times}, got "
-                f"{self.budget}"
+                f"trainable must be a mask of {self.n} contexts, got "
+                f"{self.trainable.dtype} of shape {self.trainable.shape}"
+            )
+        if not 1 <= self.budget <= len(self.sources) * self.repeats:
+            times = "" if self.repeats == 1 else f" times {self.repeats} repeats"
+            which = "contexts" if self.trainable is None else "trainable contexts"
+            raise InvalidInput(
+                f"budget must be from 1 to the number of {which} ({len(self.sources)}){times}, "
+                f"got {self.budget}"
             )
         if not 0.0 < self.risk <= 1.0:
             raise InvalidInput(
@@ -92,7 +102,8 @@ class SelectionProblem:
             space: the contexts.
             budget: number of trainings K.
             theta: slope of the linear gap.
-            **wishes: `repeats`, `costs`, `cost_budget`, `risk`, `least_gain`, `least_left`.
+            **wishes: `repeats`, `costs`, `cost_budget`, `risk`, `least_gain`, `least_left`,
+                `trainable`.
         """
         slope = default_theta(space.n) if theta is None else theta
         return cls(space.unit, space.steps, space.weights, budget, slope, axes=space.axes, **wishes)
@@ -101,6 +112,11 @@ class SelectionProblem:
     def n(self) -> int:
         """Number of contexts N."""
         return len(self.steps)
+
+    @cached_property
+    def sources(self) -> NDArray[np.intp]:
+        """(M,) indices of the contexts that one may train on."""
+        return np.arange(self.n) if self.trainable is None else np.flatnonzero(self.trainable)
 
     @property
     def is_line(self) -> bool:
@@ -176,9 +192,12 @@ def open_candidates(
         Exhausted: there is none.
     """
     mask = history.open_mask(problem.n, repeats)
+    if problem.trainable is not None:
+        mask &= problem.trainable
     if not mask.any():
         raise Exhausted(
-            f"all {problem.n} contexts are trained, pending or failed; nothing is left to propose"
+            f"all {len(problem.sources)} contexts are trained, pending or failed; nothing is left "
+            "to propose"
         )
     if problem.costs is not None and problem.cost_budget is not None:
         left = problem.cost_budget - history.spent
