@@ -45,6 +45,7 @@ class Preset:
         checkpoint_episodes: episodes of each of them.
         acting: how a policy's actions are chosen in evaluations, "mean" or "sampled".
         reward: what training is rewarded by, where the simulator has names for that.
+        actions: what training advises, where the simulator has names for that.
         credit: whose rewards an action of a team is worth in training, "own" or "team".
         clip_actions: learn from actions within their bounds, not from the samples.
         normalize_reward: rewards are brought to one scale in training.
@@ -65,6 +66,7 @@ class Preset:
     checkpoint_episodes: int | None = None
     acting: Literal["mean", "sampled"] | None = None
     reward: str | None = None
+    actions: str | None = None
     credit: Literal["own", "team"] | None = None
     clip_actions: bool | None = None
     normalize_reward: bool | None = None
@@ -285,6 +287,9 @@ class CMDP:
         options = self.preset(preset).options()
         if "algorithm" in options:  # a recipe that names its algorithm is complete
             options.setdefault("hyperparameters", {})
+            for name in ("reward", "actions"):
+                if hasattr(self.trainer, name):
+                    options.setdefault(name, None)
         algorithm = options.get("algorithm", getattr(self.trainer, "algorithm", None))
         if overrides.get("algorithm", algorithm) != algorithm:
             options["hyperparameters"] = {}

@@ -63,6 +63,8 @@ class WorldTrainer:
         checkpoint_episodes: episodes of each.
         reward: what training is rewarded by, a name that the world knows; None: by its own reward.
             It changes no score.
+        actions: what training advises, a name that the world knows; None: the world's own actions,
+            which the policies use in either case.
 
     Raises:
         InvalidInput: a number is not positive, there is not one of `timesteps` and `episodes`, or
@@ -83,6 +85,7 @@ class WorldTrainer:
     checkpoint_every: int | None = None
     checkpoint_episodes: int = 10
     reward: str | None = None
+    actions: str | None = None
 
     policy_format = "mlp"
     resumes: ClassVar[bool] = True
@@ -150,6 +153,7 @@ class WorldTrainer:
             "checkpoint_episodes": self.checkpoint_episodes,
             "eval_episodes": self.eval_episodes,
             **({} if self.reward is None else {"reward": self.reward}),
+            **({} if self.actions is None else {"actions": self.actions}),
         }
 
     @property
@@ -291,7 +295,7 @@ class WorldTrainer:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
         import mbtl.training.jax as engine
 
-        world, params = self.problem([context])
+        world, params = self._lessons([context])
         recipe = self.learner
         weights = engine.start(world, recipe, [0], params).state.weights
         return engine.export_policies(world, weights, recipe.activation)[0]
@@ -299,12 +303,13 @@ class WorldTrainer:
     def _lessons(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
         """The world as it teaches, and the parameters of the contexts."""
         world, params = self.problem(contexts)
-        if self.reward is None:
-            return world, params
-        known = getattr(world, "rewards", ())
-        if self.reward not in known:
-            raise unknown_name("reward of this world", self.reward, known)
-        return replace(world, reward=self.reward), params
+        asked = ("reward", self.reward, "rewards"), ("actions", self.actions, "lessons")
+        for what, name, names in asked:
+            if name is not None and name not in (known := getattr(world, names, ())):
+                raise unknown_name(f"{what} of this world", name, known)
+        if self.reward is not None:
+            world = replace(world, reward=self.reward)
+        return world if self.actions is None else world.lesson(self.actions), params
 
     def _on_block(self, on_progress: OnProgress | None, saved: Any) -> Callable[[Any], None]:
         """Tells where a training stands, and saves it."""

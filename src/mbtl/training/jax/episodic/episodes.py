@@ -99,6 +99,7 @@ def record(
     actor: Actor,
     seeds: jax.Array,
     params: Tree,
+    hold: int = 1,
 ) -> Episodes:
     """Play with sampled actions and keep everything.
 
@@ -109,9 +110,10 @@ def record(
         actor: of P policies, with their critics.
         seeds: (P, E) uint32, one per episode.
         params: of one context, or of every simulation.
+        hold: decisions for which what is random in an action stays the same; static.
     """
     if isinstance(decisions, Beats):
-        return _in_beats(twin, activation, decisions, actor, seeds, params)
+        return _in_beats(twin, activation, decisions, actor, seeds, params, hold)
     shape, flat = seeds.shape, seeds.reshape(-1)
     crowd = isinstance(twin, Crowd)
     played = (actor.network, actor.critic) if crowd else (actor.network,)
@@ -123,7 +125,7 @@ def record(
     def one(carry: tuple[Tree, Rows], moment: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
         state, rows = carry
         seen, rows = watch(played, state, rows)
-        action = _sampled(twin, actor, seen.found[0], flat, moment)
+        action = _sampled(twin, actor, seen.found[0], flat, moment // hold)
         applied = networks.to_environment(action, twin.action)
         moved = twin.step(state, applied.reshape(-1, *action.shape[2:]), params)
         now = map(split, (moved.reward, moved.done))
@@ -155,7 +157,13 @@ def record(
 
 
 def _in_beats(
-    twin: Any, activation: Activation, beats: Beats, actor: Actor, seeds: jax.Array, params: Tree
+    twin: Any,
+    activation: Activation,
+    beats: Beats,
+    actor: Actor,
+    seeds: jax.Array,
+    params: Tree,
+    hold: int,
 ) -> Episodes:
     """`record` where decisions last differently long."""
     shape, flat = seeds.shape, seeds.reshape(-1)
@@ -169,7 +177,7 @@ def _in_beats(
     def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, Tree]:
         seen = twin.observe(state, params)
         outputs = each(activation, actor.network, split(seen.obs))
-        action = _sampled(twin, actor, outputs, flat, number)
+        action = _sampled(twin, actor, outputs, flat, number // hold)
         joint = (x.reshape(-1, *x.shape[2:]) for x in (outputs, action))
         applied = networks.to_environment(action, twin.action)
         return applied.reshape(-1, *action.shape[2:]), (seen.obs, seen.acting, *joint)

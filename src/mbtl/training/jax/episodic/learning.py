@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.episodic import ppo, trpo
@@ -19,7 +20,7 @@ from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe, TRPORecipe, Tw
 from mbtl.training.jax.networks import Weights
 from mbtl.worlds import random
 from mbtl.worlds.environments import Length, Tree
-from mbtl.worlds.world import World, of_simulations
+from mbtl.worlds.world import Rules, World, of_simulations
 
 _ALGORITHMS: Mapping[type, Any] = {TRPORecipe: trpo, EpisodicPPORecipe: ppo}
 """Modules with `start(recipe, weights)` and `learn(...)`, of one policy."""
@@ -60,9 +61,33 @@ def init(
             )
             for seed in seeds
         ]
-        weights = networks.stack(each)
+        weights = networks.stack([begun(world, recipe, one) for one in each])
     memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))(weights)
     return State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))
+
+
+def begun(world: World, recipe: TwinRecipe, fresh: Weights) -> Weights:
+    """A fresh policy that acts as the recipe's `begin` says; what else it sees is not looked at.
+
+    Raises:
+        InvalidInput: this world has no such rule, or for other networks.
+    """
+    if not recipe.begin:
+        return fresh
+    if not isinstance(world, Rules):
+        raise InvalidInput(
+            f"begin={recipe.begin!r} needs a world that knows rules, got {type(world).__name__}"
+        )
+    (matrix, bias), *rest = world.rule(recipe.begin)
+    more = len(fresh.actor[0][0]) - len(matrix)
+    actor = ((np.pad(matrix, ((0, more), (0, 0))), bias), *rest)
+    shapes = [[np.shape(x) for x in jax.tree.leaves(net)] for net in (actor, fresh.actor)]
+    if shapes[0] != shapes[1] or recipe.activation != "tanh":
+        raise InvalidInput(
+            f"the rule {recipe.begin!r} is a network of tanh with layers {shapes[0]}, got a recipe "
+            f"for {recipe.activation} with {shapes[1]}"
+        )
+    return fresh._replace(actor=actor)
 
 
 def update(
@@ -74,7 +99,8 @@ def update(
         met = contexts_met(state.seed, clock.number, params.visible.shape[1], recipe.n_episodes)
         params = jax.tree.map(lambda x: jax.vmap(jnp.take, (0, 0, None))(x, met, 0), params)
     every = of_simulations(params, recipe.n_episodes)
-    lived = record(world, recipe.activation, decisions, actor_of(state.weights), seeds, every)
+    actor = actor_of(state.weights)
+    lived = record(world, recipe.activation, decisions, actor, seeds, every, hold=recipe.hold)
     learn = partial(_ALGORITHMS[type(recipe)].learn, world.action, recipe)
     policies = jax.vmap(learn, in_axes=(0, 0, 0, None))
     weights, memory = policies(state.weights, state.memory, lived, clock.number)

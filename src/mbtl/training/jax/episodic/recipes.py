@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 from mbtl.errors import InvalidInput
@@ -24,6 +24,10 @@ class TwinRecipe(ActorCritic):
             it pays, or costs, to live on.
         critic_gain: of the critic's last layer at the start.
         first_action: mean of a Gaussian policy before the first update, in every dimension.
+        begin: what a new policy does: a name that the world knows (`mbtl.worlds.world.Rules`);
+            empty: its first action.
+        hold: decisions for which a deviation from the mean stays the same. Fresh ones at every
+            decision average out before they come to anything.
         credit: whose rewards an action is worth (`returns.of_team`).
     """
 
@@ -33,6 +37,8 @@ class TwinRecipe(ActorCritic):
     center_reward: bool = False
     critic_gain: float = 0.01
     first_action: float = 0.0
+    begin: str = ""
+    hold: int = 1
     credit: Credit = "own"
 
     @property
@@ -58,7 +64,13 @@ class TRPORecipe(TwinRecipe):
             bounds: the gradient is biased, and pulls a mean that has left the bounds back.
     """
 
-    counts: ClassVar[tuple[str, ...]] = ("n_episodes", "cg_steps", "backtracks", "critic_passes")
+    counts: ClassVar[tuple[str, ...]] = (
+        "n_episodes",
+        "cg_steps",
+        "backtracks",
+        "critic_passes",
+        "hold",
+    )
     gamma: float = 0.999
     gae_lambda: float = 1.0
     max_kl: float = 0.01
@@ -96,7 +108,7 @@ class EpisodicPPORecipe(TwinRecipe):
         InvalidInput: a count is below 1, or the minibatches do not fill the rows.
     """
 
-    counts: ClassVar[tuple[str, ...]] = ("n_episodes", "rows", "minibatches", "n_epochs")
+    counts: ClassVar[tuple[str, ...]] = ("n_episodes", "hold", "rows", "minibatches", "n_epochs")
     adam_eps: ClassVar[float] = 1e-8
     rows: int = 8000
     minibatches: int = 40
@@ -125,6 +137,27 @@ class EpisodicPPORecipe(TwinRecipe):
         return self.rows // self.minibatches
 
 
+_FAST = EpisodicPPORecipe(
+    rows=2048,
+    minibatches=8,
+    n_epochs=6,
+    learning_rate=1e-3,
+    gamma=0.95,
+    gae_lambda=0.9,
+    clip_range=0.2,
+    value_clip=1e9,
+    value_coef=0.5,
+    entropy_coef=0.0,
+    kl_coef=0.0,
+    target_kl=0.05,
+    max_grad_norm=0.5,
+    normalize_advantage=True,
+    normalize_reward=True,
+    critic_gain=1.0,
+    hidden=(64, 64),
+    log_std=-1.0,
+)
+
 TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
     "TRPO": {
         "paper": TRPORecipe(),
@@ -137,26 +170,21 @@ TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
     },
     "PPO": {
         "paper": EpisodicPPORecipe(),
-        "fast": EpisodicPPORecipe(
-            rows=2048,
-            minibatches=8,
-            n_epochs=6,
-            learning_rate=1e-3,
-            gamma=0.95,
-            gae_lambda=0.9,
-            clip_range=0.2,
-            value_clip=1e9,
-            value_coef=0.5,
-            entropy_coef=0.0,
-            kl_coef=0.0,
-            target_kl=0.05,
-            max_grad_norm=0.5,
-            normalize_advantage=True,
-            normalize_reward=True,
-            critic_gain=1.0,
-            hidden=(64, 64),
-            log_std=-1.0,
+        "fast": _FAST,
+        "glide": replace(
+            _FAST,
+            n_episodes=4,
+            rows=8192,
+            minibatches=16,
+            n_epochs=4,
+            learning_rate=1e-4,
+            gamma=0.99,
+            gae_lambda=0.99,
+            log_std=-2.0,
+            begin="glide",
+            hold=10,
         ),
     },
 }
-"""Recipes by algorithm and name; `paper` is the spec's, `fast` ends sooner on a CPU."""
+"""Recipes by algorithm and name; `paper` is the spec's, `fast` ends sooner on a CPU, `glide` begins
+with a rule of eco-driving and learns how fast to drive (docs/eco-driving.md)."""
