@@ -84,8 +84,8 @@ def train_on_all(
             seeds = _seeds(recipe, training.state, training.updates)
             lived = [
                 _lived(
-                    twin, recipe.activation, most[i], max(lasting), training.state, seeds[:, [k]],
-                    contexts[i], jnp.int32(lasting[i]), recipe.hold,
+                    twin, recipe.activation, recipe.hold, most[i], max(lasting), training.state,
+                    seeds[:, [k]], contexts[i], jnp.int32(lasting[i]),
                 )
                 for k, i in enumerate(met.tolist())
             ]  # fmt: skip
@@ -115,17 +115,17 @@ def _drawn(seed: int, number: int, contexts: int, count: int) -> NDArray[np.int6
 _seeds = jax.jit(episode_seeds, static_argnums=0)
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2, 3, 8))
+@partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))
 def _lived(
     twin: World,
     activation: Activation,
+    hold: int,
     most: int,
     longest: int,
     state: State,
     seeds: jax.Array,
     params: Tree,
     lasting: jax.Array,
-    hold: int,
 ) -> Episodes:
     """Episodes of `lasting` decisions, `most` at most, as if there were `longest`."""
     actor = actor_of(state.weights)
