@@ -269,7 +269,10 @@ class MultiTaskRecipe:
     def record(self) -> dict[str, object]:
         """JSON-able: what decides the policy."""
         parts = {"n_parts": self.n_parts} if self.has_vectors else {}
-        return {"method": self.method, "ppo": self.ppo.record, **parts}
+        ppo = self.ppo.record
+        if not self.ppo.standardize:  # records of before have no word of it
+            del ppo["standardize"]
+        return {"method": self.method, "ppo": ppo, **parts}
 
 
 Recipe = PPORecipe | A2CRecipe | DQNRecipe | MultiTaskRecipe
