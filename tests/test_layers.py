@@ -37,11 +37,12 @@ CORE = [
 OUTSIDE = {
     "worlds": set(),
     "training": {"worlds"},
-    "benchmark": set(),
+    "plot": set(),
+    "benchmark": {"plot"},
     "cmdps": {"training", "worlds"},
-    "report": {"benchmark"},
+    "report": {"benchmark", "plot"},
     "testing": {"cmdps", "training", "worlds"},
-    "cli": {"training", "benchmark", "cmdps", "report"},
+    "cli": {"training", "benchmark", "cmdps", "plot", "report"},
 }
 LAZY = {("portfolio", "training")}  # a saved Stable-Baselines3 policy is read by its adapter
 HEAVY = {"torch", "jax", "sklearn", "gymnasium", "stable_baselines3", "matplotlib", "typer", "rich"}
