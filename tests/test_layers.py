@@ -38,11 +38,12 @@ OUTSIDE = {
     "worlds": set(),
     "envs": set(),
     "training": {"worlds", "envs"},
-    "benchmark": set(),
+    "plot": set(),
+    "benchmark": {"plot"},
     "cmdps": {"training", "worlds", "envs"},
-    "report": {"benchmark"},
+    "report": {"benchmark", "plot"},
     "testing": {"cmdps", "training", "worlds", "envs"},
-    "cli": {"training", "envs", "benchmark", "cmdps", "report"},
+    "cli": {"training", "envs", "benchmark", "cmdps", "plot", "report"},
 }
 LAZY = {("portfolio", "training")}  # a saved Stable-Baselines3 policy is read by its adapter
 HEAVY = {"torch", "jax", "sklearn", "gymnasium", "stable_baselines3", "matplotlib", "typer", "rich"}

@@ -17,7 +17,8 @@ from mbtl.study import Callback, Pick, Study, create_study, load_study
 from mbtl.version import __version__
 
 if TYPE_CHECKING:
-    from mbtl.benchmark import TransferMatrix, compare, load_curves, load_matrix
+    from mbtl.benchmark import TransferMatrix, load_curves, load_matrix
+    from mbtl.benchmark.compare import compare
     from mbtl.cmdps import CMDP, check_cmdp, get_cmdp
 
 # outside the core: imported when first used, so that `import mbtl` stays light
@@ -54,11 +55,14 @@ __all__ = [
     "load_matrix",
     "load_portfolio",
     "load_study",
+    "plot",
     "selectors",
 ]
 
 
 def __getattr__(name: str) -> Any:
+    if name == "plot":
+        return importlib.import_module("mbtl.plot")
     if name in _LAZY:
         return getattr(importlib.import_module(_LAZY[name]), name)
     raise AttributeError(f"module 'mbtl' has no attribute {name!r}")

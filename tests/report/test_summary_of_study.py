@@ -3,8 +3,6 @@ import pytest
 
 import mbtl
 from mbtl.report import reference_curves, summarise_study
-from mbtl.report.plots import plot_curve, plot_policy_map
-from mbtl.report.reference import ReferenceCurves
 from mbtl.report.summary import policies_enough
 from mbtl.report.text import lines
 
@@ -135,56 +133,9 @@ def test_reference_curves_need_the_same_recipe(tmp_path, monkeypatch):
     same, _ = reference_curves(study_of(1, settings={"recipe": {"timesteps": 5}}))
     assert same.random.shape == same.greedy.shape == same.oracle.shape == (2, 6)
     assert (same.oracle[:, -1] >= same.random[:, -1]).all()
+    assert list(same.baselines) == ["Random", "Greedy", "Sequential Oracle"]
     grand_mean = returns.mean()
     assert f"random policy {grand_mean:.4f}." in same.said
-
-
-def test_pictures_are_drawn_from_the_summary(tmp_path):
-    study = study_of(4)
-    summary = summarise_study(study)
-    curves = ReferenceCurves(
-        "toy", np.full((2, 6), 0.5), np.full((2, 6), 0.6), np.full((2, 6), 0.9)
-    )
-    performance = study.history.best
-    for path in (
-        plot_curve(summary, tmp_path / "a" / "curve.png", curves),
-        plot_policy_map(summary, SPACE, performance, tmp_path / "map.png"),
-    ):
-        assert path.read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_policy_map_of_several_axes_has_a_panel_for_each():
-    from mbtl.report.plots import _shares_map
-
-    space = mbtl.ContextSpace.grid(
-        {
-            mbtl.Log("mass", 0.2, 2.0, unit="kg"): 5,
-            mbtl.Linear("length", 0.1, 1.0): 40,
-            mbtl.Categorical("road", ("wet", "dry")): 2,
-        }
-    )
-    wet = np.array([road == "wet" for road in space.values("road")])
-    figure = _shares_map(space, np.where(wet, 0, 399), np.full(400, 0.5))
-    mass, length, road = figure.axes[:3]
-    assert [len(panel.patches) for panel in (mass, length, road)] == [10, 24, 4]  # bars
-    assert [bar.get_height() for bar in mass.patches] == pytest.approx([0.5] * 10)
-    assert [bar.get_height() for bar in road.patches] == [1.0, 0.0, 0.0, 1.0]
-    assert [tick.get_text() for tick in road.get_xticklabels()] == ["wet", "dry"]
-    assert mass.get_xlabel() == "mass [kg]"
-    # a bar for each year, however alike their names are, and for each value, however rare
-    years = mbtl.ContextSpace.grid(
-        {mbtl.Integer("year", 2000, 2007): 8, mbtl.Linear("x", 0.0, 1.0): [0.0, 1.0]}
-    )
-    figure = _shares_map(years, np.arange(16) % 2, np.full(16, -9.0))
-    assert [len(panel.patches) for panel in figure.axes[:2]] == [16, 4]
-    assert {bar.get_x() for bar in figure.axes[0].patches} == set(np.arange(8) - 0.5)
-    assert figure.axes[2].get_ylim()[0] < -9.0
-
-
-def test_a_picture_that_cannot_be_written_is_named(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(mbtl.MbtlError, match="choose another place"):
-        plot_curve(summarise_study(study_of(2)), tmp_path / "file" / "x.png")
 
 
 def test_report_portfolio_and_fresh_episodes_follow_the_same_routes_also_where_policies_tie():

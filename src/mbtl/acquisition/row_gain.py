@@ -74,11 +74,15 @@ class RowGain:
         target itself would; whether those ceilings are high or low is drawn once for all targets.
         Picks by this gain were no better (docs/calibration.md).
         """
+        return float(self.drawn(source).mean())
+
+    def drawn(self, source: int) -> Array:
+        """(n,) samples of that gain, always the same ones; their mean is `said`."""
         rng, own = np.random.default_rng(0), self.targets
         rows = self.model.draws(np.array([source]), own, _DRAWS, rng)[:, 0]
         mean, std = self.model.predict_pairs(np.column_stack([own, own, np.full(len(own), NEW)]))
         ceiling = mean + std * rng.standard_normal((_DRAWS, 1))
-        return float(self._gained(np.minimum(rows, ceiling)).mean())
+        return self._gained(np.minimum(rows, ceiling))
 
     def chance(self, source: int, least: float) -> float:
         """Probability that one training on `source` gains `least` or more.

@@ -31,7 +31,7 @@ FOLDER = "curves"
 _ROWS = ("best_returns", "best_fresh_returns", "last_returns", "last_fresh_returns")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TransferCurves:
     """Every policy along every training on every target.
 
@@ -66,6 +66,12 @@ class TransferCurves:
     unit: str = "steps"
     provenance: Mapping[str, Any] = field(default_factory=dict)
     sources: NDArray[np.intp] | None = None
+
+    def __repr__(self) -> str:
+        seeds, _, m = self.steps.shape
+        lengths = ", ".join(f"{length:,}" for length in self.lengths)
+        size = f"{seeds} seed{'s' * (seeds > 1)}, {m} sources x {self.space.n} targets"
+        return f"TransferCurves({self.name!r}: {size}, after {lengths} {self.unit})"
 
     def __post_init__(self) -> None:
         n, lengths = self.space.n, np.asarray(self.lengths)

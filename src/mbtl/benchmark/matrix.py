@@ -44,7 +44,7 @@ from mbtl.objective import Bounds, direction_named
 from mbtl.selectors.base import SelectionProblem, default_theta
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TransferMatrix:
     """Every policy on every target, for one or more training seeds.
 
@@ -100,6 +100,11 @@ class TransferMatrix:
         object.__setattr__(self, "references", {k: _read_only(row) for k, row in rows.items()})
         if not (np.isfinite(self.theta) and self.theta >= 0):
             raise InvalidInput(f"theta must be a finite number >= 0, got {self.theta!r}")
+
+    def __repr__(self) -> str:
+        seeds, m, n = self.returns.shape
+        size = f"{seeds} seed{'s' * (seeds > 1)}, {m} sources x {n} targets"
+        return f"TransferMatrix({self.name!r}: {size}; {self.space!r})"
 
     # ---- constructors ------------------------------------------------------------------------
 

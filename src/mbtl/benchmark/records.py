@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mbtl.arrays import Array
+from mbtl.errors import missing_extra
 
 CONFIDENCE = 0.95
 RESAMPLES = 10_000
@@ -186,12 +187,17 @@ class Summary:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
-    """Every run of a comparison, and its summary."""
+    """Every run of a comparison, and its summary; shown, it is the table of `mbtl bench`."""
 
     results: tuple[Run, ...]
     summary: Summary
+
+    def __repr__(self) -> str:
+        from mbtl.benchmark.tables import comparison_text  # draws these records
+
+        return comparison_text(self)
 
     def to_json(self) -> dict[str, Any]:
         """The document that `mbtl bench --json` prints."""
@@ -199,3 +205,29 @@ class Comparison:
             "results": [run.to_json() for run in self.results],
             "summary": self.summary.to_json(),
         }
+
+    def to_frame(self) -> Any:
+        """A pandas table, a line per run and training: k, the source, and V after it.
+
+        A run of `random` is one order; the tables show Random's exact expectation.
+
+        Raises:
+            MissingExtra: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ModuleNotFoundError as error:
+            raise missing_extra("pandas", "frames") from error
+        lines = [
+            (run.matrix, run.matrix_seed, run.selector, run.seed, k, source, float(value))
+            for run in self.results
+            for k, (source, value) in enumerate(zip(run.sources, run.performance, strict=True), 1)
+        ]
+        heads = ["matrix", "matrix_seed", "selector", "seed", "k", "source", "V"]
+        return pandas.DataFrame(lines, columns=heads)
+
+    def plot(self, matrix: str | None = None, *, ax: Any = None) -> Any:
+        """V against k of every selector on one matrix; see `mbtl.plot.comparison`."""
+        from mbtl.plot import comparison
+
+        return comparison(self, matrix, ax=ax)

@@ -17,8 +17,8 @@ from mbtl.cli.common import JsonFlag, console, plain_warnings, print_json, print
 from mbtl.cli.progress import LiveProgress
 from mbtl.cmdps import resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
+from mbtl.plot import curve, policy_map, policy_shares, save
 from mbtl.report import reference_curves, summarise_study
-from mbtl.report.plots import plot_curve, plot_policy_map
 from mbtl.report.text import show_summary
 from mbtl.selectors import get_selector
 from mbtl.settings import first_difference
@@ -277,11 +277,10 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
         curves, note = reference_curves(study)
         notes += [note] if curves is None else [curves.said, note]
         try:
-            files["curve"] = str(plot_curve(summary, folder / "curve.png", curves))
-            serving = portfolio.routing.served
-            files["policy map"] = str(
-                plot_policy_map(summary, study.space, serving, folder / "policy-map.png")
-            )
+            drawn = curve(study, baselines={} if curves is None else curves.baselines)
+            files["curve"] = str(save(drawn, folder / "curve.png"))
+            draw = policy_map if study.space.d < 3 else policy_shares
+            files["policy map"] = str(save(draw(study), folder / "policy-map.png"))
         except (MissingExtra, StorageError) as error:
             notes.append(f"no pictures: {error}")
     if as_json:

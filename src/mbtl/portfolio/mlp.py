@@ -39,7 +39,7 @@ _ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MLPPolicy:
     """A dense network with one activation between its layers and a head for the action.
 
@@ -59,6 +59,11 @@ class MLPPolicy:
     activation: Activation
     observation_shape: tuple[int, ...]
     head: DiscreteHead | BoxHead
+
+    def __repr__(self) -> str:
+        widths = [int(np.prod(self.observation_shape)), *(len(bias) for bias in self.biases)]
+        layers = " -> ".join(map(str, widths))
+        return f"MLPPolicy({layers}, {self.activation}, {type(self.head).__name__})"
 
     def __post_init__(self) -> None:
         if self.activation not in _ACTIVATIONS:

@@ -39,6 +39,12 @@ class ReferenceCurves:
     levels: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def baselines(self) -> dict[str, Array]:
+        """The curves by name for people, (S, K) each; those there are."""
+        named = {"Random": self.random, "Greedy": self.greedy, "Sequential Oracle": self.oracle}
+        return {name: curves for name, curves in named.items() if len(curves)}
+
+    @property
     def said(self) -> str:
         """The levels in a sentence."""
         values = ", ".join(f"{name} {value:.4f}" for name, value in self.levels.items())

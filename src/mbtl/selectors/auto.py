@@ -27,8 +27,9 @@ from mbtl.history import History
 from mbtl.models.priors import PRIORS, prior_without
 from mbtl.models.relevance import Columns, fit_relevance, stretched
 from mbtl.models.transfer_gp import TransferGP, likely_noise
-from mbtl.models.transfer_kernel import Pairs, TransferPrior, grid_pairs
+from mbtl.models.transfer_kernel import NEW, Pairs, TransferPrior, grid_pairs
 from mbtl.selectors.base import (
+    Outlook,
     Proposal,
     SelectionProblem,
     farthest_open,
@@ -105,6 +106,20 @@ class Auto:
             note = f"the transfer model could not be fitted ({error})"
             return Proposal(source, "far from what was tried so far", None, (note,))
         return self._choose(problem, history, mask, beliefs)
+
+    def outlook(self, problem: SelectionProblem, history: History, candidates: Indices) -> Outlook:
+        """What the model believes of every training, and the gain it expects of some candidates.
+
+        Raises:
+            InvalidInput: nothing was evaluated so far.
+            numpy.linalg.LinAlgError: the model cannot be fitted.
+        """
+        beliefs, everyone = self._beliefs(problem, history), np.arange(problem.n)
+        own = np.column_stack([everyone, everyone, np.full(problem.n, NEW)])
+        gain = np.full(problem.n, np.nan)
+        row_gain = beliefs.row_gain(beliefs.targets)
+        gain[candidates] = row_gain.expected(candidates)
+        return Outlook("auto", *beliefs.told.predict_pairs(own), gain, row_gain.drawn)
 
     def _choose(
         self, problem: SelectionProblem, history: History, mask: Mask, beliefs: _Beliefs

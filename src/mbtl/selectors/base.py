@@ -6,7 +6,7 @@ is in the history, so a resumed study proposes what an undisturbed one would hav
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
@@ -157,6 +157,25 @@ class Proposal:
     notes: tuple[str, ...] = ()
     chance: float | None = None
     chance_left: float | None = None
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What a model believes at one moment, for people to look at.
+
+    Attributes:
+        model: whose it is, a selector's name.
+        mean: (N,) of J(pi_x, x), the training performance on every context.
+        std: (N,) its standard deviation.
+        gain: (N,) acquisition of a training on every context, in V; NaN where it was not asked.
+        drawn: source -> samples of the gain in V of a training there; None: the model has no such.
+    """
+
+    model: str
+    mean: Array
+    std: Array
+    gain: Array
+    drawn: Callable[[int], Array] | None = None
 
 
 @runtime_checkable

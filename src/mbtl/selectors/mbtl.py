@@ -17,7 +17,7 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models import FittedGap, FittedGP, GPSettings, LinearGap, fit_gp, predicted_rows
 from mbtl.models.gp import Fitter
-from mbtl.selectors.base import Proposal, SelectionProblem, first_pick, open_candidates
+from mbtl.selectors.base import Outlook, Proposal, SelectionProblem, first_pick, open_candidates
 from mbtl.selectors.model_based import (
     choose,
     fit_posterior,
@@ -87,16 +87,32 @@ class MBTL:
         theta: float,
     ) -> Proposal:
         """The acquisition and its argmax over the open contexts."""
+        gain, _, std = self._gain(problem, history, gp, theta)
+        kind = "expected" if self.acquisition == "ei" else "optimistic"
+        return choose(gain, std, mask, f"largest {kind} gain", gp.notes)
+
+    def outlook(
+        self, problem: SelectionProblem, history: History, candidates: NDArray[np.intp]
+    ) -> Outlook:
+        """The posterior and the acquisition, with the number of the next pick."""
+        gp = fit_posterior(problem, history, history.training_performance, self.gp, self.fitter)
+        gain, mean, std = self._gain(problem, history, gp, self.theta(problem, history))
+        return Outlook(self.name, mean, std, gain)
+
+    def _gain(
+        self, problem: SelectionProblem, history: History, gp: FittedGP, theta: float
+    ) -> tuple[Array, Array, Array]:
+        """Acquisition, posterior mean and standard deviation of every context; (N,) each."""
         where, weights = problem.steps, problem.weights
         mean, std = gp.predict(where)
         best = self.best(problem, history, gp, theta)
         if self.acquisition == "ei":
             gain = expected_gain(mean, std, where, where, best, weights, theta=theta)
-            return choose(gain, std, mask, "largest expected gain", gp.notes)
+            return gain, mean, std
         k = len(history) + len(history.pending) + 1
         upper = mean + np.sqrt(beta_experiments(k, problem.n)) * std
         gain = linear_gap_gain(upper, where, where, best, weights, theta=theta)
-        return choose(gain, std, mask, "largest optimistic gain", gp.notes)
+        return gain, mean, std
 
     def theta(self, problem: SelectionProblem, history: History) -> float:
         """Slope of the linear gap now, performance per grid step."""

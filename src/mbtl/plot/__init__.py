@@ -1,0 +1,26 @@
+"""Pictures: every function takes matplotlib axes or makes its own, and returns the axes.
+
+    ax = mbtl.plot.curve(study)
+    ax.figure.savefig("curve.pdf")
+
+Numbers come from studies, portfolios, matrices and comparisons as they are; nothing is computed
+here that a table does not show. No display is needed, and no picture is shown by itself.
+"""
+
+from mbtl.plot.curves import comparison, curve
+from mbtl.plot.maps import heatmap, policy_map, policy_shares
+from mbtl.plot.matrices import matrix
+from mbtl.plot.models import model
+from mbtl.plot.style import save, style
+
+__all__ = [
+    "comparison",
+    "curve",
+    "heatmap",
+    "matrix",
+    "model",
+    "policy_map",
+    "policy_shares",
+    "save",
+    "style",
+]

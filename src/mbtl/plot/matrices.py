@@ -1,0 +1,61 @@
+"""The transfer matrix as a picture: every policy on every target."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.plot.style import axes_for, dress, edges, number, positions, styled
+
+if TYPE_CHECKING:
+    from mbtl.benchmark.matrix import TransferMatrix
+
+
+@styled
+def matrix(
+    matrix: TransferMatrix, seed: int | None = None, *, picks: Sequence[int] = (), ax: Any = None
+) -> Any:
+    """Performance of every policy (down the side) on every target (along the bottom).
+
+    On one axis both sides are drawn in its unit, logarithmically if it is logarithmic; with more
+    axes they are context indices. Where only some contexts are sources, the cells of the others
+    belong to the nearest one.
+
+    Args:
+        matrix: (S, M, N) returns; M sources, N targets.
+        seed: matrix seed; None: the mean over all.
+        picks: sources to mark, in the order they were trained.
+        ax: axes to draw on; None: new ones.
+    """
+    ax = axes_for(ax, 4.6, 3.9)
+    sources = np.arange(matrix.n) if matrix.sources is None else matrix.sources
+    line = matrix.space.d == 1 and matrix.space.unit.shape[1] == 1
+    axis = matrix.space.axes[0]
+    x = np.arange(matrix.n, dtype=np.float64)
+    if line:
+        x = positions(axis, matrix.space.values(axis.name))
+    down, across = np.argsort(x[sources]), np.argsort(x)
+    sides = [edges(axis if line else None, x[of]) for of in (across, sources[down])]
+    table = shown_performance(matrix, seed)[np.ix_(down, across)]
+    mesh = ax.pcolormesh(*sides, table, rasterized=True)
+    ax.figure.colorbar(mesh, ax=ax, label="performance")
+    if line:
+        dress(ax, axis, "x")
+        dress(ax, axis, "y")
+    ax.set_xlabel(f"target: {axis.label if line else 'context index'}")
+    ax.set_ylabel(f"source: {axis.label if line else 'context index'}")
+    many = seed is None and matrix.n_seeds > 1
+    which = f"mean of {matrix.n_seeds} seeds" if many else f"seed {seed or 0}"
+    ax.set_title(f"{matrix.name}, {which}")
+    number(ax, x[list(picks)], side="right", line="white")
+    return ax
+
+
+def shown_performance(matrix: TransferMatrix, seed: int | None = None) -> Array:
+    """(M, N) performance on the episodes that chose nothing, where there are such episodes."""
+    reported = matrix.returns if matrix.fresh_returns is None else matrix.fresh_returns
+    one = reported.mean(axis=0, dtype=np.float64) if seed is None else reported[seed]
+    return matrix.bounds.normalise(one)

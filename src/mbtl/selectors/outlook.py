@@ -1,0 +1,76 @@
+"""Looking at a model: what it believed after so many trainings, for pictures and reports."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.errors import InvalidInput
+from mbtl.history import History
+from mbtl.selectors.auto import Auto
+from mbtl.selectors.base import Outlook, SelectionProblem, Selector
+from mbtl.selectors.registry import get_selector
+
+MOST = 200
+"""Contexts of which the gain is asked where there are more, spread over all of them."""
+
+
+def outlook(
+    problem: SelectionProblem,
+    history: History,
+    selector: Selector | str = "auto",
+    *,
+    after: int | None = None,
+) -> Outlook | None:
+    """What the model of a selector believed after so many trainings.
+
+    A selector without a model of its own (Random, Greedy, one whose name is not known here) gets
+    that of `auto`. A selector has one if it has a method `outlook(problem, history, candidates)`.
+
+    Args:
+        problem: the contexts.
+        history: the rows.
+        selector: whose model.
+        after: number of trainings; None: all. Picks under way do not count.
+
+    Returns:
+        The outlook; None where nothing can be fitted.
+
+    Raises:
+        InvalidInput: `after` is not from 0 to the number of rows.
+    """
+    k = len(history) if after is None else after
+    if not 0 <= k <= len(history):
+        raise InvalidInput(f"after must be from 0 to the {len(history)} rows there are, got {k}")
+    if not np.isfinite(history.rows[:k]).any():
+        return None
+    errors = None if history.errors is None else history.errors[:k]
+    then = History(history.n_targets, history.sources[:k], history.rows[:k], errors=errors)
+    candidates = _candidates(problem)
+    for model in (_known(selector), Auto()):
+        asked = getattr(model, "outlook", None)
+        if asked is None:
+            continue
+        try:
+            found: Outlook = asked(problem, then, candidates)
+            return found
+        except (InvalidInput, np.linalg.LinAlgError):  # nothing to fit so far
+            continue
+    return None
+
+
+def _known(selector: Selector | str) -> Selector | None:
+    try:
+        return get_selector(selector)
+    except InvalidInput:
+        return None
+
+
+def _candidates(problem: SelectionProblem) -> NDArray[np.intp]:
+    """All sources, or some spread over them."""
+    sources = problem.sources
+    if len(sources) <= MOST:
+        return sources
+    if problem.is_line:
+        return sources[np.linspace(0, len(sources) - 1, MOST).round().astype(np.intp)]
+    return np.sort(np.random.default_rng(0).choice(sources, MOST, replace=False))

@@ -1,0 +1,196 @@
+"""Pictures are checked by what is drawn in them: lines, cells, marks and scales."""
+
+import contextlib
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import mbtl
+from mbtl.benchmark import TransferMatrix
+
+N = 20
+LINE = mbtl.ContextSpace.grid({mbtl.Log("mass", 0.1, 10.0, unit="kg"): N})
+PLANE = mbtl.ContextSpace.grid(
+    {mbtl.Log("mass", 0.1, 10.0, unit="kg"): 6, mbtl.Linear("length", 0.0, 1.0, unit="m"): 5}
+)
+
+
+def row(space, source):
+    return 0.9 - 0.5 * np.linalg.norm(space.unit - space.unit[source], axis=1)
+
+
+def study_on(space, picks=4):
+    study = mbtl.create_study(space, budget=6, bounds=(0.0, 1.0), problem="toy", selector="mbtl")
+    for _ in range(picks):
+        pick = study.ask()
+        study.tell(pick, row(space, pick.source))
+    return study
+
+
+def texts(ax):
+    return [text.get_text() for text in ax.texts]
+
+
+def test_the_curve_is_v_of_fresh_episodes_beside_named_baselines_on_axes_of_the_users():
+    study = study_on(LINE)
+    study.record_fresh_returns(np.array([r.returns for r in study.state.rows]) - 0.1)
+    given = Figure().subplots()
+    ax = mbtl.plot.curve(
+        study, baselines={"Random": np.full((3, 6), 0.5)}, levels={"unguided": 0.2}, ax=given
+    )
+    assert ax is given
+    lines = {line.get_label(): line.get_ydata() for line in ax.get_lines()}
+    assert lines["mbtl, fresh episodes"] == pytest.approx(study.curve - 0.1)
+    assert lines["Random"] == pytest.approx([0.5] * 6)
+    assert {"unguided"} <= set(lines)
+    assert mbtl.plot.curve([0.1, 0.2]).get_lines()[0].get_ydata().tolist() == [0.1, 0.2]
+
+
+def test_a_policy_map_on_a_logarithmic_axis_is_drawn_as_such_with_every_source_numbered():
+    study = study_on(LINE)
+    ax = mbtl.plot.policy_map(study)
+    assert ax.get_xscale() == "log"
+    assert ax.get_xlabel() == "mass [kg]"
+    assert sorted(texts(ax)) == ["1", "2", "3", "4"]
+    drawn = [line for line in ax.get_lines() if line.get_marker() == "s"]
+    assert sum(len(line.get_xdata()) for line in drawn) == N
+    assert mbtl.plot.policy_map(study.portfolio()).get_xscale() == "log"
+
+
+def test_numbers_of_sources_side_by_side_do_not_hide_each_other():
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 100})
+    study = mbtl.create_study(space, budget=3, bounds=(0.0, 1.0))
+    for source in (50, 51, 52):
+        study.tell(source, row(space, source))
+    heights = [note.xyann[1] for note in mbtl.plot.policy_map(study).texts]
+    assert len(set(heights)) == 3
+
+
+def test_two_axes_are_a_map_with_its_colour_scale_and_the_sources_in_it():
+    study = study_on(PLANE)
+    ax = mbtl.plot.heatmap(PLANE, study.routing.served, sources=study.history.sources)
+    mesh = ax.collections[0]
+    assert mesh.get_array().shape == (5, 6)
+    assert mesh.get_array()[2, 3] == pytest.approx(study.routing.served[3 * 5 + 2])
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "linear")
+    assert texts(ax) == ["1", "2", "3", "4"]
+    assert "performance" in [other.get_ylabel() for other in ax.figure.axes]
+    turned = mbtl.plot.heatmap(PLANE, study.routing.served, over=("length", "mass"))
+    assert turned.collections[0].get_array().shape == (6, 5)
+    served = mbtl.plot.policy_map(study).collections[0].get_array()
+    assert len(np.unique(served)) == len(set(study.routing.route))
+
+
+def test_what_cannot_be_a_map_is_said():
+    with pytest.raises(mbtl.MbtlError, match="one per context"):
+        mbtl.plot.heatmap(PLANE, [1.0])
+    with pytest.raises(mbtl.MbtlError, match="two of the axes"):
+        mbtl.plot.heatmap(PLANE, np.zeros(30), over=("mass", "mass"))
+    with pytest.raises(mbtl.MbtlError, match="rows to be fitted"):
+        mbtl.plot.model(study_on(LINE, 1), 0)
+
+
+def test_the_model_is_the_selectors_own_and_the_triangle_is_the_pick_that_came_next():
+    study = study_on(LINE, 6)
+    ax = mbtl.plot.model(study, 5)
+    assert ax.get_title(loc="left") == "mbtl after 5 trainings"
+    below = next(other for other in ax.figure.axes if other is not ax)
+    (triangle,) = below.get_lines()
+    mass = LINE.values("mass")
+    assert triangle.get_xdata()[0] == mass[study.history.sources[5]]
+    (gain,) = below.collections  # its peak is where the study picked
+    points = gain.get_paths()[0].vertices
+    assert points[points[:, 1].argmax(), 0] == pytest.approx(triangle.get_xdata()[0])
+
+
+def test_a_matrix_of_fewer_sources_than_targets_has_as_many_rows():
+    rng = np.random.default_rng(0)
+    returns = rng.random((2, 4, N))
+    sources = np.array([0, 6, 12, 18])
+    matrix = TransferMatrix.of(returns, space=LINE, bounds=(0, 1), sources=sources, name="toy")
+    ax = mbtl.plot.matrix(matrix, picks=[6, 0])
+    mesh = ax.collections[0]
+    assert np.asarray(mesh.get_array()) == pytest.approx(returns.mean(axis=0))
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert ax.get_title(loc="left") == "toy, mean of 2 seeds"
+    assert texts(ax) == ["2", "1"]
+    first = mbtl.plot.matrix(matrix, 0).collections[0].get_array()
+    assert np.asarray(first) == pytest.approx(returns[0])
+
+
+def test_shares_have_a_panel_for_each_axis():
+    space = mbtl.ContextSpace.grid(
+        {
+            mbtl.Log("mass", 0.2, 2.0, unit="kg"): 5,
+            mbtl.Linear("length", 0.1, 1.0): 40,
+            mbtl.Categorical("road", ("wet", "dry")): 2,
+        }
+    )
+    wet = np.array([road == "wet" for road in space.values("road")])
+    study = mbtl.create_study(space, budget=2, bounds=(0.0, 1.0))
+    study.tell(0, np.where(wet, 0.6, 0.4))
+    study.tell(399, np.where(wet, 0.4, 0.6))
+    mass, length, road = mbtl.plot.policy_shares(study)
+    assert [len(panel.patches) for panel in (mass, length, road)] == [10, 24, 4]  # bars
+    assert [bar.get_height() for bar in mass.patches] == pytest.approx([0.5] * 10)
+    assert [bar.get_height() for bar in road.patches] == [1.0, 0.0, 0.0, 1.0]
+    assert [tick.get_text() for tick in road.get_xticklabels()] == ["wet", "dry"]
+    assert mass.get_xlabel() == "mass [kg]"
+
+
+@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
+def test_pictures_are_written_in_the_format_of_their_ending(tmp_path, ending):
+    path = mbtl.plot.save(mbtl.plot.curve(study_on(LINE, 2)), tmp_path / "new" / f"x.{ending}")
+    begin = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}[ending]
+    assert path.read_bytes().startswith(begin)
+
+
+def test_a_picture_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(mbtl.MbtlError, match="choose another place"):
+        mbtl.plot.save(mbtl.plot.curve([0.1]), tmp_path / "file" / "x.png")
+
+
+def test_a_comparison_is_its_table_a_frame_and_a_picture(mbtl_table):
+    comparison, printed = mbtl_table
+    assert repr(comparison) == printed.rstrip("\n")
+    frame = comparison.to_frame()
+    assert list(frame.columns) == ["matrix", "matrix_seed", "selector", "seed", "k", "source", "V"]
+    run = comparison.results[0]
+    mine = frame[(frame.selector == run.selector) & (frame.seed == run.seed)]
+    assert mine.V.tolist() == pytest.approx(run.performance.tolist())
+    assert mine.source.tolist() == list(run.sources)
+    lines = {line.get_label(): line.get_ydata() for line in comparison.plot().get_lines()}
+    (one,) = comparison.summary.matrices.values()
+    assert lines["Random"] == pytest.approx(one.random)
+    assert lines["greedy"] == pytest.approx(
+        next(r for r in comparison.results if r.selector == "greedy").performance
+    )
+    with pytest.raises(mbtl.MbtlError, match="matrix must be one of"):
+        comparison.plot("other")
+
+
+@pytest.fixture
+def mbtl_table(monkeypatch, capsys):
+    from mbtl.cli import main
+
+    names = ["random", "greedy", "oracle"]
+    arguments = ["bench", "--matrix", "synthetic:linear-gap", "--budget", "3", "--seeds", "1"]
+    monkeypatch.setattr("sys.argv", ["mbtl", *arguments, "--selectors", ",".join(names)])
+    monkeypatch.setenv("COLUMNS", "80")
+    with contextlib.suppress(SystemExit):
+        main()
+    printed = "\n".join(line.rstrip() for line in capsys.readouterr().out.splitlines())
+    return mbtl.compare(names, ["synthetic:linear-gap"], budget=3, seeds=1), printed
+
+
+def test_what_people_print_in_a_notebook_is_short():
+    matrix = TransferMatrix.of(np.zeros((2, N, N)), space=LINE, bounds=(0, 1), name="toy")
+    assert repr(matrix) == (
+        "TransferMatrix('toy': 2 seeds, 20 sources x 20 targets; "
+        "ContextSpace(mass [kg]; 20 contexts))"
+    )
+    study = study_on(LINE, 2)
+    for shown in (matrix, study, study.portfolio(), mbtl.load_curves("pendulum-length-hidden")):
+        assert len(repr(shown)) < 200
