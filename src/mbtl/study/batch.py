@@ -6,8 +6,9 @@ and its policy is kept, in its folder or in memory, to be evaluated again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future
+import time
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
 from logging import getLogger
@@ -16,6 +17,7 @@ from typing import Any
 from mbtl.errors import StorageError, StudyError, TrainingFailed
 from mbtl.seeds import evaluation_seed
 from mbtl.study.callbacks import Callback, where
+from mbtl.study.flights import Flights, brought_back, may_try_again, too_long
 from mbtl.study.job import (
     NOT_THE_TRAININGS_FAULT,
     Job,
@@ -24,7 +26,6 @@ from mbtl.study.job import (
     Trouble,
     perform,
     perform_elsewhere,
-    reason_of,
 )
 from mbtl.study.keeper import Keeper
 from mbtl.study.pick import Pick
@@ -46,6 +47,8 @@ class Batches:
         rehearse: the first policy is read back and evaluated on two targets before all else.
         callbacks: told what happens.
         keeper: keeps the leases of the picks.
+        timeout: seconds that a training may take; None: as many as it wants.
+        retries: so often a training that failed is begun again before it counts as failed.
         held: picks whose policy could not be evaluated. They stay with this process meanwhile, so
             that nobody tries again at once.
     """
@@ -57,8 +60,13 @@ class Batches:
     rehearse: bool
     callbacks: Sequence[Callback]
     keeper: Keeper
+    timeout: float | None = None
+    retries: int = 0
     held: list[Pick] = field(default_factory=list)
     _in_a_row: int = 0
+    _asked: int = 0
+    _ending: bool = False
+    _failed: tuple[Pick, Trouble] | None = None
 
     def do(self, batch: Sequence[Pick]) -> None:
         """Train a batch and tell it all; on any interrupt give the unanswered picks back.
@@ -67,12 +75,35 @@ class Batches:
             TrainingFailed: failures end the run. What else the batch gave is told.
         """
         waiting = list(batch)
+        self._settle(waiting, self._outcomes(batch))
+
+    def flow(self, size: int, ask: Callable[[], Pick | None]) -> bool:
+        """Train `size` picks at a time until none is left; tell each when it is done.
+
+        Args:
+            size: trainings at a time.
+            ask: gives the next pick; None: there is none.
+
+        Returns:
+            False where there was nothing to do.
+
+        Raises:
+            TrainingFailed: failures end the run. What was under way is told.
+        """
+        waiting: list[Pick] = []
+        before = self._asked
+        self._settle(waiting, self._as_they_come(size, ask, waiting))
+        return self._asked > before
+
+    def _settle(
+        self, waiting: list[Pick], outcomes: Generator[tuple[Pick, Outcome | Trouble | None]]
+    ) -> None:
+        """Record what comes; give the picks back that are in `waiting` at the end."""
         end: Exception | None = None
-        failed: tuple[Pick, Trouble] | None = None
+        self._failed = None
+        self._ending = False
         try:
-            for pick in batch:
-                self._announce("on_pick", pick)
-            for pick, outcome in self._outcomes(batch):
+            for pick, outcome in outcomes:
                 if outcome is None:
                     waiting.remove(pick)
                     self._lose(pick)
@@ -85,24 +116,25 @@ class Batches:
                     continue
                 self._keep(pick, outcome.kept)
                 if isinstance(outcome.error, NOT_THE_TRAININGS_FAULT):
-                    end = end or outcome.error
+                    end, self._ending = end or outcome.error, True
                     continue
                 in_time = self._record(pick, outcome)
                 waiting.remove(pick)
                 if not in_time:
                     continue
                 self._announce("on_failed", pick, _reason(outcome))
-                failed = pick, outcome
+                self._failed = pick, outcome
                 if self._in_a_row > self.failures_allowed:
                     failures = "failure" if self._in_a_row == 1 else "failures"
                     row = f"{self._in_a_row} {failures} in a row"
-                    end = end or self._end(pick, outcome, row)
+                    end, self._ending = end or self._end(pick, outcome, row), True
         except _CallbackError as wrapped:
             raise wrapped.error from None
         finally:
+            outcomes.close()
             self._give_back(waiting)
-        if end is None and failed is not None and not self.study.has_succeeded:
-            end = self._end(*failed, "nothing has succeeded yet")
+        if end is None and self._failed is not None and not self.study.has_succeeded:
+            end = self._end(*self._failed, "nothing has succeeded yet")
         if end is not None:
             raise end
 
@@ -114,33 +146,70 @@ class Batches:
 
     # ---- inside ------------------------------------------------------------------------------
 
-    def _outcomes(self, batch: Sequence[Pick]) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
+    def _outcomes(self, batch: Sequence[Pick]) -> Generator[tuple[Pick, Outcome | Trouble | None]]:
         """What each pick gave, in pick order; None where its training was stopped."""
-        jobs = [self._job(pick) for pick in batch]
+        for pick in batch:
+            self._announce("on_pick", pick)
         if self.executor is None:
-            for pick, job in zip(batch, jobs, strict=True):
-                yield pick, self._perform_here(pick, job)
+            for pick in batch:
+                yield pick, self._perform_here(pick)
             return
-        futures = [self.executor.submit(perform_elsewhere, job) for job in jobs]
+        futures = [self.executor.submit(perform_elsewhere, self._job(pick)) for pick in batch]
         for pick, future in zip(batch, futures, strict=True):
             yield pick, brought_back(future)
 
-    def _perform_here(self, pick: Pick, job: Job) -> Outcome | Trouble | None:
-        try:
-            return perform(
-                job,
-                partial(self._progressed, pick),
-                partial(self._keep, pick),
-                partial(self._announce, "on_evaluation", pick),
-            )
-        except _Stopped:
-            return None
+    def _as_they_come(
+        self, size: int, ask: Callable[[], Pick | None], waiting: list[Pick]
+    ) -> Generator[tuple[Pick, Outcome | Trouble | None]]:
+        """What each pick gave, whenever it is there; the next one is asked for at once.
 
-    def _progressed(self, pick: Pick, progress: Progress) -> None:
+        While nothing has succeeded and something failed, nothing new is begun.
+        """
+        assert self.executor is not None
+        flights = Flights(self.executor, self.timeout, self.retries)
+        try:
+            while True:
+                doubt = self._failed is not None and not self.study.has_succeeded
+                while len(flights) < size and not self._ending and not doubt:
+                    pick = ask()
+                    if pick is None:
+                        break
+                    self._asked += 1
+                    waiting.append(pick)
+                    self._announce("on_pick", pick)
+                    flights.begin(pick, self._job(pick))
+                if not len(flights):
+                    return
+                yield from flights.landed()
+        finally:
+            flights.cancel()
+
+    def _perform_here(self, pick: Pick) -> Outcome | Trouble | None:
+        started, tries = time.monotonic(), 0
+        while True:
+            try:
+                outcome = perform(
+                    self._job(pick),
+                    partial(self._progressed, pick, started),
+                    partial(self._keep, pick),
+                    partial(self._announce, "on_evaluation", pick),
+                )
+            except _Stopped:
+                return None
+            except _TookTooLong:
+                return too_long(self.timeout)
+            tries += 1
+            if not may_try_again(outcome) or tries > self.retries:
+                return outcome
+            started = time.monotonic()
+
+    def _progressed(self, pick: Pick, started: float, progress: Progress) -> None:
         self._announce("on_progress", pick, progress)
         self.keeper.said(pick, progress)
         if self.keeper.is_lost(pick):
             raise _Stopped
+        if self.timeout is not None and time.monotonic() - started > self.timeout:
+            raise _TookTooLong
 
     def _job(self, pick: Pick) -> Job:
         study, spec = self.study, self.study.spec
@@ -247,6 +316,10 @@ class _CallbackError(BaseException):
         self.error = error
 
 
+class _TookTooLong(BaseException):
+    """Ends a training at its next report."""
+
+
 class _Stopped(BaseException):
     """Ends a training whose pick is somebody else's by now."""
 
@@ -265,27 +338,6 @@ def failure(message: str, trouble: Trouble) -> TrainingFailed:
     if trouble.error is None:  # it stayed in another process
         error.add_note(trouble.traceback)
     return error
-
-
-def brought_back(future: Future[Any]) -> Any:
-    """What a worker process gave.
-
-    Raises:
-        StudyError: the process died, or what it gave cannot travel.
-    """
-    try:
-        return future.result()
-    except BrokenExecutor as error:
-        raise StudyError(
-            "a worker process died (a script without `if __name__ == '__main__':`, killed, "
-            "or out of memory); its picks are given back: run again, with a smaller "
-            "parallel if memory is short"
-        ) from error
-    except Exception as error:
-        raise StudyError(
-            f"a policy trained in another process must be sent back or saved there, got "
-            f"{reason_of(error)}; give save and load functions, or use parallel=1"
-        ) from error
 
 
 def places_of(study: Study, pick: Pick) -> list[str]:

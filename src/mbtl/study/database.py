@@ -58,14 +58,14 @@ def sqlite_path(url: str) -> Path | None:
 
 def clock(engine: Engine) -> Any:
     """The time: an expression for a server; of a file, this machine's."""
-    from sqlalchemy import Float, extract, func
+    from sqlalchemy import Float, extract, func, literal
 
     name = engine.dialect.name
     if name == "postgresql":
         return extract("epoch", func.clock_timestamp()).cast(Float(53))
     if name in ("mysql", "mariadb"):
         return func.unix_timestamp(func.now(6)).cast(Float(53))
-    return time.time()
+    return literal(time.time(), Float(53))
 
 
 def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:

@@ -14,6 +14,7 @@ import io
 import json
 import threading
 import time
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -123,6 +124,7 @@ class SqlLog:
         self.url = as_url(url)
         self.study = study
         self._engine, self._table, self._heartbeats = open_database(self.url, create=create)
+        weakref.finalize(self, self._engine.dispose)  # a server's connections end with the log
 
     def append(self, event: Event, *, after: int) -> int:
         """Append in one transaction; see `EventLog`."""
@@ -167,10 +169,10 @@ class SqlLog:
 
     def now(self) -> float:
         """The server's clock; of a file, this machine's."""
-        from sqlalchemy import literal, select
+        from sqlalchemy import select
 
         with self._connection() as connection:
-            return float(connection.execute(select(literal(clock(self._engine)))).scalar_one())
+            return float(connection.execute(select(clock(self._engine))).scalar_one())
 
     def beat(
         self, token: str, seconds: float, *, steps: float | None = None, value: float | None = None
@@ -220,8 +222,11 @@ def study_names(url: str | Path) -> list[str]:
     address = as_url(url)
     engine, table, _ = open_database(address, create=False)
     query = select(table.c.study).group_by(table.c.study).order_by(func.min(table.c.time))
-    with database_errors(address), engine.begin() as connection:
-        return [str(name) for (name,) in connection.execute(query)]
+    try:
+        with database_errors(address), engine.begin() as connection:
+            return [str(name) for (name,) in connection.execute(query)]
+    finally:
+        engine.dispose()
 
 
 def _pack(event: Event) -> bytes:

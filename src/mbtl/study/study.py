@@ -255,6 +255,9 @@ class Study(LeasingStudy):
         callbacks: Sequence[Callback] = (),
         report: bool = True,
         lease: float = 60.0,
+        deterministic: bool = False,
+        retries: int = 0,
+        timeout: float | None = None,
     ) -> Study:
         """Train and evaluate until the study is finished; see `mbtl.study.runner.run`.
 
@@ -274,6 +277,9 @@ class Study(LeasingStudy):
             callbacks: told what happens.
             report: evaluate the routed policies on fresh seeds at the end.
             lease: seconds without a sign of life after which others take a training over.
+            deterministic: with parallel > 1, wait for a whole batch before the next picks.
+            retries: so often a training that failed is begun again before it counts as failed.
+            timeout: seconds that a training may take.
 
         Raises:
             StudyMismatch: the study was run with another recipe or policy format before.
@@ -301,6 +307,9 @@ class Study(LeasingStudy):
             callbacks=(*callbacks, *([PrintProgress()] if progress else [])),
             report=report,
             lease=lease,
+            deterministic=deterministic,
+            retries=retries,
+            timeout=timeout,
         )
         return self
 
