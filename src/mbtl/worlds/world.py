@@ -147,20 +147,6 @@ class Crowd(World, Protocol):
         ...
 
 
-@runtime_checkable
-class Rules(Protocol):
-    """A world that knows rules by which its agents may act, as networks of tanh."""
-
-    def rule(self, name: str) -> tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]:
-        """Layers (weight (n_in, n_out), bias (n_out,)) for observations without visible context.
-
-        Raises:
-            UnknownName: there is no such rule.
-            InvalidInput: it is one for other actions than this world's.
-        """
-        ...
-
-
 def everyone(world: Crowd, state: Tree, params: Tree) -> Seen:
     """What `World.observe` gives, in terms of `Crowd.views`."""
     acting = world.acting(state)

@@ -101,7 +101,7 @@ class EcoTwin(Seeded):
         return replace(self, action=Box((0.0,), (1.0,)), law=law)
 
     def rule(self, name: str) -> eco_rules.Layers:
-        """See `mbtl.worlds.world.Rules`; they advise speeds."""
+        """See `mbtl.worlds.rules.Rules`; they advise speeds."""
         if self.law is None:
             raise InvalidInput(f"the rule {name!r} advises speeds; train with actions='speed'")
         return eco_rules.layers(name)

@@ -20,7 +20,8 @@ from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe, TRPORecipe, Tw
 from mbtl.training.jax.networks import Weights
 from mbtl.worlds import random
 from mbtl.worlds.environments import Length, Tree
-from mbtl.worlds.world import Rules, World, of_simulations
+from mbtl.worlds.rules import Rules
+from mbtl.worlds.world import World, of_simulations
 
 _ALGORITHMS: Mapping[type, Any] = {TRPORecipe: trpo, EpisodicPPORecipe: ppo}
 """Modules with `start(recipe, weights)` and `learn(...)`, of one policy."""

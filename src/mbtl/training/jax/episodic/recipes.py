@@ -24,7 +24,7 @@ class TwinRecipe(ActorCritic):
             it pays, or costs, to live on.
         critic_gain: of the critic's last layer at the start.
         first_action: mean of a Gaussian policy before the first update, in every dimension.
-        begin: what a new policy does: a name that the world knows (`mbtl.worlds.world.Rules`);
+        begin: what a new policy does: a name that the world knows (`mbtl.worlds.rules.Rules`);
             empty: its first action.
         hold: decisions for which a deviation from the mean stays the same. Fresh ones at every
             decision average out before they come to anything.
