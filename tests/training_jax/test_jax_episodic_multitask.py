@@ -48,8 +48,8 @@ def test_an_update_is_of_the_contexts_that_were_met(monkeypatch):
     state = engine.start_multitask(world, RECIPE, [5], params).state
     lived = []
 
-    def kept(*arguments):
-        lived.append(record(*arguments))
+    def kept(*arguments, hold):
+        lived.append(record(*arguments, hold=hold))
         return lived[-1]
 
     monkeypatch.setattr(learning, "record", kept)
