@@ -12,12 +12,12 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from mbtl.plot import curve, policy_map, policy_shares, save
 from mbtl.arrays import Array
 from mbtl.cli.common import JsonFlag, console, plain_warnings, print_json, printer
 from mbtl.cli.progress import LiveProgress
 from mbtl.cmdps import resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
+from mbtl.plot import curve, policy_map, policy_shares, save
 from mbtl.report import reference_curves, summarise_study
 from mbtl.report.text import show_summary
 from mbtl.selectors import get_selector
