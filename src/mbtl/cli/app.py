@@ -17,9 +17,11 @@ from mbtl.cli.common import console, interruptible, interrupts, print_origin
 from mbtl.cli.interrupts import keep_interrupts
 from mbtl.cli.matrix import matrix_app
 from mbtl.cli.play import play
+from mbtl.cli.report import report
 from mbtl.cli.reproduce import reproduce_command
 from mbtl.cli.run import run
 from mbtl.cli.study import study_app
+from mbtl.cli.watch import watch
 from mbtl.errors import InvalidInput, MbtlError, TrainingFailed
 from mbtl.version import __version__
 
@@ -32,7 +34,7 @@ app = typer.Typer(
 )
 
 
-for command in (run, play, cmdps, bench, check):
+for command in (run, watch, report, play, cmdps, bench, check):
     app.command()(interruptible(command))
 app.command("reproduce")(interruptible(reproduce_command))
 app.add_typer(study_app, name="study")

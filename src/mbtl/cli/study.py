@@ -73,7 +73,7 @@ def show(study: _Study, name: _Name = None, as_json: JsonFlag = False) -> None:
 
     Example: mbtl study show runs/cartpole-length-quick-seed0
     """
-    opened = _open(study, name)
+    opened = open_study(study, name)
     summary = summarise_study(opened)
     if as_json:
         print_json(summary.to_json())
@@ -100,7 +100,7 @@ def export(
 
     if out.suffix not in (".json", ".csv"):
         raise InvalidInput(f"an export ends in .json or .csv, got {out.name!r}")
-    opened = _open(study, name)
+    opened = open_study(study, name)
     state, space = opened.state, opened.space
     names = [axis.name for axis in space.axes]
     try:
@@ -150,7 +150,7 @@ def _reported(database: Path) -> Iterator[None]:
 
 
 def _row(database: Path, name: str) -> dict[str, Any]:
-    study = _open(database, name)
+    study = open_study(database, name)
     state = study.state
     return {
         "study": str(database.parent if database.name == "study.db" else database),
@@ -166,7 +166,7 @@ def _row(database: Path, name: str) -> dict[str, Any]:
     }
 
 
-def _open(path: Path, name: str | None) -> Study:
+def open_study(path: Path, name: str | None) -> Study:
     """A study for reading only: with any selector, so that one of the user's own opens too."""
     place = path / "study.db" if path.is_dir() else path
     names = study_names(place)

@@ -1,6 +1,19 @@
-"""Report: a study's numbers as a frozen record, and text and pictures drawn from that record."""
+"""Report: a study's numbers as a frozen record, and text and pages drawn from that record."""
 
+from mbtl.report.html import page, write_page
 from mbtl.report.reference import ReferenceCurves, reference_curves
+from mbtl.report.subject import Subject, of_matrix, of_study
 from mbtl.report.summary import PickSummary, StudySummary, summarise_study
 
-__all__ = ["PickSummary", "ReferenceCurves", "StudySummary", "reference_curves", "summarise_study"]
+__all__ = [
+    "PickSummary",
+    "ReferenceCurves",
+    "StudySummary",
+    "Subject",
+    "of_matrix",
+    "of_study",
+    "page",
+    "reference_curves",
+    "summarise_study",
+    "write_page",
+]

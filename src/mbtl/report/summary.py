@@ -178,7 +178,7 @@ def summarise_study(study: Study) -> StudySummary:
     now, best_single = routing.value, int(routing.singles.argmax())
     over = routing.gain_over(best_single)
     served = routing.served if fresh is None else fresh.served[-1]
-    coming = _one_more(study.problem, history)
+    coming = one_more(study.problem, history)
     return StudySummary(
         **common,
         episodes=state.rows[-1].episodes,
@@ -206,7 +206,7 @@ def _margin(found: Valuation, routing: Routing) -> float | None:
     return SURE * found.error
 
 
-def _one_more(problem: SelectionProblem, history: History) -> Proposal | None:
+def one_more(problem: SelectionProblem, history: History) -> Proposal | None:
     """What `auto` would train if there were budget for one more; None if no context is left."""
     try:
         asked = replace(problem, costs=None, cost_budget=None, least_gain=None)

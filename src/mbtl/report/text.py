@@ -10,20 +10,27 @@ from rich.text import Text
 from mbtl.contexts import ContextSpace
 from mbtl.report.summary import StudySummary
 
-_NOTHING = 5e-5
+NOTHING = 5e-5
 """A gain that prints as 0."""
 
 
 def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) -> None:
     """Print the summary: the picks, V, the verdict, what one more pick would bring."""
+    screen.print(table(summary, space))
+    for line in lines(summary, space):
+        screen.print(line, markup=False, highlight=False)
+
+
+def table(summary: StudySummary, space: ContextSpace) -> Table:
+    """The picks, a row each."""
     size = f"K = {summary.budget}, N = {summary.n_contexts}"
     title = f"{summary.problem or 'study'}: {summary.selector}, {size}"
-    table = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)
+    found = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)
     for head in ("pick", "trained on", "V", "V fresh", "minutes"):
-        table.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
-    table.add_column("why")
+        found.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
+    found.add_column("why")
     for pick in summary.picks:
-        table.add_row(
+        found.add_row(
             "-" if pick.number is None else str(pick.number + 1),
             Text(space.describe(pick.context, "\n")),
             _number(pick.value),
@@ -31,9 +38,7 @@ def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) ->
             "-" if pick.seconds is None else f"{pick.seconds / 60:.1f}",
             Text(pick.reason if pick.status == "told" else pick.status),
         )
-    screen.print(table)
-    for line in lines(summary, space):
-        screen.print(line, markup=False, highlight=False)
+    return found
 
 
 def show_causes(screen: Console, summary: StudySummary, space: ContextSpace) -> None:
@@ -75,7 +80,7 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
         where = space.describe(space.context(summary.next_source))
         out.append(
             f"One more training, at {where}, is predicted to add {summary.next_gain:.4f} to V."
-            if summary.next_gain > _NOTHING
+            if summary.next_gain > NOTHING
             else "One more training is predicted to add nothing to V."
         )
     if summary.finished:
@@ -90,7 +95,7 @@ def _episodes(count: int) -> str:
 def _with_margin(value: float, margin: float | None) -> str:
     if margin is None:
         return f"{value:.4f} (one episode each, so its error is unknown)"
-    return f"{value:.4f} +- {margin:.4f}" if margin >= _NOTHING else f"{value:.4f}"
+    return f"{value:.4f} +- {margin:.4f}" if margin >= NOTHING else f"{value:.4f}"
 
 
 def _extrapolated(measured: float) -> str:

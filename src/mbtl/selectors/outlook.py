@@ -9,7 +9,7 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.selectors.auto import Auto
 from mbtl.selectors.base import Outlook, SelectionProblem, Selector
-from mbtl.selectors.registry import get_selector
+from mbtl.selectors.registry import get_selector, selector_names
 
 MOST = 200
 """Contexts of which the gain is asked where there are more, spread over all of them."""
@@ -60,10 +60,10 @@ def outlook(
 
 
 def _known(selector: Selector | str) -> Selector | None:
-    try:
-        return get_selector(selector)
-    except InvalidInput:
+    """Names are of ours only: a study that somebody sent must not import a file to be looked at."""
+    if isinstance(selector, str) and selector not in selector_names():
         return None
+    return get_selector(selector)
 
 
 def _candidates(problem: SelectionProblem) -> NDArray[np.intp]:

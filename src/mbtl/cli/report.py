@@ -1,0 +1,101 @@
+"""`mbtl report`: a page of studies and matrices, one file that needs nothing else."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.text import Text
+
+from mbtl.benchmark import TransferMatrix, open_matrix, shipped_matrices
+from mbtl.cli.common import JsonFlag, console, print_json, printer
+from mbtl.cli.study import open_study
+from mbtl.errors import InvalidInput, unknown_name
+from mbtl.report import Subject, of_matrix, of_study, write_page
+from mbtl.study import Study
+
+_LEAST = 2.0
+
+
+def report(
+    subjects: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="STUDY|MATRIX...",
+            help="Folders or files of studies, .npz files, ids of shipped matrices.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")] = Path("report.html"),
+    selector: Annotated[
+        str, typer.Option(help="Rule that is replayed on a matrix; of a study its own is shown.")
+    ] = "auto",
+    budget: Annotated[int, typer.Option(help="Number of trainings K on a matrix.")] = 15,
+    seed: Annotated[int, typer.Option(help="Matrix seed that is replayed.")] = 0,
+    live: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Write the page again every so many seconds, until all studies are finished; "
+            "the page loads itself again.",
+        ),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Write a page with everything that a study or a transfer matrix shows.
+
+    It holds V against the trainings, who serves which context, what the model believed after each
+    training, what to train next, costs and provenance. Send it to anybody; it needs no network.
+
+    Example: mbtl report runs/cartpole-length-quick-seed0 pendulum-length -o report.html
+    """
+    if out.suffix != ".html" or out.is_dir():
+        raise InvalidInput(f"--out must be a file that ends in .html, got {str(out)!r}")
+    if live is not None and live < _LEAST:
+        raise InvalidInput(f"--live takes {_LEAST:g} seconds or more, got {live:g}")
+    opened = [_open(name) for name in subjects]
+
+    def made() -> list[Subject]:
+        return [
+            of_study(one)
+            if isinstance(one, Study)
+            else of_matrix(one, selector, budget=budget, seed=_seed_of(one, seed))
+            for one in opened
+        ]
+
+    found = made()
+    while live is not None and not all(subject.finished for subject in found):
+        write_page(found, out, refresh=live)
+        told = ", ".join(f"{one.name}: {len(one.history)} told" for one in found)
+        console.print(f"{out}: {told}; Ctrl-C ends", markup=False, highlight=False)
+        time.sleep(live)
+        found = made()
+    write_page(found, out)
+    size = out.stat().st_size
+    if as_json:
+        print_json({"written": str(out), "bytes": size, "subjects": [one.name for one in found]})
+    else:
+        printer().print(Text(f"wrote {out} ({size / 1e6:.1f} MB); open it in a browser"))
+
+
+def _open(name: str) -> Study | TransferMatrix:
+    path = Path(name)
+    if path.suffix != ".npz" and path.exists():
+        return open_study(path, None)
+    if path.suffix == ".npz" or name in shipped_matrices():
+        found = open_matrix(name)
+        assert isinstance(found, TransferMatrix)
+        return found
+    raise unknown_name(
+        "study or matrix", name, shipped_matrices(),
+        hint="Give the folder of a study, an .npz file, or an id that `mbtl matrix list` shows.",
+    )  # fmt: skip
+
+
+def _seed_of(matrix: TransferMatrix, seed: int) -> int:
+    if not 0 <= seed < matrix.n_seeds:
+        raise InvalidInput(
+            f"--seed must be from 0 to {matrix.n_seeds - 1} on {matrix.name}, got {seed}"
+        )
+    return seed

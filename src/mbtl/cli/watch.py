@@ -1,0 +1,53 @@
+"""`mbtl watch`: a study in the terminal while workers run it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Group
+from rich.live import Live
+from rich.text import Text
+
+from mbtl.cli.common import printer
+from mbtl.cli.study import open_study
+from mbtl.errors import InvalidInput
+from mbtl.report import summarise_study
+from mbtl.report.text import lines, table
+from mbtl.study import Study
+
+
+def watch(
+    study: Annotated[Path, typer.Argument(metavar="STUDY", help="Folder of the study, or file.")],
+    every: Annotated[float, typer.Option(help="Seconds between looks.")] = 2.0,
+    name: Annotated[
+        str | None, typer.Option(help="Name of the study, where its database holds several.")
+    ] = None,
+) -> None:
+    """Show a study live while others train: picks, V, what to train next; ends with the study.
+
+    It only reads. Where there is no terminal, the last state is printed once.
+
+    Example: mbtl watch runs/cartpole-length-full-seed0
+    """
+    if every <= 0:
+        raise InvalidInput(f"--every must be > 0 seconds, got {every:g}")
+    opened, screen_of = open_study(study, name), printer()
+    with Live(view(opened), console=screen_of, auto_refresh=False) as screen:
+        while screen_of.is_terminal and not opened.is_finished:
+            time.sleep(every)
+            before = opened.state.seq
+            if opened.refresh().seq != before:
+                screen.update(view(opened), refresh=True)
+
+
+def view(study: Study) -> Group:
+    """The table of picks and the sentences under it, as `mbtl study show` prints them."""
+    summary = summarise_study(study)
+    said = lines(summary, study.space)
+    if summary.finished is None:
+        spent, budget = len(study.state.picks), study.spec.budget
+        said.append(f"{spent} of {budget} trainings asked for; Ctrl-C ends this view only.")
+    return Group(table(summary, study.space), *map(Text, said))

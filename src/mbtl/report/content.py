@@ -1,0 +1,145 @@
+"""A subject as the content of a page: arrays and texts, nothing that is drawn.
+
+Notation (shapes): k policies, N contexts.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mbtl.contexts import Categorical, Log
+from mbtl.report.subject import Subject
+from mbtl.routing import rank
+from mbtl.selectors.outlook import outlook
+
+ENOUGH = 0.005
+"""Gain in V that counts as a gain."""
+_INTERVAL = (0.1, 0.9)
+
+
+def content(subject: Subject) -> dict[str, Any]:
+    """Everything that the page of a subject shows."""
+    space, history = subject.space, subject.history
+    found: dict[str, Any] = {
+        "kind": subject.kind,
+        "name": subject.name,
+        "selector": subject.selector,
+        "sentences": list(subject.sentences),
+        "axes": _axes(subject),
+        "isGrid": space.shape is not None,
+        "n": space.n,
+        "sources": list(history.sources),
+        "curve": {"values": list(subject.values), "of": subject.values_of},
+        "baselines": {name: np.asarray(rows) for name, rows in subject.baselines.items()},
+        "levels": dict(subject.levels),
+        "picks": _picks(subject),
+        "provenance": dict(subject.provenance),
+        "finished": subject.finished,
+        "rows": history.rows,
+    }
+    if subject.measured is not None and subject.sources is not None:
+        found["matrix"] = {"values": subject.measured, "sources": np.asarray(subject.sources)}
+    if subject.routing is not None:
+        found |= {"served": _served(subject), "steps": _steps(subject), "next": _next(subject)}
+    return found
+
+
+def _axes(subject: Subject) -> list[dict[str, Any]]:
+    out = []
+    for axis in subject.space.axes:
+        values = subject.space.values(axis.name)
+        names = list(axis.choices) if isinstance(axis, Categorical) else None
+        places = [names.index(v) for v in values] if names else values
+        out.append(
+            {
+                "name": axis.name,
+                "unit": axis.unit,
+                "label": axis.label,
+                "log": isinstance(axis, Log),
+                "choices": None if names is None else [str(name) for name in names],
+                "values": np.asarray(places, dtype=np.float64),
+            }
+        )
+    return out
+
+
+def _picks(subject: Subject) -> list[dict[str, Any]]:
+    """What each added, beside what was promised of it."""
+    values = subject.values
+    gains = np.diff(values, prepend=np.nan)
+    out = []
+    for i, pick in enumerate(subject.picks):
+        told = i < len(values)
+        out.append(
+            {
+                "source": pick.source,
+                "context": subject.space.describe(subject.space.context(pick.source)),
+                "reason": pick.reason,
+                "status": pick.status,
+                "value": float(values[i]) if told else None,
+                "gained": float(gains[i]) if told else None,
+                "promised": pick.promised if i else None,
+                "seconds": pick.seconds,
+                "cost": pick.cost,
+                "traceback": pick.traceback,
+            }
+        )
+    return out
+
+
+def _served(subject: Subject) -> dict[str, Any]:
+    """Who serves each context, how well, and who would if not."""
+    routing, steps = subject.routing, subject.space.steps
+    assert routing is not None
+    believed, sources = routing.believed, np.asarray(routing.sources)
+    second = np.full(subject.space.n, -1)
+    if len(sources) > 1:
+        for target in range(subject.space.n):
+            distance = np.linalg.norm(steps[sources] - steps[target], axis=1)
+            order = rank(believed[:, target], distance, sources)
+            second[target] = next(i for i in order if i != routing.route[target])
+    every = np.arange(subject.space.n)
+    return {
+        "policy": routing.route,
+        "performance": routing.served,
+        "runnerUp": second,
+        "runnerUpPerformance": np.where(second >= 0, believed[second, every], np.nan),
+    }
+
+
+def _steps(subject: Subject) -> dict[str, Any]:
+    """What the model believed after each training, and who served; (k, N) each."""
+    k, n, routing = len(subject.history), subject.space.n, subject.routing
+    assert routing is not None
+    means, stds, gains = (np.full((k, n), np.nan) for _ in range(3))
+    model = subject.selector
+    for j in range(1, k + 1):
+        found = outlook(subject.problem, subject.history, subject.selector, after=j)
+        if found is not None:
+            means[j - 1], stds[j - 1], gains[j - 1] = found.mean, found.std, found.gain
+            model = found.model
+    served = np.fmax.accumulate(subject.history.rows, axis=0)
+    return {"model": model, "mean": means, "std": stds, "gain": gains, "served": served}
+
+
+def _next(subject: Subject) -> dict[str, Any] | None:
+    """Where one more training is predicted to gain most, by the model of `auto`."""
+    from mbtl.report.summary import one_more
+
+    coming = one_more(subject.problem, subject.history)
+    found = outlook(subject.problem, subject.history, "auto")
+    if coming is None or coming.acquisition is None or found is None or found.drawn is None:
+        return None
+    drawn = found.drawn(coming.source)
+    low, high = np.quantile(drawn, _INTERVAL)
+    return {
+        "source": coming.source,
+        "context": subject.space.describe(subject.space.context(coming.source)),
+        "gain": coming.acquisition,
+        "low": float(low),
+        "high": float(high),
+        "chance": float(np.mean(drawn >= ENOUGH)),
+        "enough": ENOUGH,
+    }

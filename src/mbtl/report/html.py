@@ -1,0 +1,211 @@
+"""The page: one file that needs nothing else, neither network nor server.
+
+Texts and tables are written by Python, so that they can be read without scripts; what moves is
+drawn by `page/page.js` with plotly.js, which is in the file once and compressed.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from mbtl.errors import missing_extra
+from mbtl.files import whole_file
+from mbtl.report.content import content
+from mbtl.report.packing import compressed, packed
+from mbtl.report.subject import Subject
+from mbtl.report.text import NOTHING
+from mbtl.version import __version__
+
+
+def write_page(subjects: Sequence[Subject], path: Path, *, refresh: float | None = None) -> Path:
+    """Write a report of one or more subjects.
+
+    Args:
+        subjects: studies and matrices.
+        path: file to write; it is replaced whole.
+        refresh: seconds after which the page loads itself again; None: it is final.
+
+    Raises:
+        MissingExtra: plotly is not installed.
+        StorageError: the file cannot be written.
+    """
+    text = page(subjects, refresh=refresh)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as file:
+        file.write(text.encode("utf-8"))
+    return path
+
+
+def page(subjects: Sequence[Subject], *, refresh: float | None = None) -> str:
+    """The page as text; see `write_page`."""
+    items = [content(subject) for subject in subjects]
+    title = ", ".join(subject.name for subject in subjects)
+    parts = {
+        "TITLE": html.escape(title),
+        "CSS": _file("page.css"),
+        "BODY": "\n".join(_article(i, item) for i, item in enumerate(items)),
+        "CHOICE": _choice(items),
+        "REFRESH": "" if refresh is None else f'<meta name="mbtl-refresh" content="{refresh:g}">',
+        "VERSION": html.escape(__version__),
+        "DATA": packed(items),
+        "PLOTLY": compressed(_plotly().encode("utf-8")),
+        "JS": _file("page.js"),
+    }
+    # once through, so that what a study is called cannot stand for a part
+    return re.sub(r"\{\{([A-Z]+)\}\}", lambda match: parts[match[1]], _file("page.html"))
+
+
+def _plotly() -> str:
+    try:
+        from plotly.offline import get_plotlyjs
+    except ModuleNotFoundError as error:
+        raise missing_extra("plotly", "plots") from error
+    return str(get_plotlyjs())
+
+
+def _file(name: str) -> str:
+    return (resources.files("mbtl.report") / "page" / name).read_text(encoding="utf-8")
+
+
+def _choice(items: list[dict[str, Any]]) -> str:
+    if len(items) == 1:
+        return ""
+    options = "".join(
+        f'<option value="{i}">{html.escape(item["name"])} ({item["kind"]})</option>'
+        for i, item in enumerate(items)
+    )
+    return f'<label>Show <select id="which">{options}</select></label>'
+
+
+def _article(i: int, item: dict[str, Any]) -> str:
+    e = html.escape
+    told = [pick for pick in item["picks"] if pick["status"] == "told"]
+    state = "finished" if item["finished"] else "under way"
+    parts = [
+        f'<article data-item="{i}"{" hidden" if i else ""}>',
+        f"<h1>{e(item['name'])}</h1>",
+        f'<p class="facts">{e(item["selector"])}, {len(told)} trainings, {item["n"]} contexts'
+        f"{', ' + state if item['kind'] == 'study' else ''}</p>",
+        *(f"<p>{e(line)}</p>" for line in item["sentences"]),
+    ]
+    if told:
+        parts += [
+            _section("curve", "V after each training", f"V is measured on {item['curve']['of']}."),
+            _picks(item["picks"]),
+            _next(item.get("next")),
+            _section("policies", "Which policy serves which context", ""),
+            _details("serving", "Every context: its policy, its performance, the runner-up"),
+            _section("model", f"What the model believed ({item['steps']['model']})", ""),
+            _section("heat", "Transfer: every policy on every context", ""),
+        ]
+        if len(item["axes"]) > 2:
+            parts.append(_section("pairs", "Every pair of axes, the others averaged", ""))
+    parts += [_costs(item), _provenance(item["provenance"]), "</article>"]
+    return "\n".join(parts)
+
+
+def _section(kind: str, title: str, said: str) -> str:
+    note = f"<p>{html.escape(said)}</p>" if said else ""
+    return (
+        f"<section><h2>{html.escape(title)}</h2>{note}"
+        f'<div class="controls" data-controls="{kind}"></div>'
+        f'<div class="chart {kind}" data-chart="{kind}" role="figure" '
+        f'aria-label="{html.escape(title)}"></div></section>'
+    )
+
+
+def _details(kind: str, title: str) -> str:
+    return (
+        f'<details data-table="{kind}"><summary>{html.escape(title)}</summary>'
+        '<div class="scroll"></div></details>'
+    )
+
+
+def _number(value: float | None, digits: int = 4) -> str:
+    return "–" if value is None or value != value else f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    head = "".join(f"<th scope=col>{html.escape(name)}</th>" for name in heads)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    return (
+        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
+
+
+def _picks(picks: list[dict[str, Any]]) -> str:
+    rows = [
+        [
+            str(number),
+            pick["context"],
+            _number(pick["value"]),
+            _number(pick["gained"]),
+            _number(pick["promised"]),
+            pick["reason"] if pick["status"] == "told" else pick["status"],
+        ]
+        for number, pick in enumerate(picks, 1)
+    ]
+    heads = ["k", "trained on", "V", "gained", "promised", "why"]
+    note = (
+        "<p>Gained: by how much V rose. Promised: the gain that the selector expected when it "
+        "chose, if it says one; the rules of the paper are optimistic on purpose.</p>"
+    )
+    return f"<section><h2>What each training added</h2>{_table(heads, rows)}{note}</section>"
+
+
+def _next(coming: dict[str, Any] | None) -> str:
+    if coming is None:
+        return ""
+    text = "One more training is predicted to add nothing to V."
+    if coming["gain"] > NOTHING:
+        text = _promise(coming)
+    return f"<section><h2>What to train next</h2><p>{html.escape(text)}</p></section>"
+
+
+def _promise(coming: dict[str, Any]) -> str:
+    return (
+        f"The most promising training is at {coming['context']}. It is predicted to add "
+        f"{coming['gain']:.4f} to V; the model gives 80 % to a gain between {coming['low']:.4f} "
+        f"and {coming['high']:.4f}, and {coming['chance']:.0%} to a gain of {coming['enough']:g} "
+        "or more."
+    )
+
+
+def _costs(item: dict[str, Any]) -> str:
+    picks = item["picks"]
+    seconds = [pick["seconds"] for pick in picks if pick["seconds"] is not None]
+    costs = [pick["cost"] for pick in picks if pick["cost"] is not None]
+    failed = [pick for pick in picks if pick["status"].startswith("failed")]
+    lines = []
+    if seconds:
+        lines.append(
+            f"{len(seconds)} trainings with their evaluations took {sum(seconds) / 60:.1f} "
+            f"minutes, the longest {max(seconds) / 60:.1f}."
+        )
+    if costs:
+        lines.append(f"The trainings cost {sum(costs):g} in the unit of the study.")
+    count = f"{len(failed)} training{'s' * (len(failed) != 1)} failed."
+    lines.append(count if failed else "No training failed." if item["kind"] == "study" else "")
+    body = "".join(f"<p>{html.escape(line)}</p>" for line in lines if line)
+    for pick in failed:
+        trace = html.escape(pick["traceback"] or "no traceback was recorded")
+        what = html.escape(f"{pick['context']}: {pick['status']}")
+        body += f"<details><summary>{what}</summary><pre>{trace}</pre></details>"
+    return f"<section><h2>Costs, times, failures</h2>{body}</section>" if body else ""
+
+
+def _provenance(record: Any) -> str:
+    text = json.dumps(record, indent=2, default=str)
+    return (
+        "<section><h2>How this was made</h2><details><summary>Recipe, versions, seeds</summary>"
+        f"<pre>{html.escape(text)}</pre></details></section>"
+    )

@@ -1,0 +1,162 @@
+"""What is in a page before any browser draws it: numbers, texts, size."""
+
+import base64
+import gzip
+import json
+import re
+
+import numpy as np
+import pytest
+
+import mbtl
+from mbtl.benchmark import TransferMatrix
+from mbtl.report import of_matrix, of_study, page
+from mbtl.report.content import content
+from mbtl.report.packing import packed, quantised
+
+N = 20
+SPACE = mbtl.ContextSpace.grid({mbtl.Log("mass", 0.1, 10.0, unit="kg"): N})
+
+
+def study_on(space=SPACE, picks=3, problem="toy"):
+    study = mbtl.create_study(space, budget=6, bounds=(0.0, 1.0), problem=problem, selector="mbtl")
+    for _ in range(picks):
+        pick = study.ask()
+        away = np.linalg.norm(space.unit - space.unit[pick.source], axis=1)
+        study.tell(pick, 0.9 - 0.5 * away, seconds=60.0)
+    return study
+
+
+def unpacked(text):
+    """As the page does it."""
+    data = gzip.decompress(base64.b64decode(text))
+    length = int.from_bytes(data[:4], "little")
+    start = -(-(4 + length) // 8) * 8
+    types = {"f8": "<f8", "i4": "<i4", "u1": "<u1", "u2": "<u2"}
+
+    def revive(value):
+        if isinstance(value, list):
+            return [revive(item) for item in value]
+        if not isinstance(value, dict):
+            return value
+        if "$" not in value:
+            return {key: revive(item) for key, item in value.items()}
+        size = int(np.prod(value["shape"]))
+        kind = np.dtype(types[value["type"]])
+        flat = np.frombuffer(data, kind, size, start + value["$"])
+        if kind.kind == "u":
+            top = np.iinfo(kind).max - 1
+            scaled = value["low"] + flat * ((value["high"] - value["low"]) / top)
+            flat = np.where(flat > top, np.nan, scaled)
+        return flat.reshape(value["shape"])
+
+    return revive(json.loads(data[4 : 4 + length]))
+
+
+def items_of(text):
+    return unpacked(re.search(r'id="data">([^<]*)<', text)[1])
+
+
+def test_what_is_packed_comes_back():
+    rng = np.random.default_rng(0)
+    table = rng.normal(size=(7, 5))
+    table[2, 3] = np.nan
+    found = unpacked(packed([{"t": table, "x": np.array([0.1, 0.2]), "i": np.arange(3), "s": "é"}]))
+    assert found[0]["x"].tolist() == [0.1, 0.2]
+    assert found[0]["i"].tolist() == [0, 1, 2]
+    assert found[0]["s"] == "é"
+    assert found[0]["t"] == pytest.approx(table, abs=1e-4, nan_ok=True)
+    assert packed([float("nan")]) == packed([None])
+
+
+@pytest.mark.parametrize("values", [np.full((2, 2), np.nan), np.full((2, 2), 3.0)])
+def test_constant_and_empty_tables_are_quantised_without_a_warning(values):
+    codes, low, _ = quantised(values)
+    assert (codes == (65535 if np.isnan(values).any() else 0)).all()
+    assert low == (0.0 if np.isnan(values).any() else 3.0)
+
+
+def test_the_page_holds_the_numbers_of_the_study():
+    study = study_on()
+    (item,) = items_of(page([of_study(study)]))
+    assert item["sources"] == list(study.history.sources)
+    assert item["curve"]["values"] == pytest.approx(study.curve)
+    assert item["served"]["performance"] == pytest.approx(study.routing.served)
+    assert item["served"]["policy"].tolist() == study.routing.route.tolist()
+    assert item["rows"] == pytest.approx(study.history.rows, abs=1e-4)
+    assert [pick["gained"] for pick in item["picks"]][1:] == pytest.approx(np.diff(study.curve))
+    assert item["axes"][0]["log"]
+    assert item["steps"]["model"] == "mbtl"
+    coming = item["next"]
+    assert coming["low"] <= coming["high"]
+    assert 0 <= coming["chance"] <= 1
+
+
+def test_the_runner_up_is_the_best_of_the_others():
+    study = study_on(picks=3)
+    served = content(of_study(study))["served"]
+    rows = study.history.rows.copy()
+    rows[served["policy"], np.arange(N)] = -np.inf
+    assert served["runnerUpPerformance"] == pytest.approx(rows.max(axis=0))
+    alone = content(of_study(study_on(picks=1)))["served"]
+    assert (alone["runnerUp"] == -1).all()
+
+
+def test_texts_can_be_read_without_scripts_and_names_are_no_markup():
+    study = study_on(problem="<b>{{JS}}</b>", picks=2)
+    study.fail(study.ask(), "no <luck>", traceback="line 1\nline 2")
+    text = page([of_study(study)])
+    assert "<h1>&lt;b&gt;{{JS}}&lt;/b&gt;</h1>" in text
+    body = re.sub(r"<script.*?</script>", "", text, flags=re.S)
+    for said in ("gained", "What to train next", "took 2.0 minutes", "1 training failed."):
+        assert said in body
+    assert "failed: no &lt;luck&gt;" in body
+    assert "line 1\nline 2" in body
+    assert not re.search(r"""(src|href)=["'](?!data:|#)""", text.split('id="data"')[0])
+
+
+def test_a_study_without_rows_has_a_page():
+    text = page([of_study(study_on(picks=0))])
+    assert "No policy was trained yet." in text
+    assert 'data-chart="' not in re.sub(r"<script.*?</script>", "", text, flags=re.S)
+
+
+def test_a_live_page_loads_itself_again_and_a_final_one_does_not():
+    subject = of_study(study_on(picks=1))
+    assert '<meta name="mbtl-refresh" content="5">' in page([subject], refresh=5.0)
+    assert '<meta name="mbtl-refresh"' not in page([subject])
+
+
+def matrix_on(space, sources=None, seeds=2):
+    every = np.arange(space.n) if sources is None else sources
+    away = np.linalg.norm(space.unit[every][:, None] - space.unit, axis=2)
+    rows = 0.9 - 0.5 * away + 0.01 * np.random.default_rng(0).normal(size=(seeds, *away.shape))
+    return TransferMatrix.of(rows, space=space, bounds=(0, 1), sources=sources, name="toy")
+
+
+def test_a_matrix_of_fewer_sources_is_replayed_beside_others():
+    matrix = matrix_on(SPACE, np.arange(0, N, 3))
+    item = content(of_matrix(matrix, "mbtl", budget=4, seed=1))
+    assert set(item["sources"]) <= set(matrix.sources)
+    assert item["matrix"]["values"].shape == (7, N)
+    assert {"Random", "Sequential Oracle", "auto"} <= set(item["baselines"])
+    assert item["curve"]["values"][-1] <= item["levels"]["Oracle Transfer"] + 1e-9
+
+
+def test_a_study_of_100_contexts_and_15_picks_is_below_4_mb():
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 100})
+    study = mbtl.create_study(space, budget=15, bounds=(0.0, 1.0), selector="random")
+    rng = np.random.default_rng(0)
+    for _ in range(15):
+        study.tell(study.ask(), rng.random(100))
+    assert len(page([of_study(study)]).encode()) < 4e6
+
+
+def test_a_matrix_of_900_contexts_that_is_all_noise_is_below_5_mb():
+    from mbtl.report.html import _plotly
+    from mbtl.report.packing import compressed
+
+    table = np.random.default_rng(0).random((900, 900))
+    steps = dict.fromkeys(("mean", "std", "gain", "served"), table[:15])
+    data = packed([{"matrix": table, **steps}])
+    assert len(data) + len(compressed(_plotly().encode())) < 4.9e6
