@@ -304,7 +304,9 @@ def _pending_pairs(
     few = max(_PENDING // len(waiting), 1)
     if few >= len(targets):
         return grid_pairs(waiting, targets, numbers)
-    near = [_nearest(problem.steps, targets, int(source), few)[:few] for source in waiting]
+    where = problem.steps
+    far = [np.linalg.norm(where[targets] - where[source], axis=1) for source in waiting]
+    near = [targets[np.argsort(one, kind="stable")[:few]] for one in far]
     apart = zip(waiting, near, numbers, strict=True)
     return np.vstack([grid_pairs(np.array([s]), t, np.array([i])) for s, t, i in apart])
 
