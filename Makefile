@@ -52,9 +52,9 @@ clean:
 # torch alone first: asked for together with others, pip may prefer another build of it
 .venv/dev.stamp: .venv/run.stamp
 	$(PIP) torch
-	$(PIP) --editable '.[jax,plots,train,traffic,dev]'
+	$(PIP) --editable '.[jax,plots,train,traffic,envs,cluster,dev]'
 	touch $@
 
 .venv/rivals.stamp: .venv/dev.stamp
-	$(PIP) --editable '.[jax,plots,train,traffic,dev,rivals]'
+	$(PIP) --editable '.[jax,plots,train,traffic,envs,cluster,dev,rivals]'
 	touch $@

@@ -9,8 +9,10 @@ come with 95 % intervals. Every line has CO2 [g] and stops of a trip, completed 
     search    the best `glide` rule that a cross-entropy search finds on the score, per context
     axes      one `glide` rule for all contexts, on every fifth context of each axis
     matrices  how many policies of the shipped matrices beat unguided traffic; nothing is played
-    training  PPO with one change at a time: reward, first action, exploration; also before the
-              first update
+    training  PPO with one change at a time: reward, first action, exploration, actions, the rule
+              to begin with; also before the first update
+    standard  policies of a preset on every tenth context of each axis, each in its own context;
+              also before the first update (whole road and rewards are not measured)
 
 example: python benchmarks/eco_causes.py --part rules
 """
@@ -19,6 +21,7 @@ from __future__ import annotations
 
 import measure  # first: threads
 
+import time  # isort: skip
 from typing import Any  # isort: skip
 
 import numpy as np
@@ -78,11 +81,13 @@ def line(name: str, found: Any, base: Any, k: int) -> tuple[str, dict[str, Any]]
     mean = {
         key: digits(float(found[key][k].mean()), 4)
         for key in ("score", "co2", "stops", "throughput", "system", "step_reward")
+        if key in found
     }
     record = {**mean, "difference": digits(float(apart.mean()), 3), "half_width": digits(half, 2)}
     text = (
         f"| {name} | {mean['score']:.2f} | {apart.mean():+.2f} +- {half:.2f} | {mean['co2']:.0f} "
-        f"| {mean['stops']:.2f} | {mean['throughput']:.0f} | {mean['system']:.2f} |"
+        f"| {mean['stops']:.2f} | {mean['throughput']:.0f} | "
+        + (f"{mean['system']:.2f} |" if "system" in mean else "|")
     )
     return text, record
 
@@ -204,11 +209,11 @@ def training(names: list[str], ways: str, episodes: int, seeds: int) -> tuple[li
     for name in names:
         note(f"{name}: training ...")
         chosen = WAYS[ways]
-        before, after = trained(CONTEXTS[name], list(chosen.values()), episodes)
+        before, after = trained(CONTEXTS[name], ways, episodes)
         base = run(None, [CONTEXTS[name]], range(FIRST, FIRST + seeds))
         lines += ["", name, HEAD, line("unguided", base, base, 0)[0]]
         for when, weights in (("untrained", before), ("trained", after)):
-            found = acting(weights, CONTEXTS[name], seeds)
+            found = acting(weights, CONTEXTS[name], seeds, ways)
             sampled = found["sampled"].mean(axis=1)
             for k, way in enumerate(way for way in chosen for _ in range(SEEDS)):
                 one = {key: x[[k]] for key, x in found.items()}
@@ -218,10 +223,57 @@ def training(names: list[str], ways: str, episodes: int, seeds: int) -> tuple[li
     return lines, document
 
 
+def standard(preset: str, every: int, trainings: int, episodes: int) -> tuple[list[str], Any]:
+    """Policies in their own contexts, the axes' in one program; intervals are over episodes."""
+    from dataclasses import replace
+
+    from eco_training import measures
+
+    from mbtl.cmdps import get_cmdp
+    from mbtl.cmdps.engines import EnvFactory, TwinProblem
+
+    axes = {name: get_cmdp(name, engine="jax") for name in ECO}
+    grids = {name: cmdp.space.contexts[every // 2 :: every] for name, cmdp in axes.items()}
+    contexts = [at(**context) for grid in grids.values() for context in [*grid] * trainings]
+    trainer: Any = axes["eco-inflow"].trainer_for(preset)
+    all_axes = EnvFactory("mbtl.cmdps.traffic.eco:Eco")
+    trainer = replace(trainer, problem=TwinProblem(trainer.problem.problem, all_axes))
+    note(f"{len(contexts)} trainings ...")
+    start = time.process_time()
+    policies = trainer.train_many(contexts, range(len(contexts)), keep=(trainer.checkpoint,))
+    minutes = (time.process_time() - start) / 60.0
+    ways = {
+        "unguided": None,
+        "untrained": [trainer.untrained(contexts[0])] * len(contexts),
+        "trained": policies[trainer.checkpoint],
+    }
+    world, params = trainer.problem(contexts)
+    plays = {way: measures(world, params, each, episodes) for way, each in ways.items()}
+    apart = (plays["trained"]["score"] - plays["unguided"]["score"]).mean(axis=1)
+
+    lines, document = [HEAD], {"processor minutes": digits(minutes, 3)}
+    first = 0
+    for name, grid in grids.items():
+        some = slice(first, first + len(grid) * trainings)
+        first = some.stop
+        for way in ways:
+            mean, base = (
+                {key: x[some].mean(axis=0, keepdims=True) for key, x in plays[who].items()}
+                for who in (way, "unguided")
+            )
+            text, document[f"{name}: {way}"] = line(f"{name}: {way}", mean, base, 0)
+            lines.append(text)
+        lines.append(f"| better than unguided: {(apart[some] > 0).mean():.0%} |")
+        each = [f"{x:+.2f}" for x in apart[some]]
+        lines.append(f"| in {[*map(dict, grid)]} x {trainings}: {', '.join(each)} |")
+    lines.append(f"{minutes:.1f} processor minutes for {len(contexts)} trainings")
+    return lines, document
+
+
 def main() -> None:
     """Play and print."""
     parser = measure.parser(__doc__)
-    parts = ("rules", "search", "axes", "matrices", "training")
+    parts = ("rules", "search", "axes", "matrices", "training", "standard")
     parser.add_argument("--part", choices=parts, default="rules")
     parser.add_argument("--seeds", type=int, default=32, help="episodes per line")
     parser.add_argument("--rounds", type=int, default=8, help="of the search")
@@ -230,8 +282,14 @@ def main() -> None:
         "--contexts", nargs="+", choices=list(CONTEXTS), default=["inflow 1000"], help="to train in"
     )
     parser.add_argument(
-        "--ways", choices=("first action", "exploration"), default="first action", help="to train"
+        "--ways",
+        choices=("first action", "exploration", "speeds", "glide"),
+        default="first action",
+        help="to train",
     )
+    parser.add_argument("--preset", default="standard", help="whose policies are trained")
+    parser.add_argument("--every", type=int, default=10, help="contexts of an axis, of the preset")
+    parser.add_argument("--trainings", type=int, default=1, help="per context, of the preset")
     args = parser.parse_args()
     if args.part == "rules":
         lines, document = rules(args.seeds)
@@ -241,6 +299,8 @@ def main() -> None:
         lines, document = axes(args.seeds)
     elif args.part == "matrices":
         lines, document = matrices()
+    elif args.part == "standard":
+        lines, document = standard(args.preset, args.every, args.trainings, args.seeds)
     else:
         lines, document = training(args.contexts, args.ways, args.episodes, args.seeds)
     whole = {"part": args.part, "lines": document, "machine": measure.machine("jax")}

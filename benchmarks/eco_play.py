@@ -119,17 +119,23 @@ def glide(obs: Any, numbers: Any) -> Any:
     reach, braking no harder than told, only with so much gap to the leader. A share below 1 is slow
     first and catches up.
     """
+    speed, gap = eco.SPEED_SCALE * obs[..., 0], eco.LENGTH_SCALE * obs[..., 16]
+    wish, acts = glide_speed(obs, numbers)
+    braking, least = (numbers[:, None, i] for i in (5, 6))
+    told = jnp.maximum(jnp.clip((wish - speed) / 0.5, eco.HARDEST, HARD), -braking)
+    return jnp.where(acts & (gap > least), told, HARD)
+
+
+def glide_speed(obs: Any, numbers: Any) -> tuple[Any, Any]:
+    """Speeds [m/s] that `glide` wishes, and where it does."""
     speed, left = eco.SPEED_SCALE * obs[..., 0], eco.LENGTH_SCALE * obs[..., 1]
     green, changes = obs[..., 2] > 0.0, eco.TIME_SCALE * obs[..., 5:7]
-    gap = eco.LENGTH_SCALE * obs[..., 16]
-    margin, share, floor, tries, reach, braking, least = (numbers[:, None, i] for i in range(7))
+    margin, share, floor, tries, reach = (numbers[:, None, i] for i in range(5))
     ride = jnp.maximum(left, 0.0) / (0.5 * (speed + 14.0))
     makes = green & (ride + tries < changes[..., 0])
     wait = jnp.where(green, changes[..., 1], changes[..., 0]) + margin
     wish = jnp.maximum(share * left / jnp.maximum(wait, 0.5), floor)
-    told = jnp.maximum(jnp.clip((wish - speed) / 0.5, eco.HARDEST, HARD), -braking)
-    acts = (left > 0.0) & (left < reach) & ~makes & (gap > least)
-    return jnp.where(acts, told, HARD)
+    return wish, (left > 0.0) & (left < reach) & ~makes
 
 
 KINDS = (glide, accelerate, capped, never_again)

@@ -32,7 +32,7 @@ def sb3_curve(algorithm: str, name: str, every: int, seed: int) -> list[float]:
     import torch
     from stable_baselines3.common.callbacks import BaseCallback
 
-    from mbtl.training.rollout import Job, play
+    from mbtl.envs.rollout import Job, play
     from mbtl.training.watch import actor_for
 
     torch.set_num_threads(1)

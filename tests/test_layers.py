@@ -36,13 +36,14 @@ CORE = [
 ]
 OUTSIDE = {
     "worlds": set(),
-    "training": {"worlds"},
+    "envs": set(),
+    "training": {"worlds", "envs"},
     "plot": set(),
     "benchmark": {"plot"},
-    "cmdps": {"training", "worlds"},
+    "cmdps": {"training", "worlds", "envs"},
     "report": {"benchmark", "plot"},
-    "testing": {"cmdps", "training", "worlds"},
-    "cli": {"training", "benchmark", "cmdps", "plot", "report"},
+    "testing": {"cmdps", "training", "worlds", "envs"},
+    "cli": {"training", "envs", "benchmark", "cmdps", "plot", "report"},
 }
 LAZY = {("portfolio", "training")}  # a saved Stable-Baselines3 policy is read by its adapter
 HEAVY = {"torch", "jax", "sklearn", "gymnasium", "stable_baselines3", "matplotlib", "typer", "rich"}

@@ -35,6 +35,7 @@ def run_without(blocked, arguments, cwd):
             "mbtl[jax]",
         ),
         (["gymnasium"], ["check", "cartpole-length"], "mbtl["),
+        (["Box2D"], ["check", "walker-gravity"], "mbtl[envs]"),
     ],
 )
 def test_the_command_says_what_to_install(tmp_path, blocked, arguments, install):

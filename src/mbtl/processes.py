@@ -8,8 +8,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from multiprocessing import current_process, parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
@@ -28,6 +28,17 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
+def native_threads() -> int:
+    """Threads that a native simulator of this process may use: all cores, but one in a worker.
+
+    A number in the environment variable `NPROC` comes first, as it does in jax.
+    """
+    given = os.environ.get("NPROC", "")
+    if given.isdecimal() and int(given) > 0:
+        return int(given)
+    return usable_cores() if parent_process() is None else 1
+
+
 @contextlib.contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """A pool of fresh processes for the block.
@@ -43,6 +54,71 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
             pool.shutdown(wait=False, cancel_futures=True)
             _end(context.made)
             raise
+
+
+@contextlib.contextmanager
+def separate_workers(workers: int) -> Iterator[SeparateWorkers]:
+    """As `worker_pool`, with workers that do not share their fate: one that dies is replaced."""
+    separate = SeparateWorkers(workers)
+    try:
+        yield separate
+    except (KeyboardInterrupt, GeneratorExit):
+        separate.shutdown(wait=False, cancel_futures=True)
+        separate.end()
+        raise
+    finally:
+        separate.shutdown()
+
+
+class SeparateWorkers(Executor):
+    """So many fresh processes, each a pool of its own.
+
+    Args:
+        workers: processes; as many jobs run at a time, and no more are to be submitted.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self._context = _Context()
+        self._pools: list[ProcessPoolExecutor | None] = [None] * workers
+        self._jobs: list[Future[Any] | None] = [None] * workers
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Give a job to an idle worker; to the first one where none is."""
+        idle = [i for i, job in enumerate(self._jobs) if job is None or job.done()]
+        slot = idle[0] if idle else 0
+        for _ in range(2):
+            pool = self._pools[slot]
+            if pool is None:
+                pool = ProcessPoolExecutor(1, self._context, initializer=_obey)
+                self._pools[slot] = pool
+            try:
+                job = pool.submit(fn, *args, **kwargs)
+            except BrokenExecutor:  # its process died
+                self._pools[slot] = None
+                continue
+            self._jobs[slot] = job
+            return job
+        raise BrokenExecutor("a worker process ends as soon as it is started")
+
+    def kill(self, job: Future[Any]) -> None:
+        """End the process that does a job, and what it has started."""
+        slot = next(i for i, one in enumerate(self._jobs) if one is job)
+        pool, self._pools[slot], self._jobs[slot] = self._pools[slot], None, None
+        processes = list((pool._processes or {}).values()) if pool is not None else []
+        for process in processes:
+            _tell_group(process, _KILL)
+        if pool is not None:
+            pool.shutdown(wait=False)
+
+    def end(self) -> None:
+        """End all processes, whatever they are at."""
+        _end(self._context.made)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """As of any executor."""
+        for pool in self._pools:
+            if pool is not None:
+                pool.shutdown(wait=wait, cancel_futures=cancel_futures)
 
 
 class _Context(SpawnContext):

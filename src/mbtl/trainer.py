@@ -7,6 +7,8 @@ library.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,7 +19,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.errors import InvalidInput, TrainingFailed, unknown_name
 from mbtl.settings import as_json
 
 
@@ -82,6 +84,27 @@ class RehearsingTrainer(Trainer, Protocol):
 
 
 @runtime_checkable
+class ResumingTrainer(Trainer, Protocol):
+    """A trainer that saves a training now and then, so that another worker can go on with it."""
+
+    @property
+    def resumes(self) -> bool:
+        """True; what tells it from others."""
+        ...
+
+    def train(
+        self,
+        context: Context,
+        seed: int,
+        on_progress: OnProgress | None = None,
+        *,
+        partial: Path | None = None,
+    ) -> Any:
+        """As `Trainer.train`; `partial` is a file to save the training in, and to go on from."""
+        ...
+
+
+@runtime_checkable
 class ManyTrainer(Protocol):
     """A trainer that trains and evaluates many policies at once, e.g. in one compiled program."""
 
@@ -110,6 +133,27 @@ class ManyTrainer(Protocol):
         self, policies: Sequence[Any], contexts: Sequence[Context], seed: int
     ) -> Array:
         """(P, n_targets, n_episodes) returns; the same seed means the same episodes for all."""
+        ...
+
+
+@runtime_checkable
+class WideTrainer(Trainer, Protocol):
+    """A trainer that can train one policy for all contexts."""
+
+    @property
+    def recipe_on_all(self) -> dict[str, Any]:
+        """What decides that policy and its returns, JSON-able."""
+        ...
+
+    def train_on_all(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        on_progress: OnProgress | None = None,
+        *,
+        partial: Path | None = None,
+    ) -> Any:
+        """One policy; `partial` as in `ManyTrainer.train_many`, where the trainer uses it."""
         ...
 
 
@@ -226,6 +270,36 @@ def checked_targets(targets: Sequence[int] | None, n: int) -> list[int]:
     return indices
 
 
+def check_settings(trainer: Any, counts: Sequence[str], optional: Sequence[str]) -> None:
+    """Refuse settings of a trainer of ours that mean nothing.
+
+    Args:
+        trainer: with `timesteps`, `episodes`, `checkpoint` and `acting`.
+        counts: names of whole numbers >= 1.
+        optional: of those that may also be None.
+
+    Raises:
+        InvalidInput: a number is not positive, not exactly one of `timesteps` and `episodes` is
+            given, or `checkpoint` is neither "final" nor "best".
+        UnknownName: no such way to act.
+    """
+    if (trainer.timesteps is None) == (trainer.episodes is None):
+        raise InvalidInput(
+            "a training lasts a number of timesteps or of episodes, got "
+            f"timesteps={trainer.timesteps} and episodes={trainer.episodes}; give one of them"
+        )
+    for name in (*counts, *optional):
+        number = getattr(trainer, name)
+        if number is None and name in optional:
+            continue
+        if not (isinstance(number, int) and number >= 1):
+            raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
+    if trainer.checkpoint not in ("final", "best"):
+        raise InvalidInput(f"checkpoint must be 'final' or 'best', got {trainer.checkpoint!r}")
+    if trainer.acting not in ("sampled", "mean"):
+        raise unknown_name("way to act", str(trainer.acting), ("sampled", "mean"))
+
+
 def recipe_of(trainer: Trainer) -> dict[str, Any]:
     """What decides the policies of a trainer, JSON-able: two studies of one recipe may be compared.
 
@@ -233,6 +307,12 @@ def recipe_of(trainer: Trainer) -> dict[str, Any]:
     """
     given = getattr(trainer, "recipe", None)
     return dict(given) if given is not None else {"trainer": type(trainer).__name__}
+
+
+def recipe_digest(equipment: Mapping[str, Any]) -> str:
+    """Sixteen letters and digits that tell recipes apart."""
+    text = json.dumps(equipment, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def equipment_of(trainer: Trainer) -> dict[str, Any]:

@@ -48,6 +48,25 @@ def test_tables_name_every_selector_and_out_keeps_the_document(matrix_file, tmp_
     assert "mbtl" in json.loads(out.read_text())["summary"]["pooled"]
 
 
+def test_other_bounds_are_another_scale_of_the_same_returns(matrix_file):
+    def performance(*more):
+        few = ("--matrix", matrix_file, "--selectors", "greedy", "--budget", 3, "--json")
+        document = json.loads(run(*few, *more).stdout)
+        return np.array([entry["performance"] for entry in document["results"]])
+
+    returns = np.load(matrix_file)["returns"]
+    low, high = returns.min(), returns.max()
+    np.testing.assert_allclose(performance("--bounds", "seen"), performance())  # as it has none
+    other = performance("--bounds", f"{low - 1},{high}") * (high - low + 1) + low - 1
+    np.testing.assert_allclose(other, performance() * (high - low) + low)
+
+
+@pytest.mark.parametrize("bounds", ["1", "a,b", "2,1", "0,nan"])
+def test_bounds_that_are_none_are_refused(matrix_file, bounds):
+    result = run("--matrix", matrix_file, "--budget", 3, "--bounds", bounds)
+    assert isinstance(result.exception, InvalidInput)
+
+
 def test_errors_are_the_librarys_own(matrix_file, tmp_path):
     result = run("--matrix", "absent.npz")
     assert isinstance(result.exception, InvalidInput)

@@ -187,15 +187,20 @@ def test_what_the_system_gives_without_a_policy_is_played_once(tmp_path):
     np.testing.assert_array_equal(one.references()["unguided"], [[1.0, 2.0]] * 5)
 
 
-def test_a_failure_keeps_what_was_done(tmp_path):
-    def fails_at_two(context, seed):
-        if context["x"] == 2.0:
-            raise TrainingFailed("diverged")
-        return train(context, seed)
+def fails_at_two(context, seed):
+    if context["x"] == 2.0:
+        raise TrainingFailed("diverged")
+    return train(context, seed)
 
-    with pytest.raises(TrainingFailed, match="diverged"):
-        building(tmp_path, FunctionTrainer(fails_at_two, evaluate)).run()
-    assert len(list((tmp_path / "work").glob("sources-*.npz"))) == 2
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_training_that_fails_leaves_the_others_alone(tmp_path, workers):
+    build = building(tmp_path, FunctionTrainer(fails_at_two, evaluate))
+    with pytest.raises(TrainingFailed, match=r"got none of source 2 \(diverged\)"):
+        build.run(workers)
+    assert len(list((tmp_path / "work").glob("sources-*.npz"))) == 4
+    with pytest.raises(StorageError, match="1 are missing"):
+        build.returns(ONLY)
 
 
 def test_a_folder_of_another_matrix_is_refused(tmp_path):

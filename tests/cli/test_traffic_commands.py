@@ -10,9 +10,9 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("jax")
 
 from mbtl.cli.play import _Watched
+from mbtl.envs import rollout
+from mbtl.envs.rollout import Actor, Job
 from mbtl.portfolio import load_portfolio
-from mbtl.training import rollout
-from mbtl.training.rollout import Actor, Job
 
 TINY = ("--preset", "quick", "--budget", "1", "--eval-episodes", "1")
 
@@ -106,7 +106,8 @@ def test_without_policies_choices_are_drawn(mbtl_command):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["cartpole-length"], "simulated in gymnasium"),
+        (["cartpole-length", "--gui"], "for traffic"),
+        (["cartpole-length", "--film", "pole.gif"], "can be drawn"),
         (["nothing"], "neither"),
         (["ring-acc", "--at", "hold"], "NAME=VALUE"),
         (["ring-acc", "--at", "hald=3"], "Did you mean 'hold'"),

@@ -4,7 +4,8 @@ import pytest
 pytest.importorskip("libsumo")
 pytest.importorskip("pettingzoo")
 
-from mbtl.cmdps.traffic.drawing import Window, draw
+from mbtl.cmdps.canvas import Window
+from mbtl.cmdps.traffic.drawing import draw
 from mbtl.cmdps.traffic.ramp import RampVel
 from mbtl.cmdps.traffic.ring import RingVel
 from mbtl.cmdps.traffic.signal import Signal

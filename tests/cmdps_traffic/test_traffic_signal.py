@@ -8,10 +8,10 @@ from mbtl.cmdps.engines import EnvFactory
 from mbtl.cmdps.traffic import demand
 from mbtl.cmdps.traffic.signal import CELLS, JAM, LOWEST, Signal, cell_of
 from mbtl.contexts import ContextSpace, Linear
+from mbtl.envs.rollout import Actor, Job, play
 from mbtl.errors import ContextMismatch, InvalidInput
 from mbtl.portfolio.heads import DiscreteHead
 from mbtl.portfolio.mlp import MLPPolicy
-from mbtl.training.rollout import Actor, Job, play
 
 FIXED_TIME = (0, 0, 0, 1, 2, 2, 2, 3)  # 30 s for the through traffic, 10 s for the left turns
 

@@ -14,10 +14,10 @@ from stable_baselines3 import A2C, PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import obs_as_tensor
 
+from mbtl.envs.slots import Slots, is_blank
 from mbtl.errors import InvalidInput, SimulationFailed, UnknownName
 from mbtl.training import SB3Trainer
 from mbtl.training.shared import SharedRolloutBuffer, SharedVecEnv, TeamRolloutBuffer
-from mbtl.training.slots import Slots, is_blank
 
 LIVES = {"a": (0, 2), "b": (0, 5), "c": (2, 3), "d": (3, 6)}
 """Decisions in which an agent acts, from and until; an episode has 6."""

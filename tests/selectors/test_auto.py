@@ -10,7 +10,7 @@ from mbtl.history import History
 from mbtl.models import priors
 from mbtl.models.transfer_kernel import TransferPrior
 from mbtl.selectors import Auto, Exhausted, Random, SelectionProblem
-from mbtl.selectors.auto import _nearest, _search
+from mbtl.selectors.auto import _PENDING, _nearest, _pending_pairs, _search
 
 RNG = np.random.default_rng(0)
 
@@ -327,3 +327,18 @@ def test_neighbours_do_not_depend_on_how_ties_are_broken():
     middle = 60
     near = _nearest(problem.unit, np.arange(121), middle, 3)
     assert sorted(near) == [49, 59, 60, 61, 71]  # four are equally near, and none is left out
+
+
+def test_many_picks_under_way_are_stood_for_by_a_limited_number_of_pairs():
+    """A hundred picks on fifty targets each were 5,000 pairs, and n^3 of that for each proposal."""
+    problem = line(400)
+    targets = np.arange(0, 400, 8)
+    every = _pending_pairs(problem, np.array([3, 200]), targets, 5)
+    assert len(every) == 100
+    assert set(every[:, 2]) == {5, 6}
+    many = _pending_pairs(problem, np.arange(0, 400, 4), targets, 5)
+    assert len(many) == _PENDING
+    assert set(many[:, 2]) == set(range(5, 105))
+    for source, target, number in many:
+        assert source == 4 * (number - 5)
+        assert abs(target - source) <= 24

@@ -243,10 +243,11 @@ def test_only_a_failed_pick_is_opened_again_once():
         study.retry(other)
     study.retry(0)
     assert not study.state.failures
-    assert study.ask() == pick  # the same training, with the same seed
+    again = study.ask()
+    assert again == pick  # the same training, with the same seed
     with pytest.raises(StudyError, match="pick 1, which did not fail"):
         study.retry(pick)
-    study.fail(pick, "diverged again")
+    study.fail(again, "diverged again")
     study.tell(pick.source, np.ones(N))
     with pytest.raises(StudyError, match="was told since"):
         study.retry(pick)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from mbtl.trainer import FunctionTrainer
 
 ASSETS = Path(__file__).parents[1] / "assets"
 
@@ -30,6 +31,57 @@ def test_a_study_of_an_older_version_opens_and_goes_on(path, tmp_path):
 
 def test_there_is_a_log_to_open():
     assert list(ASSETS.glob("study-*.db"))
+
+
+# ---- of version 0.1, before leases: a pick belonged to a process ------------------------------
+
+SMALL = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
+
+
+def trainer(trained):
+    return FunctionTrainer(
+        lambda context, seed: trained.append(context["x"]) or np.array([context["x"]]),
+        lambda policy, contexts, seed: [1 - abs(c["x"] - policy[0]) for c in contexts],
+        lambda policy, folder: np.save(folder / "x.npy", policy),
+        lambda folder: np.load(folder / "x.npy"),
+    )
+
+
+def opened(name, tmp_path):
+    shutil.copytree(ASSETS / "0.1" / name, tmp_path / name)
+    return mbtl.load_study(tmp_path / name)
+
+
+def test_a_finished_study_of_0_1_gives_its_portfolio(tmp_path):
+    study = opened("done", tmp_path)
+    assert study.is_finished
+    assert study.state.fresh is not None
+    assert study.space == SMALL
+    portfolio = study.portfolio(trainer([]))
+    for i, row in enumerate(study.state.rows):
+        assert portfolio.policy(i) == pytest.approx([SMALL.context(row.source)["x"]])
+
+
+def test_a_study_of_0_1_whose_process_was_killed_goes_on_from_the_saved_policy(tmp_path):
+    study, trained = opened("left", tmp_path), []
+    assert study.orphans == [2]
+    sources = [pick.source for pick in study.state.picks]
+    study.run(trainer=trainer(trained))
+    assert study.is_finished
+    assert len(trained) == 1  # the fourth; the third was saved and only evaluated
+    assert [pick.source for pick in study.state.picks][:3] == sources
+    assert len(study.portfolio(trainer([])).policies_missing) == 0
+
+
+def test_a_study_of_0_1_with_every_kind_of_event_goes_on(tmp_path):
+    study = opened("hand", tmp_path)
+    assert (study.spec.budget, len(study.state.rows), len(study.state.failures)) == (6, 2, 1)
+    again = study.ask()
+    assert again.number == 2  # it had been given back
+    assert study.tell(again, np.full((7, 2), 0.75))
+    study.run(trainer=trainer([]), report=False)
+    assert study.is_finished
+    assert len(study.state.picks) == 6
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import pytest
 
 import mbtl
 from mbtl.errors import InvalidInput, StudyMismatch, UnsavedPolicies
-from mbtl.study import job, places
+from mbtl.study import artifacts, places
 from mbtl.trainer import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
@@ -124,8 +124,8 @@ def test_a_database_that_is_no_file_needs_artifacts(tmp_path, monkeypatch):
 
 def test_a_policy_is_on_the_disk_before_its_row_is_told(tmp_path, monkeypatch):
     order = []
-    monkeypatch.setattr(job, "sync_folder", lambda folder: order.append(policies_in(folder)))
-    monkeypatch.setattr(job, "sync_entries", lambda folder: order.append(folder.name))
+    monkeypatch.setattr(artifacts, "sync_folder", lambda f: order.append(policies_in(f)))
+    monkeypatch.setattr(artifacts, "sync_entries", lambda folder: order.append(folder.name))
     study = study_at(tmp_path / "s.db", budget=1)
     tell, name = study.tell, f"source-{study.ask().source:04d}"
     monkeypatch.setattr(
@@ -135,7 +135,9 @@ def test_a_policy_is_on_the_disk_before_its_row_is_told(tmp_path, monkeypatch):
     study.run(trainer=TRAINER)
     assert len(order[0]) == 1  # the policy, before it has its name
     assert order[1:] == [study.state.uid, "policies", tmp_path.name, "told"]
-    assert policies_in(tmp_path) == [name]
+    (policy,) = policies_in(tmp_path)
+    assert policy.startswith(f"{name}-")
+    assert policy.endswith(study.state.picks[0].answered_by)
 
 
 def test_the_recipe_enters_the_log_and_another_one_is_refused(tmp_path):

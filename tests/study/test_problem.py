@@ -1,7 +1,6 @@
 """A study knows its problem: what belongs to a CMDP comes from it and is checked against it."""
 
 import io
-import os
 import sys
 
 import numpy as np
@@ -10,10 +9,9 @@ import pytest
 import mbtl
 from mbtl.cmdps import CMDP, Preset
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
-from mbtl.study import Callback, asking
+from mbtl.study import Callback
 from mbtl.study.callbacks import PrintProgress
 from mbtl.study.storage import SqlLog
-from mbtl.study.worker import _worker
 from mbtl.trainer import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("gravity", 1.0, 9.0, unit="m/s2"): 9})
@@ -164,19 +162,18 @@ def test_a_line_per_pick_is_for_people_who_count_from_1(capsys):
     assert said.getvalue() == "pick 1 of 3: gravity = 5 m/s2 failed: licence expired\n"
 
 
-def test_a_process_that_joins_is_told_so(tmp_path, monkeypatch, capsys):
-    with monkeypatch.context() as other:
-        other.setattr(asking, "this_worker", lambda: _worker(os.getppid()))
-        problem().study(selector="random", storage=tmp_path / "s.db").ask()
+def test_a_run_that_joins_is_told_so(tmp_path, capsys):
+    first = problem().study(selector="random", storage=tmp_path / "s.db")
+    first.ask()
     heard = []
 
     class Ear(Callback):
         def on_shared(self, study, others):
-            heard.extend(worker.pid for worker in others)
+            heard.extend(others)
 
     study = mbtl.load_study(tmp_path / "s.db", problem=problem())
     study.run(callbacks=[Ear()], report=False)
-    assert heard == [os.getppid()]
-    assert f"process {os.getppid()} on " in capsys.readouterr().err
+    assert heard == [first.worker]
+    assert f"{first.worker} works on this study, too" in capsys.readouterr().err
     assert len(study.state.rows) == 2  # the third is theirs
     assert np.isfinite(study.value)

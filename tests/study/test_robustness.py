@@ -12,6 +12,7 @@ import quick_problem
 
 import mbtl
 from mbtl.errors import InvalidInput, StudyError
+from mbtl.seeds import training_seed
 from mbtl.selectors import MBTL
 from mbtl.study import Callback
 from mbtl.study.create import describe_selector
@@ -41,7 +42,7 @@ def test_studies_in_one_folder_or_one_database_keep_their_policies_apart(tmp_pat
     ]
     for study, factor in zip(studies, (1.0, 0.5, 0.25), strict=True):
         for pick in study.state.picks:
-            seed = mbtl.study.study.training_seed(0, 0, pick.source)
+            seed = training_seed(0, 0, pick.source)
             expected = factor * quick_problem.train(SPACE.context(pick.source), seed)
             row = [r.source for r in study.state.rows].index(pick.source)
             assert study.portfolio(scaled(1.0)).policy(row) == pytest.approx(expected)

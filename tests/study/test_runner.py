@@ -14,6 +14,7 @@ from mbtl.trainer import FunctionTrainer, Progress
 
 SPACE = quick_problem.SPACE
 N = SPACE.n
+BATCHES = {"parallel": 2, "deterministic": True}
 
 
 def study_at(path, **settings):
@@ -120,10 +121,12 @@ def test_minimised_returns_serve_with_the_smallest(tmp_path):
 
 def test_workers_in_other_processes_give_the_same_study(tmp_path):
     """Real processes, two trainings at a time; the order of completion does not matter."""
-    there = study_at(tmp_path / "processes").run(trainer=quick_problem.TRAINER, parallel=2)
+    there = study_at(tmp_path / "processes").run(
+        trainer=quick_problem.TRAINER, parallel=2, deterministic=True
+    )
     with ThreadPoolExecutor(2) as pool:
         here = study_at(tmp_path / "threads").run(
-            trainer=quick_problem.TRAINER, parallel=2, executor=pool
+            trainer=quick_problem.TRAINER, executor=pool, **BATCHES
         )
     assert [p.source for p in there.state.picks] == [p.source for p in here.state.picks]
     assert np.array_equal(there.curve, here.curve)
@@ -153,14 +156,18 @@ def test_an_interrupted_batch_asks_as_an_undisturbed_one(tmp_path):
 
     with ThreadPoolExecutor(2) as pool:
         calm = study_at(tmp_path / "calm").run(
-            trainer=quick_problem.TRAINER, parallel=2, executor=pool
+            trainer=quick_problem.TRAINER, executor=pool, **BATCHES
         )
         with pytest.raises(KeyboardInterrupt):
             study_at(tmp_path / "b").run(
-                trainer=quick_problem.TRAINER, parallel=2, executor=pool, callbacks=[Stop()]
+                trainer=quick_problem.TRAINER,
+                parallel=2,
+                executor=pool,
+                deterministic=True,
+                callbacks=[Stop()],
             )
         resumed = study_at(tmp_path / "b").run(
-            trainer=quick_problem.TRAINER, parallel=2, executor=pool
+            trainer=quick_problem.TRAINER, executor=pool, **BATCHES
         )
     assert [p.source for p in resumed.state.picks] == [p.source for p in calm.state.picks]
 

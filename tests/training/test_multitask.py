@@ -1,78 +1,12 @@
-"""One environment for all contexts: drawn as stated, trained by an ordinary trainer."""
+"""One policy for all contexts by an ordinary trainer."""
 
-from collections import Counter
-
-import gymnasium
-import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3", reason="the train extra is not installed")
 
-from mbtl.errors import InvalidInput
+from test_everywhere import CONTEXTS, Told
+
 from mbtl.training import SB3Trainer
-from mbtl.training.multitask import for_all_contexts, multitask_env
-
-CONTEXTS = [{"size": float(size)} for size in (1, 2, 4)]
-
-
-class Told(gymnasium.Env):
-    """Shows its context; the action nearest to it earns most. One step."""
-
-    def __init__(self, context, width=1):
-        self.size = context["size"]
-        self.observation_space = gymnasium.spaces.Box(0.0, 4.0, (width,), np.float32)
-        self.action_space = gymnasium.spaces.Discrete(5)
-        self.episode_steps = int(self.size)
-        self.closed = False
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        return np.full(self.observation_space.shape, self.size, np.float32), {}
-
-    def step(self, action):
-        reward = -abs(float(action) - self.size)
-        return np.full(self.observation_space.shape, self.size, np.float32), reward, True, False, {}
-
-    def close(self):
-        self.closed = True
-
-
-def test_contexts_are_drawn_uniformly_and_a_seed_decides_all_that_follow():
-    def drawn(seed):
-        env = multitask_env(Told, CONTEXTS)
-        first = env.reset(seed=seed)[0][0]
-        return [first, *(env.reset()[0][0] for _ in range(599))]
-
-    once = drawn(3)
-    assert drawn(3) == once
-    assert drawn(4) != once
-    shares = Counter(once)
-    assert set(shares) == {1.0, 2.0, 4.0}
-    assert all(abs(count - 200) < 5 * np.sqrt(600 * 2 / 9) for count in shares.values())
-
-
-def test_an_environment_is_closed_when_the_next_context_comes():
-    env = multitask_env(Told, CONTEXTS)
-    env.reset(seed=0)
-    before = env.current
-    env.reset()
-    assert before.closed
-    assert not env.current.closed
-    env.close()
-    assert env.current.closed
-
-
-def test_an_episode_is_as_long_as_in_the_mean_over_contexts():
-    assert multitask_env(Told, CONTEXTS).episode_steps == 3  # of 1, 2 and 4, rounded up
-
-
-def test_bad_sets_of_contexts_are_refused():
-    with pytest.raises(InvalidInput, match="at least one context"):
-        multitask_env(Told, [])
-    uneven = multitask_env(lambda c: Told(c, width=int(c["size"])), CONTEXTS)
-    uneven.reset(seed=11)  # it draws the narrow context first, and then a wider one
-    with pytest.raises(InvalidInput, match="same spaces in each"):
-        uneven.reset()
 
 
 @pytest.mark.long
@@ -82,5 +16,5 @@ def test_one_policy_serves_all_contexts_that_it_is_told():
         hyperparameters={"n_steps": 200, "batch_size": 50, "learning_rate": 3e-3, "gamma": 0.0,
                          "n_epochs": 4, "ent_coef": 0.1},  # eight of eight seeds find 0
     )  # fmt: skip
-    policy = for_all_contexts(trainer, CONTEXTS).train({}, seed=0)
+    policy = trainer.train_on_all(CONTEXTS, seed=0)
     assert trainer.evaluate(policy, CONTEXTS, seed=1).mean() > -0.8  # untold: -1 at best

@@ -25,6 +25,7 @@ from training_envs import (
     pendulum,
 )
 
+from mbtl.envs.rollout import Actor, Job, play
 from mbtl.errors import (
     InvalidInput,
     MissingExtra,
@@ -38,7 +39,6 @@ from mbtl.seeds import Purpose, episode_seed, evaluation_seed
 from mbtl.study.rehearsal import rehearse
 from mbtl.trainer import Trainer
 from mbtl.training import SB3Trainer, load_sb3
-from mbtl.training.rollout import Actor, Job, play
 
 SHORT = {"n_steps": 64, "batch_size": 32, "n_epochs": 2}
 POLE = {"length": 0.5}

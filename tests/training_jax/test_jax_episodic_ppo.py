@@ -15,10 +15,10 @@ from mbtl.cmdps.traffic.corridor import LIMIT
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
 from mbtl.training.jax.episodic import ppo
-from mbtl.training.jax.episodic.distributions import kl
 from mbtl.training.jax.episodic.episodes import Episodes
 from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
 from mbtl.training.jax.episodic.returns import Returns
+from mbtl.training.jax.networks import kl
 from mbtl.worlds.environments import Box
 
 BOX = Box((-1.0,), (1.0,))
@@ -66,7 +66,7 @@ FEW = EVERYBODY.at[:, :, 1:].set(False).at[20:].set(False)  # 20 decisions
 def test_rows_are_decisions_of_agents_and_nothing_else(acting, count):
     recipe, weights, lived = setting(acting)
     marked = lived._replace(obs=jnp.where(acting.reshape(-1, 1), lived.obs, 77.0))
-    batch, _ = ppo._rows(BOX, recipe, weights, Returns.empty(), marked, jax.random.PRNGKey(0))
+    batch, _ = ppo.rows_of(BOX, recipe, weights, Returns.empty(), marked, jax.random.PRNGKey(0))
     assert int(batch.weight.sum()) == count
     used = np.asarray(batch.obs)[np.asarray(batch.weight) == 1.0]
     assert (used != 77.0).all()

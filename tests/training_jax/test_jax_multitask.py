@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import mbtl.training.jax as engine  # before jax: it sets jax's flags
 from mbtl.cmdps import cartpole, pendulum
 from mbtl.errors import InvalidInput, UnknownName
-from mbtl.training.jax import networks
+from mbtl.training.jax import algorithms, networks
 from mbtl.training.jax.evaluation import own_scores
-from mbtl.training.jax.multitask import moore, paco, policies, table
+from mbtl.training.jax.multitask import moore, paco, table
 from mbtl.training.jax.rollout import draw, play, take_turns
 
 TINY = engine.PPORecipe(n_envs=3, n_steps=32, batch_size=48, n_epochs=1, learning_rate=1e-3)
@@ -69,7 +69,7 @@ def test_every_context_is_started_equally_often(n_envs):
     """Short and long episodes, fewer and more copies than contexts; read off the observations."""
     recipe = engine.MultiTaskRecipe("paco", replace(TINY, n_envs=n_envs, n_steps=240))
     params = jax.tree.map(lambda x: x[None], table.with_place(cartpole_params()))
-    state = policies.init(CARTPOLE, recipe, [0], params)
+    state = algorithms.init(CARTPOLE, recipe, [0], params)
     play = jax.jit(jax.vmap(partial(_play_only, recipe)))
     _, rollout = play(state, jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params))
     contexts = np.asarray(rollout.obs)[0, :, :, -1].astype(int)
@@ -318,7 +318,6 @@ def test_a_run_killed_at_any_time_goes_on(tmp_path):
         engine.run_multitask(
             PENDULUM, recipe, params, [0, 1], 960, folder, on_progress=kill, **settings
         )
-    assert (folder / "seed0-final.npz").exists()
     told = []
     again = engine.run_multitask(
         PENDULUM, recipe, params, [0, 1], 960, folder, on_progress=lambda *x: told.append(x[0]),

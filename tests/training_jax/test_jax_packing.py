@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.training.jax import networks
-from mbtl.training.jax.episodic.episodes import Actor, delayed, joined, record, scores
-from mbtl.training.jax.episodic.packing import Agents, chunk_size, most_rows
+from mbtl.training.jax.episodic.episodes import Actor, record, scores
 from mbtl.worlds import random
 from mbtl.worlds.environments import Box
+from mbtl.worlds.packing import Agents, chunk_size, most_rows
 from mbtl.worlds.world import Moved, Seeded, Seen, everyone
 
 BOX = Box((-1.0,), (1.0,))
@@ -46,7 +46,6 @@ class Crossing(Seeded):
     action: Box = BOX
     n_features: int = 3
     time_limit: str = "truncation"
-    mixes: bool = True
     params: type = Params
 
     def decisions(self, params):
@@ -143,21 +142,3 @@ def test_packed_agents_live_as_if_networks_had_seen_all_places():
         ]
         np.testing.assert_allclose(*found, rtol=1e-5)
     np.testing.assert_allclose(found[0], packed.score, rtol=1e-5)  # sampled, as recorded
-
-
-def test_episodes_side_by_side_keep_their_rows():
-    actor, seeds, params = setting()
-    whole = recorded(Crossing(), "tanh", 8, actor, seeds, params)
-    parts = []
-    for e in range(3):
-        own = Params(params.visible[np.array([e, 3 + e])])
-        parts.append(recorded(Crossing(), "tanh", 8, actor, seeds[:, [e]], own))
-    got = joined([delayed(part, 2) for part in parts])
-    assert not np.asarray(got.acting)[:, :2].any()
-    acting = np.asarray(whole.acting)
-    np.testing.assert_array_equal(np.asarray(got.acting)[:, 2:], acting)
-    np.testing.assert_array_equal(got.score, whole.score)
-    for policy in range(2):
-        own = acting[policy]
-        seen = got.obs[policy][np.asarray(got.row)[policy, 2:][own]]
-        np.testing.assert_array_equal(seen, whole.obs[policy][np.asarray(whole.row)[policy][own]])

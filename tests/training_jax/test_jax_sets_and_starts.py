@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import mbtl.training.jax as engine  # before jax: it sets jax's flags
 from mbtl.cmdps import cartpole
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.multitask import policies
+from mbtl.training.jax import algorithms
 from mbtl.training.jax.rollout import draw, play
 
 CARTPOLE = engine.Solo(engine.CartPole(horizon=60))
@@ -57,7 +57,7 @@ def test_each_policy_plays_all_of_its_own_set_and_nothing_else():
     lengths = np.array([[0.1, 0.2, 0.3, 0.4], [1.0, 2.0, 4.0, 5.0]])
     recipe = replace(ON_SETS, ppo=replace(TINY, n_steps=240, batch_size=48))
     params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params_of(lengths))
-    state = policies.init(CARTPOLE, recipe, [0, 1], params)
+    state = algorithms.init(CARTPOLE, recipe, [0, 1], params)
 
     def seen(state, params):
         _, noise = draw(CARTPOLE, state.key, (240, 2))

@@ -150,7 +150,7 @@ def test_a_matrix_row_is_the_row_of_a_study(tmp_path):
     returns = building.returns("best").mean(axis=2)
     for row in study.state.rows:
         np.testing.assert_allclose(row.returns, returns[row.source])
-    policy = TRAINER.load(next((tmp_path / "policies").rglob("source-0001")))
+    policy = TRAINER.load(next((tmp_path / "policies").rglob("source-0001-*")))
     assert same(policy, TRAINER.train(CONTEXTS[1], training_seed(7, 0, 1)))
     np.testing.assert_allclose(
         TRAINER.evaluate(policy, CONTEXTS, evaluation_seed(7, 0)).mean(axis=1),

@@ -14,10 +14,10 @@ from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.training.jax import networks, saving
 from mbtl.training.jax.episodic import trpo
-from mbtl.training.jax.episodic.distributions import kl
 from mbtl.training.jax.episodic.episodes import Episodes, actor_of, record
 from mbtl.training.jax.episodic.recipes import TRPORecipe
 from mbtl.training.jax.episodic.returns import Returns, advantages
+from mbtl.training.jax.networks import kl
 from mbtl.worlds.environments import Box, Discrete
 
 BOX = Box((-1.0,), (1.0,))

@@ -239,3 +239,20 @@ def test_arrivals_are_poisson_and_drivers_as_the_population_says(twin):
     assert tau[passenger].mean() == pytest.approx(0.296, abs=4 * 0.041 / passenger.sum() ** 0.5)
     assert tau[passenger].std() == pytest.approx(0.88 * 0.041, rel=0.03)
     assert np.abs(tau[passenger] - 0.296).max() < 2.001 * 0.041
+
+
+def test_advised_speeds_do_what_the_accelerations_of_their_law_do(twin):
+    state = after(twin, [{"penetration": 1.0, "inflow": 800.0}] * 8, 200)
+    lesson = twin.lesson("speed")
+    params = jax.tree.map(jnp.asarray, EcoProblem()([{"penetration": 1.0, "inflow": 800.0}])[1][0])
+    seen = twin.observe(state, params)
+    assert seen.acting.sum() > 16
+    share = jax.random.uniform(jax.random.key(0), (*seen.acting.shape, 1))
+    law = lesson.law
+    told = law.scale * share + law.gain * seen.obs[..., [law.feature]]
+    told = jnp.clip(told, jnp.array(law.box.low), jnp.array(law.box.high))
+    by_speed = jax.jit(lesson.step)(state, share, params).state
+    by_law = jax.jit(twin.step)(state, told, params).state
+    np.testing.assert_allclose(by_speed.main.speed, by_law.main.speed, atol=1e-4)
+    alone = jax.jit(twin.drive)(state, params).state
+    assert float(jnp.abs(by_speed.main.speed - alone.main.speed).max()) > 1.0

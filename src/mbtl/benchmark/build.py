@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from mbtl.benchmark.npz import read_npz, read_text, write_npz
 from mbtl.benchmark.piece import ONLY, Piece, perform
 from mbtl.checkpoints import Along
 from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, StorageError, StudyError
+from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
 from mbtl.files import claimed_folder
 from mbtl.processes import worker_pool
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
@@ -120,7 +121,7 @@ class Build:
             InvalidInput: the folder holds another matrix, or `workers` < 1.
             StorageError: the folder cannot be written, or another process builds in it.
             StudyError: a worker process died; or a policy that is to be evaluated again is gone.
-            TrainingFailed: a training failed; what was done before is kept.
+            TrainingFailed: a training failed; all others were done and are kept.
         """
         if workers < 1:
             raise InvalidInput(f"workers must be >= 1, got {workers}")
@@ -130,10 +131,16 @@ class Build:
             done = len(self.sources) - sum(len(piece.sources) for piece in todo)
             if on_piece is not None:
                 on_piece(done, len(self.sources))
-            for piece in _perform_all(todo, workers):
+            failed: list[tuple[Piece, TrainingFailed]] = []
+            for piece, error in _perform_all(todo, workers):
+                if error is not None:
+                    failed.append((piece, error))
+                    continue
                 done += len(piece.sources)
                 if on_piece is not None:
                     on_piece(done, len(self.sources))
+            if failed:
+                raise _some_failed(failed)
             self._refer()
 
     def returns(self, checkpoint: str) -> Floats:
@@ -213,12 +220,15 @@ class Build:
         return entries
 
 
-def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Piece]:
-    """Do all pieces; yields each when its file is there. After a failure none is begun."""
+Done = tuple[Piece, TrainingFailed | None]
+"""A piece, and why there is no file of it."""
+
+
+def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Done]:
+    """Do all pieces; yields each when it is over. After another failure none is begun."""
     if workers == 1 or len(pieces) <= 1:
         for piece in pieces:
-            perform(piece)
-            yield piece
+            yield piece, _outcome(partial(perform, piece))
         return
     todo = iter(pieces)
     with worker_pool(workers) as pool:
@@ -227,11 +237,31 @@ def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Piece]:
             while running:
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     piece = running.pop(future)
-                    future.result()
+                    outcome = _outcome(future.result)
                     running |= {pool.submit(perform, coming): coming for coming in islice(todo, 1)}
-                    yield piece
+                    yield piece, outcome
         except BrokenExecutor as error:
             raise StudyError(
                 "a worker process died (killed, or out of memory); what was done is kept: run "
                 "again, with fewer workers if memory is short"
             ) from error
+
+
+def _outcome(work: Callable[[], None]) -> TrainingFailed | None:
+    try:
+        work()
+    except TrainingFailed as error:
+        return error
+    return None
+
+
+def _some_failed(failed: Sequence[tuple[Piece, TrainingFailed]]) -> TrainingFailed:
+    sources = [str(source) for piece, _ in failed for source in piece.sources]
+    which = ", ".join(sources[:10]) + (", ..." if len(sources) > 10 else "")
+    first = failed[0][1]
+    error = TrainingFailed(
+        f"a matrix needs the policy of every source, got none of source {which} ({first}); the "
+        "others are kept: run again when that is mended, or leave the contexts out"
+    )
+    error.__cause__ = first
+    return error

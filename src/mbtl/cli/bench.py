@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from mbtl.benchmark.base import RowSource
 from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.compare import Step, compare, default_selectors
+from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.records import Comparison
 from mbtl.benchmark.tables import show_comparison
 from mbtl.cli.common import JsonFlag, console, print_json, printer
@@ -39,6 +42,13 @@ def bench(
         int,
         typer.Option(help="Selector seeds per matrix seed; a deterministic selector runs once."),
     ] = 3,
+    bounds: Annotated[
+        str | None,
+        typer.Option(
+            help="LOW,HIGH: returns of performance 0 and 1 instead of the matrices' own; or "
+            "`seen`: the smallest and largest of each."
+        ),
+    ] = None,
     as_json: JsonFlag = False,
     out: Annotated[
         Path | None, typer.Option(help="Also write the JSON document to this file.")
@@ -52,7 +62,7 @@ def bench(
         raise InvalidInput(
             f"--out must be a file in a folder that can be written, got {str(out)!r}"
         )
-    sources = list(open_matrices(matrix).values())
+    sources = [_scaled(source, bounds) for source in open_matrices(matrix).values()]
     if selectors is None:
         names = default_selectors(sources)
     else:
@@ -77,6 +87,22 @@ def bench(
         print_json(comparison.to_json())
     else:
         show_comparison(printer(), comparison)
+
+
+def _scaled(source: RowSource, bounds: str | None) -> RowSource:
+    """With other bounds; the direction and the floor stay."""
+    if bounds is None:
+        return source
+    if not isinstance(source, TransferMatrix):
+        raise InvalidInput(f"--bounds is for matrices of returns, got {source.name!r}")
+    if bounds == "seen":
+        low, high = float(source.returns.min()), float(source.returns.max())
+    else:
+        try:
+            low, high = map(float, bounds.split(","))
+        except ValueError:
+            raise InvalidInput(f"--bounds is LOW,HIGH or seen, got {bounds!r}") from None
+    return replace(source, bounds=replace(source.bounds, low=low, high=high))
 
 
 def _writable(folder: Path) -> bool:

@@ -11,13 +11,14 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mbtl.benchmark.multitask import multitask_file, read_multitask, save_multitask
+from mbtl.benchmark.on_all import InSimulator
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json
 from mbtl.cmdps import CMDP, get_cmdp
 from mbtl.cmdps.registry import visibility_on_all
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.provenance import check_made_by, here
 from mbtl.training import SB3Trainer, WorldTrainer
-from mbtl.training.multitask_run import InJax, InSimulator, Method
+from mbtl.training.multitask_run import InJax, Method
 
 
 def multitask(

@@ -1,4 +1,4 @@
-"""`mbtl play`: watch a policy in one context, in sumo-gui or as a film."""
+"""`mbtl play`: a policy at work in one context, in its simulator; in sumo-gui or as a film."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import typer
 
 from mbtl.cli.common import JsonFlag, print_json, printer
 from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp
-from mbtl.cmdps.engines import EnvFactory
+from mbtl.cmdps.engines import EnvFactory, resolved
+from mbtl.cmdps.registry import engines_of
 from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import MANIFEST
@@ -49,13 +50,13 @@ def play(
     ] = False,
     json: JsonFlag = False,
 ) -> None:
-    """Play episodes of a traffic CMDP in SUMO and print what they are worth.
+    """Play episodes of a CMDP in its simulator and print what they are worth.
 
     Example: mbtl play runs/ring-acc-quick-seed0/portfolio --at hold=5 --film ring.gif
     """
     if episodes < 1:
         raise InvalidInput(f"--episodes must be >= 1, got {episodes}")
-    from mbtl.training import rollout
+    from mbtl.envs import rollout
     from mbtl.training.watch import actor_for
 
     if film is not None:
@@ -65,8 +66,8 @@ def play(
     cmdp = _cmdp(target if portfolio is None else str(portfolio.cmdp), _record(made, "switches"))
     nominal = dict(cmdp.nominal or {})
     context = {**nominal, **_parsed(at or [])}
-    shown = {"gui": gui, "render_mode": None if film is None else "rgb_array"}
     assert isinstance(cmdp.make_env, EnvFactory)
+    shown = _shown(cmdp, gui, film is not None)
     make_env = replace(cmdp.make_env, options={**cmdp.make_env.options, **shown})
     env = _Watched(make_env(context), film is not None)
     if portfolio is None:
@@ -137,10 +138,21 @@ def _record(record: Mapping[str, Any], key: str) -> dict[str, Any]:
     return part if isinstance(part, dict) else {}
 
 
+def _shown(cmdp: CMDP, gui: bool, film: bool) -> dict[str, Any]:
+    """Options of the environment with which it can be seen."""
+    if gui and cmdp.settings["engine"] != "sumo":
+        raise InvalidInput(f"--gui is for traffic, which SUMO simulates, got {cmdp.id!r}")
+    assert isinstance(cmdp.make_env, EnvFactory)
+    kind: Any = resolved(cmdp.make_env.entry_point)
+    if film and "rgb_array" not in kind.metadata["render_modes"]:
+        raise InvalidInput(f"--film needs a CMDP that can be drawn, which {cmdp.id!r} cannot")
+    return {**({"render_mode": "rgb_array"} if film else {}), **({"gui": True} if gui else {})}
+
+
 def _cmdp(name: str, switches: Mapping[str, Any]) -> CMDP:
-    """A CMDP in SUMO, with the switches of the study that a portfolio is of."""
+    """A CMDP in its simulator, with the switches of the study that a portfolio is of."""
     try:
-        return get_cmdp(name, **{**switches, "engine": "sumo"})
+        return get_cmdp(name, **{**switches, "engine": engines_of(name)[0]})
     except TypeError as error:
         raise StorageError(
             f"a portfolio must name switches of {name!r}, got {dict(switches)!r}; save it again"

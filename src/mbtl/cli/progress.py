@@ -12,8 +12,7 @@ from rich.progress import Progress as Bars
 
 from mbtl.cli.common import LongWork
 from mbtl.study import Callback, Pick, Study
-from mbtl.study.callbacks import shared_words
-from mbtl.study.worker import Worker
+from mbtl.study.callbacks import shared_words, waiting_words
 from mbtl.trainer import Progress
 
 
@@ -51,7 +50,7 @@ class LiveProgress(Callback):
     ) -> None:
         self._bars.stop()
 
-    def on_shared(self, study: Study, others: Sequence[Worker]) -> None:
+    def on_shared(self, study: Study, others: Sequence[str]) -> None:
         """One line that stays."""
         words = shared_words(others)
         self._console.print(words, style="yellow", markup=False, highlight=False, soft_wrap=True)
@@ -104,6 +103,17 @@ class LiveProgress(Callback):
             soft_wrap=True,
         )
         self._update(study)
+
+    def on_lost(self, study: Study, pick: Pick) -> None:
+        """One line that stays."""
+        self._end(pick)
+        words = f"pick {pick.number + 1}/{study.spec.budget} was taken over by somebody else"
+        self._console.print(words, style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+    def on_waiting(self, study: Study, others: Sequence[str]) -> None:
+        """One line that stays."""
+        words = waiting_words(others)
+        self._console.print(words, markup=False, highlight=False, soft_wrap=True)
 
     def on_report(self, study: Study) -> None:
         """The last step."""

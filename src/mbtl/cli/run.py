@@ -184,7 +184,7 @@ def run(
     with plain_warnings(), LiveProgress(running, console) as live:
         callbacks: list[Callback] = [live]
         if tensorboard is not None:
-            from mbtl.training.tensorboard import TensorBoardCallback
+            from mbtl.study.tensorboard import TensorBoardCallback
 
             callbacks.append(TensorBoardCallback(tensorboard))
         try:
@@ -251,7 +251,7 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
     summary = summarise_study(study)
     files: dict[str, str] = {}
     notes: list[str] = []
-    if under_way := len(asking.others(study.state)):
+    if under_way := len(asking.others(study.state, study.watch(), study.worker)):
         notes.append(
             f"{under_way} other {'process works' if under_way == 1 else 'processes work'} on this "
             "study, so more may come; the same command shows it later"

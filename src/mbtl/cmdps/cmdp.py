@@ -41,9 +41,11 @@ class Preset:
         recipe_name: named hyper-parameters, where the trainer has names for them.
         hyperparameters: its keyword arguments.
         checkpoint: which policy a training returns, the last or the best of its own evaluations.
-        checkpoint_episodes: episodes of each such evaluation.
+        checkpoint_every: steps or episodes between those evaluations.
+        checkpoint_episodes: episodes of each of them.
         acting: how a policy's actions are chosen in evaluations, "mean" or "sampled".
         reward: what training is rewarded by, where the simulator has names for that.
+        actions: what training advises, where the simulator has names for that.
         credit: whose rewards an action of a team is worth in training, "own" or "team".
         clip_actions: learn from actions within their bounds, not from the samples.
         normalize_reward: rewards are brought to one scale in training.
@@ -60,9 +62,11 @@ class Preset:
     recipe_name: str | None = None
     hyperparameters: Mapping[str, Any] | None = None
     checkpoint: Literal["final", "best"] | None = None
+    checkpoint_every: int | None = None
     checkpoint_episodes: int | None = None
     acting: Literal["mean", "sampled"] | None = None
     reward: str | None = None
+    actions: str | None = None
     credit: Literal["own", "team"] | None = None
     clip_actions: bool | None = None
     normalize_reward: bool | None = None
@@ -202,6 +206,7 @@ class CMDP:
         hyperparameters: Mapping[str, Any] | None = None,
         eval_episodes: int = 10,
         checkpoint: Literal["final", "best"] = "final",
+        show_context: bool = False,
         trainer_options: Mapping[str, Any] | None = None,
         budget: int | None = None,
         **record: Any,
@@ -217,11 +222,18 @@ class CMDP:
             hyperparameters: keyword arguments of the algorithm.
             eval_episodes: episodes per (source, target).
             checkpoint: return the last policy of a training, or the best of its own evaluations.
+            show_context: end each observation with the context (`mbtl.cmdps.shown.ShowContext`).
             trainer_options: further options of `mbtl.training.SB3Trainer`.
             budget: default number of trainings K; 10, or N if that is smaller.
             **record: further fields of `CMDP`, e.g. `bounds`, `nominal`, `presets`.
         """
         from mbtl.training import SB3Trainer
+
+        if show_context:
+            from mbtl.cmdps.shown import Showing
+
+            make_env = Showing(make_env, space)
+            record["settings"] = {**record.get("settings", {}), "visibility": "cube"}
 
         trainer = SB3Trainer(
             make_env,
@@ -275,6 +287,9 @@ class CMDP:
         options = self.preset(preset).options()
         if "algorithm" in options:  # a recipe that names its algorithm is complete
             options.setdefault("hyperparameters", {})
+            for name in ("reward", "actions"):
+                if hasattr(self.trainer, name):
+                    options.setdefault(name, None)
         algorithm = options.get("algorithm", getattr(self.trainer, "algorithm", None))
         if overrides.get("algorithm", algorithm) != algorithm:
             options["hyperparameters"] = {}

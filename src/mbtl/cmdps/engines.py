@@ -16,10 +16,28 @@ from mbtl.errors import ContextMismatch, missing_extra, unknown_name
 
 ENGINES = ("jax", "gymnasium", "sumo")
 
+_EXTRAS = {"Box2D": "envs", "gymnasium": "envs", "mujoco": "envs", "pettingzoo": "traffic"}
+"""Of packages that simulators need."""
+
 
 def jax_is_installed() -> bool:
     """Whether the extra is there."""
     return all(find_spec(name) is not None for name in ("jax", "optax"))
+
+
+def resolved(entry_point: str) -> Any:
+    """What "module:Class" names.
+
+    Raises:
+        MissingExtra: a package that it needs is not installed.
+    """
+    try:
+        return pkgutil.resolve_name(entry_point)
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in _EXTRAS:
+            raise
+        raise missing_extra(package, _EXTRAS[package]) from error
 
 
 @dataclass(frozen=True)
@@ -44,15 +62,7 @@ class EnvFactory:
             MissingExtra: Gymnasium, or what the simulator needs, is not installed.
         """
         self.check(context)
-        try:
-            kind = pkgutil.resolve_name(self.entry_point)
-        except ModuleNotFoundError as error:
-            package = (error.name or "").partition(".")[0]
-            extra = {"gymnasium": "envs", "pettingzoo": "traffic"}.get(package)
-            if extra is None:
-                raise
-            raise missing_extra(package, extra) from error
-        return kind(context, **self.options)
+        return resolved(self.entry_point)(context, **self.options)
 
     def check(self, context: Mapping[str, Any]) -> None:
         """Refuse what is no context of this CMDP; an axis may be left out, at its nominal value.
@@ -72,30 +82,32 @@ class JaxProblem:
     """contexts -> world and parameters (`mbtl.training.world_trainer.Problem`).
 
     Attributes:
-        environment: name of the class in `mbtl.training.jax`.
+        environment: "module:Class" of a `mbtl.worlds.Environment` or, `on_host`, of a batch.
         make_env: the Gymnasium environment of the same physics; its `constants` and `visible`
             become the parameters.
+        on_host: a native simulator steps it.
     """
 
     environment: str
     make_env: EnvFactory
+    on_host: bool = False
 
     def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
         """The world, and the parameters of `contexts` with one leading axis.
 
         Raises:
             ContextMismatch: one of them names no axis of this CMDP, or lies outside.
-            MissingExtra: jax or Gymnasium is not installed.
+            MissingExtra: jax, Gymnasium or the simulator is not installed.
         """
-        import mbtl.training.jax as engine
+        from mbtl import worlds
 
         options = self.make_env.options
-        kind = getattr(engine, self.environment)
+        kind = resolved(self.environment)
         env = kind(horizon=options["horizon"], time_limit=options["time_limit"])
-        world = engine.Solo(env)
+        world = worlds.hosted(env) if self.on_host else worlds.Solo(env)
         peers = [self.make_env(context) for context in contexts]
         visible = [peer.visible for peer in peers] or None
-        return world, engine.stack_params(world, [peer.constants for peer in peers], visible)
+        return world, worlds.stack_params(world, [peer.constants for peer in peers], visible)
 
 
 @dataclass(frozen=True)

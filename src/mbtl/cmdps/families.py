@@ -1,7 +1,8 @@
 """The table of our CMDPs: simulator families and what varies in each (cmdp-spec, sections 2 and 4).
 
 A new CMDP is one `Variant`; a new simulator is one `Family` and a module with its environment.
-Traffic is in `traffic_families`. Nothing here imports an environment.
+Traffic is in `traffic_families`, robots are in `locomotion_families`. Nothing here imports an
+environment.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 
 from mbtl.cmdps.cmdp import Preset
 from mbtl.cmdps.family import Family, GridAxis, JaxFamily, Variant, line
+from mbtl.cmdps.locomotion_families import LOCOMOTION_FAMILIES, LOCOMOTION_VARIANTS
 from mbtl.cmdps.traffic_families import TRAFFIC_FAMILIES, TRAFFIC_VARIANTS
 
 
@@ -132,7 +134,7 @@ FAMILIES: Mapping[str, Family] = {
         best_return=500.0,
         theta=0.005,
         presets=_CARTPOLE,
-        jax=_jax("CartPole", 5_000_000, {"gamma": 0.99}),
+        jax=_jax("mbtl.worlds:CartPole", 5_000_000, {"gamma": 0.99}),
         switches=("physics",),
     ),
     "pendulum": Family(
@@ -141,8 +143,9 @@ FAMILIES: Mapping[str, Family] = {
         bounds=(-2200.0, -500.0),
         theta=0.005,
         presets=_PENDULUM,
-        jax=_jax("Pendulum", 1_000_000, _PENDULUM_JAX),
+        jax=_jax("mbtl.worlds:Pendulum", 1_000_000, _PENDULUM_JAX),
     ),
+    **LOCOMOTION_FAMILIES,
     **TRAFFIC_FAMILIES,
 }
 
@@ -186,5 +189,6 @@ VARIANTS: Mapping[str, Variant] = {
         0.05,
         description="Pendulum; the time between two actions varies",
     ),
+    **LOCOMOTION_VARIANTS,
     **TRAFFIC_VARIANTS,
 }

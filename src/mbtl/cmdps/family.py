@@ -16,12 +16,14 @@ class JaxFamily:
     """A family in the jax engine.
 
     Attributes:
-        environment: name of the class in `mbtl.training.jax`.
+        environment: "module:Class" of a `mbtl.worlds.Environment` or, `on_host`, of a batch.
         presets: recipes by name, the first is the default.
+        on_host: a native simulator steps whole batches of it (`mbtl.worlds.hosted`).
     """
 
     environment: str
     presets: Mapping[str, Preset]
+    on_host: bool = False
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ class Probe:
 
     def _make(self, context: Context) -> Any:
         env = self._make_env(dict(context))  # a copy: an environment may change its argument
-        from mbtl.training.slots import as_one  # needs Gymnasium, which is there by now
+        from mbtl.envs.slots import as_one  # needs Gymnasium, which is there by now
 
         return as_one(env)
 

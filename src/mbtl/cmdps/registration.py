@@ -37,15 +37,16 @@ def make(
     Args:
         cmdp: id of the CMDP.
         context: values of the varied features, within their axes; missing: the nominal ones.
-        render_mode: "rgb_array" in traffic: `render` gives images.
+        render_mode: "rgb_array" in traffic and of HalfCheetah: `render` gives images.
         gui: in traffic, show it in sumo-gui.
         **switches: `physics`, `visibility`, `time_limit`, `obs` as in `mbtl.cmdps.get_cmdp`.
 
-    Many decision makers are one environment with a row for each, `mbtl.training.slots.Together`.
+    Many decision makers are one environment with a row for each, `mbtl.envs.slots.Together`.
     """
-    from mbtl.training.slots import as_one
+    from mbtl.envs.slots import as_one
 
     factory = env_factory(cmdp, **switches)
-    shown = {"render_mode": render_mode, "gui": gui} if render_mode is not None or gui else {}
+    asked = {"render_mode": render_mode, "gui": gui or None}
+    shown = {name: value for name, value in asked.items() if value is not None}
     factory = replace(factory, options={**factory.options, **shown})
     return as_one(factory(VARIANTS[cmdp].nominal if context is None else context))

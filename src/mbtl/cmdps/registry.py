@@ -6,7 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from mbtl.cmdps.cmdp import CMDP, Preset
-from mbtl.cmdps.engines import ENGINES, EnvFactory, JaxProblem, TwinProblem, jax_is_installed
+from mbtl.cmdps.engines import (
+    ENGINES,
+    EnvFactory,
+    JaxProblem,
+    TwinProblem,
+    jax_is_installed,
+)
 from mbtl.cmdps.families import FAMILIES, VARIANTS
 from mbtl.cmdps.family import Family, TwinFamily, Variant
 from mbtl.cmdps.plugins import plugin_cmdp, plugin_ids
@@ -191,5 +197,5 @@ def _training(
     if isinstance(family.jax, TwinFamily):
         problem = TwinProblem(family.jax.problem, make_env, family.jax.options)
     else:
-        problem = JaxProblem(family.jax.environment, make_env)
+        problem = JaxProblem(family.jax.environment, make_env, family.jax.on_host)
     return family.jax.presets, WorldTrainer(problem, **default.options())

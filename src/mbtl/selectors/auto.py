@@ -48,6 +48,8 @@ _MANY = 20_000
 _LONELY = "far from all sources, as every so many-th pick"
 _LEFT = 25
 """Candidates, and targets, that stand for all when it is asked what is left to gain."""
+_PENDING = 300
+"""Pairs that stand for all picks under way together."""
 _MARGIN = 0.02
 """By how much `top` lies above the best seen, as a share of the range seen."""
 
@@ -201,9 +203,9 @@ class Auto:
         waiting = np.asarray(history.pending, dtype=np.intp)
         expecting = told
         if len(waiting):  # believed to give what is expected of them
-            believed = told.predict(waiting, targets)[0].ravel()
-            numbers = len(sources) + np.arange(len(waiting))
-            pairs = np.vstack([pairs, grid_pairs(waiting, targets, numbers)])
+            extra = _pending_pairs(problem, waiting, targets, len(sources))
+            believed = told.predict_pairs(extra)[0]
+            pairs = np.vstack([pairs, extra])
             noise = np.append(noise, np.zeros(len(believed)))
             expecting = TransferGP(places, prior, pairs, np.append(y, believed), noise)
         return _Beliefs(problem, history, targets, y, floor, bool(noise.any()), told, expecting)
@@ -288,6 +290,25 @@ def _floor(y: Array) -> float:
     """
     low, high = np.quantile(y, [0.25, 0.75])
     return float(min(low - 3.0 * (high - low), -1.0))
+
+
+def _pending_pairs(
+    problem: SelectionProblem, waiting: Indices, targets: Indices, told: int
+) -> Pairs:
+    """Pairs that stand for the picks under way: all, or of many picks those nearest to each.
+
+    What a pick is believed to give says something of its neighbourhood; far away it is only the
+    mean that is known anyway.
+    """
+    numbers = told + np.arange(len(waiting))
+    few = max(_PENDING // len(waiting), 1)
+    if few >= len(targets):
+        return grid_pairs(waiting, targets, numbers)
+    where = problem.steps
+    far = [np.linalg.norm(where[targets] - where[source], axis=1) for source in waiting]
+    near = [targets[np.argsort(one, kind="stable")[:few]] for one in far]
+    apart = zip(waiting, near, numbers, strict=True)
+    return np.vstack([grid_pairs(np.array([s]), t, np.array([i])) for s, t, i in apart])
 
 
 def _observed(history: History, targets: Indices, most: int) -> tuple[Pairs, Array]:

@@ -1,6 +1,8 @@
-"""What a study answers when it is asked: hand out again, propose, or end; from its state alone."""
+"""What a study answers when it is asked: hand out again, propose, or end."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -13,32 +15,42 @@ from mbtl.selectors.base import (
 )
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
+from mbtl.study.leases import PROPOSING, Watch, new_token
 from mbtl.study.pick import StudyFinished
-from mbtl.study.state import StudySpec, StudyState
-from mbtl.study.worker import Worker, this_worker
+from mbtl.study.spec import StudySpec
+from mbtl.study.state import StudyState
 
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
 
 
-def next_event(state: StudyState, selector: Selector, take_over: bool) -> Event:
-    """A pick handed out again ("claimed"), a new one ("asked"), or "stopped".
+def claim(state: StudyState, watch: Watch, seconds: float | None, worker: str) -> Event | None:
+    """The event that gives a worker a pick: one that nobody works on, or the next one.
+
+    Where nothing more is trained it is the release of a pick whose worker is silent.
+
+    The source of the next one is proposed after that (`propose`), so that nobody else looks for it
+    meanwhile. None: somebody else does; ask again in a moment.
 
     Raises:
         StudyFinished: nothing can be asked.
     """
-    early = _early_stop(state)
+    early, left = _early_stop(state), left_alone(state, watch)
     if early is not None:
+        if silent := [number for number in left if state.open_picks[number].lease is not None]:
+            return Event("released", {"pick": silent[0]})
         raise StudyFinished(f"the study is finished: {early}")
-    left = orphans(state) if take_over else given_back(state)
+    holder = {"worker": worker, "token": new_token()}
     if left:
-        return Event("claimed", {"pick": left[0], "worker": this_worker().to_json()})
+        return Event("claimed", {"pick": left[0], "seconds": seconds, **holder})
     reason = stop_reason(state)
     if reason is not None:
         held = len(state.open_picks)
         waiting = f"; {held} picks are still under way" if held else ""
         raise StudyFinished(f"the study is finished: {reason}{waiting}")
-    return _proposal(state, selector)
+    if state.proposing is not None and not watch.is_stale(state.proposing):
+        return None
+    return Event("claimed", {"pick": len(state.picks), "seconds": PROPOSING, **holder})
 
 
 def stop_reason(state: StudyState) -> str | None:
@@ -68,19 +80,28 @@ def given_back(state: StudyState) -> list[int]:
     return sorted(n for n, pick in state.open_picks.items() if pick.worker is None)
 
 
-def orphans(state: StudyState) -> list[int]:
-    """Numbers of open picks that nobody works on: given back, or their process is gone."""
-    picks = sorted(state.open_picks.items())
-    return [number for number, p in picks if p.worker is None or p.worker.is_gone]
+def is_open(state: StudyState, source: int) -> bool:
+    """True where one more training on this source is allowed."""
+    assert state.spec is not None
+    return bool(state.history().open_mask(state.spec.space.n, state.spec.repeats)[source])
 
 
-def others(state: StudyState) -> list[Worker]:
-    """Other processes that work on picks, as far as can be known."""
-    held = {pick.worker for pick in state.open_picks.values() if pick.worker is not None}
-    return sorted(
-        (worker for worker in held - {this_worker()} if not worker.is_gone),
-        key=lambda worker: (worker.host, worker.pid),
-    )
+def left_alone(state: StudyState, watch: Watch) -> list[int]:
+    """Numbers of open picks that nobody works on: given back, or their lease is stale."""
+    return [n for n, pick in sorted(state.open_picks.items()) if watch.is_stale(pick.lease)]
+
+
+def others(state: StudyState, watch: Watch, worker: str, *, for_ever: bool = True) -> list[str]:
+    """Names of other workers that hold picks; on request only those who would be missed in time."""
+    leases = [pick.lease for pick in state.open_picks.values()]
+    held = {
+        lease.worker
+        for lease in leases
+        if lease is not None
+        and not watch.is_stale(lease)
+        and (for_ever or lease.seconds is not None)
+    }
+    return sorted(held - {worker})
 
 
 def _early_stop(state: StudyState) -> str | None:
@@ -114,7 +135,12 @@ def _nothing_left(state: StudyState, spec: StudySpec) -> str | None:
     return f"V = {now.value:.4f} is within {spec.stop_left:g} of the largest there can be, {most:g}"
 
 
-def _proposal(state: StudyState, selector: Selector) -> Event:
+def propose(state: StudyState, selector: Selector) -> dict[str, Any] | str:
+    """The facts of the next pick, or why one more training is not worth it.
+
+    Raises:
+        StudyFinished: nothing is left to propose.
+    """
     spec, number = state.spec, len(state.picks)
     assert spec is not None
     rng = selection_rng(spec.seed, spec.trial, number)
@@ -125,19 +151,18 @@ def _proposal(state: StudyState, selector: Selector) -> Event:
         raise StudyFinished(f"the study is finished: {error}") from error
     enough = _enough(spec, proposal)
     if enough is not None and len(history) >= LEAST_ROWS:
-        return Event("stopped", {"reason": enough})
+        return enough
     source = int(proposal.source)
-    data = {
+    data: dict[str, Any] = {
         "pick": number,
         "source": source,
         "reason": proposal.reason,
         "acquisition": proposal.acquisition,
         "notes": list(proposal.notes),
-        "worker": this_worker().to_json(),
     }
     if spec.eval_targets is not None:
         data["targets"] = list(spread_targets(problem, source, spec.eval_targets))
-    return Event("asked", data)
+    return data
 
 
 def _enough(spec: StudySpec, proposal: Proposal) -> str | None:

@@ -6,17 +6,18 @@ and its policy is kept, in its folder or in memory, to be evaluated again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future
+import time
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
 from logging import getLogger
-from pathlib import Path
 from typing import Any
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed
 from mbtl.seeds import evaluation_seed
 from mbtl.study.callbacks import Callback, where
+from mbtl.study.flights import Flights, brought_back, may_try_again, too_long
 from mbtl.study.job import (
     NOT_THE_TRAININGS_FAULT,
     Job,
@@ -25,12 +26,11 @@ from mbtl.study.job import (
     Trouble,
     perform,
     perform_elsewhere,
-    reason_of,
 )
+from mbtl.study.keeper import Keeper
 from mbtl.study.pick import Pick
 from mbtl.study.study import Study
-from mbtl.trainer import Trainer
-from mbtl.untrusted import inside
+from mbtl.trainer import Progress, Trainer
 
 _logger = getLogger(__name__)
 
@@ -46,6 +46,9 @@ class Batches:
         failures_allowed: failures in a row that are borne; one more ends the run.
         rehearse: the first policy is read back and evaluated on two targets before all else.
         callbacks: told what happens.
+        keeper: keeps the leases of the picks.
+        timeout: seconds that a training may take; None: as many as it wants.
+        retries: so often a training that failed is begun again before it counts as failed.
         held: picks whose policy could not be evaluated. They stay with this process meanwhile, so
             that nobody tries again at once.
     """
@@ -56,8 +59,14 @@ class Batches:
     failures_allowed: int
     rehearse: bool
     callbacks: Sequence[Callback]
+    keeper: Keeper
+    timeout: float | None = None
+    retries: int = 0
     held: list[Pick] = field(default_factory=list)
     _in_a_row: int = 0
+    _asked: int = 0
+    _ending: bool = False
+    _failed: tuple[Pick, Trouble] | None = None
 
     def do(self, batch: Sequence[Pick]) -> None:
         """Train a batch and tell it all; on any interrupt give the unanswered picks back.
@@ -66,35 +75,66 @@ class Batches:
             TrainingFailed: failures end the run. What else the batch gave is told.
         """
         waiting = list(batch)
+        self._settle(waiting, self._outcomes(batch))
+
+    def flow(self, size: int, ask: Callable[[], Pick | None]) -> bool:
+        """Train `size` picks at a time until none is left; tell each when it is done.
+
+        Args:
+            size: trainings at a time.
+            ask: gives the next pick; None: there is none.
+
+        Returns:
+            False where there was nothing to do.
+
+        Raises:
+            TrainingFailed: failures end the run. What was under way is told.
+        """
+        waiting: list[Pick] = []
+        before = self._asked
+        self._settle(waiting, self._as_they_come(size, ask, waiting))
+        return self._asked > before
+
+    def _settle(
+        self, waiting: list[Pick], outcomes: Generator[tuple[Pick, Outcome | Trouble | None]]
+    ) -> None:
+        """Record what comes; give the picks back that are in `waiting` at the end."""
         end: Exception | None = None
-        failed: tuple[Pick, Trouble] | None = None
+        self._failed = None
+        self._ending = False
         try:
-            for pick in batch:
-                self._announce("on_pick", pick)
-            for pick, outcome in self._outcomes(batch):
-                if isinstance(outcome, Outcome):
-                    self._tell(pick, outcome)
+            for pick, outcome in outcomes:
+                if outcome is None:
                     waiting.remove(pick)
-                    self._announce("on_told", pick)
+                    self._lose(pick)
+                    continue
+                if isinstance(outcome, Outcome):
+                    in_time = self._tell(pick, outcome)
+                    waiting.remove(pick)
+                    if in_time:
+                        self._announce("on_told", pick)
                     continue
                 self._keep(pick, outcome.kept)
                 if isinstance(outcome.error, NOT_THE_TRAININGS_FAULT):
-                    end = end or outcome.error
+                    end, self._ending = end or outcome.error, True
                     continue
-                self._record(pick, outcome)
+                in_time = self._record(pick, outcome)
                 waiting.remove(pick)
+                if not in_time:
+                    continue
                 self._announce("on_failed", pick, _reason(outcome))
-                failed = pick, outcome
+                self._failed = pick, outcome
                 if self._in_a_row > self.failures_allowed:
                     failures = "failure" if self._in_a_row == 1 else "failures"
                     row = f"{self._in_a_row} {failures} in a row"
-                    end = end or self._end(pick, outcome, row)
+                    end, self._ending = end or self._end(pick, outcome, row), True
         except _CallbackError as wrapped:
             raise wrapped.error from None
         finally:
+            outcomes.close()
             self._give_back(waiting)
-        if end is None and failed is not None and not self.study.has_succeeded:
-            end = self._end(*failed, "nothing has succeeded yet")
+        if end is None and self._failed is not None and not self.study.has_succeeded:
+            end = self._end(*self._failed, "nothing has succeeded yet")
         if end is not None:
             raise end
 
@@ -106,29 +146,74 @@ class Batches:
 
     # ---- inside ------------------------------------------------------------------------------
 
-    def _outcomes(self, batch: Sequence[Pick]) -> Iterator[tuple[Pick, Outcome | Trouble]]:
-        """What each pick gave, in pick order."""
-        jobs = [self._job(pick) for pick in batch]
+    def _outcomes(self, batch: Sequence[Pick]) -> Generator[tuple[Pick, Outcome | Trouble | None]]:
+        """What each pick gave, in pick order; None where its training was stopped."""
+        for pick in batch:
+            self._announce("on_pick", pick)
         if self.executor is None:
-            for pick, job in zip(batch, jobs, strict=True):
-                yield pick, self._perform_here(pick, job)
+            for pick in batch:
+                yield pick, self._perform_here(pick)
             return
-        futures = [self.executor.submit(perform_elsewhere, job) for job in jobs]
+        futures = [self.executor.submit(perform_elsewhere, self._job(pick)) for pick in batch]
         for pick, future in zip(batch, futures, strict=True):
             yield pick, brought_back(future)
 
-    def _perform_here(self, pick: Pick, job: Job) -> Outcome | Trouble:
-        return perform(
-            job,
-            partial(self._announce, "on_progress", pick),
-            partial(self._keep, pick),
-            partial(self._announce, "on_evaluation", pick),
-        )
+    def _as_they_come(
+        self, size: int, ask: Callable[[], Pick | None], waiting: list[Pick]
+    ) -> Generator[tuple[Pick, Outcome | Trouble | None]]:
+        """What each pick gave, whenever it is there; the next one is asked for at once.
+
+        While nothing has succeeded and something failed, nothing new is begun.
+        """
+        assert self.executor is not None
+        flights = Flights(self.executor, self.timeout, self.retries)
+        try:
+            while True:
+                doubt = self._failed is not None and not self.study.has_succeeded
+                while len(flights) < size and not self._ending and not doubt:
+                    pick = ask()
+                    if pick is None:
+                        break
+                    self._asked += 1
+                    waiting.append(pick)
+                    self._announce("on_pick", pick)
+                    flights.begin(pick, self._job(pick))
+                if not len(flights):
+                    return
+                yield from flights.landed()
+        finally:
+            flights.cancel()
+
+    def _perform_here(self, pick: Pick) -> Outcome | Trouble | None:
+        started, tries = time.monotonic(), 0
+        while True:
+            try:
+                outcome = perform(
+                    self._job(pick),
+                    partial(self._progressed, pick, started),
+                    partial(self._keep, pick),
+                    partial(self._announce, "on_evaluation", pick),
+                )
+            except _Stopped:
+                return None
+            except _TookTooLong:
+                return too_long(self.timeout)
+            tries += 1
+            if not may_try_again(outcome) or tries > self.retries:
+                return outcome
+            started = time.monotonic()
+
+    def _progressed(self, pick: Pick, started: float, progress: Progress) -> None:
+        self._announce("on_progress", pick, progress)
+        self.keeper.said(pick, progress)
+        if self.keeper.is_lost(pick):
+            raise _Stopped
+        if self.timeout is not None and time.monotonic() - started > self.timeout:
+            raise _TookTooLong
 
     def _job(self, pick: Pick) -> Job:
         study, spec = self.study, self.study.spec
-        place = policy_path(study, pick).as_posix()
-        folder = inside(study.folder, place, "a study") if study.folder else None
+        places = places_of(study, pick)
         targets = range(study.space.n) if pick.targets is None else pick.targets
         return Job(
             self.trainer,
@@ -136,48 +221,69 @@ class Batches:
             pick.seed,
             [study.space.context(target) for target in targets],
             evaluation_seed(spec.seed, spec.trial),
-            folder,
+            study.artifacts,
+            places[-1],
+            tuple(places[:-1]),
             Kept(study.untold[pick.number]) if pick.number in study.untold else None,
             self.rehearse and not study.has_succeeded,
         )
 
     def _keep(self, pick: Pick, kept: Kept | None) -> None:
         """Hold on to a policy that is nowhere else."""
-        if kept is not None and not kept.saved:
+        if kept is not None and kept.artifact is None:
             self.study.untold[pick.number] = kept.policy
         else:
             self.study.untold.pop(pick.number, None)
 
-    def _tell(self, pick: Pick, outcome: Outcome) -> None:
-        self._keep(pick, Kept(outcome.policy, outcome.saved))
-        self.study.tell(
+    def _tell(self, pick: Pick, outcome: Outcome) -> bool:
+        self._keep(pick, Kept(outcome.policy, outcome.artifact))
+        in_time = self.study.tell(
             pick,
             outcome.returns,
             seconds=outcome.seconds,
-            policy=policy_path(self.study, pick).as_posix() if outcome.saved else None,
+            policy=outcome.artifact,
             policy_object=outcome.policy,
         )
         self.study.untold.pop(pick.number, None)
         self._in_a_row = 0
+        if not in_time:
+            self._lose(pick)
+            return False
+        self.keeper.drop(pick)
         _logger.info("%s, V = %.4f", where(self.study, pick), self.study.value)
+        return True
 
-    def _record(self, pick: Pick, trouble: Trouble) -> None:
+    def _lose(self, pick: Pick) -> None:
+        """Somebody else does it, or has done it."""
+        self.study.untold.pop(pick.number, None)
+        self.keeper.drop(pick)
+        _logger.warning("%s is somebody else's by now", where(self.study, pick))
+        self._announce("on_lost", pick)
+
+    def _record(self, pick: Pick, trouble: Trouble) -> bool:
         reason = _reason(trouble)
         if trouble.kept is None:
-            self.study.fail(pick, reason, traceback=trouble.traceback)
+            in_time = self.study.fail(pick, reason, traceback=trouble.traceback)
         else:
-            self.study.defer(pick, reason, traceback=trouble.traceback)
+            in_time = self.study.defer(pick, reason, traceback=trouble.traceback)
+        if not in_time:
+            self._lose(pick)
+            return False
+        if trouble.kept is None:
+            self.keeper.drop(pick)
+        else:
             self.held.append(pick)
         self._in_a_row += 1
         _logger.warning("%s failed: %s", where(self.study, pick), reason)
+        return True
 
     def _end(self, pick: Pick, trouble: Trouble, why: str) -> TrainingFailed:
         then = "run again: the policy is kept and only evaluated"
         if trouble.kept is None:
             then = "run again, with retry_failed=True (--retry-failed) to train there again"
-        elif trouble.stage == "loading" and self.study.folder is not None:
-            folder = self.study.folder / policy_path(self.study, pick)
-            then = f"run again, or remove {folder} to have the policy trained again"
+        elif trouble.stage == "loading" and trouble.kept.artifact is not None:
+            place = trouble.kept.artifact.place
+            then = f"run again, or remove {place} to have the policy trained again"
         return failure(
             f"{where(self.study, pick)} failed: {_reason(trouble)}; the run ends here ({why}), so "
             f"mend the cause and {then}",
@@ -186,6 +292,7 @@ class Batches:
 
     def _give_back(self, picks: Sequence[Pick]) -> None:
         for pick in picks:
+            self.keeper.drop(pick)
             try:
                 self.study.release(pick)
             except StorageError:  # the storage is what failed; the pick is taken over later
@@ -209,6 +316,14 @@ class _CallbackError(BaseException):
         self.error = error
 
 
+class _TookTooLong(BaseException):
+    """Ends a training at its next report."""
+
+
+class _Stopped(BaseException):
+    """Ends a training whose pick is somebody else's by now."""
+
+
 def _reason(trouble: Trouble) -> str:
     """One line; of a policy that is trained it says what could not be done with it."""
     if trouble.kept is None:
@@ -225,28 +340,12 @@ def failure(message: str, trouble: Trouble) -> TrainingFailed:
     return error
 
 
-def brought_back(future: Future[Any]) -> Any:
-    """What a worker process gave.
+def places_of(study: Study, pick: Pick) -> list[str]:
+    """Where the policy of a pick may be, and last where it is to be written.
 
-    Raises:
-        StudyError: the process died, or what it gave cannot travel.
+    Below the study's folder; studies that share it, or a database, keep apart by their uid.
     """
-    try:
-        return future.result()
-    except BrokenExecutor as error:
-        raise StudyError(
-            "a worker process died (a script without `if __name__ == '__main__':`, killed, "
-            "or out of memory); its picks are given back: run again, with a smaller "
-            "parallel if memory is short"
-        ) from error
-    except Exception as error:
-        raise StudyError(
-            f"a policy trained in another process must be sent back or saved there, got "
-            f"{reason_of(error)}; give save and load functions, or use parallel=1"
-        ) from error
-
-
-def policy_path(study: Study, pick: Pick) -> Path:
-    """Below the study's folder; studies that share it, or a database, keep apart by their uid."""
     again = f"-{pick.repeat}" if pick.repeat else ""
-    return Path("policies", study.state.uid, f"source-{pick.source:04d}{again}")
+    base = f"policies/{study.state.uid}/source-{pick.source:04d}{again}"
+    tokens = (*study.state.picks[pick.number].tokens, pick.token)
+    return [base, *dict.fromkeys(f"{base}-{token}" for token in tokens if token)]

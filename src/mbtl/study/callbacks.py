@@ -11,13 +11,12 @@ from mbtl.trainer import Progress
 if TYPE_CHECKING:
     from mbtl.study.pick import Pick
     from mbtl.study.study import Study
-    from mbtl.study.worker import Worker
 
 
 class Callback:
     """Base with methods that do nothing; exceptions in a callback end the run, nothing is lost."""
 
-    def on_shared(self, study: Study, others: Sequence[Worker]) -> None:
+    def on_shared(self, study: Study, others: Sequence[str]) -> None:
         """The run begins while other processes work on the same study; they share its picks."""
 
     def on_pick(self, study: Study, pick: Pick) -> None:
@@ -34,6 +33,12 @@ class Callback:
 
     def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
         """A training failed, or a trained policy could not be evaluated; it was recorded."""
+
+    def on_lost(self, study: Study, pick: Pick) -> None:
+        """A pick was taken over or taken away; its training counts for nothing."""
+
+    def on_waiting(self, study: Study, others: Sequence[str]) -> None:
+        """Nothing is left to do but what others are at; the run waits for them, or does it."""
 
     def on_report(self, study: Study) -> None:
         """The policies are now evaluated on fresh seeds."""
@@ -55,7 +60,7 @@ class PrintProgress(Callback):
     def __init__(self, file: TextIO | None = None) -> None:
         self._file = file
 
-    def on_shared(self, study: Study, others: Sequence[Worker]) -> None:
+    def on_shared(self, study: Study, others: Sequence[str]) -> None:
         """Who else works here."""
         self._say(shared_words(others))
 
@@ -68,6 +73,14 @@ class PrintProgress(Callback):
     def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
         """Why there is no V."""
         self._say(f"{where(study, pick)} failed: {reason}")
+
+    def on_lost(self, study: Study, pick: Pick) -> None:
+        """That the work was for nothing."""
+        self._say(f"{where(study, pick)} was taken over by somebody else")
+
+    def on_waiting(self, study: Study, others: Sequence[str]) -> None:
+        """Why nothing happens."""
+        self._say(waiting_words(others))
 
     def on_report_failed(self, study: Study, reason: str) -> None:
         """Why V stays what the selecting episodes say."""
@@ -82,7 +95,12 @@ def where(study: Study, pick: Pick) -> str:
     return f"pick {pick.number + 1} of {study.spec.budget}: {study.space.describe(pick.context)}"
 
 
-def shared_words(others: Sequence[Worker]) -> str:
-    """That other processes work on a study, in a sentence."""
-    who = ", ".join(f"process {worker.pid} on {worker.host}" for worker in others)
-    return f"{who} works on this study, too: joining it, each trains other picks"
+def shared_words(others: Sequence[str]) -> str:
+    """That other workers are at a study, in a sentence."""
+    works = "works" if len(others) == 1 else "work"
+    return f"{', '.join(others)} {works} on this study, too: joining, each trains other picks"
+
+
+def waiting_words(others: Sequence[str]) -> str:
+    """What a run waits for, in a sentence."""
+    return f"waiting for the last trainings of {', '.join(others)}"

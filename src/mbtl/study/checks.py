@@ -19,7 +19,8 @@ from mbtl.study.events import Event, Kind
 from mbtl.untrusted import is_local
 
 if TYPE_CHECKING:
-    from mbtl.study.state import StudySpec, StudyState
+    from mbtl.study.spec import StudySpec
+    from mbtl.study.state import StudyState
 
 _HUGE = 1e300
 """Differences of numbers below this are numbers, too."""
@@ -38,7 +39,7 @@ def check_event(event: Event, state: StudyState) -> None:
         fact = event.data.get(name)
         if not holds(fact):
             raise InvalidInput(f"`{name}` must be {words}, got {_short(fact)}")
-    shapes = _shapes(event.kind, state)
+    shapes = _shapes(event, state)
     if set(event.arrays) != set(shapes):
         raise InvalidInput(
             f"it has the arrays {sorted(shapes)} and no others, got {sorted(event.arrays)}"
@@ -122,7 +123,8 @@ def _is_selector(value: Any) -> bool:
 
 
 def _is_worker(value: Any) -> bool:
-    return (
+    """A name, or what version 0.1 recorded."""
+    return _is_text(value) or (
         isinstance(value, Mapping)
         and _is_text(value.get("host"))
         and _is_text(value.get("started"))
@@ -136,7 +138,12 @@ _MAYBE_TEXT: Rule = (_maybe(_is_text), "text, or null")
 _COUNT: Rule = (_at_least(1, _is_whole), "a whole number of 1 or more")
 _SEED: Rule = (_is_seed, "a whole number >= 0")
 _NUMBER: Rule = (_maybe(_is_number), "a finite number, or null")
-_WORKER: Rule = (_is_worker, "a process: host, pid and started")
+_WORKER: Rule = (_is_worker, "the name of a worker, or a process: host, pid and started")
+_SECONDS: Rule = (_maybe(_at_least(0.0)), "a finite number >= 0, or null")
+_TOKEN: Rule = (
+    _maybe(lambda value: _is_text(value) and re.fullmatch("[A-Za-z0-9]{1,64}", value) is not None),
+    "1 to 64 letters and digits, since a folder is named by it, or null",
+)
 _UID: Rule = (
     lambda value: _is_text(value) and re.fullmatch(r"[A-Za-z0-9_-]{1,64}", value) is not None,
     "1 to 64 letters and digits, since a folder is named by it",
@@ -180,7 +187,17 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
         lambda i: _is_whole(i) and i in state.open_picks,
         "the number of an open pick",
     )
-    failure = {"pick": one_open, "source": source, "reason": _TEXT, "traceback": _MAYBE_TEXT}
+    next_or_open: Rule = (
+        lambda i: _is_whole(i) and (i in state.open_picks or i == asked),
+        "the number of an open pick, or of the next one",
+    )
+    failure = {
+        "token": _TOKEN,
+        "pick": one_open,
+        "source": source,
+        "reason": _TEXT,
+        "traceback": _MAYBE_TEXT,
+    }
     table: dict[Kind, dict[str, Rule]] = {
         "extended": {"budget": (lambda b: _COUNT[0](b) and b <= most, f"from 1 to {most}")},
         "asked": {
@@ -190,10 +207,30 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
             "acquisition": _NUMBER,
             "notes": (_each(_is_text), "a list of texts"),
             "worker": _WORKER,
+            "token": _TOKEN,
+            "seconds": _SECONDS,
             "targets": (_maybe(_each(index)), f"context indices from 0 to {n - 1}, or null"),
         },
-        "claimed": {"pick": one_open, "worker": _WORKER},
-        "released": {"pick": one_open},
+        "claimed": {
+            "pick": next_or_open,
+            "worker": _WORKER,
+            "token": _TOKEN,
+            "seconds": _SECONDS,
+        },
+        "released": {"pick": next_or_open},
+        "voided": {
+            "told": (
+                lambda i: _is_whole(i) and state.place_of(i) >= 0,
+                "the number of the event that told a row",
+            ),
+            "reason": _TEXT,
+        },
+        "late": {
+            "pick": (lambda i: _is_whole(i) and i < asked, f"a number of the {asked} picks"),
+            "source": source,
+            "outcome": (lambda o: o in ("told", "failed", "deferred"), "what came"),
+            "token": (_is_text, "text"),
+        },
         "told": {
             "pick": (_maybe(one_open[0]), f"{one_open[1]}, or null"),
             "source": source,
@@ -201,6 +238,9 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
             "cost": (_at_least(0.0), "a finite number >= 0"),
             "seconds": _NUMBER,
             "policy": _POLICY,
+            "sha256": _MAYBE_TEXT,
+            "recipe": _MAYBE_TEXT,
+            "token": _TOKEN,
         },
         "failed": failure,
         "deferred": failure,
@@ -222,12 +262,13 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
     return table.get(kind, {})
 
 
-def _shapes(kind: Kind, state: StudyState) -> dict[str, tuple[int, ...]]:
-    """The arrays that an event of this kind must hold now."""
+def _shapes(event: Event, state: StudyState) -> dict[str, tuple[int, ...]]:
+    """The arrays that an event must hold now."""
+    kind = event.kind
     if state.spec is None:
         return {}
     n = state.spec.space.n
-    if kind == "told":
+    if kind == "told" or (kind == "late" and event.data.get("outcome") == "told"):
         return {"returns": (n,), "std": (n,)}
     return {"returns": (len(state.rows), n)} if kind == "reported" else {}
 

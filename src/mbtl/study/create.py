@@ -26,9 +26,10 @@ from mbtl.study.given import (
     target_count,
     whole,
 )
-from mbtl.study.places import fixed_url, policy_folder
+from mbtl.study.places import fixed_url, policy_store
 from mbtl.study.problem import Problem, ProblemFacts, check_problem, facts_of
-from mbtl.study.state import StudySpec, replay
+from mbtl.study.spec import StudySpec
+from mbtl.study.state import replay
 from mbtl.study.storage import (
     Conflict,
     EventLog,
@@ -104,8 +105,9 @@ def create_study(
             the selector predicts that all trainings left together gain less than this in V.
         best_return: the largest return there is (smallest, if minimised), if you know it.
         storage: path of an SQLite file or an SQLAlchemy URL; None keeps the study in memory.
-        artifacts: folder that policies are saved below; None: the one of the database, where that
-            is a file. Give it again to `load_study`.
+        artifacts: folder that policies are saved below, or a URL that fsspec can write to, such as
+            "s3://bucket/studies"; None: the folder of the database, where that is a file. Give it
+            again to `load_study`.
         name: name of the study within its storage.
         problem: id of the problem, to refuse a study of another one.
         settings: JSON-able record of the training recipe, to refuse a study of another one; added
@@ -175,7 +177,7 @@ def create_study(
     check_spec(spec)
     address = None if storage is None else fixed_url(storage)
     log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
-    folder = policy_folder(address, artifacts)
+    folder = policy_store(address, artifacts)
     created = {"spec": spec.to_json(), "version": __version__, "uid": uuid.uuid4().hex[:8]}
     try:
         log.append(Event("created", created), after=0)
@@ -240,7 +242,7 @@ def load_study(
         check_problem(spec, facts)
         trainer = facts.trainer
     chosen = _selector_then(spec, selector)
-    folder = policy_folder(place, artifacts)
+    folder = policy_store(place, artifacts)
     return Study(log, chosen, folder=folder, name=name, trainer=trainer)
 
 

@@ -3,10 +3,12 @@
 created   the problem and the settings; always the first
 extended  the budget was raised
 equipped  a run brought its trainer: recipe and format of the policies
-asked     the selector proposed a source to a worker
-claimed   a worker took over a pick whose worker is gone
-released  a worker gave its pick back untrained
+claimed   a worker holds a pick from now on: one that is open, or the next, whose source it proposes
+asked     the selector proposed the source of the pick that was claimed
+released  a pick was given back untrained
 told      a transfer row arrived
+late      a result came of a pick that is somebody else's by now, or answered; it changes nothing
+voided    a row that was told is wrong and does not count any more
 deferred  a policy is trained and could not be evaluated; its pick stays open
 failed    a training gave nothing that can be used
 reopened  a failed pick is to be tried again
@@ -30,6 +32,8 @@ Kind = Literal[
     "claimed",
     "released",
     "told",
+    "late",
+    "voided",
     "deferred",
     "failed",
     "reopened",

@@ -1,16 +1,15 @@
 """One job: train on a context, save the policy, evaluate it. Any process can do it.
 
-A trained policy appears in its folder by one rename, and is on the disk, before it is evaluated. So
-whatever ends a job after its training, its policy is found there and nothing is trained again.
+A trained policy is kept, durably, before it is evaluated. So whatever ends a job after its
+training, its policy is found by whoever does the job next, and nothing is trained again.
 """
 
 from __future__ import annotations
 
-import json
+import contextlib
 import shutil
 import time
 import traceback
-import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,25 +18,31 @@ from typing import Any, Literal
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, MissingExtra, StorageError
-from mbtl.files import sync_entries, sync_folder
-from mbtl.trainer import OnProgress, Trainer, checked_returns, equipment_of
+from mbtl.study.artifacts import Artifact, ArtifactStore
+from mbtl.trainer import (
+    OnProgress,
+    ResumingTrainer,
+    Trainer,
+    checked_returns,
+    equipment_of,
+    recipe_digest,
+)
 
 NOT_THE_TRAININGS_FAULT = (StorageError, InvalidInput, MissingExtra)
 """Raised as they are: the pick is given back, to be done once the cause is mended."""
 
 Stage = Literal["training", "saving", "loading", "evaluation"]
 
-_RECEIPT = "trained.json"
 _LONGEST = 8000
 """Characters of a traceback that are kept: its end, which says what happened."""
 
 
 @dataclass(frozen=True)
 class Kept:
-    """A trained policy, and whether it is safe in its folder."""
+    """A trained policy, and where it is safe; None: nowhere so far."""
 
     policy: Any
-    saved: bool = False
+    artifact: Artifact | None = None
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,9 @@ class Job:
         seed: of the training.
         targets: to evaluate on.
         evaluation_seed: of the episodes.
-        folder: where the policy is kept; None: it cannot be.
+        store: keeps the policy; None: it cannot be kept.
+        place: of the policy in the store; nobody else writes there.
+        former: places where others may have left the policy, or an unfinished training of it.
         kept: the policy, where it was trained before in this process and could not be saved.
         rehearse: no evaluation of this study has succeeded yet, so a short one goes first.
     """
@@ -60,7 +67,9 @@ class Job:
     seed: int
     targets: Sequence[Context]
     evaluation_seed: int
-    folder: Path | None
+    store: ArtifactStore | None
+    place: str = ""
+    former: tuple[str, ...] = ()
     kept: Kept | None = None
     rehearse: bool = False
 
@@ -71,7 +80,7 @@ class Outcome:
 
     returns: Array
     seconds: float
-    saved: bool
+    artifact: Artifact | None
     policy: Any = None
 
 
@@ -110,23 +119,25 @@ def perform(
         on_evaluation: called when the policy is trained and saved.
     """
     started = time.perf_counter()
-    stage, kept = _first_stage(job), job.kept
+    kept = job.kept
+    stage: Stage = "training" if kept is None else "saving"
     try:
-        if stage == "loading":
-            kept = Kept(None, saved=True)
-            kept = Kept(job.trainer.load(_folder(job)), saved=True)
+        if kept is None and (found := _left(job)) is not None:
+            stage, kept = "loading", Kept(None, found)
+            kept = Kept(job.trainer.load(_folder(job, found)), found)
         if kept is None:
-            kept = Kept(job.trainer.train(dict(job.context), job.seed, on_progress))
+            kept = Kept(_trained(job, on_progress))
             on_kept(kept)
-        if not kept.saved:
+        if kept.artifact is None:
             stage = "saving"
-            kept = replace(kept, saved=_save(job, kept.policy))
+            kept = replace(kept, artifact=_save(job, kept.policy))
             on_kept(kept)
+            _forget_partial(job)
         if on_evaluation is not None:
             on_evaluation()
-        if job.rehearse and kept.saved:
+        if job.rehearse and kept.artifact is not None:
             stage = "loading"  # a policy that cannot be read back is found out with the first one
-            kept = Kept(job.trainer.load(_folder(job)), saved=True)
+            kept = replace(kept, policy=job.trainer.load(_folder(job, kept.artifact)))
         stage = "evaluation"
         if job.rehearse and len(job.targets) > 2:
             ends = (job.targets[0], job.targets[-1])
@@ -135,7 +146,7 @@ def perform(
     except Exception as error:
         return Trouble(stage, reason_of(error), _traceback(error), error, kept)
     seconds = time.perf_counter() - started
-    return Outcome(returns, seconds, kept.saved, None if kept.saved else kept.policy)
+    return Outcome(returns, seconds, kept.artifact, None if kept.artifact else kept.policy)
 
 
 def perform_elsewhere(job: Job) -> Outcome | Trouble:
@@ -144,8 +155,8 @@ def perform_elsewhere(job: Job) -> Outcome | Trouble:
     if isinstance(outcome, Trouble):
         if not isinstance(outcome.error, NOT_THE_TRAININGS_FAULT):
             outcome = replace(outcome, error=None)
-        if outcome.kept is not None and outcome.kept.saved:
-            outcome = replace(outcome, kept=Kept(None, saved=True))
+        if outcome.kept is not None and outcome.kept.artifact is not None:
+            outcome = replace(outcome, kept=replace(outcome.kept, policy=None))
     return outcome
 
 
@@ -159,50 +170,76 @@ def reason_of(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-def _first_stage(job: Job) -> Stage:
-    """Where a job begins: a run that was ended after the training left a policy of this seed."""
-    if job.kept is not None:
-        return "saving"
-    if job.folder is None or not (job.folder / _RECEIPT).is_file():
-        return "training"
+def _left(job: Job) -> Artifact | None:
+    """The policy of this very training, by somebody who was ended after it."""
+    if job.store is None:
+        return None
+    made = equipment_of(job.trainer)
+    for place in (job.place, *reversed(job.former)):
+        receipt = job.store.receipt(place)
+        if (
+            receipt is not None
+            and receipt.get("seed") == job.seed
+            and receipt.get("format") == made["policy_format"]
+            and receipt.get("recipe", made["recipe"]) == made["recipe"]
+            and isinstance(receipt.get("sha256"), str)
+        ):
+            try:
+                job.store.read(place, receipt["sha256"])
+            except StorageError:  # of other files by now: no policy of this training
+                continue
+            return Artifact(place, receipt["sha256"])
+    return None
+
+
+def _folder(job: Job, artifact: Artifact) -> Path:
+    assert job.store is not None
+    return job.store.read(artifact.place, artifact.sha256)
+
+
+def _trained(job: Job, on_progress: OnProgress | None) -> Any:
+    """From the beginning, or from where another worker has left it."""
+    context, trainer = dict(job.context), job.trainer
+    partials = _partials(job)
+    if not partials or not isinstance(trainer, ResumingTrainer):
+        return trainer.train(context, job.seed, on_progress)
+    own, *others = partials
+    left = next((file for file in others if file.is_file()), None)
+    if left is not None and not own.is_file():
+        with contextlib.suppress(OSError):
+            shutil.copyfile(left, own)
+    return trainer.train(context, job.seed, on_progress, partial=own)
+
+
+def _partials(job: Job) -> list[Path]:
+    """Files of unfinished trainings of this recipe: one's own, then the latest of others."""
+    if job.store is None or not isinstance(job.trainer, ResumingTrainer):
+        return []
+    recipe = recipe_digest(equipment_of(job.trainer))
+    places = [f"{place}.{recipe}" for place in (job.place, *reversed(job.former))]
+    found = [job.store.partial(place) for place in places]
+    return [file for file in found if file is not None]
+
+
+def _forget_partial(job: Job) -> None:
+    for file in _partials(job):
+        with contextlib.suppress(OSError):
+            file.unlink(missing_ok=True)
+
+
+def _save(job: Job, policy: Any) -> Artifact | None:
+    if job.store is None:
+        return None
+    made = equipment_of(job.trainer)
+    receipt = {"seed": job.seed, "context": dict(job.context)}
+    receipt |= {"format": made["policy_format"], "recipe": made["recipe"]}
     try:
-        receipt = json.loads((job.folder / _RECEIPT).read_text())
-        made = equipment_of(job.trainer)
-        same = receipt["seed"] == job.seed and receipt["format"] == made["policy_format"]
-        same = same and receipt.get("recipe", made["recipe"]) == made["recipe"]
-        return "loading" if same else "training"
-    except (OSError, ValueError, KeyError, TypeError):  # not written by us: no policy of this job
-        return "training"
-
-
-def _folder(job: Job) -> Path:
-    assert job.folder is not None
-    return job.folder
-
-
-def _save(job: Job, policy: Any) -> bool:
-    if job.folder is None:
-        return False
-    temporary = job.folder.with_name(f".{job.folder.name}.{uuid.uuid4().hex[:8]}")
-    try:
-        temporary.mkdir(parents=True)
-        saved = job.trainer.save(policy, temporary)
-        if saved:
-            made = equipment_of(job.trainer)
-            receipt = {"seed": job.seed, "context": dict(job.context)}
-            receipt |= {"format": made["policy_format"], "recipe": made["recipe"]}
-            (temporary / _RECEIPT).write_text(json.dumps(receipt))
-            sync_folder(temporary)
-            shutil.rmtree(job.folder, ignore_errors=True)
-            temporary.rename(job.folder)
-            for place in list(job.folder.parents)[:3]:  # the study's own is the third
-                sync_entries(place)
-        return saved
+        return job.store.write(job.place, lambda folder: job.trainer.save(policy, folder), receipt)
     except NOT_THE_TRAININGS_FAULT:
         raise
     except OSError as error:
         raise StorageError(
-            f"the policy could not be saved in {job.folder.parent} ({error.strerror or error}); "
+            f"the policy could not be saved in {job.place} ({error.strerror or error}); "
             "what was told before is kept: free space or mend access, then run the same command "
             "again"
         ) from error
@@ -211,8 +248,6 @@ def _save(job: Job, policy: Any) -> bool:
             f"the trained policy could not be saved, save raised {reason_of(error)}; what was told "
             "before is kept: mend save, then run again"
         ) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _traceback(error: Exception) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mbtl.contexts import Context
 from mbtl.errors import StudyError
@@ -24,6 +24,7 @@ class Pick:
         reason: why the selector chose it.
         repeat: how many picks of this study trained on the source before.
         targets: contexts worth evaluating on, their indices; None for all.
+        token: of its lease; who takes the pick over gets another one.
     """
 
     number: int
@@ -33,6 +34,7 @@ class Pick:
     reason: str
     repeat: int = 0
     targets: tuple[int, ...] | None = None
+    token: str = field(default="", compare=False)
 
     def __str__(self) -> str:
         where = ", ".join(f"{name} = {value}" for name, value in self.context.items())

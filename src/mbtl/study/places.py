@@ -9,7 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import unquote
 
-from mbtl.study.storage import as_url
+from mbtl.study.artifacts import ArtifactStore, store_at
+from mbtl.study.database import as_url
 
 _IN_FILES = ("sqlite", "duckdb")
 """Databases that are files of this machine."""
@@ -51,14 +52,12 @@ def database_file(address: str) -> Path | None:
     return Path(name).absolute()
 
 
-def policy_folder(address: str | None, artifacts: str | Path | None) -> Path | None:
-    """The folder that policies are saved below.
+def policy_store(address: str | None, artifacts: str | Path | None) -> ArtifactStore | None:
+    """What keeps the policies.
 
     Args:
         address: of the storage; None: the study is in memory.
         artifacts: given by the user; None: next to the database, where that is a file.
     """
-    if artifacts is not None:
-        return Path(artifacts).absolute()
     file = None if address is None else database_file(address)
-    return None if file is None else file.parent
+    return store_at(artifacts, None if file is None else file.parent)

@@ -10,7 +10,7 @@ from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StudyMismatch
 from mbtl.objective import Bounds, Direction
 from mbtl.settings import first_difference
-from mbtl.study.state import StudySpec
+from mbtl.study.spec import StudySpec
 from mbtl.trainer import Trainer
 
 

@@ -3,26 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mbtl.arrays import Array
-from mbtl.study.worker import Worker
+from mbtl.study.leases import Lease
 
 
 @dataclass(frozen=True)
 class PickRecord:
-    """One proposal of the selector, as logged."""
+    """One proposal of the selector, as logged.
+
+    Attributes:
+        number: 0-based number of the pick.
+        source: context index.
+        reason: why the selector chose it.
+        acquisition: what it expected of it; None where it has no such number.
+        notes: what went differently from the plan.
+        lease: who may answer it; None: nobody holds it.
+        asked_at: seconds since the epoch.
+        repeat: how many picks before it have its source.
+        targets: contexts to evaluate on; None: all.
+        tokens: of all its leases, the first one first.
+        answered_by: token of the answer; empty where it came without; None: not answered.
+    """
 
     number: int
     source: int
     reason: str
     acquisition: float | None
     notes: tuple[str, ...]
-    worker: Worker | None
+    lease: Lease | None
     asked_at: float
     repeat: int = 0
     targets: tuple[int, ...] | None = None
+    tokens: tuple[str, ...] = ()
+    answered_by: str | None = None
+
+    @property
+    def worker(self) -> str | None:
+        """Name of the holder; None: nobody holds it."""
+        return None if self.lease is None else self.lease.worker
+
+    def leased(self, lease: Lease | None) -> PickRecord:
+        """The same with another holder, or none."""
+        new = lease is not None and lease.token not in self.tokens
+        tokens = (*self.tokens, lease.token) if lease and new else self.tokens
+        return replace(self, lease=lease, tokens=tokens, answered_by=None)
 
 
 @dataclass(frozen=True)
@@ -40,6 +67,9 @@ class ToldRow:
         seconds: wall time of training and evaluation; None when unknown.
         policy: folder of the saved policy, relative to the study; None when not saved.
         told_at: seconds since the epoch.
+        event: number of the event that told it, by which it may be voided.
+        sha256: of the policy's files; None: not known.
+        recipe: digest of the recipe that it was made with; None: not known.
     """
 
     source: int
@@ -51,6 +81,9 @@ class ToldRow:
     seconds: float | None
     policy: str | None
     told_at: float
+    event: int = 0
+    sha256: str | None = None
+    recipe: str | None = None
 
 
 @dataclass(frozen=True)
@@ -73,6 +106,25 @@ class Failure:
     def of(cls, data: Mapping[str, Any]) -> Failure:
         """As logged; older logs have no traceback."""
         return cls(data["source"], data["pick"], data["reason"], data.get("traceback", ""))
+
+
+@dataclass(frozen=True)
+class LateResult:
+    """What came of a pick that was somebody else's by then; the log has its returns.
+
+    Attributes:
+        pick: 0-based number of the pick.
+        source: context index.
+        outcome: "told", "failed" or "deferred".
+        token: it came with.
+        event: number of its event.
+    """
+
+    pick: int
+    source: int
+    outcome: str
+    token: str
+    event: int
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from typing import Any
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
+from mbtl.study.artifacts import FolderStore
 from mbtl.study.job import Job, Outcome, Trouble, perform, perform_elsewhere
 from mbtl.trainer import OnProgress, RehearsingTrainer
 
@@ -29,8 +30,9 @@ def rehearse(
         here: this process asks; False in a worker process.
     """
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder) / "untrained"
-        job = Job(_Untrained(trainer), targets[0], 0, targets, seed, place, rehearse=True)
+        store = FolderStore(Path(folder))
+        made = _Untrained(trainer)
+        job = Job(made, targets[0], 0, targets, seed, store, "policies/a/untrained", rehearse=True)
         outcome = perform(job) if here else perform_elsewhere(job)
     return None if isinstance(outcome, Outcome) else outcome
 

@@ -6,10 +6,12 @@ It loses at most the training in flight; see `mbtl.study.job` and `mbtl.study.ba
 from __future__ import annotations
 
 import pickle
+import time
 import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from logging import getLogger
 
 from mbtl.errors import (
@@ -19,19 +21,26 @@ from mbtl.errors import (
     TrainingFailed,
     UnsavedPolicies,
 )
-from mbtl.processes import worker_pool
+from mbtl.processes import SeparateWorkers, separate_workers
 from mbtl.seeds import evaluation_seed
 from mbtl.study import asking
-from mbtl.study.batch import Batches, brought_back, failure
+from mbtl.study.batch import Batches, failure
 from mbtl.study.callbacks import Callback, shared_words
+from mbtl.study.flights import brought_back
 from mbtl.study.fresh import can_report, report_fresh_returns
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, reason_of
+from mbtl.study.keeper import Keeper
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.rehearsal import rehearse as rehearsed
 from mbtl.study.study import Study
 from mbtl.trainer import RehearsingTrainer, Trainer
 
 _logger = getLogger(__name__)
+
+LEASE = 60.0
+"""Seconds for which a run may be silent before others take its trainings over."""
+_LOOK = 0.2
+"""Seconds between looks at what others do."""
 
 
 def run(
@@ -46,6 +55,10 @@ def run(
     rehearse: bool = True,
     callbacks: Sequence[Callback] = (),
     report: bool = True,
+    lease: float = LEASE,
+    deterministic: bool = False,
+    retries: int = 0,
+    timeout: float | None = None,
 ) -> None:
     """Run a study to its end; interrupted, it goes on where it was when called again.
 
@@ -55,8 +68,8 @@ def run(
     Args:
         study: decides what to train.
         trainer: trains, evaluates, saves and loads.
-        parallel: picks trained at the same time. The selector proposes them together, so each is
-            made without the rows of the others.
+        parallel: picks trained at the same time. Each is told when it is done, and the next one is
+            proposed at once, without the rows of those under way.
         executor: runs the jobs when parallel > 1; local processes when missing.
         on_failure: "continue" records a failed training and goes on; "stop" also raises it.
         stop_after_failures: so many failures in a row end the run, and so does the first one while
@@ -66,13 +79,21 @@ def run(
             trainer can make one; else the first policy on two contexts before all others.
         callbacks: told what happens.
         report: evaluate the routed policies on fresh seeds at the end.
+        lease: seconds without a sign of life from a run after which others take its trainings
+            over. On one machine they do so at once when its process has ended.
+        deterministic: with parallel > 1, ask for the next picks only when all of a batch are told,
+            so that a study does not depend on how long trainings take. Slots stand idle meanwhile.
+        retries: so often a training that failed is begun again before it counts as failed. One
+            whose worker process died is begun again once in any case.
+        timeout: seconds that a training may take; longer ones count as failed. In this process it
+            is looked at whenever the training reports.
 
     Raises:
         TrainingFailed: failures ended the run, or no training succeeded.
     """
-    check_options(parallel, on_failure, stop_after_failures)
+    check_options(parallel, on_failure, stop_after_failures, lease, retries, timeout)
     try:
-        with _workers(parallel, executor) as pooled:
+        with Keeper(study, lease) as keeper, _workers(parallel, executor) as pooled:
             if pooled is not None:
                 _check_can_travel(pooled, trainer)
             _warn_of_unsaved(study, trainer)
@@ -84,13 +105,18 @@ def run(
                 _rehearse(study, trainer, pooled)
                 first_policy = False
             allowed = 0 if on_failure == "stop" else stop_after_failures - 1
-            batches = Batches(study, trainer, pooled, allowed, first_policy, callbacks)
+            batches = Batches(
+                study, trainer, pooled, allowed, first_policy, callbacks, keeper, timeout, retries
+            )
+            do_all = partial(_do_all, study, batches, parallel, deterministic)
             if study.state.equipment is not None or not study.is_finished:
                 study.equip(trainer)
             try:
-                _do_all(study, batches, parallel)
+                do_all()
+                while _wait_for_others(study, callbacks):
+                    do_all()
                 if batches.give_back_held():
-                    _do_all(study, batches, parallel)
+                    do_all()
             finally:
                 batches.give_back_held()
         _check_any_success(study)
@@ -102,7 +128,12 @@ def run(
 
 
 def check_options(
-    parallel: int = 1, on_failure: str = "continue", stop_after_failures: int = 1
+    parallel: int = 1,
+    on_failure: str = "continue",
+    stop_after_failures: int = 1,
+    lease: float = LEASE,
+    retries: int = 0,
+    timeout: float | None = None,
 ) -> None:
     """Refuse what `run` cannot do, before anything is stored.
 
@@ -111,6 +142,12 @@ def check_options(
     """
     if on_failure not in ("continue", "stop"):
         raise InvalidInput(f"on_failure must be 'continue' or 'stop', got {on_failure!r}")
+    if retries < 0:
+        raise InvalidInput(f"retries must be >= 0, got {retries}")
+    if timeout is not None and not timeout > 0:
+        raise InvalidInput(f"a timeout is a number of seconds > 0, got {timeout!r}")
+    if not lease > 0:
+        raise InvalidInput(f"a lease lasts a number of seconds > 0, got {lease!r}")
     for name, number in (("parallel", parallel), ("stop_after_failures", stop_after_failures)):
         if number < 1:
             raise InvalidInput(f"{name} must be >= 1, got {number}")
@@ -124,7 +161,7 @@ def _workers(parallel: int, executor: Executor | None) -> Iterator[Executor | No
     elif executor is not None:
         yield executor
     else:
-        with worker_pool(parallel) as pool:
+        with separate_workers(parallel) as pool:
             yield pool
 
 
@@ -160,9 +197,41 @@ def _rehearse(study: Study, trainer: RehearsingTrainer, executor: Executor | Non
     )
 
 
-def _do_all(study: Study, batches: Batches, size: int) -> None:
-    while batch := _next_batch(study, size):
+def _do_all(study: Study, batches: Batches, size: int, deterministic: bool) -> None:
+    if batches.executor is not None and not deterministic:
+        while batches.flow(size, partial(_next_pick, study, batches.keeper)):
+            pass
+        return
+    while batch := _next_batch(study, size, batches.keeper):
         batches.do(batch)
+
+
+def _next_pick(study: Study, keeper: Keeper) -> Pick | None:
+    """A pick that is held from now on; None when nothing can be asked."""
+    try:
+        pick = study.ask(lease=keeper.seconds)
+    except StudyFinished:
+        return None
+    keeper.hold(pick)
+    return pick
+
+
+def _wait_for_others(study: Study, callbacks: Sequence[Callback]) -> bool:
+    """Wait for a change while others hold what is left; False when there is nothing to wait for.
+
+    One of them may die, and its training is then to be done here.
+    """
+    seq, left, announced = study.refresh().seq, study.orphans, False
+    while seq == study.refresh().seq and study.orphans == left:
+        theirs = asking.others(study.state, study.watch(), study.worker, for_ever=False)
+        if not theirs:
+            return False
+        if not announced:
+            announced = True
+            for callback in callbacks:
+                callback.on_waiting(study, theirs)
+        time.sleep(_LOOK)
+    return True
 
 
 def _report(study: Study, trainer: Trainer, callbacks: Sequence[Callback]) -> None:
@@ -182,7 +251,7 @@ def _report(study: Study, trainer: Trainer, callbacks: Sequence[Callback]) -> No
             callback.on_report_failed(study, reason_of(error))
 
 
-def _next_batch(study: Study, size: int) -> list[Pick]:
+def _next_batch(study: Study, size: int, keeper: Keeper) -> list[Pick]:
     """The next picks to train together; empty when the study is finished.
 
     Picks left by a killed run come first. A batch then fills up to a multiple of `size` picks
@@ -190,10 +259,10 @@ def _next_batch(study: Study, size: int) -> list[Pick]:
     """
     batch: list[Pick] = []
     while len(batch) < size:
-        try:
-            batch.append(study.ask(take_over=True))
-        except StudyFinished:
+        pick = _next_pick(study, keeper)
+        if pick is None:
             break
+        batch.append(pick)
         if not study.orphans and len(study.state.picks) % size == 0:
             break
     return batch
@@ -205,8 +274,8 @@ def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
         return
     if not getattr(trainer, "saves", True):
         fix = "give save and load functions, or make the study without storage"
-    elif study.folder is None:
-        fix = "its database is no file, so give artifacts=<a folder> where the study is made"
+    elif study.artifacts is None:
+        fix = "its database is no file, so give artifacts=<a folder or URL> where the study is made"
     else:
         return
     words = f"this study is stored, but its policies will be in memory only: {fix}"
@@ -216,7 +285,7 @@ def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
 
 def _announce_others(study: Study, callbacks: Sequence[Callback]) -> None:
     """A second process joins on purpose or by mistake; people should know which."""
-    others = asking.others(study.refresh())
+    others = asking.others(study.refresh(), study.watch(), study.worker)
     if not others:
         return
     _logger.warning("%s", shared_words(others))
@@ -225,7 +294,7 @@ def _announce_others(study: Study, callbacks: Sequence[Callback]) -> None:
 
 
 def _check_can_travel(executor: Executor, trainer: Trainer) -> None:
-    if isinstance(executor, ProcessPoolExecutor):
+    if isinstance(executor, (ProcessPoolExecutor, SeparateWorkers)):
         try:
             pickle.dumps(trainer)
         except Exception as error:

@@ -9,106 +9,16 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.contexts import ContextSpace
 from mbtl.errors import StorageError, StudyError
 from mbtl.history import History, standard_errors
-from mbtl.objective import Bounds, Direction
+from mbtl.objective import Bounds
 from mbtl.routing import Routing
-from mbtl.selectors.base import SelectionProblem
-from mbtl.study.checks import check_event, check_spec
+from mbtl.study.checks import check_event
 from mbtl.study.events import Event
-from mbtl.study.records import Failure, FreshReturns, PickRecord, ToldRow
-from mbtl.study.worker import Worker
+from mbtl.study.leases import Lease, worker_words
+from mbtl.study.records import Failure, FreshReturns, LateResult, PickRecord, ToldRow
+from mbtl.study.spec import StudySpec
 from mbtl.untrusted import MALFORMED
-
-
-@dataclass(frozen=True)
-class StudySpec:
-    """What a study was created with; equal specs may share a study.
-
-    Attributes:
-        space: the contexts.
-        budget: trainings K that the study may ask for.
-        selector: registered name and settings of the selector.
-        bounds: (low, high) of the returns, or None for automatic.
-        direction: "maximize" or "minimize".
-        theta: slope of the linear gap; None for the default.
-        seed: root of the seed tree.
-        trial: which repetition of the same problem this is.
-        stop_value: performance V at which the study ends early; None for never.
-        cost_budget: total cost at which the study ends early; None for never.
-        problem: id of the CMDP or of a user's problem.
-        settings: free-form JSON-able record of the training recipe.
-        repeats: trainings allowed on one context.
-        costs: cost of a training on each context; None where all cost the same.
-        risk: share of the targets, the worst of them, that V is the mean of.
-        eval_targets: targets that each policy is evaluated on; None for all.
-        stop_gain: gain in V that one more training should be worth; None: never ends for that.
-        stop_confidence: how probable it must be that the gain is smaller.
-        stop_left: gain in V that all trainings left together should be worth; None: never asked.
-        best_return: no policy can return more (less, if minimised); None: not known.
-        floor: return below which none is worse in performance; None: nothing is clipped.
-    """
-
-    space: ContextSpace
-    budget: int
-    selector: Mapping[str, Any]
-    bounds: tuple[float, float] | None
-    direction: Direction
-    theta: float | None
-    seed: int
-    trial: int
-    stop_value: float | None
-    cost_budget: float | None
-    problem: str
-    settings: Mapping[str, Any]
-    repeats: int = 1
-    costs: tuple[float, ...] | None = None
-    risk: float = 1.0
-    eval_targets: int | None = None
-    stop_gain: float | None = None
-    stop_confidence: float = 0.9
-    stop_left: float | None = None
-    best_return: float | None = None
-    floor: float | None = None
-
-    def selection_problem(self) -> SelectionProblem:
-        """What the selector may know before any training."""
-        return SelectionProblem.of(
-            self.space,
-            budget=self.budget,
-            theta=self.theta,
-            repeats=self.repeats,
-            costs=None if self.costs is None else np.asarray(self.costs, dtype=np.float64),
-            cost_budget=self.cost_budget,
-            risk=self.risk,
-            least_gain=self.stop_gain,
-            least_left=self.stop_left,
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """JSON-able record; `from_json` rebuilds it."""
-        record = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        record["space"] = self.space.to_json()
-        for name in ("bounds", "costs"):
-            record[name] = list(record[name]) if record[name] else None
-        return record
-
-    @classmethod
-    def from_json(cls, record: Mapping[str, Any]) -> StudySpec:
-        """Rebuild from `to_json`; unknown keys come from a newer version."""
-        unknown = set(record) - set(cls.__dataclass_fields__)
-        if unknown:
-            raise StorageError(
-                f"this study has settings {sorted(unknown)} of a newer mbtl; upgrade it"
-            )
-        values = dict(record)
-        values["space"] = ContextSpace.from_json(record["space"])
-        for name in ("bounds", "costs"):
-            values[name] = tuple(record[name]) if record.get(name) else None
-        spec = cls(**values)
-        check_spec(spec)
-        return spec
 
 
 @dataclass
@@ -122,10 +32,13 @@ class StudyState:
     created_at: float = 0.0
     picks: list[PickRecord] = field(default_factory=list)
     open_picks: dict[int, PickRecord] = field(default_factory=dict)
+    proposing: Lease | None = None
+    """Of the worker that finds the source of the next pick; None: nobody does."""
     rows: list[ToldRow] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     deferred: dict[int, Failure] = field(default_factory=dict)
     """Number of an open pick -> why its policy, which is trained, was not evaluated so far."""
+    late: list[LateResult] = field(default_factory=list)
     fresh: FreshReturns | None = None
     equipment: Mapping[str, Any] | None = None
     """Recipe and format of the policies; None: not known so far."""
@@ -133,6 +46,10 @@ class StudyState:
     _history: History | None = field(default=None, repr=False)
     _routing: Routing | None = field(default=None, repr=False)
     _routing_seq: int = field(default=-1, repr=False)
+    _rows_seq: int = field(default=0, repr=False)
+    """Number of the last event that changed the rows, or how they count."""
+    _performance: Array | None = field(default=None, repr=False)
+    _errors: Array | None = field(default=None, repr=False)
 
     def apply(self, event: Event) -> None:
         """Advance by one event."""
@@ -152,6 +69,8 @@ class StudyState:
             ) from error
         self._history = None
         self.seq = event.seq
+        if event.kind in ("created", "told", "voided"):
+            self._rows_seq, self._performance = event.seq, None
 
     def history(self) -> History:
         """What a selector may see: rows as performance under the bounds of this moment.
@@ -171,7 +90,7 @@ class StudyState:
         assert self.spec is not None
         if not self.rows:
             raise StudyError("routes need the row of at least one policy, and none was told")
-        if self._routing is None or self._routing_seq != self.seq:
+        if self._routing is None or self._routing_seq != self._rows_seq:
             spec, history = self.spec, self.history()
             self._routing = Routing(
                 spec.space,
@@ -182,7 +101,7 @@ class StudyState:
                 risk=spec.risk,
                 earlier=self._routing,
             )
-            self._routing_seq = self.seq
+            self._routing_seq = self._rows_seq
         return self._routing
 
     def value(self) -> float:
@@ -197,16 +116,18 @@ class StudyState:
     def _make_history(self) -> History:
         assert self.spec is not None
         n = self.spec.space.n
-        rows = np.array([row.returns for row in self.rows]).reshape(-1, n)
-        performance = self.bounds().normalise(rows) if len(rows) else rows
-        performance.setflags(write=False)  # the same history is handed out until the next event
+        if self._performance is None:  # most events change no rows, of which there may be gigabytes
+            rows = np.array([row.returns for row in self.rows]).reshape(-1, n)
+            self._performance = self.bounds().normalise(rows) if len(rows) else rows
+            self._performance.setflags(write=False)  # handed out until the next row
+            self._errors = self._standard_errors()
         return History(
             n,
             tuple(row.source for row in self.rows),
-            performance,
+            self._performance,
             tuple(pick.source for pick in self.open_picks.values()),
             tuple(failure.source for failure in self.failures),
-            self._standard_errors(),
+            self._errors,
             self.committed,
         )
 
@@ -273,32 +194,39 @@ class StudyState:
 
     def _asked(self, event: Event) -> None:
         data = event.data
+        self.proposing = None
         pick = PickRecord(
             data["pick"],
             data["source"],
             data["reason"],
             data["acquisition"],
             tuple(data["notes"]),
-            Worker(**data["worker"]),
+            None,
             event.time,
             sum(earlier.source == data["source"] for earlier in self.picks),
             None if data.get("targets") is None else tuple(data["targets"]),
-        )
+        ).leased(_lease_of(event))
         self.picks.append(pick)
         self.open_picks[pick.number] = pick
 
     def _claimed(self, event: Event) -> None:
-        self._give(event.data["pick"], Worker(**event.data["worker"]))
+        if event.data["pick"] == len(self.picks):
+            self.proposing = _lease_of(event)
+        else:
+            self._give(event.data["pick"], _lease_of(event))
 
     def _released(self, event: Event) -> None:
-        self._give(event.data["pick"], None)
+        if event.data["pick"] == len(self.picks):
+            self.proposing = None
+        else:
+            self._give(event.data["pick"], None)
 
-    def _give(self, number: int, worker: Worker | None) -> None:
-        self.open_picks[number] = replace(self.open_picks[number], worker=worker)
+    def _give(self, number: int, lease: Lease | None) -> None:
+        self.picks[number] = self.open_picks[number] = self.picks[number].leased(lease)
 
     def _told(self, event: Event) -> None:
         data = event.data
-        self._close(data["pick"])
+        self._close(data["pick"], data.get("token") or "")
         self.fresh = None  # a new policy may serve targets that were not reported
         self.stopped = None  # nor was the prediction made with this row
         self.rows.append(
@@ -312,11 +240,31 @@ class StudyState:
                 data["seconds"],
                 data["policy"],
                 event.time,
+                event.seq,
+                data.get("sha256"),
+                data.get("recipe"),
             )
         )
 
+    def _late(self, event: Event) -> None:
+        data = event.data
+        self.late.append(
+            LateResult(data["pick"], data["source"], data["outcome"], data["token"], event.seq)
+        )
+
+    def _voided(self, event: Event) -> None:
+        place = self.place_of(event.data["told"])
+        row = self.rows.pop(place)
+        self.fresh = self.stopped = self._routing = None
+        if row.pick is not None:  # as a training that gave nothing: it may be tried again
+            self.failures.append(Failure(row.source, row.pick, event.data["reason"]))
+
+    def place_of(self, told: Any) -> int:
+        """Place among the rows of the one that event number `told` recorded; -1: there is none."""
+        return next((i for i, row in enumerate(self.rows) if row.event == told), -1)
+
     def _failed(self, event: Event) -> None:
-        self._close(event.data["pick"])
+        self._close(event.data["pick"], event.data.get("token") or "")
         self.failures.append(Failure.of(event.data))
         self.stopped = None  # the prediction believed that this pick would give something
 
@@ -326,15 +274,17 @@ class StudyState:
     def _reopened(self, event: Event) -> None:
         number = event.data["pick"]
         self.failures = [failure for failure in self.failures if failure.pick != number]
-        self.open_picks[number] = replace(self.picks[number], worker=None)
+        self._give(number, None)
 
-    def _close(self, number: int | None) -> None:
+    def _close(self, number: int | None, token: str) -> None:
         if number is not None:
             self.open_picks.pop(number, None)
             self.deferred.pop(number, None)
+            self.picks[number] = replace(self.picks[number], lease=None, answered_by=token)
 
     def _stopped(self, event: Event) -> None:
         self.stopped = event.data["reason"]
+        self.proposing = None
 
     def _reported(self, event: Event) -> None:
         errors = event.data.get("value_errors")
@@ -343,6 +293,15 @@ class StudyState:
             None if errors is None else np.array(errors, dtype=np.float64),
             event.data.get("episodes"),
         )
+
+
+def _lease_of(event: Event) -> Lease | None:
+    """Version 0.1 had none, and processes instead: anybody may take such a pick over."""
+    token = event.data.get("token")
+    if token is None:
+        return None
+    who = worker_words(event.data["worker"])
+    return Lease(token, who, event.data.get("seconds"), event.time)
 
 
 def _deviations_of(event: Event) -> Array:

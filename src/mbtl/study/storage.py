@@ -1,16 +1,21 @@
-"""The event log: append and read, nothing else. SQLite by default, any SQLAlchemy database by URL.
+"""The event log: append and read. SQLite by default, any SQLAlchemy database by URL.
 
 An append says which event it follows. If another process appended first, it fails with `Conflict`
 and the caller looks again: that is how two processes never get the same pick. Each append is one
 transaction, so a killed process leaves either the whole event or nothing.
+
+Heartbeats are kept beside the log, one per lease: they come every few seconds and decide nothing
+for ever; what follows from one that is missing is an event again.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import threading
 import time
-from collections.abc import Iterator, Sequence
+import weakref
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
@@ -19,17 +24,16 @@ import numpy as np
 
 from mbtl.arrays import python_value
 from mbtl.errors import InvalidInput, StorageError
+from mbtl.study.database import WRITES, as_url, clock, database_errors, open_database
 from mbtl.study.events import KINDS, Event, Kind
+from mbtl.study.leases import Beat
 from mbtl.untrusted import read_arrays, read_json
 
 if TYPE_CHECKING:
-    from sqlalchemy import Connection, Engine, Table
+    from sqlalchemy import Connection
 
-_BUSY_SECONDS = 60.0
 _LATEST = 2e11
 """Seconds since the epoch that are still a date."""
-
-_WRITES = "mbtl_writes"  # a reader takes no write lock, so a study may be read-only
 
 
 class Conflict(StorageError):
@@ -52,24 +56,56 @@ class EventLog(Protocol):
         """All events with a number greater than `after`, in order."""
         ...
 
+    def now(self) -> float:
+        """Seconds since the epoch, by the one clock that also stamps the events."""
+        ...
+
+    def beat(
+        self, token: str, seconds: float, *, steps: float | None = None, value: float | None = None
+    ) -> None:
+        """The holder of a lease lives, and will be heard of again within so many seconds."""
+        ...
+
+    def beats(self) -> Mapping[str, Beat]:
+        """The last heartbeat of each lease, by its token."""
+        ...
+
 
 class MemoryLog:
     """A log that lives and dies with the process."""
 
     def __init__(self) -> None:
         self._events: list[Event] = []
+        self._beats: dict[str, Beat] = {}
+        self._lock = threading.Lock()
 
     def append(self, event: Event, *, after: int) -> int:
         """Append after `after`; see `EventLog`."""
-        if after != len(self._events):
-            raise Conflict(f"event {after + 1} is taken; the log has {len(self._events)} events")
-        numbered = Event(event.kind, event.data, event.arrays, after + 1, time.time())
-        self._events.append(numbered)
+        with self._lock:
+            taken = len(self._events)
+            if after != taken:
+                raise Conflict(f"event {after + 1} is taken; the log has {taken} events")
+            numbered = Event(event.kind, event.data, event.arrays, after + 1, time.time())
+            self._events.append(numbered)
         return after + 1
 
     def read(self, after: int = 0) -> Sequence[Event]:
         """Events after number `after`."""
         return self._events[after:]
+
+    def now(self) -> float:
+        """This process's clock."""
+        return time.time()
+
+    def beat(
+        self, token: str, seconds: float, *, steps: float | None = None, value: float | None = None
+    ) -> None:
+        """Keep the last one of each lease."""
+        self._beats[token] = Beat(time.time() + seconds, steps, value)
+
+    def beats(self) -> Mapping[str, Beat]:
+        """The last heartbeats."""
+        return dict(self._beats)
 
 
 class SqlLog:
@@ -87,7 +123,8 @@ class SqlLog:
     def __init__(self, url: str | Path, study: str, *, create: bool = False) -> None:
         self.url = as_url(url)
         self.study = study
-        self._engine, self._table = _open(self.url, create=create)
+        self._engine, self._table, self._heartbeats = open_database(self.url, create=create)
+        weakref.finalize(self, self._engine.dispose)  # a server's connections end with the log
 
     def append(self, event: Event, *, after: int) -> int:
         """Append in one transaction; see `EventLog`."""
@@ -97,7 +134,7 @@ class SqlLog:
         row = {
             "study": self.study,
             "seq": after + 1,
-            "time": time.time(),
+            "time": clock(self._engine),
             "kind": event.kind,
             "data": _text(event),
             "arrays": _pack(event),
@@ -130,6 +167,39 @@ class SqlLog:
             ) from error
         return events
 
+    def now(self) -> float:
+        """The server's clock; of a file, this machine's."""
+        from sqlalchemy import select
+
+        with self._connection() as connection:
+            return float(connection.execute(select(clock(self._engine))).scalar_one())
+
+    def beat(
+        self, token: str, seconds: float, *, steps: float | None = None, value: float | None = None
+    ) -> None:
+        """Write the row of this lease; see `EventLog`."""
+        from sqlalchemy import insert, update
+
+        t = self._heartbeats
+        facts = {"expires": clock(self._engine) + seconds, "steps": steps, "value": value}
+        mine = (t.c.study == self.study) & (t.c.token == token)
+        with self._connection(write=True) as connection:
+            t.create(connection, checkfirst=True)  # version 0.1 had none
+            if not connection.execute(update(t).where(mine).values(**facts)).rowcount:
+                connection.execute(insert(t).values(study=self.study, token=token, **facts))
+
+    def beats(self) -> Mapping[str, Beat]:
+        """The rows of this study; see `EventLog`."""
+        from sqlalchemy import inspect, select
+
+        t = self._heartbeats
+        with self._connection() as connection:
+            if not inspect(connection).has_table(t.name):
+                return {}
+            columns = (t.c.token, t.c.expires, t.c.steps, t.c.value)
+            rows = connection.execute(select(*columns).where(t.c.study == self.study))
+            return {token: Beat(*facts) for token, *facts in rows}
+
     def _last(self, connection: Connection) -> Any:
         """Number of the last event; anything, where the log is damaged."""
         from sqlalchemy import func, select
@@ -140,8 +210,8 @@ class SqlLog:
 
     @contextmanager
     def _connection(self, *, write: bool = False) -> Iterator[Connection]:
-        engine = self._engine.execution_options(**{_WRITES: write})
-        with _database_errors(self.url), engine.begin() as connection:
+        engine = self._engine.execution_options(**{WRITES: write})
+        with database_errors(self.url), engine.begin() as connection:
             yield connection
 
 
@@ -150,143 +220,21 @@ def study_names(url: str | Path) -> list[str]:
     from sqlalchemy import func, select
 
     address = as_url(url)
-    engine, table = _open(address, create=False)
+    engine, table, _ = open_database(address, create=False)
     query = select(table.c.study).group_by(table.c.study).order_by(func.min(table.c.time))
-    with _database_errors(address), engine.begin() as connection:
-        return [str(name) for (name,) in connection.execute(query)]
-
-
-def as_url(url: str | Path) -> str:
-    """A path becomes an SQLite URL, whatever characters it has; a URL stays as it is.
-
-    Raises:
-        InvalidInput: ":memory:"; a study in memory needs no storage.
-    """
-    from sqlalchemy import URL
-
-    text = str(url)
-    if "://" in text:
-        return text
-    if text in ("", ":memory:"):
-        raise InvalidInput(
-            f"storage must be a path or a URL, got {text!r}; leave it out for memory"
-        )
-    return URL.create("sqlite", database=text).render_as_string(hide_password=False)
-
-
-def sqlite_path(url: str) -> Path | None:
-    """The file of an SQLite URL; None for other databases and for what is no URL."""
-    from sqlalchemy import make_url
-    from sqlalchemy.exc import ArgumentError
-
     try:
-        parsed = make_url(url)
-    except ArgumentError:
-        return None
-    name = parsed.database or ""
-    if (
-        parsed.get_backend_name() != "sqlite"
-        or name in ("", ":memory:")
-        or name.startswith("file:")
-    ):
-        return None  # "file:...?uri=true" is SQLite's own way to open a file, e.g. read-only
-    return Path(name)
-
-
-def _open(url: str, *, create: bool) -> tuple[Engine, Table]:
-    from sqlalchemy import (
-        Column,
-        Float,
-        Integer,
-        LargeBinary,
-        MetaData,
-        String,
-        Table,
-        Text,
-        create_engine,
-        event,
-        inspect,
-    )
-    from sqlalchemy.exc import ArgumentError, NoSuchModuleError
-
-    path = sqlite_path(url)
-    if path is not None and not path.is_file():
-        if not create:
-            raise StorageError(f"a study lives in a database file, and there is none at {path}")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StorageError(
-                f"a study needs a folder it can write to, and {path.parent} is not "
-                f"({error.strerror}); choose another with --study or storage="
-            ) from error
-    try:
-        engine = create_engine(url)
-    except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
-        raise StorageError(
-            f"storage must be a path or an SQLAlchemy URL, got {url!r} ({error})"
-        ) from error
-    if engine.dialect.name == "sqlite":
-
-        @event.listens_for(engine, "connect")
-        def _configure(connection: Any, _: Any) -> None:
-            # the driver's own transactions start too late to lock before we read
-            connection.isolation_level = None
-            connection.execute(f"PRAGMA busy_timeout = {int(_BUSY_SECONDS * 1000)}")
-            connection.execute("PRAGMA synchronous = FULL")
-
-        @event.listens_for(engine, "begin")
-        def _lock(connection: Any) -> None:
-            writes = connection.get_execution_options().get(_WRITES, False)
-            connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
-
-    table = Table(
-        "mbtl_events",
-        MetaData(),
-        Column("study", String(200), primary_key=True),
-        Column("seq", Integer, primary_key=True, autoincrement=False),
-        Column("time", Float, nullable=False),
-        Column("kind", String(20), nullable=False),
-        Column("data", Text, nullable=False),
-        Column("arrays", LargeBinary(length=2**31 - 1), nullable=False),
-    )
-    writer = engine.execution_options(**{_WRITES: create})
-    with _database_errors(url), writer.begin() as connection:
-        if create:
-            table.create(connection, checkfirst=True)
-        elif not inspect(connection).has_table(table.name):
-            raise StorageError(
-                f"{url} is a database without mbtl studies; give the path of a study"
-            )
-    return engine, table
-
-
-@contextmanager
-def _database_errors(url: str) -> Iterator[None]:
-    from sqlalchemy.exc import DatabaseError
-
-    try:
-        yield
-    except DatabaseError as error:
-        cause = str(error.orig)
-        if "not a database" in cause or "malformed" in cause:
-            raise StorageError(
-                f"{url} is corrupt or not a study database ({cause}); restore a copy, or start a "
-                "new study elsewhere"
-            ) from error
-        raise StorageError(
-            f"the study at {url} could not be read or written ({cause}); what was told before is "
-            "kept: free space or mend access, then run the same command again"
-        ) from error
+        with database_errors(address), engine.begin() as connection:
+            return [str(name) for (name,) in connection.execute(query)]
+    finally:
+        engine.dispose()
 
 
 def _pack(event: Event) -> bytes:
     if not event.arrays:
         return b""
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer, allow_pickle=False, **{k: np.asarray(v) for k, v in event.arrays.items()}
-    )
+    buffer, arrays = io.BytesIO(), {k: np.asarray(v) for k, v in event.arrays.items()}
+    assert not any(array.dtype.hasobject for array in arrays.values())
+    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]  # numpy 1 has no allow_pickle
     return buffer.getvalue()
 
 

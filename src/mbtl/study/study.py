@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,80 +16,29 @@ from numpy.typing import ArrayLike
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
-from mbtl.seeds import training_seed
-from mbtl.selectors import Selector
 from mbtl.settings import first_difference
-from mbtl.study import asking, telling
-from mbtl.study.checks import check_event
+from mbtl.study import telling
+from mbtl.study.artifacts import Artifact
 from mbtl.study.events import Event, Kind
-from mbtl.study.pick import Pick, StudyFinished
-from mbtl.study.records import PickRecord
+from mbtl.study.leasing import LeasingStudy
+from mbtl.study.pick import Pick
+from mbtl.study.records import ToldRow
 from mbtl.study.state import StudyState
-from mbtl.study.storage import Conflict, EventLog
-from mbtl.study.view import StudyView
 from mbtl.trainer import (
     FunctionTrainer,
     Trainer,
     checked_returns,
     checked_targets,
     equipment_of,
+    recipe_digest,
 )
 
 if TYPE_CHECKING:
     from mbtl.study.callbacks import Callback
 
 
-class Study(StudyView):
+class Study(LeasingStudy):
     """One selection run over an event log. Make one with `create_study` or `load_study`."""
-
-    def __init__(
-        self,
-        log: EventLog,
-        selector: Selector,
-        *,
-        folder: Path | None,
-        name: str = "study",
-        trainer: Trainer | None = None,
-    ) -> None:
-        """Use `create_study` or `load_study`; the log must hold a `created` event."""
-        super().__init__(log, folder=folder, name=name, trainer=trainer)
-        self.selector = selector
-
-    # ---- ask and tell ------------------------------------------------------------------------
-
-    @overload
-    def ask(self, n: None = None, *, take_over: bool = False) -> Pick: ...
-
-    @overload
-    def ask(self, n: int, *, take_over: bool = False) -> list[Pick]: ...
-
-    def ask(self, n: int | None = None, *, take_over: bool = False) -> Pick | list[Pick]:
-        """Propose the next source, or the next `n`, and reserve them for this process.
-
-        Each of several is proposed as if those before it had given what is expected of them. A pick
-        that somebody gave back is handed out again before a new one is proposed.
-
-        Args:
-            n: number of picks, for as many parallel trainings; fewer where fewer are left. None:
-                one pick, not in a list.
-            take_over: also hand out picks whose process is gone (a killed run). Leave it off when
-                the trainings go on elsewhere after the asking process has ended.
-
-        Raises:
-            StudyFinished: the budget is spent, a stopping rule is met, or no context is left.
-            InvalidInput: n < 1.
-        """
-        if n is None:
-            return self._ask(take_over)
-        if not isinstance(n, (int, np.integer)) or n < 1:
-            raise InvalidInput(f"ask gives a whole number of picks, 1 or more, got n = {n!r}")
-        picks = [self._ask(take_over)]
-        while len(picks) < n:
-            try:
-                picks.append(self._ask(take_over))
-            except StudyFinished:
-                break
-        return picks
 
     def tell(
         self,
@@ -99,9 +48,9 @@ class Study(StudyView):
         targets: Sequence[int] | None = None,
         cost: float | None = None,
         seconds: float | None = None,
-        policy: str | None = None,
+        policy: str | Artifact | None = None,
         policy_object: Any = None,
-    ) -> None:
+    ) -> bool:
         """Record the transfer row of one trained policy.
 
         Args:
@@ -113,8 +62,13 @@ class Study(StudyView):
             cost: cost of the training, in the unit of the cost budget; None: what `costs` says of
                 the source, or 1; 0 for a row that nobody asked for.
             seconds: wall time of training and evaluation.
-            policy: folder of the saved policy, relative to the study's folder.
+            policy: folder of the saved policy, relative to the study's folder; as an `Artifact`
+                with its hash, which is then checked whenever it is read.
             policy_object: the policy itself, kept in this process only.
+
+        Returns:
+            True: recorded. False: too late, because somebody took the pick over meanwhile; the
+            returns are in the log, and count for nothing.
 
         Raises:
             TrainingFailed: returns of wrong shape, NaN or infinite. Nothing is recorded; tell
@@ -135,42 +89,76 @@ class Study(StudyView):
         arrays["returns"][evaluated] = rows.mean(axis=1)
         if rows.shape[1] > 1:
             arrays["std"][evaluated] = rows.std(axis=1, ddof=1)
-        data = {
+        data: dict[str, Any] = {
             "source": source,
             "ddof": 1,
             "episodes": rows.shape[1],
             "seconds": seconds,
-            "policy": policy,
+            "policy": policy.place if isinstance(policy, Artifact) else policy,
+            "sha256": policy.sha256 if isinstance(policy, Artifact) else None,
         }
+        if isinstance(pick, Pick) and pick.token:
+            data["token"] = pick.token
         place = 0
 
         def told(state: StudyState) -> Event:
             nonlocal place
+            if isinstance(pick, Pick) and telling.is_late(state, pick):
+                return Event("late", {**data, "pick": pick.number, "outcome": "told"}, arrays)
             place = len(state.rows)
             number = telling.answered(state, pick, source)
             expected = 0.0 if number is None else usual
             spent = expected if cost is None else float(cost)
-            return Event("told", {**data, "pick": number, "cost": spent}, arrays)
+            made = None if state.equipment is None else recipe_digest(state.equipment)
+            return Event("told", {**data, "pick": number, "cost": spent, "recipe": made}, arrays)
 
-        self._commit(told)
-        if policy_object is not None:
+        in_time = self._commit(told).kind == "told"
+        if policy_object is not None and in_time:
             self.policies[place] = policy_object
+        return in_time
 
-    def fail(self, pick: Pick, reason: str, *, traceback: str = "") -> None:
+    def void(self, row: ToldRow | int, reason: str) -> None:
+        """Take a wrong row back: it counts for nothing any more, and stays in the log.
+
+        Its pick counts as failed, so `retry` lets it be trained again. It spends budget as before.
+
+        Args:
+            row: one of `state.rows`, or its place there.
+            reason: for people, e.g. "the simulator was misconfigured".
+
+        Raises:
+            StudyError: there is no such row.
+        """
+        rows = self.refresh().rows
+        if not isinstance(row, ToldRow):
+            if not 0 <= row < len(rows):
+                raise StudyError(f"the places of the {len(rows)} rows count from 0, got {row}")
+            row = rows[row]
+        told = row.event
+
+        def voided(state: StudyState) -> Event:
+            if state.place_of(told) < 0:
+                raise StudyError("that row is not one of this study, or was taken back before")
+            return Event("voided", {"told": told, "reason": reason})
+
+        self._commit(voided)
+
+    def fail(self, pick: Pick, reason: str, *, traceback: str = "") -> bool:
         """Record that a pick gave no policy; it spends budget and is not proposed again.
 
         Args:
             pick: what `ask` gave.
             reason: why, in one line.
             traceback: where that came from, for people.
-        """
-        about = {"source": pick.source, "reason": reason, "traceback": traceback}
-        self._settle("failed", pick, about)
 
-    def defer(self, pick: Pick, reason: str, *, traceback: str = "") -> None:
+        Returns:
+            False where it came too late; see `tell`.
+        """
+        return self._answer("failed", pick, reason, traceback)
+
+    def defer(self, pick: Pick, reason: str, *, traceback: str = "") -> bool:
         """Record that a policy is trained and could not be evaluated; the pick stays open."""
-        about = {"source": pick.source, "reason": reason, "traceback": traceback}
-        self._settle("deferred", pick, about)
+        return self._answer("deferred", pick, reason, traceback)
 
     def retry(self, pick: Pick | int) -> None:
         """Open a failed pick again: the next `ask` hands it out, and it spends no further budget.
@@ -221,10 +209,6 @@ class Study(StudyView):
 
         self._commit(extended)
 
-    def release(self, pick: Pick) -> None:
-        """Give a pick back untrained; the next `ask` hands it out again."""
-        self._settle("released", pick, {})
-
     def record_fresh_returns(
         self, returns: Array, *, value_errors: Array | None = None, episodes: int | None = None
     ) -> None:
@@ -270,6 +254,10 @@ class Study(StudyView):
         progress: bool = True,
         callbacks: Sequence[Callback] = (),
         report: bool = True,
+        lease: float = 60.0,
+        deterministic: bool = False,
+        retries: int = 0,
+        timeout: float | None = None,
     ) -> Study:
         """Train and evaluate until the study is finished; see `mbtl.study.runner.run`.
 
@@ -288,6 +276,10 @@ class Study(StudyView):
             progress: print a line per pick to standard error.
             callbacks: told what happens.
             report: evaluate the routed policies on fresh seeds at the end.
+            lease: seconds without a sign of life after which others take a training over.
+            deterministic: with parallel > 1, wait for a whole batch before the next picks.
+            retries: so often a training that failed is begun again before it counts as failed.
+            timeout: seconds that a training may take.
 
         Raises:
             StudyMismatch: the study was run with another recipe or policy format before.
@@ -314,40 +306,23 @@ class Study(StudyView):
             rehearse=rehearse,
             callbacks=(*callbacks, *([PrintProgress()] if progress else [])),
             report=report,
+            lease=lease,
+            deterministic=deterministic,
+            retries=retries,
+            timeout=timeout,
         )
         return self
 
     # ---- inside ------------------------------------------------------------------------------
 
-    def _ask(self, take_over: bool) -> Pick:
-        asked = self._commit(lambda state: asking.next_event(state, self.selector, take_over))
-        if asked.kind == "stopped":
-            raise StudyFinished(f"the study is finished: {asked.data['reason']}")
-        return self._pick(self._state.picks[asked.data["pick"]])
+    def _answer(self, kind: Kind, pick: Pick, reason: str, traceback: str) -> bool:
+        data = {"source": pick.source, "reason": reason, "traceback": traceback}
+        if pick.token:
+            data["token"] = pick.token
 
-    def _pick(self, record: PickRecord) -> Pick:
-        source, spec = record.source, self.spec
-        seed = training_seed(spec.seed, spec.trial, source, record.repeat)
-        context = self.space.context(source)
-        return Pick(
-            record.number, source, context, seed, record.reason, record.repeat, record.targets
-        )
+        def answered(state: StudyState) -> Event:
+            if telling.is_late(state, pick):
+                return Event("late", {**data, "pick": pick.number, "outcome": kind})
+            return Event(kind, {**data, "pick": telling.open_number(state, pick)})
 
-    def _settle(self, kind: Kind, pick: Pick, data: dict[str, Any]) -> None:
-        def settled(state: StudyState) -> Event:
-            return Event(kind, {"pick": telling.open_number(state, pick), **data})
-
-        self._commit(settled)
-
-    def _commit(self, decide: Callable[[StudyState], Event]) -> Event:
-        """Append what `decide` makes of the newest state; decide anew if somebody was faster."""
-        while True:
-            state = self.refresh()
-            event = decide(state)
-            check_event(event, state)
-            try:
-                self._log.append(event, after=state.seq)
-            except Conflict:
-                continue
-            self.refresh()
-            return event
+        return self._commit(answered).kind == kind

@@ -18,7 +18,7 @@ def answered(state: StudyState, pick: Any, source: int) -> int | None:
     """Number of the open pick that a row of `source` answers; None for one nobody asked for.
 
     Raises:
-        StudyError: the pick is not open, or the source was told before.
+        StudyError: the pick was answered before, or the source was told before.
     """
     assert state.spec is not None
     if isinstance(pick, Pick):
@@ -35,21 +35,57 @@ def answered(state: StudyState, pick: Any, source: int) -> int | None:
     return None
 
 
+def is_late(state: StudyState, pick: Pick) -> bool:
+    """True when a pick was somebody else's by now, or was answered by somebody else.
+
+    A pick that was given back, or whose lease has ended, may be answered until it is taken over.
+    """
+    if not (pick.token and _is_ours(state, pick)):
+        return False
+    record = state.picks[pick.number]
+    if pick.number in state.open_picks:
+        return record.lease is not None and record.lease.token != pick.token
+    return record.answered_by != pick.token
+
+
 def open_number(state: StudyState, pick: Pick) -> int:
     """Number of a pick that waits for an answer.
 
     Raises:
         StudyError: it was answered before, or it is the pick of another study.
     """
-    if pick.number not in state.open_picks:
-        raise StudyError(f"pick {pick.number + 1} is not open: it was answered before, or given up")
-    asked = state.open_picks[pick.number].source
-    if pick.source != asked:
+    if pick.number < len(state.picks) and not _is_ours(state, pick):
+        asked = state.picks[pick.number].source
         raise StudyError(
             f"pick {pick.number + 1} of this study trains on {_where(state, asked)}, got a pick of "
             f"{dict(pick.context)}; tell the study that gave it, or give the context instead"
         )
+    if pick.number not in state.open_picks:
+        raise StudyError(f"pick {pick.number + 1} is not open: it was answered before, or given up")
     return pick.number
+
+
+def held_number(state: StudyState, pick: Pick | int) -> int:
+    """Number of an open pick, which is not somebody else's; a bare number is of whoever holds it.
+
+    Raises:
+        StudyError: it is not open, or was taken over.
+    """
+    if not isinstance(pick, Pick):
+        if pick not in state.open_picks:
+            raise StudyError(f"pick {pick + 1} is not open: it was answered before, or never asked")
+        return int(pick)
+    number = open_number(state, pick)
+    if is_late(state, pick):
+        raise StudyError(
+            f"pick {number + 1} was taken over by {state.picks[number].worker}; it is theirs now"
+        )
+    return number
+
+
+def _is_ours(state: StudyState, pick: Pick) -> bool:
+    """True when this study gave that pick."""
+    return pick.number < len(state.picks) and state.picks[pick.number].source == pick.source
 
 
 def source_of(space: ContextSpace, pick: Pick | int | Mapping[str, Any]) -> int:

@@ -15,10 +15,14 @@ from mbtl.objective import Bounds
 from mbtl.routing import Routing
 from mbtl.selectors import SelectionProblem
 from mbtl.study import asking
-from mbtl.study.state import StudySpec, StudyState
+from mbtl.study.artifacts import ArtifactStore, FolderStore
+from mbtl.study.leases import Watch, new_worker
+from mbtl.study.places import database_file
+from mbtl.study.presence import Presence
+from mbtl.study.spec import StudySpec
+from mbtl.study.state import StudyState
 from mbtl.study.storage import EventLog, MemoryLog
 from mbtl.trainer import Trainer
-from mbtl.untrusted import inside
 
 if TYPE_CHECKING:
     from mbtl.portfolio import Portfolio
@@ -29,21 +33,30 @@ class StudyView:
 
     Attributes:
         name: within its storage.
-        folder: absolute; policies are saved below it. None: they cannot be.
+        artifacts: keeps the policies; None: they cannot be kept.
         trainer: trains and reads policies where no other is given.
+        worker: name by which this object holds picks.
+        presence: who surely is gone, where that can be known.
         policies: number of the row -> policy, for policies of this process that were not saved.
         untold: number of the pick -> policy that is trained, not saved, and not evaluated so far.
     """
 
     def __init__(
-        self, log: EventLog, *, folder: Path | None, name: str, trainer: Trainer | None
+        self,
+        log: EventLog,
+        *,
+        folder: Path | ArtifactStore | None,
+        name: str,
+        trainer: Trainer | None,
     ) -> None:
         """The log must hold a `created` event."""
         self.name = name
-        self.folder = None if folder is None else folder.absolute()
+        self.artifacts = FolderStore(folder.absolute()) if isinstance(folder, Path) else folder
         self.trainer = trainer
         self.policies: dict[int, Any] = {}
         self.untold: dict[int, Any] = {}
+        self.worker = new_worker()
+        self.presence = Presence(database_file(getattr(log, "url", "")))
         self._log = log
         self._state = StudyState()
         self.refresh()
@@ -55,10 +68,24 @@ class StudyView:
     def refresh(self) -> StudyState:
         """Apply what other processes appended, and return the state."""
         for event in self._log.read(self._state.seq):
+            gone = self._state.place_of(event.data.get("told")) if event.kind == "voided" else None
             self._state.apply(event)
+            if gone is not None:  # policies are kept by the place of their row
+                kept = {i: p for i, p in self.policies.items() if i != gone}
+                self.policies = {i - (i > gone): policy for i, policy in kept.items()}
         if self._state.spec is None:
             raise StudyError(f"there is no study {self.name!r} in this storage; create it first")
         return self._state
+
+    @property
+    def folder(self) -> Path | None:
+        """Policies are saved below it; None where they are elsewhere, or nowhere."""
+        return self.artifacts.root if isinstance(self.artifacts, FolderStore) else None
+
+    @property
+    def log(self) -> EventLog:
+        """Where the events are."""
+        return self._log
 
     @property
     def spec(self) -> StudySpec:
@@ -136,8 +163,12 @@ class StudyView:
 
     @property
     def orphans(self) -> list[int]:
-        """Numbers of open picks that nobody works on: given back, or their process is gone."""
-        return asking.orphans(self._state)
+        """Numbers of open picks that nobody works on: given back, or their lease is stale."""
+        return asking.left_alone(self._state, self.watch())
+
+    def watch(self) -> Watch:
+        """Which leases are stale now."""
+        return Watch(self._log, self.presence.is_gone)
 
     def portfolio(self, trainer: Trainer | None = None, *, trust: bool = False) -> Portfolio:
         """The trained policies with their router.
@@ -149,13 +180,14 @@ class StudyView:
                 is your own, or of somebody you trust.
 
         Raises:
-            StorageError: a policy's folder is not inside the study's, or is reached by a link.
+            StorageError: a policy's folder is not inside the study's, or is reached by a link, or
+                a policy is not the one that was told.
         """
         from mbtl.portfolio import Portfolio
 
         rows, spec = self.refresh().rows, self.spec
         folders = [
-            inside(self.folder, r.policy, "a study") if self.folder and r.policy else None
+            self.artifacts.read(r.policy, r.sha256) if self.artifacts and r.policy else None
             for r in rows
         ]
         made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}

@@ -85,7 +85,7 @@ def _some(cmdp: CMDP) -> list[Context]:
 
 def _make(cmdp: CMDP, context: Context) -> Any:
     assert cmdp.make_env is not None, "this contract is for CMDPs with an environment"
-    from mbtl.training.slots import as_one  # needs Gymnasium, as the environment does
+    from mbtl.envs.slots import as_one  # needs Gymnasium, as the environment does
 
     return as_one(cmdp.make_env(context))
 

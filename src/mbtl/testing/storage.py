@@ -30,6 +30,20 @@ class EventLogContract:
         assert [event.data["i"] for event in log.read(3)] == [3, 4]
         assert list(log.read(5)) == []
 
+    def test_the_last_heartbeat_of_each_lease_is_kept(self, log: EventLog) -> None:
+        """By the clock that stamps the events."""
+        assert dict(log.beats()) == {}
+        log.append(Event("created", {}), after=0)
+        log.beat("a", 5.0)
+        log.beat("b", 5.0, steps=3, value=-1.5)
+        log.beat("a", 50.0, steps=4)
+        now, beats = log.now(), log.beats()
+        assert set(beats) == {"a", "b"}
+        assert (beats["a"].steps, beats["a"].value) == (4, None)
+        assert (beats["b"].steps, beats["b"].value) == (3, -1.5)
+        assert beats["a"].expires > beats["b"].expires > log.read()[0].time
+        assert now - 10.0 < beats["a"].expires - 50.0 <= now
+
     def test_a_late_append_conflicts_and_changes_nothing(self, log: EventLog) -> None:
         """Who appends second has to look again."""
         log.append(Event("created", {}), after=0)

@@ -19,15 +19,15 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
+from mbtl.envs.references import reference_rows
+from mbtl.envs.rollout import Job, play
 from mbtl.errors import InvalidInput, missing_extra, unknown_name
 from mbtl.seeds import Purpose, action_seed, derive_seed, episode_seed
-from mbtl.trainer import OnProgress, checked_returns
+from mbtl.trainer import OnProgress, check_settings, checked_returns
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
 from mbtl.training.isolation import isolated
-from mbtl.training.references import reference_rows
-from mbtl.training.rollout import Job, play
 from mbtl.training.sb3_files import load_sb3, save_sb3
-from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere
+from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
 from mbtl.training.watch import BestCheckpoint, Watch, actor_for
 
 _COUNTS = ("eval_episodes", "checkpoint_episodes", "n_envs", "threads")
@@ -118,23 +118,9 @@ class SB3Trainer:
         object.__setattr__(self, "hyperparameters", dict(self.hyperparameters or {}))
         if not callable(self.make_env):
             raise InvalidInput(f"make_env must be a function of a context, got {self.make_env!r}")
-        for name in (*_COUNTS, *_OPTIONAL_COUNTS):
-            number = getattr(self, name)
-            if number is None and name in _OPTIONAL_COUNTS:
-                continue
-            if not (isinstance(number, int) and number >= 1):
-                raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
-        if self.checkpoint not in ("final", "best"):
-            raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
-        if self.acting not in ("mean", "sampled"):
-            raise unknown_name("way to act", self.acting, ("mean", "sampled"))
+        check_settings(self, _COUNTS, _OPTIONAL_COUNTS)
         if self.credit not in ("own", "team"):
             raise unknown_name("credit", self.credit, ("own", "team"))
-        if (self.timesteps is None) == (self.episodes is None):
-            raise InvalidInput(
-                "a training lasts a number of timesteps or of episodes, got "
-                f"timesteps={self.timesteps} and episodes={self.episodes}; give one of them"
-            )
         check_name(self.algorithm)
 
     def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
@@ -155,12 +141,29 @@ class SB3Trainer:
             ends = None if self.episodes is None else "score" if team else "episode"
             watch = Watch(model, self._length, on_progress, best, ends=ends)
             steps = _FOREVER if self.timesteps is None else self.timesteps
-            learn(model, steps, watch, _run_name(context, seed))
+            learn(model, steps, watch, run_name(context, seed))
             if best is not None:
                 best.visit(model, watch.done, last=True)
                 best.restore(model)
             watch.report(self._length)
             return lightened(model)
+
+    def train_on_all(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        on_progress: OnProgress | None = None,
+        *,
+        partial: Path | None = None,
+    ) -> Any:
+        """Train one policy for all contexts, of which one is drawn uniformly for every episode.
+
+        Raises:
+            InvalidInput: there are no contexts.
+        """
+        from mbtl.training.multitask import for_all_contexts  # needs Gymnasium
+
+        return for_all_contexts(self, contexts).train(next(iter(contexts), {}), seed, on_progress)
 
     def untrained(self, context: Context) -> Any:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
@@ -172,7 +175,7 @@ class SB3Trainer:
             return lightened(one._model(algorithm, context, 0, stack)[0])
 
     def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
-        """What episodes are worth (see `mbtl.training.rollout`), (n_targets, eval_episodes).
+        """What episodes are worth (see `mbtl.envs.rollout`), (n_targets, eval_episodes).
 
         Episode e has the same seed for every policy and every target, and a return does not depend
         on the other targets of the call.
@@ -185,8 +188,7 @@ class SB3Trainer:
         Raises:
             TrainingFailed: a return is NaN or infinite, or an episode does not end.
         """
-        seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
-        jobs = [Job(partial(self.make_env, context), seeds) for context in contexts]
+        jobs = [Job(partial(self.make_env, one), self._episodes(seed)) for one in contexts]
         with isolated(self.threads):
             actor = actor_for(policy, sampled=self.acting == "sampled")
             rows = play(jobs, actor, max_envs=self.n_eval_envs or EVALUATION_ENVS)
@@ -194,10 +196,9 @@ class SB3Trainer:
         return checked_returns(returns, len(jobs))
 
     def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
-        """See `mbtl.trainer.ReferenceTrainer`; `mbtl.training.references` has what is unguided."""
-        seeds = [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
+        """See `mbtl.trainer.ReferenceTrainer`; `mbtl.envs.references` has what is unguided."""
         envs = self.n_eval_envs or EVALUATION_ENVS
-        return reference_rows(self.make_env, contexts, seeds, max_envs=envs)
+        return reference_rows(self.make_env, contexts, self._episodes(seed), max_envs=envs)
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Write the library's zip, and a numpy copy where there is one; no replay buffer."""
@@ -226,7 +227,14 @@ class SB3Trainer:
             "eval_episodes": self.eval_episodes,
         }
 
+    @property
+    def recipe_on_all(self) -> dict[str, Any]:
+        """As `recipe`, of `train_on_all`."""
+        return {**self.recipe, "contexts": "uniform, one per episode"}
+
     # ---- inside ------------------------------------------------------------------------------
+    def _episodes(self, seed: int) -> list[int]:
+        return [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
 
     @property
     def _length(self) -> int:
@@ -390,10 +398,3 @@ def _is_team(envs: Any) -> bool:
 
 def _on_policy(algorithm: Any) -> bool:
     return "rollout_buffer_class" in inspect.signature(algorithm.__init__).parameters
-
-
-def _run_name(context: Context, seed: int) -> str:
-    """Folder name of a TensorBoard run."""
-    parts = (f"{n}={v:.6g}" if isinstance(v, float) else f"{n}={v}" for n, v in context.items())
-    name = ",".join(parts) + f",seed={seed}"
-    return "".join(c if c.isalnum() or c in "=.,_-" else "_" for c in name)

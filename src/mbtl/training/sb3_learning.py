@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import Any
 
+from mbtl.contexts import Context
 from mbtl.errors import SimulationFailed, TrainingFailed
 from mbtl.training.watch import Watch
 
@@ -19,10 +20,17 @@ def log_nowhere(model: Any) -> None:
     model.set_logger(Logger(folder=None, output_formats=[]))
 
 
-def learn(model: Any, timesteps: int, watch: Watch, run_name: str) -> None:
+def run_name(context: Context, seed: int) -> str:
+    """Folder name of a TensorBoard run."""
+    parts = (f"{n}={v:.6g}" if isinstance(v, float) else f"{n}={v}" for n, v in context.items())
+    name = ",".join(parts) + f",seed={seed}"
+    return "".join(c if c.isalnum() or c in "=.,_-" else "_" for c in name)
+
+
+def learn(model: Any, timesteps: int, watch: Watch, name: str) -> None:
     """Learn, and turn a divergence into an error that names it."""
     try:
-        model.learn(timesteps, callback=watch, tb_log_name=run_name)
+        model.learn(timesteps, callback=watch, tb_log_name=name)
     except _GONE as error:
         raise SimulationFailed(
             f"a training needs its simulators, got the end of a process ({type(error).__name__}) "

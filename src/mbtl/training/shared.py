@@ -27,8 +27,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from mbtl.envs.slots import Slots, SlotStep, is_blank
 from mbtl.errors import InvalidInput, missing_extra, unknown_name
-from mbtl.training.slots import Slots, SlotStep, is_blank
 
 try:
     from stable_baselines3.common.buffers import RolloutBuffer

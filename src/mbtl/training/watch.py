@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from mbtl.envs.rollout import Actor, Env, Job, play
 from mbtl.trainer import OnProgress, Progress
 from mbtl.training.export import export_mlp
-from mbtl.training.rollout import Actor, Env, Job, play
 
 REPORTS = 100
 """Progress reports per training."""

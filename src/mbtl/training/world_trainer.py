@@ -6,11 +6,11 @@ sent to another process anywhere.
 
 from __future__ import annotations
 
-import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -20,12 +20,15 @@ from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
-from mbtl.trainer import OnProgress, Progress, checked_returns
+from mbtl.trainer import OnProgress, Progress, check_settings, checked_returns
 
 BY_STEPS = ("PPO", "A2C", "DQN")
 """Algorithms that learn every few steps; a training is as many `timesteps`."""
 BY_EPISODES = ("TRPO", "PPO")
 """Algorithms that learn from whole episodes; a training is as many `episodes`."""
+
+_COUNTS = ("eval_episodes", "checkpoint_episodes")
+_OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every")
 
 _CPU_LANES = 25
 """Sources trained together on a CPU where one of them would not keep it busy."""
@@ -60,6 +63,8 @@ class WorldTrainer:
         checkpoint_episodes: episodes of each.
         reward: what training is rewarded by, a name that the world knows; None: by its own reward.
             It changes no score.
+        actions: what training advises, a name that the world knows; None: the world's own actions,
+            which the policies use in either case.
 
     Raises:
         InvalidInput: a number is not positive, there is not one of `timesteps` and `episodes`, or
@@ -80,35 +85,24 @@ class WorldTrainer:
     checkpoint_every: int | None = None
     checkpoint_episodes: int = 10
     reward: str | None = None
+    actions: str | None = None
 
     policy_format = "mlp"
+    resumes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         by_steps = self.episodes is None
-        if by_steps == (self.timesteps is None):
-            raise InvalidInput(
-                "a training is as long as its timesteps or its episodes, got "
-                f"timesteps={self.timesteps} and episodes={self.episodes}; give one of them"
-            )
         for name, value in {
             "hyperparameters": dict(self.hyperparameters or {}),
             "recipe_name": self.recipe_name or ("fast" if by_steps else "paper"),
             "acting": self.acting or ("mean" if by_steps else "sampled"),
         }.items():
             object.__setattr__(self, name, value)
+        check_settings(self, _COUNTS, _OPTIONAL_COUNTS)
         algorithms = BY_STEPS if by_steps else BY_EPISODES
         if self.algorithm not in algorithms:
             kind = "jax engine" if by_steps else "traffic twins"
             raise unknown_name(f"algorithm of the {kind}", self.algorithm, algorithms)
-        if self.acting not in ("sampled", "mean"):
-            raise unknown_name("way to act", str(self.acting), ("sampled", "mean"))
-        counts = [self.unit, "eval_episodes", "checkpoint_episodes"]
-        for name in [*counts, *(["checkpoint_every"] if self.checkpoint_every else [])]:
-            number = getattr(self, name)
-            if not (isinstance(number, int) and number >= 1):
-                raise InvalidInput(f"{name} must be a whole number >= 1, got {number!r}")
-        if self.checkpoint not in ("final", "best"):
-            raise InvalidInput(f"checkpoint must be 'final' or 'best', got {self.checkpoint!r}")
 
     # ---- what it is --------------------------------------------------------------------------
 
@@ -159,6 +153,7 @@ class WorldTrainer:
             "checkpoint_episodes": self.checkpoint_episodes,
             "eval_episodes": self.eval_episodes,
             **({} if self.reward is None else {"reward": self.reward}),
+            **({} if self.actions is None else {"actions": self.actions}),
         }
 
     @property
@@ -171,15 +166,11 @@ class WorldTrainer:
     def lanes(self) -> int:
         """Policies that are best trained together here.
 
-        One where contexts differ in their decisions, as each is a program of its own then; else all
-        on an accelerator. On a CPU one PPO program by steps already keeps a core busy, and a policy
-        trained alone is, bit for bit, the one that a study trains; the others need company.
+        All on an accelerator. On a CPU one PPO program by steps already keeps a core busy, and a
+        policy trained alone is, bit for bit, the one that a study trains; the others need company.
         """
         import mbtl.training.jax as engine
 
-        world, _ = self.problem([])
-        if not world.mixes:
-            return 1
         if not engine.on_cpu():
             return 1 << 20
         return 1 if (self.algorithm, self.unit) == ("PPO", "timesteps") else _CPU_LANES
@@ -187,16 +178,22 @@ class WorldTrainer:
     # ---- training ----------------------------------------------------------------------------
 
     def train(
-        self, context: Context, seed: int, on_progress: OnProgress | None = None
+        self,
+        context: Context,
+        seed: int,
+        on_progress: OnProgress | None = None,
+        *,
+        partial: Path | None = None,
     ) -> MLPPolicy:
-        """Train on one context; the same seed gives the same policy.
+        """Train on one context; the same seed gives the same policy. `partial`: see `train_many`.
 
         Raises:
             TrainingFailed: the weights became NaN.
             InvalidInput: a hyper-parameter that the recipe does not have.
             MissingExtra: jax is not installed.
         """
-        policies = self.train_many([context], [seed], on_progress, keep=(self.checkpoint,))
+        keep = (self.checkpoint,)
+        policies = self.train_many([context], [seed], on_progress, keep=keep, partial=partial)
         return policies[self.checkpoint][0]
 
     def train_many(
@@ -208,7 +205,7 @@ class WorldTrainer:
         keep: Sequence[str] = ("best", "final"),
         partial: Path | None = None,
     ) -> dict[str, list[MLPPolicy]]:
-        """Train one policy per (context, seed), all in one program where the world mixes contexts.
+        """Train one policy per (context, seed), all in one program.
 
         Args:
             contexts: P sources; repeat one to train it with several seeds.
@@ -217,8 +214,7 @@ class WorldTrainer:
                 evaluations.
             keep: names of checkpoints (`mbtl.checkpoints`); without "final" a training may need
                 fewer steps.
-            partial: file in which to save the training now and then, and from which to go on if it
-                is there. Remove it when the policies are safe.
+            partial: file to save the training in now and then, and to go on from; remove it after.
 
         Returns:
             P policies under each name of `keep`.
@@ -227,38 +223,30 @@ class WorldTrainer:
 
         world, params = self._lessons(contexts)
         recipe, marks = self.learner, shares_of(keep)
-        saved = engine.SavedTraining(partial)
-        policies: dict[str, list[MLPPolicy]] = {name: [] for name in keep}
-        groups = [(list(seeds), params)]
-        if not world.mixes:
-            groups = [([seed], engine.context_of(params, i)) for i, seed in enumerate(seeds)]
-        for number, (some, each) in enumerate(groups):
-            last = number == len(groups) - 1
-
-            def on_block(block: engine.Block, number: int = number, last: bool = last) -> None:
-                self._tell(on_progress, block)
-                done = block.steps == block.total and not last
-                saved.save(block.training, number=number, done=done)
-
-            fresh = functools.partial(engine.start, world, recipe, some, each, marks=marks)
-            training = engine.train(
+        storable = getattr(world, "storable", True)  # else a training goes on in no other process
+        saved = engine.SavedTraining(partial if storable else None)
+        training = engine.train(
+            world,
+            recipe,
+            seeds,
+            params,
+            self.length,
+            on_block=self._on_block(on_progress, saved),
+            checkpoint_every=self.checkpoint_every,
+            checkpoint_episodes=self.checkpoint_episodes,
+            acting=self._how,
+            only_best="final" not in keep,
+            marks=marks,
+            resume=saved.load(lambda: engine.start(world, recipe, seeds, params, marks=marks)),
+        )
+        return {
+            name: engine.export_policies(
                 world,
-                recipe,
-                some,
-                each,
-                self.length,
-                on_block=on_block,
-                checkpoint_every=self.checkpoint_every,
-                checkpoint_episodes=self.checkpoint_episodes,
-                acting=self._how,
-                only_best="final" not in keep,
-                marks=marks,
-                resume=saved.load(fresh, number=number),
+                engine.weights_of(training, Checkpoint.named(name), marks),
+                recipe.activation,
             )
-            for name in keep:
-                weights = engine.weights_of(training, Checkpoint.named(name), marks)
-                policies[name] += engine.export_policies(world, weights, recipe.activation)
-        return policies
+            for name in keep
+        }
 
     def train_on_all(
         self,
@@ -270,44 +258,35 @@ class WorldTrainer:
     ) -> MLPPolicy:
         """Train one policy for all contexts; each episode of an update is in another of them.
 
-        It is judged on all of them 20 times, two episodes each: of few contexts or for short
-        trainings that is most of the work.
+        It is judged on all of them 20 times, two episodes each.
 
         Args:
             contexts: of which to draw.
             seed: training seed.
             on_progress: told episodes, and the mean score on all contexts.
-            partial: file in which to save the training now and then, and from which to go on if it
-                is there. Remove it when the policy is safe.
+            partial: see `train_many`.
 
         Raises:
             InvalidInput: there are no contexts.
         """
         import mbtl.training.jax as engine
-        from mbtl.training.jax.episodic.multitask import train_on_all
 
         if not contexts:
             raise InvalidInput("multi-task training takes at least one context, got none")
         saved = engine.SavedTraining(partial)
-
-        def on_block(block: engine.Block) -> None:
-            self._tell(on_progress, block)
-            saved.save(block.training)
-
-        world, stacked = self._lessons(contexts)
-        params = [engine.context_of(stacked, i) for i in range(len(contexts))]
+        world, params = self._lessons(contexts)
         recipe = self.learner
-        training = train_on_all(
+        training = engine.train_multitask(
             world,
             recipe,
-            seed,
+            [seed],
             params,
             self.length,
-            checkpoints=_CHECKPOINTS,
+            on_block=self._on_block(on_progress, saved),
+            checkpoint_every=math.ceil(self.length / _CHECKPOINTS),
             checkpoint_episodes=_EACH,
             acting=self._how,
-            on_block=on_block,
-            resume=saved.load(lambda: engine.start(world, recipe, [seed], params[0])),
+            resume=saved.load(lambda: engine.start_multitask(world, recipe, [seed], params)),
         )
         weights = training.best if self.checkpoint == "best" else training.state.weights
         return engine.export_policies(world, weights, recipe.activation)[0]
@@ -316,7 +295,7 @@ class WorldTrainer:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
         import mbtl.training.jax as engine
 
-        world, params = self.problem([context])
+        world, params = self._lessons([context])
         recipe = self.learner
         weights = engine.start(world, recipe, [0], params).state.weights
         return engine.export_policies(world, weights, recipe.activation)[0]
@@ -324,21 +303,27 @@ class WorldTrainer:
     def _lessons(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
         """The world as it teaches, and the parameters of the contexts."""
         world, params = self.problem(contexts)
-        if self.reward is None:
-            return world, params
-        known = getattr(world, "rewards", ())
-        if self.reward not in known:
-            raise unknown_name("reward of this world", self.reward, known)
-        return replace(world, reward=self.reward), params
+        asked = ("reward", self.reward, "rewards"), ("actions", self.actions, "lessons")
+        for what, name, names in asked:
+            if name is not None and name not in (known := getattr(world, names, ())):
+                raise unknown_name(f"{what} of this world", name, known)
+        if self.reward is not None:
+            world = replace(world, reward=self.reward)
+        return world if self.actions is None else world.lesson(self.actions), params
 
-    def _tell(self, on_progress: OnProgress | None, block: Any) -> None:
-        if on_progress is None:
-            return
-        latest = float(np.mean(block.training.latest_return))
+    def _on_block(self, on_progress: OnProgress | None, saved: Any) -> Callable[[Any], None]:
+        """Tells where a training stands, and saves it."""
         unit, metric = "episodes", "score"
         if self.unit == "timesteps":
             unit, metric = "steps", "episode_return"
-        on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
+
+        def on_block(block: Any) -> None:
+            if on_progress is not None:
+                latest = float(np.mean(block.training.latest_return))
+                on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
+            saved.save(block.training)
+
+        return on_block
 
     # ---- evaluation --------------------------------------------------------------------------
 

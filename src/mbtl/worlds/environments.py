@@ -56,6 +56,15 @@ class Box:
     high: tuple[float, ...]
 
 
+class Law(NamedTuple):
+    """Actions of one kind as those of another: scale x action + gain x obs[feature], in a box."""
+
+    scale: float
+    feature: int
+    gain: float
+    box: Box
+
+
 class Step(NamedTuple):
     """What one step gives.
 

@@ -5,11 +5,17 @@
 A batch is numpy functions of any number of simulations. Within a compiled program each of them is
 one call on the host for all policies, contexts and copies, while networks stay in the program: so
 every learner, evaluation and file of the engine serves a native simulator as it is. States go in
-and out as arrays; a simulator that keeps its own must be able to be set to one.
+and out as arrays. A simulator that keeps its own must be able to be set to one; or a state is a
+number that names it in this process, `storable = False` says so, and a training that is interrupted
+begins again.
+
+All numbers of a call travel in one array of float32, each way: jax spends most of a call on its
+arrays, whatever their size. So whole numbers are exact up to 2^24.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, cast
@@ -40,6 +46,9 @@ class Batch(Protocol):
         n_noise: uniform random numbers that start an episode.
         max_return: no episode can return more; None where that is not known.
         params: class of the parameters; its last field is `visible`.
+
+    Where first states are simple, `initial` may be written in jax for one simulation, which saves a
+    call at every step; `traced_start = True` says so.
     """
 
     @property
@@ -102,6 +111,8 @@ class Hosted:
 
     def initial(self, noise: jax.Array, params: Tree) -> Shown:
         """First state."""
+        if self._traced_start:
+            return Shown(*self.batch.initial(noise, params))
         return Shown(*_called(self.batch.initial, self._shown(), noise, params))
 
     def step(self, state: Shown, action: jax.Array, params: Tree) -> Step:
@@ -113,6 +124,10 @@ class Hosted:
 
     def restart(self, state: Shown, over: jax.Array, noise: jax.Array, params: Tree) -> Shown:
         """First states of the simulations that are over; those alone are started."""
+        if self._traced_start:
+            fresh = self.initial(noise, params)
+            kept: Shown = jax.tree.map(lambda old, new: jnp.where(over, new, old), state, fresh)
+            return kept
 
         def some(state: Any, obs: Array, over: Array, noise: Array, params: Any) -> Any:
             if not over.any():
@@ -126,6 +141,10 @@ class Hosted:
         """What the batch showed, and the visible features."""
         return jnp.concatenate([state.obs, params.visible]).astype(jnp.float32)
 
+    @property
+    def _traced_start(self) -> bool:
+        return bool(getattr(self.batch, "traced_start", False))
+
     def _shown(self) -> tuple[Any, Any]:
         state = {name: _shape(shape, np.float32) for name, shape in self.batch.shapes}
         return state, _shape((self.batch.n_features,), np.float32)
@@ -133,12 +152,58 @@ class Hosted:
 
 def _called(function: Callable[..., Any], kinds: Any, *args: Any) -> Any:
     """What a function of numpy arrays gives, called once for all that is vectorised."""
+    given, taken = _Packing.of(args), _Packing.of(kinds)
 
-    def on_host(*args: Any) -> Any:
-        found = function(*jax.tree.map(np.asarray, args))
-        return jax.tree.map(lambda x, kind: np.asarray(x, kind.dtype), found, kinds)
+    def on_host(packed: Any) -> Any:
+        packed = np.asarray(packed)
+        return taken.packed(function(*given.apart(packed)), np, packed.shape[:-1])
 
-    return jax.pure_callback(on_host, kinds, *args, vmap_method="broadcast_all")
+    kind = _shape((taken.total,), np.float32)
+    packed = given.packed(args, jnp, ())
+    return taken.apart(jax.pure_callback(on_host, kind, packed, vmap_method="broadcast_all"))
+
+
+@dataclass(frozen=True)
+class _Packing:
+    """Arrays in a tree as one array: what they have in common first, then all numbers of each.
+
+    Attributes:
+        tree: structure.
+        shapes: of the arrays.
+        dtypes: likewise.
+    """
+
+    tree: Any
+    shapes: tuple[tuple[int, ...], ...]
+    dtypes: tuple[Any, ...]
+
+    @classmethod
+    def of(cls, arrays: Any) -> _Packing:
+        """As these are, without axes in common."""
+        leaves, tree = jax.tree.flatten(arrays)
+        return cls(tree, tuple(x.shape for x in leaves), tuple(x.dtype for x in leaves))
+
+    @property
+    def total(self) -> int:
+        """Numbers in all arrays together."""
+        return sum(map(math.prod, self.shapes))
+
+    def packed(self, arrays: Any, numpy: Any, axes: tuple[int, ...]) -> Any:
+        """One array (*axes, total) of arrays whose first axes are `axes`."""
+        each = [
+            numpy.asarray(x).reshape(*axes, math.prod(shape)).astype(np.float32)
+            for x, shape in zip(jax.tree.leaves(arrays), self.shapes, strict=True)
+        ]
+        return numpy.concatenate(each, axis=-1)
+
+    def apart(self, packed: Any) -> Any:
+        """The arrays again, of NumPy or jax as `packed` is."""
+        first, leaves = 0, []
+        for shape, dtype in zip(self.shapes, self.dtypes, strict=True):
+            part = packed[..., first : first + math.prod(shape)]
+            leaves.append(part.reshape(*packed.shape[:-1], *shape).astype(dtype))
+            first += math.prod(shape)
+        return jax.tree.unflatten(self.tree, leaves)
 
 
 def _put(old: Array, at: Array, new: Array) -> Array:

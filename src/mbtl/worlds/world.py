@@ -71,7 +71,6 @@ class World(Protocol):
         action: the action space of an agent.
         agents: A.
         n_features: length of an observation without visible context features.
-        mixes: whether simulations of one batch may have contexts of their own, parameters (n, ...).
         apart: whether its functions may be vectorised once more, over contexts and policies: there
             is nothing that all simulations of a batch decide together.
         drives: whether it goes on without any advice, see `drive`.
@@ -87,8 +86,6 @@ class World(Protocol):
     def agents(self) -> int: ...  # noqa: D102
     @property
     def n_features(self) -> int: ...  # noqa: D102
-    @property
-    def mixes(self) -> bool: ...  # noqa: D102
     @property
     def apart(self) -> bool: ...  # noqa: D102
     @property
@@ -212,7 +209,6 @@ class Solo:
 
     env: Environment
     agents: int = 1
-    mixes: bool = True
     apart: bool = True
 
     def __repr__(self) -> str:
@@ -242,6 +238,11 @@ class Solo:
     def params(self) -> type[Any]:
         """Of the environment."""
         return self.env.params
+
+    @property
+    def storable(self) -> bool:
+        """Whether its states mean something in another process."""
+        return bool(getattr(self.env, "storable", True))
 
     @property
     def drives(self) -> bool:
@@ -376,9 +377,13 @@ def of_simulations(params: Tree, episodes: int) -> Any:
     """
     if params.visible.ndim == 1:
         return params
-    if params.visible.ndim == 3:
-        each = episodes // params.visible.shape[1]
-        params = jax.tree.map(lambda x: jnp.asarray(x).reshape(-1, *jnp.shape(x)[2:]), params)
-    else:
-        each = episodes
+    each = episodes // params.visible.shape[1] if params.visible.ndim == 3 else episodes
+    params = in_a_row(params)
     return jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x), each, axis=0), params)
+
+
+def in_a_row(params: Tree) -> Any:
+    """Parameters with one leading axis, (P x N, ...), where they have two, (P, N, ...)."""
+    if params.visible.ndim < 3:
+        return params
+    return jax.tree.map(lambda x: x.reshape(-1, *np.shape(x)[2:]), params)

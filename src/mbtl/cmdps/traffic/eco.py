@@ -56,6 +56,7 @@ from typing import Any, ClassVar, Unpack
 import numpy as np
 from gymnasium.spaces import Box
 
+from mbtl.cmdps.canvas import Window
 from mbtl.cmdps.contextual import Observation
 from mbtl.cmdps.traffic.corridor import (
     APPROACH,
@@ -67,7 +68,6 @@ from mbtl.cmdps.traffic.corridor import (
     corridor,
     light,
 )
-from mbtl.cmdps.traffic.drawing import Window
 from mbtl.cmdps.traffic.environment import Settings
 from mbtl.cmdps.traffic.population import CONTROLLED, CONTROLLED_LENGTH, population, routes
 from mbtl.cmdps.traffic.team import TrafficTeam

@@ -15,8 +15,9 @@ from typing import Any, ClassVar, Literal, TypedDict
 
 import numpy as np
 
+from mbtl.cmdps.canvas import Image, Window
 from mbtl.cmdps.contextual import Contextual, ContextualEnv, TimeLimit, Visibility
-from mbtl.cmdps.traffic.drawing import Image, Window, draw
+from mbtl.cmdps.traffic.drawing import draw
 from mbtl.cmdps.traffic.simulation import Engine, Simulation
 from mbtl.contexts import Value
 from mbtl.errors import InvalidInput, unknown_name

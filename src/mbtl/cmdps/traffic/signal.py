@@ -22,10 +22,10 @@ from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
+from mbtl.cmdps.canvas import Window
 from mbtl.cmdps.contextual import Observation
 from mbtl.cmdps.traffic import demand
 from mbtl.cmdps.traffic.demand import APPROACHES
-from mbtl.cmdps.traffic.drawing import Window
 from mbtl.cmdps.traffic.environment import Settings, TrafficEnv
 from mbtl.cmdps.traffic.networks import network
 from mbtl.contexts import Value

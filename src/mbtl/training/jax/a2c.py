@@ -7,31 +7,20 @@ random numbers are drawn for all of them together.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import optax
-from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
+from mbtl.training.jax.descent import descended
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import A2CRecipe
 from mbtl.training.jax.rollout import Noise, Rollout, State, advantages, draw, play, start
 from mbtl.worlds.environments import Tree
 from mbtl.worlds.world import Solo
-
-
-def init(
-    world: Solo,
-    recipe: A2CRecipe,
-    seeds: Sequence[int],
-    params: Tree,
-    weights: Weights | None = None,
-) -> State:
-    """All policies before their first update; see `rollout.start`."""
-    return start(world, recipe, optimizer, seeds, params, weights)
 
 
 def update(world: Solo, recipe: A2CRecipe, state: State, params: Tree, clock: Clock) -> State:
@@ -46,11 +35,11 @@ def update(world: Solo, recipe: A2CRecipe, state: State, params: Tree, clock: Cl
     """
     shape = (recipe.rollouts_per_update, recipe.n_steps, recipe.n_envs)
     key, noise = draw(world, state.key, shape)
-    scale = 1.0 - clock.progress if recipe.anneal else jnp.float32(1.0)
+    rate = clock.rate(recipe.anneal)
 
     def one(state: State, drawn: Noise) -> tuple[State, None]:
         state, rollout = play(world, recipe, state, params, drawn)
-        return learn(world, recipe, state, rollout, scale), None
+        return learn(world, recipe, state, rollout, rate), None
 
     state, _ = jax.lax.scan(one, state._replace(key=key), noise)
     return state
@@ -61,9 +50,7 @@ def learn(
 ) -> State:
     """One gradient step, `scale` times the recipe's learning rate."""
     gradient = jax.grad(loss, argnums=2)(world, recipe, state.weights, rollout)
-    flat, unravel = ravel_pytree(gradient)  # one vector: few large operations, not many small
-    steps, moments = optimizer(recipe).update(flat, state.optimizer)
-    weights = jax.tree.map(jnp.add, state.weights, unravel(scale * steps))
+    weights, moments = descended(optimizer(recipe), state.weights, gradient, state.optimizer, scale)
     return state._replace(weights=weights, optimizer=moments)
 
 
@@ -106,3 +93,6 @@ def optimizer(recipe: A2CRecipe) -> optax.GradientTransformation:
         ),
         optax.scale(-recipe.learning_rate),
     )
+
+
+init = partial(start, optimizer)

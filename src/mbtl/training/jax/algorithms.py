@@ -6,7 +6,8 @@ An algorithm is a module of pure functions. Those that learn from copies which s
     init(world, recipe, seeds, params, weights) -> State      P policies, leading axis
     update(world, recipe, state, params, clock)               one policy, one update further
 
-Those that learn from whole episodes (`traffic.learning`), in which agents come and go:
+Multi-task policies are other networks that learn by the same PPO. Those that learn from whole
+episodes (`episodic.learning`), in which agents come and go:
 
     start(recipe, weights) -> Memory                                    of one policy
     learn(action, recipe, weights, memory, lived, number)               likewise
@@ -23,7 +24,7 @@ from typing import Any
 
 import jax
 
-from mbtl.errors import InvalidInput
+from mbtl.errors import InvalidInput, unknown_name
 from mbtl.training.jax import a2c, dqn, ppo
 from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.episodic import learning
@@ -36,7 +37,6 @@ from mbtl.training.jax.recipes import (
     MultiTaskRecipe,
     PPORecipe,
     Recipe,
-    named,
 )
 from mbtl.worlds.environments import Length, Tree
 from mbtl.worlds.world import Solo, World
@@ -47,7 +47,6 @@ _WITH_COPIES: Mapping[type, Any] = {
     PPORecipe: ppo,
     A2CRecipe: a2c,
     DQNRecipe: dqn,
-    MultiTaskRecipe: policies,
 }
 
 
@@ -62,9 +61,14 @@ def recipe_named(algorithm: str, name: str, unit: str = "timesteps") -> AnyRecip
     Raises:
         UnknownName: there is none.
     """
-    tables: Mapping[str, Any] = {"timesteps": RECIPES, "episodes": TWIN_RECIPES}
-    found: AnyRecipe = named(tables[unit], algorithm, name)
-    return found
+    recipes: Mapping[str, Mapping[str, AnyRecipe]] = RECIPES
+    if unit == "episodes":
+        recipes = TWIN_RECIPES
+    if algorithm not in recipes:
+        raise unknown_name("algorithm with recipes", algorithm, recipes)
+    if name not in recipes[algorithm]:
+        raise unknown_name(f"{algorithm} recipe", name, recipes[algorithm])
+    return recipes[algorithm][name]
 
 
 def init(
@@ -82,6 +86,10 @@ def init(
             f"{type(recipe).__name__} needs simulations that start again one by one, got "
             f"{type(world).__name__}; learn from whole episodes, e.g. by TRPORecipe"
         )
+    if isinstance(recipe, MultiTaskRecipe):
+        if weights is None:
+            weights = policies.first_weights(world, recipe, seeds, params)
+        recipe = recipe.ppo
     return _WITH_COPIES[type(recipe)].init(world, recipe, seeds, params, weights)
 
 
@@ -100,5 +108,7 @@ def update(
     """
     if isinstance(recipe, TwinRecipe):
         return learning.update(world, recipe, decisions, state, params, clock)
+    if isinstance(recipe, MultiTaskRecipe):
+        recipe = recipe.ppo
     each = partial(_WITH_COPIES[type(recipe)].update, world, recipe)
     return jax.vmap(each, in_axes=(0, 0, None))(state, params, clock)

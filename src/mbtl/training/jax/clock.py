@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 _ROOT = 0x6D62_746C  # of the clock's keys, the same in every training
 
@@ -27,6 +28,10 @@ class Clock(NamedTuple):
     def progress(self) -> jax.Array:
         """Share of the training that is done, 0 <= progress < 1."""
         return self.number / self.total
+
+    def rate(self, anneal: bool) -> jax.Array:
+        """Share of the learning rate: it falls linearly to 0, or stays."""
+        return 1.0 - self.progress if anneal else jnp.float32(1.0)
 
 
 def clock_at(number: jax.Array, total: jax.Array) -> Clock:

@@ -25,6 +25,7 @@ from jax.flatten_util import ravel_pytree
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
+from mbtl.training.jax.descent import adam, descended
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.recipes import DQNRecipe
 from mbtl.training.jax.rollout import Copies, advance, first_copies, look
@@ -111,7 +112,7 @@ def init(
 def _start(
     world: Solo, recipe: DQNRecipe, weights: Weights, seed: jax.Array, params: Tree
 ) -> State:
-    moments = optimizer(recipe).init(ravel_pytree(weights.actor)[0])
+    moments = adam(recipe).init(ravel_pytree(weights.actor)[0])
     target = jax.tree.map(jnp.copy, weights.actor)  # memory of its own: a block takes over both
     replay = jnp.zeros((recipe.buffer_size, 2 * world.n_features + 3))
     copies = first_copies(world, recipe.n_envs, seed, params)
@@ -138,7 +139,7 @@ def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Cl
         world.noise(reset_key, shape),
         jax.random.uniform(clock.key, (n_rounds, recipe.gradient_steps, recipe.batch_size)),
     )
-    scale = 1.0 - clock.progress if recipe.anneal else jnp.float32(1.0)
+    rate = clock.rate(recipe.anneal)
     total = clock.total * recipe.update_length
 
     def one(state: State, now: Round) -> tuple[State, None]:
@@ -153,7 +154,7 @@ def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Cl
         picked = replay[jnp.floor(now.pick * filled).astype(jnp.int32)]
         network, moments = jax.lax.cond(
             step > recipe.learning_starts,
-            partial(learn, world, recipe, scale, params.visible),
+            partial(learn, world, recipe, rate, params.visible),
             lambda network, moments, *_: (network, moments),
             *(state.weights.actor, state.optimizer, target, picked),
         )
@@ -218,9 +219,7 @@ def learn(
         network, moments = carry
         batch = unpack(world, rows, visible)
         gradient = jax.grad(loss, argnums=1)(recipe, network, batch, goal(recipe, target, batch))
-        flat, unravel = ravel_pytree(gradient)  # one vector: few large operations, not many small
-        steps, moments = optimizer(recipe).update(flat, moments)
-        return (jax.tree.map(jnp.add, network, unravel(scale * steps)), moments), None
+        return descended(adam(recipe), network, gradient, moments, scale), None
 
     (network, moments), _ = jax.lax.scan(one, (network, moments), rows)
     return network, moments
@@ -250,15 +249,6 @@ def loss(recipe: DQNRecipe, network: Network, batch: Batch, goals: jax.Array) ->
     taken = batch.action[:, None] == jnp.arange(values.shape[-1])
     value = jnp.where(taken, values, 0.0).sum(axis=-1)
     return optax.losses.huber_loss(value, goals).mean()
-
-
-def optimizer(recipe: DQNRecipe) -> optax.GradientTransformation:
-    """Adam after clipping the norm of one policy's gradient; the step is -lr times Adam's."""
-    return optax.chain(
-        optax.clip_by_global_norm(recipe.max_grad_norm),
-        optax.scale_by_adam(eps=recipe.adam_eps),
-        optax.scale(-recipe.learning_rate),
-    )
 
 
 def _options(world: Solo) -> int:

@@ -22,7 +22,7 @@ from mbtl.errors import InvalidInput
 from mbtl.training.jax.episodic.episodes import Acting, Actor, scores
 from mbtl.training.jax.recipes import Activation
 from mbtl.worlds.environments import Tree
-from mbtl.worlds.world import World, context_of, of_simulations
+from mbtl.worlds.world import World, context_of, in_a_row, of_simulations
 
 CPU_ROWS = 400
 """Simulations of one small agent played together on a CPU: their activations stay in its cache."""
@@ -39,8 +39,17 @@ def on_cpu() -> bool:
     return bool(jax.default_backend() == "cpu")
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _pairs(
+Axes = tuple[int | None, int | None, int | None, int | None]
+"""Of `jax.vmap`, for an actor, the seeds of its episodes, what they draw, and a context."""
+
+_ALL: Axes = (0, 0, 0, 0)
+_CONTEXTS: Axes = (None, None, None, 0)
+_POLICIES: Axes = (0, None, None, None)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2, 3))
+def _vectorised(
+    axes: tuple[Axes, ...],
     world: World,
     activation: Activation,
     how: Acting,
@@ -49,44 +58,15 @@ def _pairs(
     drawn: jax.Array,
     params: Tree,
 ) -> jax.Array:
-    """(P, C, E) scores of every policy on every context, in one program."""
-    one = partial(_one, world, activation, how)
-    on_all = jax.vmap(one, in_axes=(None, None, None, 0))
-    return jax.vmap(on_all, in_axes=(0, None, None, None))(actor, seeds, drawn, params)
+    """(..., E) scores in one program; innermost axis first."""
 
+    def one(actor: Actor, seeds: jax.Array, drawn: jax.Array, params: Tree) -> jax.Array:
+        alone = jax.tree.map(lambda x: x[None], (actor, seeds, drawn))
+        return scores(world, activation, how, *alone, params, world.decisions(params))[0]
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _own(
-    world: World,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: jax.Array,
-    drawn: jax.Array,
-    params: Tree,
-) -> jax.Array:
-    """(P, E) scores of each policy on its own context, or on N of them, in one program."""
-    one = partial(_one, world, activation, how)
-    if params.visible.ndim == 2:
-        return jax.vmap(one)(actor, seeds, drawn, params)
-    shape = params.visible.shape[:2]
-    dealt = (x.reshape(*shape, -1, *x.shape[2:]) for x in (seeds, drawn))
-    returns = jax.vmap(jax.vmap(one, (None, 0, 0, 0)))(actor, *dealt, params)
-    return returns.reshape(len(returns), -1)
-
-
-def _one(
-    world: World,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: jax.Array,
-    drawn: jax.Array,
-    params: Tree,
-) -> jax.Array:
-    """(E,) scores of one policy in one context."""
-    alone = jax.tree.map(lambda x: x[None], (actor, seeds, drawn))
-    return scores(world, activation, how, *alone, params, world.decisions(params))[0]
+    for axis in axes:
+        one = jax.vmap(one, axis)
+    return one(actor, seeds, drawn, params)
 
 
 def own_scores(
@@ -109,9 +89,15 @@ def own_scores(
     """
     drawn, actor = world.draws(seeds), actor._replace(critic=())
     if world.apart:
-        return _own(world, activation, how, actor, seeds, drawn, params)
+        if params.visible.ndim == 2:
+            return _vectorised((_ALL,), world, activation, how, actor, seeds, drawn, params)
+        shape = params.visible.shape[:2]
+        dealt = (x.reshape(*shape, -1, *x.shape[2:]) for x in (seeds, drawn))
+        axes = ((None, 0, 0, 0), _ALL)
+        returns = _vectorised(axes, world, activation, how, actor, *dealt, params)
+        return returns.reshape(len(returns), -1)
     every = of_simulations(params, seeds.shape[1])
-    decisions = world.decisions(params)
+    decisions = world.decisions(in_a_row(params))
     found: jax.Array = scores(world, activation, how, actor, seeds, drawn, every, decisions)
     return found
 
@@ -199,10 +185,8 @@ def _block(
     params: Tree,
 ) -> jax.Array:
     """(P, C, E) scores; one context at a time where simulations cannot be told apart."""
-    drawn = world.draws(seeds)
-    if world.apart:
-        return _pairs(world, activation, how, actor, seeds, drawn, params)
-    there, shape = context_of(params, 0), (len(actor.log_std), 1)
-    same = (np.tile(x, (shape[0], *[1] * x.ndim)) for x in (seeds, drawn))
-    found = scores(world, activation, how, actor, *same, there, world.decisions(there))
-    return found[:, None]
+    if not world.apart:
+        everyone = np.tile(seeds, (len(actor.log_std), 1))
+        return own_scores(world, activation, how, actor, everyone, context_of(params, 0))[:, None]
+    pairs, drawn = (_CONTEXTS, _POLICIES), world.draws(seeds)
+    return _vectorised(pairs, world, activation, how, actor, seeds, drawn, params)

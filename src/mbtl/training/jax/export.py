@@ -3,42 +3,64 @@
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from mbtl.errors import InvalidInput
 from mbtl.portfolio import BoxHead, DiscreteHead, MLPPolicy
-from mbtl.training.jax.networks import Network, Weights
+from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import Activation
-from mbtl.worlds.environments import Box, Discrete
+from mbtl.worlds.environments import Box, Discrete, Law
 from mbtl.worlds.world import World
 
 
 def export_policies(
     world: World, weights: Weights, activation: Activation = "tanh"
 ) -> list[MLPPolicy]:
-    """The acting part of P policies, leading axis; actions as in jax up to float32 rounding."""
+    """The acting part of P policies, leading axis; actions as in jax up to float32 rounding.
+
+    Those of a lesson become policies of the world that the lesson is about.
+    """
     weights = jax.tree.map(np.asarray, weights)  # one transfer, not one per policy
-    return [
-        _policy(world, jax.tree.map(lambda x, p=p: x[p], weights), activation)
-        for p in range(len(weights.log_std))
-    ]
+    each = [jax.tree.map(lambda x, p=p: x[p], weights) for p in range(len(weights.log_std))]
+    law: Law | None = getattr(world, "law", None)
+    if law is None:
+        return [_policy(world.action, one, activation) for one in each]
+    return [_policy(law.box, lawful(one, law, activation), activation) for one in each]
 
 
-def import_actors(policies: list[MLPPolicy]) -> Network:
-    """The actors of policies of one shape, stacked for `evaluate`."""
-    layers = zip(*[zip(p.weights, p.biases, strict=True) for p in policies], strict=True)
-    stacked = [[np.stack([w.T for w, _ in x]), np.stack([b for _, b in x])] for x in layers]
-    return tuple((jnp.asarray(w), jnp.asarray(b)) for w, b in stacked)
+def lawful(weights: Weights, law: Law, activation: Activation) -> Weights:
+    """One policy whose outputs are those of `law`: one unit per layer carries obs[feature] on.
+
+    Through tanh it passes so small that it stays what it is, to a part in 10^7 while |obs| <= 1.
+
+    Raises:
+        InvalidInput: the activation bends what is small, too.
+    """
+    small = {"tanh": 1e-3, "relu": 1.0}.get(activation)
+    if small is None:
+        raise InvalidInput(f"other actions need layers of tanh or relu, got {activation!r}")
+    layers = list(weights.actor)
+    for k, (matrix, bias) in enumerate(layers[:-1]):
+        column = np.zeros((len(matrix) + (k > 0), 1), np.float32)
+        column[law.feature if k == 0 else -1] = small if k == 0 else 1.0
+        wide = np.pad(matrix, ((0, int(k > 0)), (0, 0)))
+        layers[k] = (np.concatenate([wide, column], axis=1), np.append(bias, np.float32(0.0)))
+    matrix, bias = layers[-1]
+    carried = np.full((1, matrix.shape[1]), law.gain / small, np.float32)
+    scale = np.float32(law.scale)
+    layers[-1] = (np.concatenate([scale * matrix, carried]), scale * bias)
+    log_std = weights.log_std + np.log(scale)
+    return weights._replace(actor=tuple(layers), log_std=log_std)
 
 
-def _policy(world: World, weights: Weights, activation: Activation) -> MLPPolicy:
+def _policy(action: Discrete | Box, weights: Weights, activation: Activation) -> MLPPolicy:
     n_inputs = weights.actor[0][0].shape[0]
     return MLPPolicy(
         weights=tuple(np.ascontiguousarray(w.T) for w, _ in weights.actor),
         biases=tuple(np.array(b) for _, b in weights.actor),
         activation=activation,
         observation_shape=(n_inputs,),
-        head=_head(world.action, np.asarray(weights.log_std)),
+        head=_head(action, np.asarray(weights.log_std)),
     )
 
 

@@ -30,7 +30,7 @@ from mbtl.training.jax.evaluation import own_scores
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import check_lengths
 from mbtl.worlds.environments import Length, Tree
-from mbtl.worlds.world import World
+from mbtl.worlds.world import World, in_a_row
 
 
 def start(
@@ -121,7 +121,7 @@ def train(
             f"got {checkpoint_episodes}"
         )
     schedule = Schedule.of(length, recipe.update_length, checkpoint_every, marks)
-    decisions = world.decisions(params)
+    decisions = world.decisions(in_a_row(params))
     params = _in_jax(params)
     tests = checkpoint_seeds(seeds, checkpoint_episodes)
 

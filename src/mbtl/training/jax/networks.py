@@ -198,3 +198,19 @@ def entropy(outputs: jax.Array, log_std: jax.Array, action: Discrete | Box) -> j
         logs = jax.nn.log_softmax(outputs)
         return -(jnp.exp(logs) * logs).sum(axis=-1)
     return (0.5 + 0.5 * math.log(2.0 * math.pi) + log_std).sum(axis=-1)
+
+
+def kl(
+    old: jax.Array,
+    old_log_std: jax.Array,
+    new: jax.Array,
+    new_log_std: jax.Array,
+    action: Discrete | Box,
+) -> jax.Array:
+    """(...) KL(old, new) of action distributions, from outputs (..., m) and log deviations (d,)."""
+    if isinstance(action, Discrete):
+        logs = jax.nn.log_softmax(old)
+        return (jnp.exp(logs) * (logs - jax.nn.log_softmax(new))).sum(axis=-1)
+    ratio = jnp.exp(2.0 * (old_log_std - new_log_std))
+    apart = jnp.square((old - new) * jnp.exp(-new_log_std))
+    return (new_log_std - old_log_std + 0.5 * (ratio + apart - 1.0)).sum(axis=-1)

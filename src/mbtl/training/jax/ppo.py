@@ -1,60 +1,85 @@
 """Proximal policy optimisation of one policy, written to be vectorised over many with `jax.vmap`.
 
-State in, state out: `init` makes a state, `update` plays one rollout and learns from it. Semantics
-are those of Stable-Baselines3 (advantage normalisation per minibatch, bootstrap at truncation,
-no clipping of values), so its recipe gives its learning curves.
+    loss = -mean min(r A, clip(r, 1 +- clip) A) + value_coef mean (V - R)^2 - entropy_coef H
 
-Notation (shapes of one policy): T steps, E environment copies, B minibatch, o observation.
-    obs (T, E, o); action (T, E) or (T, E, d); reward, value, advantage, target (T, E)
+Rows of copies of a world that start again one by one (`rollout`) are learnt from as in
+Stable-Baselines3 (advantage normalisation per minibatch, bootstrap at truncation, no clipping of
+values), so its recipe gives its learning curves. Those of whole episodes (`episodic.ppo`) bound the
+steps further, see `Limits`.
+
+Notation (shapes of one policy): T steps, E environment copies, o observation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import optax
 from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
+from mbtl.training.jax.descent import adam
+from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
+from mbtl.training.jax.estimates import mean_of
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import PPORecipe
 from mbtl.training.jax.rollout import Rollout, State, advantages, draw, play, start
-from mbtl.worlds.environments import Tree
+from mbtl.training.jax.units import Units, both
+from mbtl.worlds.environments import Box, Discrete, Tree
 from mbtl.worlds.world import Solo
 
 
 class Batch(NamedTuple):
-    """Transitions to learn from, one leading axis."""
+    """Rows to learn from, one leading axis; the last three are known of whole episodes only.
+
+    Attributes:
+        obs: what was seen.
+        action: integers, or (..., d), not clipped.
+        log_prob: of the policy that played.
+        advantage: of the action.
+        target: of the critic.
+        outputs: of the actor that played.
+        value: of the critic that watched.
+        weight: 1 where an agent decided, else 0.
+    """
 
     obs: jax.Array
     action: jax.Array
     log_prob: jax.Array
     advantage: jax.Array
     target: jax.Array
+    outputs: jax.Array | None = None
+    value: jax.Array | None = None
+    weight: jax.Array | None = None
 
 
-def init(
-    world: Solo,
-    recipe: PPORecipe,
-    seeds: Sequence[int],
-    params: Tree,
-    weights: Weights | None = None,
-) -> State:
-    """All policies before their first update; see `rollout.start`."""
-    return start(world, recipe, optimizer, seeds, params, weights)
+class Limits(NamedTuple):
+    """What bounds the steps of an update on whole episodes, beside the clip of the ratio.
+
+    Attributes:
+        log_std: of the policy that played.
+        kl_coef: weight of the penalty.
+        target_kl: the update ends when a minibatch is farther than this.
+        value_clip: largest move of a value.
+    """
+
+    log_std: jax.Array
+    kl_coef: jax.Array
+    target_kl: float
+    value_clip: float
 
 
-def update(
-    world: Solo,
-    recipe: PPORecipe,
-    state: State,
-    params: Tree,
-    clock: Clock,
-) -> State:
+Progress = tuple[jax.Array, Tree, jax.Array, jax.Array]
+"""Within an update: weights, Adam's state, whether it has gone too far, and the latest KL."""
+
+init = partial(start, adam)
+
+
+def update(world: Solo, recipe: PPORecipe, state: State, params: Tree, clock: Clock) -> State:
     """One rollout and the gradient steps on it.
 
     Args:
@@ -67,8 +92,33 @@ def update(
     """
     key, noise = draw(world, state.key, (recipe.n_steps, recipe.n_envs))
     state, rollout = play(world, recipe, state._replace(key=key), params, noise)
-    weights, moments = learn(world, recipe, state.weights, state.optimizer, rollout, clock)
+    how = learn_in_units if recipe.standardize else learn
+    weights, moments = how(world, recipe, state.weights, state.optimizer, rollout, clock)
     return state._replace(weights=weights, optimizer=moments)
+
+
+def learn_in_units(
+    world: Solo,
+    recipe: PPORecipe,
+    weights: Weights,
+    moments: Tree,
+    rollout: Rollout,
+    clock: Clock,
+) -> tuple[Weights, Tree]:
+    """As `learn`, from standardised observations; see `units`.
+
+    New weights are meant for those, too: the first rollout only shows the units.
+    """
+    units = Units.of(rollout.obs)
+    obs, after = map(units.measured, (rollout.obs, rollout.after))
+    rollout = rollout._replace(obs=obs, after=after)
+    entered = both(units.entered, weights)
+    learnt, changed = learn(world, recipe, entered, moments, rollout, clock)
+    first = clock.progress == 0.0
+    learnt, changed = jax.tree.map(
+        lambda old, new: jnp.where(first, old, new), (weights, moments), (learnt, changed)
+    )
+    return both(units.left, learnt), changed
 
 
 def learn(
@@ -80,30 +130,8 @@ def learn(
     clock: Clock,
 ) -> tuple[Weights, Tree]:
     """Weights and the optimiser's memory after the gradient steps on one rollout."""
-    batch = learn_from(world, recipe, weights, rollout)
-    loss = jax.grad(_loss, argnums=2)
-
-    flat, unravel = ravel_pytree(weights)  # one vector: few large operations, not many small
-    scale = 1.0 - clock.progress if recipe.anneal else jnp.float32(1.0)
-
-    def minibatch(
-        carry: tuple[jax.Array, Tree], part: Batch
-    ) -> tuple[tuple[jax.Array, Tree], None]:
-        weights, moments = carry
-        gradient, _ = ravel_pytree(loss(world, recipe, unravel(weights), part))
-        steps, moments = optimizer(recipe).update(gradient, moments)
-        return (weights + scale * steps, moments), None
-
-    def epoch(carry: tuple[jax.Array, Tree], key: jax.Array) -> tuple[tuple[jax.Array, Tree], None]:
-        order = jax.random.permutation(key, recipe.update_length)
-        parts = jax.tree.map(lambda x: x[order].reshape(-1, recipe.batch_size, *x.shape[1:]), batch)
-        carry, _ = jax.lax.scan(minibatch, carry, parts)
-        return carry, None
-
-    (flat, moments), _ = jax.lax.scan(
-        epoch, (flat, moments), jax.random.split(clock.key, recipe.n_epochs)
-    )
-    return unravel(flat), moments
+    batch, rate = learn_from(world, recipe, weights, rollout), clock.rate(recipe.anneal)
+    return descend(world.action, recipe, weights, moments, batch, clock.key, rate)[:2]
 
 
 def learn_from(world: Solo, recipe: PPORecipe, weights: Weights, rollout: Rollout) -> Batch:
@@ -111,32 +139,86 @@ def learn_from(world: Solo, recipe: PPORecipe, weights: Weights, rollout: Rollou
     value = networks.apply(weights.critic, rollout.obs, recipe.activation)[..., 0]
     advantage = advantages(recipe, weights.critic, rollout, value)
     old = networks.log_prob(rollout.outputs, weights.log_std, rollout.action, world.action)
-    batch = Batch(rollout.obs, rollout.action, old, advantage, advantage + value)
-    return Batch(*(x.reshape(-1, *x.shape[2:]) for x in batch))
+    rows = (rollout.obs, rollout.action, old, advantage, advantage + value)
+    return Batch(*(x.reshape(-1, *x.shape[2:]) for x in rows))
 
 
-def _loss(world: Solo, recipe: PPORecipe, weights: Weights, batch: Batch) -> jax.Array:
-    """Clipped surrogate + value_coef x squared error - entropy_coef x entropy."""
-    advantage = batch.advantage
-    if recipe.normalize_advantage and recipe.batch_size > 1:
+def descend(
+    space: Discrete | Box,
+    recipe: PPORecipe | EpisodicPPORecipe,
+    weights: Weights,
+    moments: Tree,
+    batch: Batch,
+    key: jax.Array,
+    scale: jax.Array,
+    limits: Limits | None = None,
+) -> tuple[Weights, Tree, jax.Array]:
+    """Weights, the optimiser's memory and the last KL after all passes over the rows.
+
+    Args:
+        space: of actions; static.
+        recipe: hyper-parameters; static.
+        weights: of one policy.
+        moments: the optimiser's.
+        batch: the rows.
+        key: of their order.
+        scale: of the learning rate.
+        limits: of the steps; None for none but the clip of the ratio.
+    """
+    flat, unravel = ravel_pytree(weights)  # one vector: few large operations, not many small
+    gradient = jax.grad(partial(loss, space, recipe), has_aux=True)
+
+    def minibatch(carry: Progress, part: Batch) -> tuple[Progress, None]:
+        flat, moments, far, _ = carry
+        slope, apart = gradient(unravel(flat), part, limits)
+        steps, new = adam(recipe).update(ravel_pytree(slope)[0], moments)
+        stepped = (flat + scale * steps, new)
+        if limits is not None:
+            far |= apart > limits.target_kl
+            stepped = jax.tree.map(lambda a, b: jnp.where(far, a, b), (flat, moments), stepped)
+        return (*stepped, far, apart), None
+
+    def epoch(carry: Progress, key: jax.Array) -> tuple[Progress, None]:
+        order = jax.random.permutation(key, len(batch.obs))
+        parts = jax.tree.map(lambda x: x[order].reshape(-1, recipe.batch_size, *x.shape[1:]), batch)
+        carry, _ = jax.lax.scan(minibatch, carry, parts)
+        return carry, None
+
+    first = (flat, moments, jnp.array(False), jnp.float32(0.0))
+    keys = jax.random.split(key, recipe.n_epochs)
+    (flat, moments, _, apart), _ = jax.lax.scan(epoch, first, keys)
+    return unravel(flat), moments, apart
+
+
+def loss(
+    space: Discrete | Box,
+    recipe: PPORecipe | EpisodicPPORecipe,
+    weights: Weights,
+    batch: Batch,
+    limits: Limits | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """What is made small, and the mean KL(old, new); 0 where it is no limit."""
+    advantage, apart = batch.advantage, jnp.float32(0.0)
+    mean: Callable[[jax.Array], jax.Array] = jnp.mean
+    if batch.weight is not None:
+        mean = partial(mean_of, weight=batch.weight)
+    elif recipe.normalize_advantage and recipe.batch_size > 1:
         advantage = (advantage - advantage.mean()) / (advantage.std(ddof=1) + 1e-8)
     outputs = networks.apply(weights.actor, batch.obs, recipe.activation)
     value = networks.apply(weights.critic, batch.obs, recipe.activation)[..., 0]
-    log_prob = networks.log_prob(outputs, weights.log_std, batch.action, world.action)
-    ratio = jnp.exp(log_prob - batch.log_prob)
+    error = jnp.square(batch.target - value)
+    if limits is not None:  # in this order and form, which decide the last bit of kept policies
+        apart = mean(networks.kl(batch.outputs, limits.log_std, outputs, weights.log_std, space))
+        close = batch.value + jnp.clip(value - batch.value, -limits.value_clip, limits.value_clip)
+        error = jnp.maximum(jnp.square(value - batch.target), jnp.square(close - batch.target))
+    after = networks.log_prob(outputs, weights.log_std, batch.action, space)
+    ratio = jnp.exp(after - batch.log_prob)
     near = jnp.clip(ratio, 1.0 - recipe.clip_range, 1.0 + recipe.clip_range)
-    loss = -jnp.minimum(advantage * ratio, advantage * near).mean()
-    loss += recipe.value_coef * jnp.square(batch.target - value).mean()
+    total = -mean(jnp.minimum(advantage * ratio, advantage * near))
+    if limits is not None:
+        total += limits.kl_coef * apart
+    total += recipe.value_coef * mean(error)
     if recipe.entropy_coef:
-        bonus = networks.entropy(outputs, weights.log_std, world.action).mean()
-        loss -= recipe.entropy_coef * bonus
-    return loss
-
-
-def optimizer(recipe: PPORecipe) -> optax.GradientTransformation:
-    """Adam after clipping the norm of one policy's gradient; the step is -lr times Adam's."""
-    return optax.chain(
-        optax.clip_by_global_norm(recipe.max_grad_norm),
-        optax.scale_by_adam(eps=recipe.adam_eps),
-        optax.scale(-recipe.learning_rate),
-    )
+        spread = networks.entropy(outputs, weights.log_std, space)
+        total -= recipe.entropy_coef * mean(spread)
+    return total, apart

@@ -1,16 +1,15 @@
-"""Hyper-parameters as frozen records, and the named recipes."""
+"""Hyper-parameters as frozen records, and the named recipes of those who learn from copies."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Literal, TypeVar, get_args
+from typing import ClassVar, Literal, get_args
 
 from mbtl.errors import InvalidInput, unknown_name
 
 Activation = Literal["tanh", "relu", "mish"]
-AnyRecipe = TypeVar("AnyRecipe")
 
 _STEPS_PER_CALL = 256
 """A2C and DQN learn every few steps: as many of those as give this many steps are one update."""
@@ -23,65 +22,100 @@ def check_lengths(**counts: int) -> None:
             raise InvalidInput(f"{name} must be >= 1, got {value}")
 
 
-def check_counts(recipe: object, *names: str) -> None:
-    """Refuse fields that are below 1."""
-    check_lengths(**{name: getattr(recipe, name) for name in names})
+@dataclass(frozen=True)
+class Learner:
+    """What the recipes of all algorithms have.
 
+    Attributes:
+        unit: what the length of a training counts, "timesteps" or "episodes".
+        gamma: discount per decision.
+        hidden: widths of the hidden layers of all networks.
+        activation: between the layers.
 
-def record_of(recipe: Any) -> dict[str, object]:
-    """JSON-able fields of a recipe with hidden layers."""
-    values = {one.name: getattr(recipe, one.name) for one in fields(recipe)}
-    return values | {"hidden": list(recipe.hidden)}
+    Raises:
+        InvalidInput: a count is below 1, or numbers of a subclass do not fit together.
+    """
+
+    unit: ClassVar[str]
+    counts: ClassVar[tuple[str, ...]]
+    gamma: float = 0.99
+    hidden: tuple[int, ...] = (64, 64)
+    activation: Activation = "tanh"
+
+    def __post_init__(self) -> None:
+        check_lengths(**{name: getattr(self, name) for name in self.counts})
+
+    @property
+    def record(self) -> dict[str, object]:
+        """JSON-able: what decides the policy."""
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        return values | {"hidden": list(self.hidden)}
 
 
 @dataclass(frozen=True)
-class PPORecipe:
-    """Hyper-parameters of PPO; the defaults are those of Stable-Baselines3.
+class ActorCritic(Learner):
+    """What the recipes of PPO, A2C and TRPO have beside that.
+
+    Attributes:
+        gae_lambda: decay of generalised advantage estimation; 1 gives whole returns.
+        normalize_advantage: to mean 0 and standard deviation 1 in what is learnt from at once.
+        log_std: initial log standard deviation of a Gaussian policy.
+    """
+
+    gae_lambda: float = 0.95
+    normalize_advantage: bool = False
+    log_std: float = 0.0
+
+
+@dataclass(frozen=True)
+class WithCopies(Learner):
+    """What the recipes have that learn from copies of an environment, which start again one by one.
 
     Attributes:
         n_envs: copies of the environment per policy.
+        learning_rate: of the optimiser: Adam, or A2C's RMSprop.
+        max_grad_norm: gradients of one policy are scaled down to this norm.
+        anneal: learning rate falls linearly to 0 over the training.
+    """
+
+    unit: ClassVar[str] = "timesteps"
+    n_envs: int = 1
+    learning_rate: float = 3e-4
+    max_grad_norm: float = 0.5
+    anneal: bool = False
+
+
+@dataclass(frozen=True)
+class PPORecipe(WithCopies, ActorCritic):
+    """Hyper-parameters of PPO; the defaults are those of Stable-Baselines3.
+
+    Attributes:
         n_steps: steps of each copy between two updates.
         batch_size: transitions per gradient step; divides n_envs x n_steps.
         n_epochs: passes over the rollout per update.
-        learning_rate: Adam's.
-        gamma: discount per step.
-        gae_lambda: decay of generalised advantage estimation.
         clip_range: trust region of the probability ratio.
         entropy_coef: weight of the entropy bonus.
         value_coef: weight of the value loss.
-        max_grad_norm: gradients of one policy are scaled down to this norm.
         adam_eps: Adam's denominator offset.
-        normalize_advantage: to mean 0 and standard deviation 1 in each minibatch.
-        anneal: learning rate falls linearly to 0 over the training.
-        hidden: widths of the hidden layers of actor and critic.
-        log_std: initial log standard deviation of a Gaussian policy.
-        activation: between the layers.
+        standardize: learn from observations with mean 0 and deviation 1; see `units`.
 
     Raises:
         InvalidInput: a count is below 1, or the minibatches do not fill the rollout.
     """
 
-    unit: ClassVar[str] = "timesteps"
-    n_envs: int = 1
+    counts: ClassVar[tuple[str, ...]] = ("n_envs", "n_steps", "batch_size", "n_epochs")
     n_steps: int = 2048
     batch_size: int = 64
     n_epochs: int = 10
-    learning_rate: float = 3e-4
-    gamma: float = 0.99
-    gae_lambda: float = 0.95
     clip_range: float = 0.2
     entropy_coef: float = 0.0
     value_coef: float = 0.5
-    max_grad_norm: float = 0.5
     adam_eps: float = 1e-5
     normalize_advantage: bool = True
-    anneal: bool = False
-    hidden: tuple[int, ...] = (64, 64)
-    log_std: float = 0.0
-    activation: Activation = "tanh"
+    standardize: bool = False
 
     def __post_init__(self) -> None:
-        check_counts(self, "n_envs", "n_steps", "batch_size", "n_epochs")
+        super().__post_init__()
         if self.update_length % self.batch_size:
             raise InvalidInput(
                 f"batch_size must divide n_envs x n_steps = {self.update_length}, "
@@ -93,58 +127,29 @@ class PPORecipe:
         """Environment steps of one policy between two updates."""
         return self.n_envs * self.n_steps
 
-    @property
-    def record(self) -> dict[str, object]:
-        """JSON-able: what decides the policy."""
-        return record_of(self)
-
 
 @dataclass(frozen=True)
-class A2CRecipe:
+class A2CRecipe(WithCopies, ActorCritic):
     """Hyper-parameters of A2C; the defaults are those of Stable-Baselines3.
 
     Attributes:
-        n_envs: copies of the environment per policy.
         n_steps: steps of each copy between two gradient steps.
-        learning_rate: RMSprop's.
-        gamma: discount per step.
-        gae_lambda: decay of generalised advantage estimation; 1 gives n-step returns.
         entropy_coef: weight of the entropy bonus.
         value_coef: weight of the value loss.
-        max_grad_norm: gradients of one policy are scaled down to this norm.
         rms_decay: of RMSprop's mean of squares.
         rms_eps: RMSprop's denominator offset.
         rms_like_tensorflow: RMSprop as it is there, not as in PyTorch; see `a2c.optimizer`.
-        normalize_advantage: to mean 0 and standard deviation 1 in each rollout.
-        anneal: learning rate falls linearly to 0 over the training.
-        hidden: widths of the hidden layers of actor and critic.
-        log_std: initial log standard deviation of a Gaussian policy.
-        activation: between the layers.
-
-    Raises:
-        InvalidInput: a count is below 1.
     """
 
-    unit: ClassVar[str] = "timesteps"
-    n_envs: int = 1
+    counts: ClassVar[tuple[str, ...]] = ("n_envs", "n_steps")
     n_steps: int = 5
     learning_rate: float = 7e-4
-    gamma: float = 0.99
     gae_lambda: float = 1.0
     entropy_coef: float = 0.0
     value_coef: float = 0.5
-    max_grad_norm: float = 0.5
     rms_decay: float = 0.99
     rms_eps: float = 1e-5
     rms_like_tensorflow: bool = False
-    normalize_advantage: bool = False
-    anneal: bool = False
-    hidden: tuple[int, ...] = (64, 64)
-    log_std: float = 0.0
-    activation: Activation = "tanh"
-
-    def __post_init__(self) -> None:
-        check_counts(self, "n_envs", "n_steps")
 
     @property
     def rollouts_per_update(self) -> int:
@@ -156,47 +161,35 @@ class A2CRecipe:
         """Environment steps of one policy in one call of `a2c.update`."""
         return self.rollouts_per_update * self.n_envs * self.n_steps
 
-    @property
-    def record(self) -> dict[str, object]:
-        """JSON-able: what decides the policy."""
-        return record_of(self)
-
 
 @dataclass(frozen=True)
-class DQNRecipe:
+class DQNRecipe(WithCopies):
     """Hyper-parameters of DQN; the defaults are those of Stable-Baselines3 but for the replay.
 
     (Stable-Baselines3 keeps 1,000,000 transitions; a tenth of it is what fits for many policies.)
 
     Attributes:
-        n_envs: copies of the environment per policy.
         train_freq: steps of each copy between two rounds of learning.
         gradient_steps: minibatches per round.
         batch_size: transitions per minibatch, drawn with replacement.
-        learning_rate: Adam's.
-        gamma: discount per step.
         buffer_size: transitions kept for replay, per policy; the oldest are overwritten.
         learning_starts: environment steps of uniformly random actions before the first round.
         target_every: environment steps between two copies of the network to its target.
         exploration_fraction: share of the training in which epsilon falls linearly from 1.
         final_epsilon: probability of a random action afterwards.
-        max_grad_norm: gradients of one policy are scaled down to this norm.
         adam_eps: Adam's denominator offset.
-        anneal: learning rate falls linearly to 0 over the training.
-        hidden: widths of the hidden layers.
-        activation: between the layers.
 
     Raises:
         InvalidInput: a count is below 1, or rounds do not fill the replay.
     """
 
-    unit: ClassVar[str] = "timesteps"
-    n_envs: int = 1
+    counts: ClassVar[tuple[str, ...]] = (
+        "n_envs", "train_freq", "gradient_steps", "batch_size", "buffer_size", "target_every",
+    )  # fmt: skip
     train_freq: int = 4
     gradient_steps: int = 1
     batch_size: int = 32
     learning_rate: float = 1e-4
-    gamma: float = 0.99
     buffer_size: int = 100_000
     learning_starts: int = 100
     target_every: int = 10_000
@@ -204,20 +197,10 @@ class DQNRecipe:
     final_epsilon: float = 0.05
     max_grad_norm: float = 10.0
     adam_eps: float = 1e-8
-    anneal: bool = False
-    hidden: tuple[int, ...] = (64, 64)
     activation: Activation = "relu"
 
     def __post_init__(self) -> None:
-        counts = (
-            "n_envs",
-            "train_freq",
-            "gradient_steps",
-            "batch_size",
-            "buffer_size",
-            "target_every",
-        )
-        check_counts(self, *counts)
+        super().__post_init__()
         if self.buffer_size % self.steps_per_round:
             raise InvalidInput(
                 f"buffer_size must be a multiple of n_envs x train_freq = {self.steps_per_round}, "
@@ -238,11 +221,6 @@ class DQNRecipe:
     def update_length(self) -> int:
         """Environment steps of one policy in one call of `dqn.update`."""
         return self.rounds_per_update * self.steps_per_round
-
-    @property
-    def record(self) -> dict[str, object]:
-        """JSON-able: what decides the policy."""
-        return record_of(self)
 
 
 MultiTaskMethod = Literal["ppo", "paco", "moore"]
@@ -270,7 +248,7 @@ class MultiTaskRecipe:
     def __post_init__(self) -> None:
         if self.method not in get_args(MultiTaskMethod):
             raise unknown_name("multi-task method", self.method, get_args(MultiTaskMethod))
-        check_counts(self, "n_parts")
+        check_lengths(n_parts=self.n_parts)
 
     @property
     def update_length(self) -> int:
@@ -291,7 +269,10 @@ class MultiTaskRecipe:
     def record(self) -> dict[str, object]:
         """JSON-able: what decides the policy."""
         parts = {"n_parts": self.n_parts} if self.has_vectors else {}
-        return {"method": self.method, "ppo": self.ppo.record, **parts}
+        ppo = self.ppo.record
+        if not self.ppo.standardize:  # records of before have no word of it
+            del ppo["standardize"]
+        return {"method": self.method, "ppo": ppo, **parts}
 
 
 Recipe = PPORecipe | A2CRecipe | DQNRecipe | MultiTaskRecipe
@@ -339,16 +320,3 @@ def multitask_recipe(method: MultiTaskMethod, environment: str) -> MultiTaskReci
     if environment not in _MULTI_TASK:
         raise unknown_name("environment with multi-task recipes", environment, _MULTI_TASK)
     return MultiTaskRecipe(method, _MULTI_TASK[environment], _N_PARTS[method])
-
-
-def named(recipes: Mapping[str, Mapping[str, AnyRecipe]], algorithm: str, name: str) -> AnyRecipe:
-    """One entry of a table by algorithm and name.
-
-    Raises:
-        UnknownName: there is none.
-    """
-    if algorithm not in recipes:
-        raise unknown_name("algorithm with recipes", algorithm, recipes)
-    if name not in recipes[algorithm]:
-        raise unknown_name(f"{algorithm} recipe", name, recipes[algorithm])
-    return recipes[algorithm][name]

@@ -89,9 +89,9 @@ class Rollout(NamedTuple):
 
 
 def start(
+    optimizer: Callable[[Any], optax.GradientTransformation],
     world: Solo,
     recipe: PPORecipe | A2CRecipe,
-    optimizer: Callable[[Any], optax.GradientTransformation],
     seeds: Sequence[int],
     params: Tree,
     weights: Any = None,
@@ -99,9 +99,9 @@ def start(
     """Networks, an optimiser without memory and freshly started copies of all policies.
 
     Args:
+        optimizer: makes the optimiser from the recipe; a module's function.
         world: the dynamics.
         recipe: hyper-parameters.
-        optimizer: makes the optimiser from the recipe; a module's function.
         seeds: one per policy, 32 bits; decides its whole training.
         params: (P, ...) one context per policy, or (P, N, ...).
         weights: to begin from, leading axis; None for fresh ones.

@@ -13,15 +13,16 @@ the region; the car that enters next takes the next place in turn.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar, get_args
 
 import jax
 import jax.numpy as jnp
 
-from mbtl.worlds.environments import Box, TimeLimit
-from mbtl.worlds.traffic import eco_rewards, lane
+from mbtl.errors import InvalidInput
+from mbtl.worlds.environments import Box, Law, TimeLimit
+from mbtl.worlds.traffic import eco_rewards, eco_rules, lane
 from mbtl.worlds.traffic.arrivals import Car, Demand
 from mbtl.worlds.traffic.eco_rewards import Reward
 from mbtl.worlds.traffic.eco_speeds import speeds
@@ -48,7 +49,7 @@ class EcoTwin(Seeded):
     """Cars on their way through a light; constants are those of the SUMO environment.
 
     Attributes:
-        action: an acceleration [m/s^2].
+        action: an acceleration [m/s^2]; in a lesson on speeds, a share of the limit.
         road: geometry.
         light: the signals.
         demand: who comes.
@@ -64,6 +65,7 @@ class EcoTwin(Seeded):
         agents: A.
         few: rows of `main` and `side` that are computed while no simulation needs more, ascending.
         reward: what agents are taught by; it changes no score.
+        law: what a lesson's actions are in accelerations; None: they are those.
         time_limit: how the end of an episode is reported.
     """
 
@@ -83,11 +85,26 @@ class EcoTwin(Seeded):
     agents: int
     few: tuple[tuple[int, int], ...] = ((28, 10), (64, 16))
     reward: Reward = "paper"
+    law: Law | None = None
     time_limit: TimeLimit = "truncation"
     n_features: int = 39
-    mixes: bool = True
     params: type[EcoParams] = EcoParams
     rewards: ClassVar[tuple[str, ...]] = get_args(Reward)
+    lessons: ClassVar[tuple[str, ...]] = ("speed",)
+
+    def lesson(self, actions: str) -> EcoTwin:
+        """The same road, where speeds are advised.
+
+        What the bounds of an acceleration cut off of such advice is more than a car can do.
+        """
+        law = Law(self.road.limit / self.dt, _OWN_SPEED, -self.look.speed / self.dt, self.action)
+        return replace(self, action=Box((0.0,), (1.0,)), law=law)
+
+    def rule(self, name: str) -> eco_rules.Layers:
+        """See `mbtl.worlds.rules.Rules`; they advise speeds."""
+        if self.law is None:
+            raise InvalidInput(f"the rule {name!r} advises speeds; train with actions='speed'")
+        return eco_rules.layers(name)
 
     def decisions(self, params: EcoParams) -> int:
         """The same in every context."""
@@ -136,7 +153,7 @@ class EcoTwin(Seeded):
         return view(self.road, self.light, self.look, self.dt, state, params, simulation, place)
 
     def step(self, state: EcoState, action: jax.Array, params: EcoParams) -> Moved:
-        """One step in which agents accelerate as they are told."""
+        """One step in which agents do as they are told."""
         return self._advance(state, action[..., 0].T, params)
 
     def drive(self, state: EcoState, params: EcoParams) -> Moved:
@@ -163,7 +180,7 @@ class EcoTwin(Seeded):
     # ---- inside ------------------------------------------------------------------------------
 
     def _advance(self, state: EcoState, told: jax.Array | None, params: EcoParams) -> Moved:
-        """One simulation step; `told` are accelerations of the agents, (A, n)."""
+        """One simulation step; `told` is what is advised to the agents, (A, n)."""
 
         def shortened(size: tuple[int, int], state: EcoState) -> Moved:
             moved = self._step(_cut(state, size), told, params)
@@ -244,7 +261,11 @@ class EcoTwin(Seeded):
         main = state.main
         speed, side = speeds(self.road, self.dt, main, state.trip.side, state.side, go, side_go)
         if told is not None:
-            target = jnp.clip(_at(main.speed, state.row) + self.dt * told, 0.0, self.road.limit)
+            if self.law is None:
+                target = _at(main.speed, state.row) + self.dt * told
+            else:
+                target = self.road.limit * told
+            target = jnp.clip(target, 0.0, self.road.limit)
             place = state.trip.place
             slowest = main.speed - self.dt * main.decel
             obeyed = jnp.maximum(jnp.minimum(speed, _at(target, place)), slowest)
@@ -264,8 +285,8 @@ class EcoTwin(Seeded):
         elif self.reward == "delay":
             reward = _at(eco_rewards.delay(self.road.limit, speed), state.row)
         else:
-            inside = state.main.x > 0.0
-            lost = jnp.where(inside, eco_rewards.delay(self.road.limit, speed), 0.0)
+            start = 0.0 if self.reward == "platoon" else 0.5 * lane.EMPTY
+            lost = jnp.where(state.main.x > start, eco_rewards.delay(self.road.limit, speed), 0.0)
             reward = eco_rewards.of_platoons(lost, state.row)
         done = (state.row == 0) & leaves
         return jnp.where((state.row >= 0) & ~done, reward, 0.0), done
@@ -346,6 +367,7 @@ class EcoTwin(Seeded):
 
 _EPSILON = 0.1  # metres: SUMO lets tails enter, and fronts leave, that far from a road's end
 _FIRST_ROWS = (40, 10)  # of `main` and `side`: more cars do not come in the warm-up
+_OWN_SPEED = 0  # where an observation has it
 _RESERVE = 8  # rows kept for cars from the side feeder
 _UNBORN = Trip(0, -1, 0, 0.0, 0.0, 0, 0, 1)
 

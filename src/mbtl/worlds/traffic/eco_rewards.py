@@ -2,10 +2,13 @@
 
     paper     (v - crawling max(0, crawl - v) - co2 E) / scale of the own car (cmdp-spec, 6.2)
     delay     v / limit - 1 of the own car
-    platoon   the same, summed over the own car and those behind it up to the next agent
+    platoon   the same, summed over the own car and those behind it up to the next agent, as far as
+              they are in the region
+    road      the same, with those who are behind on the straight feeder
 
 The sum of v over a trip is its length whatever the speed, so that `paper` hardly asks for speed;
-the sum of `delay` is the time lost. Delay of the platoon counts those who cannot overtake.
+the sum of `delay` is the time lost. Delay of the platoon counts those who cannot overtake. As the
+score sees cars in the region only, it pays to keep others out of it; under `road` it does not.
 Notation as in `mbtl.worlds.traffic.eco`.
 """
 
@@ -18,7 +21,7 @@ import jax.numpy as jnp
 
 from mbtl.worlds.traffic.eco_state import Costs
 
-Reward = Literal["paper", "delay", "platoon"]
+Reward = Literal["paper", "delay", "platoon", "road"]
 
 
 def paper(costs: Costs, speed: jax.Array, co2: jax.Array) -> jax.Array:

@@ -93,7 +93,6 @@ class RampTwin(Seeded):
     time_limit: TimeLimit = "truncation"
     stale: bool = False
     n_features: int = 8
-    mixes: bool = True
     params: type[RampParams] = RampParams
 
     def decisions(self, params: RampParams) -> Length:

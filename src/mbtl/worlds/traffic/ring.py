@@ -141,7 +141,6 @@ class RingTwin(Seeded):
     uniform: bool = False
     agents: int = 1
     n_features: int = 3
-    mixes: bool = True
     params: type[RingParams] = RingParams
 
     def decisions(self, params: RingParams) -> Length:

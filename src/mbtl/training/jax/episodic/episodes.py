@@ -17,16 +17,15 @@ import numpy as np
 
 from mbtl.portfolio import BoxHead, MLPPolicy
 from mbtl.training.jax import networks
-from mbtl.training.jax.episodic.packing import most_rows
 from mbtl.training.jax.episodic.watching import Rows, each, watched
-from mbtl.training.jax.export import import_actors
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
 from mbtl.worlds import beats as beats_of
 from mbtl.worlds import random
 from mbtl.worlds.beats import Holding
 from mbtl.worlds.environments import Beats, Discrete, Length, Tree
-from mbtl.worlds.world import Crowd, Moved, World
+from mbtl.worlds.packing import most_rows
+from mbtl.worlds.world import Crowd, World
 
 Acting = Literal["sampled", "mean", "random", "none"]
 """How actions follow from a policy: drawn, the most likely one, or not: any, or no advice."""
@@ -55,8 +54,12 @@ def actor_of(weights: Any) -> Actor:
 
 def import_actor(policies: list[MLPPolicy]) -> Actor:
     """The acting part of policies of one shape."""
+    layers = zip(*[zip(p.weights, p.biases, strict=True) for p in policies], strict=True)
+    network = tuple(
+        (jnp.stack([w.T for w, _ in each]), jnp.stack([b for _, b in each])) for each in layers
+    )
     stds = [p.head.log_std if isinstance(p.head, BoxHead) else np.zeros(0) for p in policies]
-    return Actor(import_actors(policies), jnp.asarray(np.stack(stds), jnp.float32))  # type: ignore[arg-type]
+    return Actor(network, jnp.asarray(np.stack(stds), jnp.float32))  # type: ignore[arg-type]
 
 
 class Episodes(NamedTuple):
@@ -89,33 +92,6 @@ class Episodes(NamedTuple):
     score: jax.Array
 
 
-BY_DECISION = ("row", "outputs", "action", "value", "acting", "reward", "done")
-"""Fields of `Episodes` with axes (P, D, E, ...); but for `obs` the others have (P, E, ...)."""
-
-
-def delayed(lived: Episodes, decisions: int) -> Episodes:
-    """The same episodes after so many decisions of nobody."""
-
-    def later(x: jax.Array) -> jax.Array:
-        return jnp.pad(x, [(0, 0), (decisions, 0)] + [(0, 0)] * (x.ndim - 2))
-
-    return lived._replace(**{name: later(getattr(lived, name)) for name in BY_DECISION})
-
-
-def joined(each: list[Episodes]) -> Episodes:
-    """Episodes of the same policies and of as many decisions, side by side."""
-    first, rows = 0, []
-    for lived in each:
-        rows.append(lived._replace(row=lived.row + first))
-        first += lived.obs.shape[1]
-
-    def together(name: str) -> jax.Array:
-        axis = 2 if name in BY_DECISION else 1
-        return jnp.concatenate([getattr(lived, name) for lived in rows], axis=axis)
-
-    return Episodes(*map(together, Episodes._fields))
-
-
 def record(
     twin: World,
     activation: Activation,
@@ -123,7 +99,7 @@ def record(
     actor: Actor,
     seeds: jax.Array,
     params: Tree,
-    lasting: jax.Array | None = None,
+    hold: int = 1,
 ) -> Episodes:
     """Play with sampled actions and keep everything.
 
@@ -134,12 +110,10 @@ def record(
         actor: of P policies, with their critics.
         seeds: (P, E) uint32, one per episode.
         params: of one context, or of every simulation.
-        lasting: decisions of an episode in this context, where one program serves several: before
-            the first of them nobody acts. That is no delay of what comes later, and advantages run
-            from the end of an episode to its beginning. None: as many as at most.
+        hold: decisions for which what is random in an action stays the same; static.
     """
     if isinstance(decisions, Beats):
-        return _in_beats(twin, activation, decisions, actor, seeds, params)
+        return _in_beats(twin, activation, decisions, actor, seeds, params, hold)
     shape, flat = seeds.shape, seeds.reshape(-1)
     crowd = isinstance(twin, Crowd)
     played = (actor.network, actor.critic) if crowd else (actor.network,)
@@ -148,25 +122,12 @@ def record(
     def split(x: jax.Array) -> jax.Array:
         return x.reshape(*shape, *x.shape[1:])
 
-    idle = jnp.uint32(0) if lasting is None else (decisions - lasting).astype(jnp.uint32)
-
-    def step(state: Tree, action: jax.Array) -> Moved:
-        applied = networks.to_environment(action, twin.action)
-        return twin.step(state, applied.reshape(-1, *action.shape[2:]), params)
-
-    def wait(state: Tree, action: jax.Array) -> Moved:
-        nobody = jnp.zeros((len(flat), twin.agents), bool)
-        return Moved(state, nobody.astype(jnp.float32), nobody)
-
     def one(carry: tuple[Tree, Rows], moment: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
         state, rows = carry
-        playing = None if lasting is None else moment >= idle
-        seen, rows = watch(played, state, rows, playing)
-        action = _sampled(twin, actor, seen.found[0], flat, moment - idle)
-        if playing is None:
-            moved = step(state, action)
-        else:
-            moved = jax.lax.cond(playing, step, wait, state, action)
+        seen, rows = watch(played, state, rows)
+        action = _sampled(twin, actor, seen.found[0], flat, moment // hold)
+        applied = networks.to_environment(action, twin.action)
+        moved = twin.step(state, applied.reshape(-1, *action.shape[2:]), params)
         now = map(split, (moved.reward, moved.done))
         return (moved.state, rows), (seen.row, action, seen.acting, *now, *seen.found)
 
@@ -179,7 +140,7 @@ def record(
     row, action, acting, reward, done, *found = (jnp.moveaxis(x, 0, 1) for x in by_moment)
     if not crowd:  # all rows at once are faster where none is empty
         found.append(each(activation, actor.critic, rows.obs).reshape(*row.shape, 1))
-    last, _ = watch((actor.critic,), state, None, None)
+    last, _ = watch((actor.critic,), state)
     return Episodes(
         obs=rows.obs,
         row=row,
@@ -196,7 +157,13 @@ def record(
 
 
 def _in_beats(
-    twin: Any, activation: Activation, beats: Beats, actor: Actor, seeds: jax.Array, params: Tree
+    twin: Any,
+    activation: Activation,
+    beats: Beats,
+    actor: Actor,
+    seeds: jax.Array,
+    params: Tree,
+    hold: int,
 ) -> Episodes:
     """`record` where decisions last differently long."""
     shape, flat = seeds.shape, seeds.reshape(-1)
@@ -210,7 +177,7 @@ def _in_beats(
     def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, Tree]:
         seen = twin.observe(state, params)
         outputs = each(activation, actor.network, split(seen.obs))
-        action = _sampled(twin, actor, outputs, flat, number)
+        action = _sampled(twin, actor, outputs, flat, number // hold)
         joint = (x.reshape(-1, *x.shape[2:]) for x in (outputs, action))
         applied = networks.to_environment(action, twin.action)
         return applied.reshape(-1, *action.shape[2:]), (seen.obs, seen.acting, *joint)
@@ -257,7 +224,7 @@ def scores(
     def told(state: Tree, moment: jax.Array) -> jax.Array:
         if how == "random":
             return twin.any_actions(flat, moment)
-        (outputs,) = watch(state, None, None)[0].found
+        (outputs,) = watch(state)[0].found
         if how == "sampled":
             action = _sampled(twin, actor, outputs, flat, moment)
             action = networks.to_environment(action, twin.action)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -10,20 +11,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.episodic import ppo, trpo
-from mbtl.training.jax.episodic.episodes import Episodes, actor_of, record
+from mbtl.training.jax.episodic.episodes import actor_of, record
 from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe, TRPORecipe, TwinRecipe
 from mbtl.training.jax.networks import Weights
 from mbtl.worlds import random
 from mbtl.worlds.environments import Length, Tree
+from mbtl.worlds.rules import Rules
 from mbtl.worlds.world import World, of_simulations
 
 _ALGORITHMS: Mapping[type, Any] = {TRPORecipe: trpo, EpisodicPPORecipe: ppo}
 """Modules with `start(recipe, weights)` and `learn(...)`, of one policy."""
 
-_EPISODE = 1 << 21  # stream of random numbers: seeds of training episodes
+# streams of random numbers: seeds of training episodes, and their contexts where there are several
+_EPISODE, _CONTEXT = 1 << 21, 1 << 22
 
 
 class State(NamedTuple):
@@ -58,31 +62,57 @@ def init(
             )
             for seed in seeds
         ]
-        weights = networks.stack(each)
+        weights = networks.stack([begun(world, recipe, one) for one in each])
     memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))(weights)
     return State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))
+
+
+def begun(world: World, recipe: TwinRecipe, fresh: Weights) -> Weights:
+    """A fresh policy that acts as the recipe's `begin` says; what else it sees is not looked at.
+
+    Raises:
+        InvalidInput: this world has no such rule, or for other networks.
+    """
+    if not recipe.begin:
+        return fresh
+    if not isinstance(world, Rules):
+        raise InvalidInput(
+            f"begin={recipe.begin!r} needs a world that knows rules, got {type(world).__name__}"
+        )
+    (matrix, bias), *rest = world.rule(recipe.begin)
+    more = len(fresh.actor[0][0]) - len(matrix)
+    actor = ((np.pad(matrix, ((0, more), (0, 0))), bias), *rest)
+    shapes = [[np.shape(x) for x in jax.tree.leaves(net)] for net in (actor, fresh.actor)]
+    if shapes[0] != shapes[1] or recipe.activation != "tanh":
+        raise InvalidInput(
+            f"the rule {recipe.begin!r} is a network of tanh with layers {shapes[0]}, got a recipe "
+            f"for {recipe.activation} with {shapes[1]}"
+        )
+    return fresh._replace(actor=actor)
 
 
 def update(
     world: World, recipe: TwinRecipe, decisions: Length, state: State, params: Tree, clock: Clock
 ) -> State:
     """Live through `n_episodes` of each policy and learn from them; args as `algorithms.update`."""
-    seeds = episode_seeds(recipe, state, clock.number)
+    seeds = random.bits(state.seed, _EPISODE, clock.number, recipe.n_episodes).T
+    if params.visible.ndim == 3:
+        met = contexts_met(state.seed, clock.number, params.visible.shape[1], recipe.n_episodes)
+        params = jax.tree.map(lambda x: jax.vmap(jnp.take, (0, 0, None))(x, met, 0), params)
     every = of_simulations(params, recipe.n_episodes)
-    lived = record(world, recipe.activation, decisions, actor_of(state.weights), seeds, every)
-    return learnt(world, recipe, state, clock.number, lived)
-
-
-def episode_seeds(recipe: TwinRecipe, state: State, number: jax.Array) -> jax.Array:
-    """(P, `n_episodes`) seeds of the episodes of an update."""
-    return random.bits(state.seed, _EPISODE, number, recipe.n_episodes).T
-
-
-def learnt(
-    world: World, recipe: TwinRecipe, state: State, number: jax.Array, lived: Episodes
-) -> State:
-    """Each policy after an update with its episodes."""
+    actor = actor_of(state.weights)
+    lived = record(world, recipe.activation, decisions, actor, seeds, every, hold=recipe.hold)
     learn = partial(_ALGORITHMS[type(recipe)].learn, world.action, recipe)
     policies = jax.vmap(learn, in_axes=(0, 0, 0, None))
-    weights, memory = policies(state.weights, state.memory, lived, number)
+    weights, memory = policies(state.weights, state.memory, lived, clock.number)
     return State(weights, memory, state.seed)
+
+
+def contexts_met(seed: jax.Array, number: jax.Array, contexts: int, count: int) -> jax.Array:
+    """(P, count) of N contexts in which policies are in an update, one for each of their episodes.
+
+    They are drawn uniformly, without repetition while there are any.
+    """
+    rounds = math.ceil(count / contexts)
+    draw = random.bits(seed, _CONTEXT, number, rounds * contexts).T
+    return draw.reshape(-1, rounds, contexts).argsort(axis=-1).reshape(len(seed), -1)[:, :count]

@@ -3,21 +3,55 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.recipes import Activation, check_counts, record_of
+from mbtl.training.jax.recipes import ActorCritic
+
+Credit = Literal["own", "team"]
+"""Whose rewards an action is worth: the agent's until it leaves, or the team's until the end."""
 
 
 @dataclass(frozen=True)
-class TRPORecipe:
-    """Hyper-parameters of TRPO on whole episodes; cmdp-spec, 7.4, and the reference's code.
+class TwinRecipe(ActorCritic):
+    """What the recipes have that learn from whole episodes.
 
     Attributes:
         n_episodes: episodes of one policy between two updates.
-        gamma: discount per decision.
-        gae_lambda: decay of generalised advantage estimation; 1 gives whole returns.
+        normalize_reward: divide rewards by the deviation of discounted returns.
+        center_reward: subtract their running mean. Not where lives end by what an agent does: there
+            it pays, or costs, to live on.
+        critic_gain: of the critic's last layer at the start.
+        first_action: mean of a Gaussian policy before the first update, in every dimension.
+        begin: what a new policy does: a name that the world knows (`mbtl.worlds.rules.Rules`);
+            empty: its first action.
+        hold: decisions for which a deviation from the mean stays the same. Fresh ones at every
+            decision average out before they come to anything.
+        credit: whose rewards an action is worth (`returns.of_team`).
+    """
+
+    unit: ClassVar[str] = "episodes"
+    n_episodes: int = 1
+    normalize_reward: bool = False
+    center_reward: bool = False
+    critic_gain: float = 0.01
+    first_action: float = 0.0
+    begin: str = ""
+    hold: int = 1
+    credit: Credit = "own"
+
+    @property
+    def update_length(self) -> int:
+        """Episodes of one policy between two updates."""
+        return self.n_episodes
+
+
+@dataclass(frozen=True)
+class TRPORecipe(TwinRecipe):
+    """Hyper-parameters of TRPO on whole episodes; cmdp-spec, 7.4, and the reference's code.
+
+    Attributes:
         max_kl: delta, largest mean KL(old, new) of an update.
         cg_steps: iterations of conjugate gradients.
         damping: added to the diagonal of the Fisher matrix.
@@ -26,25 +60,17 @@ class TRPORecipe:
         accept: least ratio of the real to the expected improvement.
         critic_learning_rate: Adam's.
         critic_passes: its steps per update, each on all rows.
-        critic_gain: of the critic's last layer at the start.
         clip_actions: learn from the actions that were applied, not from the samples beyond their
             bounds: the gradient is biased, and pulls a mean that has left the bounds back.
-        normalize_advantage: to mean 0 and standard deviation 1 per update.
-        normalize_reward: divide rewards by the deviation of discounted returns.
-        center_reward: subtract their running mean. Not where lives end by what an agent does: there
-            it pays, or costs, to live on.
-        hidden: widths of the hidden layers of actor and critic.
-        log_std: initial log standard deviation of a Gaussian policy.
-        first_action: its mean before the first update, in every dimension.
-        activation: between the layers.
-        credit: whose rewards an action is worth (`team`).
-
-    Raises:
-        InvalidInput: a count is below 1.
     """
 
-    unit: ClassVar[str] = "episodes"
-    n_episodes: int = 1
+    counts: ClassVar[tuple[str, ...]] = (
+        "n_episodes",
+        "cg_steps",
+        "backtracks",
+        "critic_passes",
+        "hold",
+    )
     gamma: float = 0.999
     gae_lambda: float = 1.0
     max_kl: float = 0.01
@@ -55,43 +81,20 @@ class TRPORecipe:
     accept: float = 0.1
     critic_learning_rate: float = 1e-4
     critic_passes: int = 1
-    critic_gain: float = 0.01
     clip_actions: bool = True
-    normalize_advantage: bool = False
     normalize_reward: bool = True
     center_reward: bool = True
-    hidden: tuple[int, ...] = (64, 64)
-    log_std: float = 0.0
-    first_action: float = 0.0
-    activation: Activation = "tanh"
-    credit: Literal["own", "team"] = "own"
-
-    def __post_init__(self) -> None:
-        check_counts(self, "n_episodes", "cg_steps", "backtracks", "critic_passes")
-
-    @property
-    def update_length(self) -> int:
-        """Episodes of one policy between two updates."""
-        return self.n_episodes
-
-    @property
-    def record(self) -> dict[str, object]:
-        """JSON-able: what decides the policy."""
-        return record_of(self)
 
 
 @dataclass(frozen=True)
-class EpisodicPPORecipe:
+class EpisodicPPORecipe(TwinRecipe):
     """Hyper-parameters of PPO on whole episodes; the defaults are those of cmdp-spec, 6.3.
 
     Attributes:
-        n_episodes: episodes of one policy between two updates.
         rows: decisions to learn from per update, drawn at random where there are more.
         minibatches: per pass; divides `rows`.
         n_epochs: passes per update.
         learning_rate: Adam's.
-        gamma: discount per decision.
-        gae_lambda: decay of generalised advantage estimation.
         clip_range: trust region of the probability ratio.
         value_clip: largest move of a value per update.
         value_coef: weight of the value loss.
@@ -100,27 +103,17 @@ class EpisodicPPORecipe:
             no penalty, for ever.
         target_kl: the update ends when a minibatch is farther than this.
         max_grad_norm: the gradient is scaled down to this norm.
-        normalize_advantage: to mean 0 and standard deviation 1 per update.
-        normalize_reward: divide rewards by the deviation of discounted returns.
-        center_reward: subtract their running mean; see `TRPORecipe`.
-        critic_gain: of the critic's last layer at the start.
-        hidden: widths of the hidden layers of actor and critic.
-        log_std: initial log standard deviation of a Gaussian policy.
-        first_action: its mean before the first update, in every dimension.
-        activation: between the layers.
-        credit: whose rewards an action is worth (`team`).
 
     Raises:
         InvalidInput: a count is below 1, or the minibatches do not fill the rows.
     """
 
-    unit: ClassVar[str] = "episodes"
-    n_episodes: int = 1
+    counts: ClassVar[tuple[str, ...]] = ("n_episodes", "hold", "rows", "minibatches", "n_epochs")
+    adam_eps: ClassVar[float] = 1e-8
     rows: int = 8000
     minibatches: int = 40
     n_epochs: int = 10
     learning_rate: float = 1e-4
-    gamma: float = 0.99
     gae_lambda: float = 0.97
     clip_range: float = 0.03
     value_clip: float = 3.0
@@ -129,35 +122,41 @@ class EpisodicPPORecipe:
     kl_coef: float = 0.1
     target_kl: float = 0.02
     max_grad_norm: float = 1e9
-    normalize_advantage: bool = False
-    normalize_reward: bool = False
-    center_reward: bool = False
-    critic_gain: float = 0.01
     hidden: tuple[int, ...] = (256, 256, 256, 256)
-    log_std: float = 0.0
-    first_action: float = 0.0
-    activation: Activation = "tanh"
-    credit: Literal["own", "team"] = "own"
 
     def __post_init__(self) -> None:
-        check_counts(self, "n_episodes", "rows", "minibatches", "n_epochs")
+        super().__post_init__()
         if self.rows % self.minibatches:
             raise InvalidInput(
                 f"minibatches must divide rows = {self.rows}, got {self.minibatches}"
             )
 
     @property
-    def update_length(self) -> int:
-        """Episodes of one policy between two updates."""
-        return self.n_episodes
-
-    @property
-    def record(self) -> dict[str, object]:
-        """JSON-able: what decides the policy."""
-        return record_of(self)
+    def batch_size(self) -> int:
+        """Rows per gradient step."""
+        return self.rows // self.minibatches
 
 
-TwinRecipe = TRPORecipe | EpisodicPPORecipe
+_FAST = EpisodicPPORecipe(
+    rows=2048,
+    minibatches=8,
+    n_epochs=6,
+    learning_rate=1e-3,
+    gamma=0.95,
+    gae_lambda=0.9,
+    clip_range=0.2,
+    value_clip=1e9,
+    value_coef=0.5,
+    entropy_coef=0.0,
+    kl_coef=0.0,
+    target_kl=0.05,
+    max_grad_norm=0.5,
+    normalize_advantage=True,
+    normalize_reward=True,
+    critic_gain=1.0,
+    hidden=(64, 64),
+    log_std=-1.0,
+)
 
 TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
     "TRPO": {
@@ -171,26 +170,21 @@ TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
     },
     "PPO": {
         "paper": EpisodicPPORecipe(),
-        "fast": EpisodicPPORecipe(
-            rows=2048,
-            minibatches=8,
-            n_epochs=6,
-            learning_rate=1e-3,
-            gamma=0.95,
-            gae_lambda=0.9,
-            clip_range=0.2,
-            value_clip=1e9,
-            value_coef=0.5,
-            entropy_coef=0.0,
-            kl_coef=0.0,
-            target_kl=0.05,
-            max_grad_norm=0.5,
-            normalize_advantage=True,
-            normalize_reward=True,
-            critic_gain=1.0,
-            hidden=(64, 64),
-            log_std=-1.0,
+        "fast": _FAST,
+        "glide": replace(
+            _FAST,
+            n_episodes=4,
+            rows=8192,
+            minibatches=16,
+            n_epochs=4,
+            learning_rate=1e-4,
+            gamma=0.99,
+            gae_lambda=0.99,
+            log_std=-2.0,
+            begin="glide",
+            hold=10,
         ),
     },
 }
-"""Recipes by algorithm and name; `paper` is the spec's, `fast` ends sooner on a CPU."""
+"""Recipes by algorithm and name; `paper` is the spec's, `fast` ends sooner on a CPU, `glide` begins
+with a rule of eco-driving and learns how fast to drive (docs/eco-driving.md)."""

@@ -2,29 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from mbtl.training.jax.episodic.distributions import mean_of
 from mbtl.training.jax.episodic.episodes import Episodes
-from mbtl.training.jax.episodic.team import Credit, of_team
-
-
-class Discounting(Protocol):
-    """The part of a recipe that says what a return is."""
-
-    @property
-    def gamma(self) -> float: ...  # noqa: D102
-    @property
-    def gae_lambda(self) -> float: ...  # noqa: D102
-    @property
-    def normalize_reward(self) -> bool: ...  # noqa: D102
-    @property
-    def center_reward(self) -> bool: ...  # noqa: D102
-    @property
-    def credit(self) -> Credit: ...  # noqa: D102
+from mbtl.training.jax.episodic.recipes import TwinRecipe
+from mbtl.training.jax.estimates import mean_of
 
 
 class Returns(NamedTuple):
@@ -49,7 +34,7 @@ class Returns(NamedTuple):
         zero = jnp.float32(0.0)
         return cls(zero, zero, zero, zero)
 
-    def updated(self, recipe: Discounting, lived: Episodes) -> Returns:
+    def updated(self, recipe: TwinRecipe, lived: Episodes) -> Returns:
         """With more episodes of one policy."""
         weight = lived.acting.astype(jnp.float32)
         n = weight.sum()
@@ -77,12 +62,12 @@ class Returns(NamedTuple):
 
 
 def advantages(
-    recipe: Discounting, returns: Returns, lived: Episodes
+    recipe: TwinRecipe, returns: Returns, lived: Episodes
 ) -> tuple[jax.Array, jax.Array, Returns]:
     """Generalised advantage estimates along each agent's life, or along the team's.
 
     delta = r + gamma V(next) - V(obs). A life that has ended is worth nothing more; one that the
-    end of the episode cut off is worth V of what its agent saw last. A team (`team.of_team`) lives
+    end of the episode cut off is worth V of what its agent saw last. A team (`of_team`) lives
     until the episode ends, and an agent's advantage is what the team's return exceeds V(obs) by.
 
     Args:
@@ -108,6 +93,7 @@ def advantages(
     delta = reward + recipe.gamma * jnp.where(alive, following, 0.0) - value
 
     def back(later: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        # the form of this sum and of that in `rollout` decides the last bit of kept policies
         advantage = now[0] + recipe.gamma * recipe.gae_lambda * jnp.where(now[1], later, 0.0)
         return advantage, advantage
 
@@ -118,6 +104,32 @@ def advantages(
     return advantage, target, returns
 
 
-def _centred(recipe: Discounting, reward: jax.Array, mean: jax.Array) -> jax.Array:
+def of_team(lived: Episodes) -> Episodes:
+    """The same episodes as the team lives through them: one reward, one value, no end before all.
+
+    Where agents share one reward, what one does is worth what the team earns until the episode
+    ends: credited with its own life only, an agent that drives on is paid less than one that stays
+    and sees others arrive.
+
+    Its reward and value are the means of those of the agents who act, in every place.
+    """
+
+    def shared(x: jax.Array, who: jax.Array) -> jax.Array:
+        total = jnp.where(who, x, 0.0).sum(axis=-1, keepdims=True)
+        mean = total / jnp.maximum(who.sum(axis=-1, keepdims=True), 1)
+        return jnp.broadcast_to(mean, x.shape)
+
+    someone = lived.last_acting.any(axis=-1, keepdims=True)
+    return lived._replace(
+        reward=shared(lived.reward, lived.acting),
+        value=shared(lived.value, lived.acting),
+        acting=jnp.ones_like(lived.acting),
+        done=jnp.zeros_like(lived.done),
+        last_value=shared(lived.last_value, lived.last_acting),
+        last_acting=jnp.broadcast_to(someone, lived.last_acting.shape),
+    )
+
+
+def _centred(recipe: TwinRecipe, reward: jax.Array, mean: jax.Array) -> jax.Array:
     """Less their running mean, where the recipe says so."""
     return reward - mean if recipe.center_reward else reward

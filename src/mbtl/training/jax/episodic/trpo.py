@@ -19,10 +19,10 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
-from mbtl.training.jax.episodic.distributions import kl, mean_of, standard
 from mbtl.training.jax.episodic.episodes import Episodes
 from mbtl.training.jax.episodic.recipes import TRPORecipe
 from mbtl.training.jax.episodic.returns import Returns, advantages
+from mbtl.training.jax.estimates import mean_of, standard
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.worlds.environments import Box, Discrete, Tree
 
@@ -113,7 +113,9 @@ def _natural_step(
 
     def divergence(theta: jax.Array) -> jax.Array:
         outputs, log_std = outputs_of(theta)
-        return mean_of(kl(batch.outputs, weights.log_std, outputs, log_std, action), batch.weight)
+        return mean_of(
+            networks.kl(batch.outputs, weights.log_std, outputs, log_std, action), batch.weight
+        )
 
     before, gradient = jax.value_and_grad(surrogate)(flat)
 

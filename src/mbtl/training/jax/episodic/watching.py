@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.training.jax import networks
-from mbtl.training.jax.episodic.packing import Agents, chunk_size
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
 from mbtl.worlds.environments import Tree
+from mbtl.worlds.packing import Agents, chunk_size
 from mbtl.worlds.world import Crowd, World
 
 
@@ -38,8 +38,7 @@ def watched(
     shape: tuple[int, ...],
     played: tuple[Network, ...],
     state: Tree,
-    rows: Rows | None,
-    playing: jax.Array | None,
+    rows: Rows | None = None,
 ) -> tuple[Watched, Any]:
     """Networks of P policies applied to what their agents see; 0 where there is none.
 
@@ -50,8 +49,7 @@ def watched(
         shape: (P, E).
         played: networks, leading axis P.
         state: of the simulations.
-        rows: where to keep observations.
-        playing: whether anybody may act at this moment.
+        rows: where to keep observations; None to keep none.
     """
     used = jnp.int32(0) if rows is None else rows.used
 
@@ -63,7 +61,6 @@ def watched(
     if not isinstance(twin, Crowd):
         obs, acting = twin.observe(state, params)
         acting = acting.reshape(*shape, -1)
-        acting &= True if playing is None else playing
         obs = obs.reshape(*acting.shape, -1)
         found = tuple(each(activation, network, obs) for network in played)
         row = used + jnp.arange(acting[0].size).reshape(acting.shape[1:])
@@ -73,7 +70,6 @@ def watched(
         return Watched(acting, found, jnp.broadcast_to(row, acting.shape)), rows
 
     acting = twin.acting(state).reshape(*shape, -1)
-    acting &= True if playing is None else playing
     agents = Agents.of(acting)
     size = chunk_size(acting[0].size)
 

@@ -1,8 +1,7 @@
 """A multi-task baseline from start to end in a folder: interrupted at any time, it goes on there.
 
-The folder holds what it belongs to (`settings.json`), per seed the latest training
-(`seed0.npz`, saved now and then), and per seed and checkpoint the returns of its evaluation
-(`seed0-best.npz`). Each file appears whole or not at all.
+The folder holds what it belongs to (`settings.json`) and per seed the latest training
+(`seed0.npz`, saved now and then). Each file appears whole or not at all.
 
 Notation (shapes): S seeds, N contexts.
 """
@@ -18,11 +17,10 @@ from typing import Any
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from mbtl.arrays import Array
-from mbtl.errors import InvalidInput, StorageError
-from mbtl.files import claimed_folder, whole_file
+from mbtl.errors import InvalidInput
+from mbtl.files import claimed_folder
 from mbtl.seeds import MATRIX_TRIAL, episode_seed, evaluation_seed, training_seed
 from mbtl.training.jax.blocks import Block, Training
 from mbtl.training.jax.multitask.training import (
@@ -33,7 +31,6 @@ from mbtl.training.jax.multitask.training import (
 )
 from mbtl.training.jax.recipes import MultiTaskRecipe
 from mbtl.training.jax.saving import SavedTraining
-from mbtl.untrusted import read_arrays
 from mbtl.worlds.environments import Tree
 from mbtl.worlds.world import World
 
@@ -119,13 +116,9 @@ def run_multitask(
             play = evaluation_seed(seed, MATRIX_TRIAL)
             numbers = [episode_seed(play, e) for e in range(episodes)]
             for name, weights in (("best", training.best), ("final", training.state.weights)):
-                file = place / f"seed{seed}-{name}.npz"
-                if not file.exists():
-                    found = evaluate_multitask(world, recipe, weights, params, numbers)[0]
-                    spread = found.std(axis=1, ddof=min(1, episodes - 1))
-                    _save(file, {"returns": found.mean(axis=1), "std": spread})
-                row = _load(file)
-                rows[name].append((row["returns"], row["std"]))
+                found = evaluate_multitask(world, recipe, weights, params, numbers)[0]
+                spread = found.std(axis=1, ddof=min(1, episodes - 1))
+                rows[name].append((found.mean(axis=1), spread))
             records.append(
                 {
                     **settings,
@@ -182,16 +175,3 @@ def _digest(params: Tree) -> str:
     parts = [np.ascontiguousarray(x, dtype=np.float64) for x in jax.tree.leaves(params)]
     text = b"".join(str(x.shape).encode() + x.tobytes() for x in parts)
     return hashlib.sha256(text).hexdigest()[:16]
-
-
-def _save(path: Path, arrays: Mapping[str, Any]) -> None:
-    with whole_file(path) as file:
-        np.savez(file, **arrays)
-
-
-def _load(path: Path) -> dict[str, NDArray[Any]]:
-    try:
-        with path.open("rb") as file:
-            return read_arrays(file)
-    except ValueError as error:
-        raise StorageError(f"{path} must hold returns, got {error}; remove it") from error

@@ -1,5 +1,8 @@
 """Training and evaluating multi-task policies with the loop and the evaluation of all others.
 
+Copies of a world take turns in the contexts (`rollout`); whole episodes are each in a context drawn
+for it (`episodic.learning`).
+
 Notation (shapes): S policies (seeds), N contexts, E episodes.
 """
 
@@ -15,8 +18,9 @@ from numpy.typing import ArrayLike
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import loop
-from mbtl.training.jax.blocks import Block, Training
+from mbtl.training.jax.blocks import Training
 from mbtl.training.jax.episodic.episodes import actor_of
+from mbtl.training.jax.episodic.recipes import TwinRecipe
 from mbtl.training.jax.evaluation import evaluate
 from mbtl.training.jax.multitask.table import with_place
 from mbtl.training.jax.recipes import MultiTaskRecipe
@@ -28,7 +32,7 @@ CHECKPOINT_EPISODES = 2
 
 
 def start_multitask(
-    world: World, recipe: MultiTaskRecipe, seeds: Sequence[int], params: Tree
+    world: World, recipe: MultiTaskRecipe | TwinRecipe, seeds: Sequence[int], params: Tree
 ) -> Training:
     """Trainings before their first update, e.g. as the template of `from_arrays`."""
     return loop.start(world, recipe, seeds, _copies(recipe, params, len(seeds)))
@@ -36,15 +40,13 @@ def start_multitask(
 
 def train_multitask(
     world: World,
-    recipe: MultiTaskRecipe,
+    recipe: MultiTaskRecipe | TwinRecipe,
     seeds: Sequence[int],
     params: Tree,
     timesteps: int,
     *,
-    on_block: Callable[[Block], None] | None = None,
-    checkpoint_every: int | None = None,
     checkpoint_episodes: int = CHECKPOINT_EPISODES,
-    resume: Training | None = None,
+    **options: Any,
 ) -> Training:
     """Train S policies, each on all contexts.
 
@@ -56,12 +58,11 @@ def train_multitask(
         recipe: hyper-parameters.
         seeds: S training seeds of 32 bits.
         params: N contexts, leading axis.
-        timesteps: environment steps per policy over all contexts, rounded up to whole updates.
-        on_block: called after each block.
-        checkpoint_every: environment steps between two evaluations; None for 2 % of `timesteps`.
-        checkpoint_episodes: deterministic episodes of an evaluation per context, each from another
-            state; the same at every evaluation.
-        resume: what an interrupted call had reached (given again with the same arguments).
+        timesteps: of the environment per policy over all contexts, or episodes where the recipe
+            counts those; rounded up to whole updates.
+        checkpoint_episodes: episodes of an evaluation per context, each from another state; the
+            same at every evaluation.
+        **options: further ones of `loop.train`.
 
     Raises:
         InvalidInput: there are no seeds or contexts, or a number is below 1.
@@ -73,10 +74,8 @@ def train_multitask(
         seeds,
         _copies(recipe, params, len(seeds)),
         timesteps,
-        on_block=on_block,
-        checkpoint_every=checkpoint_every,
         checkpoint_episodes=checkpoint_episodes * len(params.visible),
-        resume=resume,
+        **options,
     )
 
 
@@ -116,13 +115,12 @@ def _seen(recipe: MultiTaskRecipe, params: Tree, places: ArrayLike | None = None
     return with_place(params, places) if recipe.has_vectors else params
 
 
-def _copies(recipe: MultiTaskRecipe, params: Tree, n_seeds: int) -> Tree:
+def _copies(recipe: MultiTaskRecipe | TwinRecipe, params: Tree, n_seeds: int) -> Tree:
     """(S, N, ...): all contexts for every policy."""
     if len(params.visible) == 0 or n_seeds == 0:
         raise InvalidInput(
             "multi-task training needs at least one seed and context, "
             f"got {n_seeds} and {len(params.visible)}"
         )
-    return jax.tree.map(
-        lambda x: np.broadcast_to(x, (n_seeds, *np.shape(x))), _seen(recipe, params)
-    )
+    seen = _seen(recipe, params) if isinstance(recipe, MultiTaskRecipe) else params
+    return jax.tree.map(lambda x: np.broadcast_to(x, (n_seeds, *np.shape(x))), seen)

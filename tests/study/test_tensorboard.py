@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 import mbtl
+from mbtl.study.tensorboard import TensorBoardCallback
 from mbtl.trainer import FunctionTrainer, Progress
-from mbtl.training.tensorboard import TensorBoardCallback
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 9})
 

@@ -9,8 +9,8 @@ import gymnasium
 from gymnasium import spaces
 
 from mbtl.cmdps import get_cmdp
-from mbtl.training.references import RandomActions, reference_rows
-from mbtl.training.rollout import Actor, Job, play
+from mbtl.envs.references import RandomActions, reference_rows
+from mbtl.envs.rollout import Actor, Job, play
 
 
 class Gauge(gymnasium.Env):

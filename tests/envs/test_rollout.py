@@ -7,11 +7,11 @@ import pytest
 from gymnasium.wrappers import TimeLimit
 from training_envs import Endless, Guess, GuessDict, MaskedGuess
 
+from mbtl.envs import rollout
+from mbtl.envs.rollout import ROWS, Actor, Job, play
 from mbtl.errors import TrainingFailed
 from mbtl.portfolio.heads import DiscreteHead
 from mbtl.portfolio.mlp import MLPPolicy
-from mbtl.training import rollout
-from mbtl.training.rollout import ROWS, Actor, Job, play
 
 
 class SignPolicy:

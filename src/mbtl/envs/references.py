@@ -16,7 +16,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.training.rollout import Actor, Job, play
+from mbtl.envs.rollout import Actor, Job, play
 
 RANDOM_ACTIONS = "random_actions"
 UNGUIDED = "unguided"

@@ -1,0 +1,270 @@
+"""Artifacts: where the policies of a study are kept, whatever its database is.
+
+A policy is written below a place that nobody else writes to: its name holds the token of the pick's
+lease. The row that is told names the place and the hash of what is there, and so publishes it: an
+object store has no rename. The receipt is written last; without it there is no policy.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import json
+import shutil
+import tempfile
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import unquote, urlsplit
+
+from mbtl.errors import InvalidInput, StorageError, missing_extra
+from mbtl.files import sync_entries, sync_folder
+from mbtl.untrusted import inside, read_json, regular_files
+
+RECEIPT = "trained.json"
+
+
+@dataclass(frozen=True)
+class Artifact:
+    """A policy that is safe.
+
+    Attributes:
+        place: its folder, relative to the study's, with "/" between parts.
+        sha256: of its files and their names.
+    """
+
+    place: str
+    sha256: str
+
+
+class ArtifactStore(Protocol):
+    """Keeps policies; it travels to other processes."""
+
+    def write(
+        self, place: str, fill: Callable[[Path], bool], receipt: Mapping[str, Any]
+    ) -> Artifact | None:
+        """Keep what `fill` writes into an empty folder; it is durable when this returns.
+
+        Returns:
+            None where `fill` gave False: it cannot save.
+        """
+        ...
+
+    def receipt(self, place: str) -> Mapping[str, Any] | None:
+        """What was noted of the policy there, with its `sha256`; None: there is none."""
+        ...
+
+    def read(self, place: str, sha256: str | None = None) -> Path:
+        """A folder of this machine with the policy; one that is not there, if there is none.
+
+        Raises:
+            StorageError: it is not what was told, or lies outside of the study's folder.
+        """
+        ...
+
+    def partial(self, place: str) -> Path | None:
+        """The file for an unfinished training, which outlives its process; None: there is none."""
+        ...
+
+
+@dataclass(frozen=True)
+class FolderStore:
+    """A folder of this machine, or one that several machines share.
+
+    Attributes:
+        root: absolute; the study's own.
+    """
+
+    root: Path
+
+    def write(
+        self, place: str, fill: Callable[[Path], bool], receipt: Mapping[str, Any]
+    ) -> Artifact | None:
+        """Beside its place, and then there by one rename."""
+        final = inside(self.root, place, "a study")
+        temporary = final.with_name(f".{final.name}.{uuid.uuid4().hex[:8]}")
+        try:
+            temporary.mkdir(parents=True)
+            if not fill(temporary):
+                return None
+            made = Artifact(place, _digest(temporary))
+            record = json.dumps({**receipt, "sha256": made.sha256})
+            (temporary / RECEIPT).write_text(record, encoding="utf-8")
+            sync_folder(temporary)
+            shutil.rmtree(final, ignore_errors=True)
+            temporary.rename(final)
+            for folder in list(final.parents)[:3]:  # the study's own is the third
+                sync_entries(folder)
+            return made
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+    def receipt(self, place: str) -> Mapping[str, Any] | None:
+        """Of version 0.1, whose receipts have no hash, it is computed."""
+        folder = inside(self.root, place, "a study")
+        try:
+            record = _record((folder / RECEIPT).read_bytes())
+        except OSError:
+            return None
+        return record if record is None or "sha256" in record else _hashed(record, folder)
+
+    def read(self, place: str, sha256: str | None = None) -> Path:
+        """The folder itself."""
+        folder = inside(self.root, place, "a study")
+        if sha256 is not None and folder.is_dir():
+            _check(folder, place, sha256)
+        return folder
+
+    def partial(self, place: str) -> Path | None:
+        """Beside the policy's folder."""
+        final = inside(self.root, place, "a study")
+        final.parent.mkdir(parents=True, exist_ok=True)
+        return final.with_name(f"{final.name}.partial")
+
+
+@dataclass(frozen=True)
+class RemoteStore:
+    """Any place that fsspec can write to: S3, Google Cloud, Azure, SSH, ...
+
+    Attributes:
+        url: of the study's folder, e.g. "s3://bucket/studies".
+    """
+
+    url: str
+
+    def write(
+        self, place: str, fill: Callable[[Path], bool], receipt: Mapping[str, Any]
+    ) -> Artifact | None:
+        """File by file, the receipt last."""
+        with tempfile.TemporaryDirectory() as here:
+            folder = Path(here)
+            if not fill(folder):
+                return None
+            made = Artifact(place, _digest(folder))
+            names = regular_files(folder, "a study")
+            with self._remote() as (files, root):
+                for name in names:
+                    target = f"{root}/{place}/{name}"
+                    files.makedirs(target.rpartition("/")[0], exist_ok=True)
+                    files.pipe_file(target, (folder / name).read_bytes())
+                record = {**receipt, "sha256": made.sha256, "files": names}
+                files.pipe_file(f"{root}/{place}/{RECEIPT}", json.dumps(record).encode())
+        return made
+
+    def receipt(self, place: str) -> Mapping[str, Any] | None:
+        """One small object."""
+        with self._remote() as (files, root):
+            try:
+                return _record(files.cat_file(f"{root}/{place}/{RECEIPT}"))
+            except FileNotFoundError:
+                return None
+
+    def read(self, place: str, sha256: str | None = None) -> Path:
+        """A copy that lives as long as this process, fetched once."""
+        folder = inside(_copies(self.url), place, "a study")
+        if folder.is_dir():
+            return folder
+        record = self.receipt(place)
+        names = record.get("files") if record else None
+        if not isinstance(names, list):
+            return folder
+        with tempfile.TemporaryDirectory(dir=_copies(self.url)) as here:
+            with self._remote() as (files, root):
+                for name in names:
+                    target = inside(Path(here), name, "a study")
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    target.write_bytes(files.cat_file(f"{root}/{place}/{name}"))
+            if sha256 is not None:
+                _check(Path(here), place, sha256)
+            shutil.copytree(here, folder)
+        return folder
+
+    def partial(self, place: str) -> Path | None:
+        """Unfinished trainings are not sent there."""
+        return None
+
+    @contextmanager
+    def _remote(self) -> Iterator[tuple[Any, str]]:
+        try:
+            import fsspec
+        except ImportError as error:
+            raise missing_extra("fsspec", "cluster") from error
+        try:
+            yield fsspec.core.url_to_fs(self.url)
+        except StorageError:
+            raise
+        except ImportError as error:
+            raise StorageError(
+                f"{self.url} needs a package that is not installed ({error}); install it"
+            ) from error
+        except Exception as error:  # each kind of store has errors of its own
+            raise StorageError(
+                f"the artifacts at {self.url} could not be read or written "
+                f"({type(error).__name__}: {error}); what was told before is kept: mend access, "
+                "then run again"
+            ) from error
+
+
+def store_at(artifacts: str | Path | None, beside: Path | None) -> ArtifactStore | None:
+    """The store of a study.
+
+    Args:
+        artifacts: a folder or a URL, given by the user; None: beside the database.
+        beside: the folder of the database; None: it is no file.
+
+    Raises:
+        InvalidInput: an empty text.
+    """
+    if artifacts is None:
+        return None if beside is None else FolderStore(beside.absolute())
+    text = str(artifacts)
+    if not text:
+        raise InvalidInput("artifacts must be a folder or a URL, got an empty text")
+    if "://" not in text:
+        return FolderStore(Path(text).absolute())
+    parts = urlsplit(text)
+    if parts.scheme == "file":
+        return FolderStore(Path(unquote(parts.path)).absolute())
+    return RemoteStore(text.rstrip("/"))
+
+
+def _digest(folder: Path) -> str:
+    whole = hashlib.sha256()
+    for name in regular_files(folder, "a study"):
+        if name != RECEIPT:
+            content = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+            whole.update(f"{content} {name}\n".encode())
+    return whole.hexdigest()
+
+
+def _check(folder: Path, place: str, sha256: str) -> None:
+    if _digest(folder) != sha256:
+        raise StorageError(
+            f"the policy in {place} is not the one that was told: its files have changed since; "
+            "restore a copy of it, or take its row back with study.void"
+        )
+
+
+def _hashed(record: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
+    return {**record, "sha256": _digest(folder)}
+
+
+def _record(content: bytes) -> Mapping[str, Any] | None:
+    """A receipt, if it is one."""
+    try:
+        record = read_json(content)
+    except ValueError:
+        return None
+    return record if isinstance(record, dict) else None
+
+
+@cache
+def _copies(url: str) -> Path:
+    """Of one store; removed when this process ends."""
+    folder = Path(tempfile.mkdtemp(prefix="mbtl-artifacts-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder

@@ -1,0 +1,175 @@
+"""Databases: how a study's is named, opened and made, and what its errors mean."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mbtl.errors import InvalidInput, StorageError
+
+if TYPE_CHECKING:
+    from sqlalchemy import Engine, Table
+
+_BUSY_SECONDS = 60.0
+
+WRITES = "mbtl_writes"
+"""Option of a connection that writes: a reader takes no lock, so a study may be read-only."""
+
+
+def as_url(url: str | Path) -> str:
+    """A path becomes an SQLite URL, whatever characters it has; a URL stays as it is.
+
+    Raises:
+        InvalidInput: ":memory:"; a study in memory needs no storage.
+    """
+    from sqlalchemy import URL
+
+    text = str(url)
+    if "://" in text:
+        return text
+    if text in ("", ":memory:"):
+        raise InvalidInput(
+            f"storage must be a path or a URL, got {text!r}; leave it out for memory"
+        )
+    return URL.create("sqlite", database=text).render_as_string(hide_password=False)
+
+
+def sqlite_path(url: str) -> Path | None:
+    """The file of an SQLite URL; None for other databases and for what is no URL."""
+    from sqlalchemy import make_url
+    from sqlalchemy.exc import ArgumentError
+
+    try:
+        parsed = make_url(url)
+    except ArgumentError:
+        return None
+    name = parsed.database or ""
+    if (
+        parsed.get_backend_name() != "sqlite"
+        or name in ("", ":memory:")
+        or name.startswith("file:")
+    ):
+        return None  # "file:...?uri=true" is SQLite's own way to open a file, e.g. read-only
+    return Path(name)
+
+
+def clock(engine: Engine) -> Any:
+    """The time: an expression for a server; of a file, this machine's."""
+    from sqlalchemy import Float, extract, func, literal
+
+    name = engine.dialect.name
+    if name == "postgresql":
+        return extract("epoch", func.clock_timestamp()).cast(Float(53))
+    if name in ("mysql", "mariadb"):
+        return func.unix_timestamp(func.now(6)).cast(Float(53))
+    return literal(time.time(), Float(53))
+
+
+def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:
+    """An engine with the tables of events and of heartbeats; made where they are missing.
+
+    Raises:
+        StorageError: the database is missing, unreadable or not ours.
+    """
+    from sqlalchemy import (
+        Column,
+        Float,
+        Integer,
+        LargeBinary,
+        MetaData,
+        String,
+        Table,
+        Text,
+        create_engine,
+        event,
+        inspect,
+    )
+    from sqlalchemy.exc import ArgumentError, NoSuchModuleError
+
+    path = sqlite_path(url)
+    if path is not None and not path.is_file():
+        if not create:
+            raise StorageError(f"a study lives in a database file, and there is none at {path}")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StorageError(
+                f"a study needs a folder it can write to, and {path.parent} is not "
+                f"({error.strerror}); choose another with --study or storage="
+            ) from error
+    try:
+        engine = create_engine(url)
+    except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
+        raise StorageError(
+            f"storage must be a path or an SQLAlchemy URL, got {url!r} ({error})"
+        ) from error
+    if engine.dialect.name == "sqlite":
+
+        @event.listens_for(engine, "connect")
+        def _configure(connection: Any, _: Any) -> None:
+            # the driver's own transactions start too late to lock before we read
+            connection.isolation_level = None
+            connection.execute(f"PRAGMA busy_timeout = {int(_BUSY_SECONDS * 1000)}")
+            connection.execute("PRAGMA synchronous = FULL")
+
+        @event.listens_for(engine, "begin")
+        def _lock(connection: Any) -> None:
+            writes = connection.get_execution_options().get(WRITES, False)
+            connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+    table = Table(
+        "mbtl_events",
+        MetaData(),
+        Column("study", String(200), primary_key=True),
+        Column("seq", Integer, primary_key=True, autoincrement=False),
+        Column("time", Float(53), nullable=False),
+        Column("kind", String(20), nullable=False),
+        Column("data", Text, nullable=False),
+        Column("arrays", LargeBinary(length=2**31 - 1), nullable=False),
+    )
+    heartbeats = Table(
+        "mbtl_heartbeats",
+        table.metadata,
+        Column("study", String(200), primary_key=True),
+        Column("token", String(64), primary_key=True),
+        Column("expires", Float(53), nullable=False),
+        Column("steps", Float(53)),
+        Column("value", Float(53)),
+    )
+    writer = engine.execution_options(**{WRITES: create})
+    with database_errors(url), writer.begin() as connection:
+        if create:
+            table.create(connection, checkfirst=True)
+            heartbeats.create(connection, checkfirst=True)
+        elif not inspect(connection).has_table(table.name):
+            raise StorageError(
+                f"{url} is a database without mbtl studies; give the path of a study"
+            )
+    return engine, table, heartbeats
+
+
+@contextmanager
+def database_errors(url: str) -> Iterator[None]:
+    """What the database refuses in the block is said in our words.
+
+    Raises:
+        StorageError: it refused something.
+    """
+    from sqlalchemy.exc import DatabaseError
+
+    try:
+        yield
+    except DatabaseError as error:
+        cause = str(error.orig)
+        if "not a database" in cause or "malformed" in cause:
+            raise StorageError(
+                f"{url} is corrupt or not a study database ({cause}); restore a copy, or start a "
+                "new study elsewhere"
+            ) from error
+        raise StorageError(
+            f"the study at {url} could not be read or written ({cause}); what was told before is "
+            "kept: free space or mend access, then run the same command again"
+        ) from error

@@ -1,0 +1,105 @@
+"""The keeper: says from time to time that a run lives, and hears which of its picks it has lost."""
+
+from __future__ import annotations
+
+import threading
+from logging import getLogger
+from types import TracebackType
+
+from mbtl.errors import MbtlError
+from mbtl.study.pick import Pick
+from mbtl.study.study import Study
+from mbtl.trainer import Progress
+
+_logger = getLogger(__name__)
+
+
+class Keeper:
+    """Keeps the leases of one run; a context manager.
+
+    Its thread follows the log by itself, since a study belongs to the thread that uses it.
+
+    Args:
+        study: whose picks they are.
+        seconds: that a lease lasts; three heartbeats fall into it.
+    """
+
+    def __init__(self, study: Study, seconds: float) -> None:
+        self.seconds = seconds
+        self._study = study
+        self._log = study.log
+        self._held: dict[int, Pick] = {}
+        self._lost: set[str] = set()
+        self._said: dict[str, Progress] = {}
+        self._seq = 0
+        self._ended = threading.Event()
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._keep, name="mbtl-keeper", daemon=True)
+
+    def __enter__(self) -> Keeper:
+        self._seq = self._study.refresh().seq
+        self._study.presence.enter(self._study.worker)
+        if self._study.is_durable:  # in memory there is nobody to take anything over
+            self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._ended.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._study.presence.leave(self._study.worker)
+
+    def hold(self, pick: Pick) -> None:
+        """From now on this pick is worked on."""
+        with self._lock:
+            self._held[pick.number] = pick
+
+    def drop(self, pick: Pick) -> None:
+        """It is answered, or given back."""
+        with self._lock:
+            self._held.pop(pick.number, None)
+            self._said.pop(pick.token, None)
+
+    def is_lost(self, pick: Pick) -> bool:
+        """True when somebody took it over or away: its training is for nothing."""
+        return pick.token in self._lost
+
+    def said(self, pick: Pick, progress: Progress) -> None:
+        """What the next heartbeat tells of a training."""
+        self._said[pick.token] = progress
+
+    # ---- inside, in the thread ---------------------------------------------------------------
+
+    def _keep(self) -> None:
+        while not self._ended.wait(self.seconds / 3.0):
+            try:
+                self.look()
+            except MbtlError as error:  # the next one may go through; the lease outlives two
+                _logger.warning("a heartbeat failed: %s", error)
+
+    def look(self) -> None:
+        """One round: hear what was lost, and say that the rest is alive."""
+        for event in self._log.read(self._seq):
+            self._seq = event.seq
+            if event.kind not in ("claimed", "released", "told", "failed"):
+                continue
+            with self._lock:
+                held = self._held.get(event.data["pick"])
+            if held is not None and event.data.get("token") != held.token:
+                self._lost.add(held.token)
+        with self._lock:
+            alive = [pick for pick in self._held.values() if pick.token not in self._lost]
+        for pick in alive:
+            said = self._said.get(pick.token)
+            returns = [] if said is None else [v for k, v in said.metrics.items() if "return" in k]
+            self._log.beat(
+                pick.token,
+                self.seconds,
+                steps=None if said is None else float(said.step),
+                value=float(returns[0]) if returns else None,
+            )

@@ -1,0 +1,244 @@
+"""Handing out picks: claimed, proposed, kept alive, given back."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+
+from mbtl.errors import InvalidInput, StorageError, StudyError
+from mbtl.seeds import training_seed
+from mbtl.selectors import Selector
+from mbtl.study import asking, telling
+from mbtl.study.artifacts import ArtifactStore
+from mbtl.study.checks import check_event
+from mbtl.study.events import Event
+from mbtl.study.pick import Pick, StudyFinished
+from mbtl.study.records import PickRecord
+from mbtl.study.state import StudyState
+from mbtl.study.storage import Conflict, EventLog
+from mbtl.study.view import StudyView
+from mbtl.trainer import Trainer
+
+_PAUSE, _LONGEST_PAUSE = 0.01, 0.5
+"""Seconds between looks while somebody else proposes."""
+
+
+class LeasingStudy(StudyView):
+    """What of `mbtl.study.Study` is about picks that are not answered so far."""
+
+    def __init__(
+        self,
+        log: EventLog,
+        selector: Selector,
+        *,
+        folder: Path | ArtifactStore | None,
+        name: str = "study",
+        trainer: Trainer | None = None,
+    ) -> None:
+        """Use `create_study` or `load_study`; the log must hold a `created` event."""
+        super().__init__(log, folder=folder, name=name, trainer=trainer)
+        self.selector = selector
+
+    @overload
+    def ask(
+        self, n: None = None, *, lease: float | None = None, take_over: bool = False
+    ) -> Pick: ...
+
+    @overload
+    def ask(self, n: int, *, lease: float | None = None, take_over: bool = False) -> list[Pick]: ...
+
+    def ask(
+        self, n: int | None = None, *, lease: float | None = None, take_over: bool = False
+    ) -> Pick | list[Pick]:
+        """Propose the next source, or the next `n`, and lease them to this worker.
+
+        Each of several is proposed as if those before it had given what is expected of them. A pick
+        that somebody gave back, or whose lease has ended, is handed out again before a new one is
+        proposed.
+
+        Args:
+            n: number of picks, for as many parallel trainings; fewer where fewer are left. None:
+                one pick, not in a list.
+            lease: seconds after which others may take the pick over, unless `heartbeat` is called
+                meanwhile; None: never, until it is told, failed or given back (`release`).
+            take_over: without effect; kept for programs of version 0.1, which had no leases.
+
+        Raises:
+            StudyFinished: the budget is spent, a stopping rule is met, or no context is left.
+            InvalidInput: n < 1, or a lease that is not > 0.
+        """
+        if lease is not None and not (np.isfinite(lease) and lease > 0):
+            raise InvalidInput(f"a lease lasts a number of seconds > 0, or None, got {lease!r}")
+        if n is None:
+            return self._ask(lease)
+        if not isinstance(n, (int, np.integer)) or n < 1:
+            raise InvalidInput(f"ask gives a whole number of picks, 1 or more, got n = {n!r}")
+        picks = [self._ask(lease)]
+        while len(picks) < n:
+            try:
+                picks.append(self._ask(lease))
+            except StudyFinished:
+                break
+        return picks
+
+    def heartbeat(
+        self, pick: Pick, *, steps: float | None = None, value: float | None = None
+    ) -> bool:
+        """Say that a training goes on, and hear whether it should.
+
+        Args:
+            pick: what `ask` gave.
+            steps: environment steps done so far, for people.
+            value: a return on the way, for people.
+
+        Returns:
+            True: go on; the lease begins anew. False: stop, because the pick was given back,
+            answered, or taken over.
+        """
+        state = self.refresh()
+        held = state.open_picks.get(pick.number)
+        if held is None or held.lease is None or held.lease.token != pick.token:
+            return False
+        self._log.beat(pick.token, held.lease.seconds or 0.0, steps=steps, value=value)
+        return True
+
+    def pick(self, number: int) -> Pick:
+        """A pick by its 0-based number, as whoever holds it has it: to answer it elsewhere.
+
+        Raises:
+            StudyError: so many were not asked for.
+        """
+        picks = self.refresh().picks
+        if not 0 <= number < len(picks):
+            raise StudyError(f"pick numbers run from 0 to {len(picks) - 1} so far, got {number}")
+        return self._pick(picks[number])
+
+    def open_picks(self) -> list[Pick]:
+        """The picks that wait for an answer, in order; `state.open_picks` says who holds them."""
+        return [self._pick(record) for _, record in sorted(self.refresh().open_picks.items())]
+
+    def release(self, pick: Pick | int) -> None:
+        """Give a pick back untrained; the next `ask` hands it out again.
+
+        Args:
+            pick: what `ask` gave; or the number of any open pick, whoever holds it: its training
+                is told to stop by its next heartbeat.
+
+        Raises:
+            StudyError: it is not open, or somebody took it over.
+        """
+        self._commit(lambda state: Event("released", {"pick": telling.held_number(state, pick)}))
+
+    # ---- inside ------------------------------------------------------------------------------
+
+    def _ask(self, lease: float | None) -> Pick:
+        pause = _PAUSE
+        while True:
+            state = self.refresh()
+            claim = asking.claim(state, self.watch(), lease, self.worker)
+            if claim is None:  # somebody proposes just now
+                time.sleep(pause * random.uniform(0.5, 1.0))
+                pause = min(2 * pause, _LONGEST_PAUSE)
+                continue
+            try:
+                self._append(claim, state)
+            except Conflict:
+                continue
+            if claim.kind == "released":
+                continue
+            number = claim.data["pick"]
+            if number == len(state.picks) and not self._propose(claim.data["token"], lease):
+                continue
+            return self._pick(self._state.picks[number])
+
+    def _propose(self, token: str, lease: float | None) -> bool:
+        """Find and record the source of the next pick; False where somebody else has done so.
+
+        Raises:
+            StudyFinished: there is none, or it would not be worth it.
+        """
+        done = False
+        try:
+            while not done:
+                state = self.refresh()
+                if state.proposing is None or state.proposing.token != token:
+                    return False
+                known = len(state.rows), len(state.failures)
+                found = asking.propose(state, self.selector)
+                holder = {"worker": self.worker, "token": token, "seconds": lease}
+
+                def settled(
+                    now: StudyState, found: Any = found, known: Any = known, holder: Any = holder
+                ) -> Event:
+                    if now.proposing is None or now.proposing.token != token:
+                        raise _Superseded
+                    news = known != (len(now.rows), len(now.failures))
+                    if isinstance(found, str):
+                        if news:  # the prediction did not know of it
+                            raise _Superseded
+                        return Event("stopped", {"reason": found})
+                    if news and not asking.is_open(now, found["source"]):
+                        raise _Superseded
+                    return Event("asked", {**found, **holder})
+
+                try:
+                    self._commit(settled)
+                    done = True
+                except _Superseded:
+                    continue
+                if isinstance(found, str):
+                    raise StudyFinished(f"the study is finished: {found}")
+        finally:
+            if not done:
+                self._stop_proposing(token)
+        return True
+
+    def _stop_proposing(self, token: str) -> None:
+        """Let the next asker propose at once, whatever has happened here."""
+
+        def released(state: StudyState) -> Event:
+            if state.proposing is None or state.proposing.token != token:
+                raise _Superseded
+            return Event("released", {"pick": len(state.picks)})
+
+        with contextlib.suppress(StorageError, _Superseded):  # it ends by the clock, too
+            self._commit(released)
+
+    def _pick(self, record: PickRecord) -> Pick:
+        source, spec = record.source, self.spec
+        return Pick(
+            record.number,
+            source,
+            self.space.context(source),
+            training_seed(spec.seed, spec.trial, source, record.repeat),
+            record.reason,
+            record.repeat,
+            record.targets,
+            record.tokens[-1] if record.tokens else "",
+        )
+
+    def _commit(self, decide: Callable[[StudyState], Event]) -> Event:
+        """Append what `decide` makes of the newest state; decide anew if somebody was faster."""
+        while True:
+            state = self.refresh()
+            event = decide(state)
+            try:
+                self._append(event, state)
+            except Conflict:
+                continue
+            return event
+
+    def _append(self, event: Event, state: StudyState) -> None:
+        check_event(event, state)
+        self._log.append(event, after=state.seq)
+        self.refresh()
+
+
+class _Superseded(Exception):
+    """What was to be recorded does not follow from the newest state."""

@@ -1,0 +1,104 @@
+"""The settings of a study, as they are stored with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbtl.contexts import ContextSpace
+from mbtl.errors import StorageError
+from mbtl.objective import Direction
+from mbtl.selectors.base import SelectionProblem
+from mbtl.study.checks import check_spec
+
+
+@dataclass(frozen=True)
+class StudySpec:
+    """What a study was created with; equal specs may share a study.
+
+    Attributes:
+        space: the contexts.
+        budget: trainings K that the study may ask for.
+        selector: registered name and settings of the selector.
+        bounds: (low, high) of the returns, or None for automatic.
+        direction: "maximize" or "minimize".
+        theta: slope of the linear gap; None for the default.
+        seed: root of the seed tree.
+        trial: which repetition of the same problem this is.
+        stop_value: performance V at which the study ends early; None for never.
+        cost_budget: total cost at which the study ends early; None for never.
+        problem: id of the CMDP or of a user's problem.
+        settings: free-form JSON-able record of the training recipe.
+        repeats: trainings allowed on one context.
+        costs: cost of a training on each context; None where all cost the same.
+        risk: share of the targets, the worst of them, that V is the mean of.
+        eval_targets: targets that each policy is evaluated on; None for all.
+        stop_gain: gain in V that one more training should be worth; None: never ends for that.
+        stop_confidence: how probable it must be that the gain is smaller.
+        stop_left: gain in V that all trainings left together should be worth; None: never asked.
+        best_return: no policy can return more (less, if minimised); None: not known.
+        floor: return below which none is worse in performance; None: nothing is clipped.
+    """
+
+    space: ContextSpace
+    budget: int
+    selector: Mapping[str, Any]
+    bounds: tuple[float, float] | None
+    direction: Direction
+    theta: float | None
+    seed: int
+    trial: int
+    stop_value: float | None
+    cost_budget: float | None
+    problem: str
+    settings: Mapping[str, Any]
+    repeats: int = 1
+    costs: tuple[float, ...] | None = None
+    risk: float = 1.0
+    eval_targets: int | None = None
+    stop_gain: float | None = None
+    stop_confidence: float = 0.9
+    stop_left: float | None = None
+    best_return: float | None = None
+    floor: float | None = None
+
+    def selection_problem(self) -> SelectionProblem:
+        """What the selector may know before any training."""
+        return SelectionProblem.of(
+            self.space,
+            budget=self.budget,
+            theta=self.theta,
+            repeats=self.repeats,
+            costs=None if self.costs is None else np.asarray(self.costs, dtype=np.float64),
+            cost_budget=self.cost_budget,
+            risk=self.risk,
+            least_gain=self.stop_gain,
+            least_left=self.stop_left,
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record; `from_json` rebuilds it."""
+        record = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        record["space"] = self.space.to_json()
+        for name in ("bounds", "costs"):
+            record[name] = list(record[name]) if record[name] else None
+        return record
+
+    @classmethod
+    def from_json(cls, record: Mapping[str, Any]) -> StudySpec:
+        """Rebuild from `to_json`; unknown keys come from a newer version."""
+        unknown = set(record) - set(cls.__dataclass_fields__)
+        if unknown:
+            raise StorageError(
+                f"this study has settings {sorted(unknown)} of a newer mbtl; upgrade it"
+            )
+        values = dict(record)
+        values["space"] = ContextSpace.from_json(record["space"])
+        for name in ("bounds", "costs"):
+            values[name] = tuple(record[name]) if record.get(name) else None
+        spec = cls(**values)
+        check_spec(spec)
+        return spec

@@ -1,0 +1,75 @@
+"""One environment for all contexts: drawn as stated, closed in time."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+import gymnasium
+
+from mbtl.envs.everywhere import multitask_env
+from mbtl.errors import InvalidInput
+
+CONTEXTS = [{"size": float(size)} for size in (1, 2, 4)]
+
+
+class Told(gymnasium.Env):
+    """Shows its context; the action nearest to it earns most. One step."""
+
+    def __init__(self, context, width=1):
+        self.size = context["size"]
+        self.observation_space = gymnasium.spaces.Box(0.0, 4.0, (width,), np.float32)
+        self.action_space = gymnasium.spaces.Discrete(5)
+        self.episode_steps = int(self.size)
+        self.closed = False
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return np.full(self.observation_space.shape, self.size, np.float32), {}
+
+    def step(self, action):
+        reward = -abs(float(action) - self.size)
+        return np.full(self.observation_space.shape, self.size, np.float32), reward, True, False, {}
+
+    def close(self):
+        self.closed = True
+
+
+def test_contexts_are_drawn_uniformly_and_a_seed_decides_all_that_follow():
+    def drawn(seed):
+        env = multitask_env(Told, CONTEXTS)
+        first = env.reset(seed=seed)[0][0]
+        return [first, *(env.reset()[0][0] for _ in range(599))]
+
+    once = drawn(3)
+    assert drawn(3) == once
+    assert drawn(4) != once
+    shares = Counter(once)
+    assert set(shares) == {1.0, 2.0, 4.0}
+    assert all(abs(count - 200) < 5 * np.sqrt(600 * 2 / 9) for count in shares.values())
+
+
+def test_an_environment_is_closed_when_the_next_context_comes():
+    env = multitask_env(Told, CONTEXTS)
+    env.reset(seed=0)
+    before = env.current
+    env.reset()
+    assert before.closed
+    assert not env.current.closed
+    env.close()
+    assert env.current.closed
+
+
+def test_an_episode_is_as_long_as_in_the_mean_over_contexts():
+    assert multitask_env(Told, CONTEXTS).episode_steps == 3  # of 1, 2 and 4, rounded up
+
+
+def test_bad_sets_of_contexts_are_refused():
+    with pytest.raises(InvalidInput, match="at least one context"):
+        multitask_env(Told, [])
+    uneven = multitask_env(lambda c: Told(c, width=int(c["size"])), CONTEXTS)
+    uneven.reset(seed=11)  # it draws the narrow context first, and then a wider one
+    with pytest.raises(InvalidInput, match="same spaces in each"):
+        uneven.reset()

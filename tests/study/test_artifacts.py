@@ -1,0 +1,216 @@
+"""Policies are the study's: in a folder or an object store, published by the row that is told."""
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import uuid
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mbtl
+from mbtl.errors import InvalidInput, StorageError
+from mbtl.study.artifacts import FolderStore, RemoteStore, store_at
+from mbtl.testing.artifacts import ArtifactStoreContract
+from mbtl.trainer import FunctionTrainer, recipe_digest
+
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
+
+
+def train(context, seed):
+    return np.array([context["x"]])
+
+
+def evaluate(policy, contexts, seed):
+    return [1 - abs(c["x"] - policy[0]) for c in contexts]
+
+
+TRAINER = FunctionTrainer(
+    train,
+    evaluate,
+    lambda policy, folder: np.save(folder / "x.npy", policy),
+    lambda folder: np.load(folder / "x.npy"),
+)
+
+
+@pytest.fixture(scope="module")
+def s3():
+    """URL of an empty bucket of a real object-store server on this machine."""
+    server = shutil.which("moto_server") or str(Path(sys.executable).with_name("moto_server"))
+    if not Path(server).exists():
+        pytest.skip("no object-store server here: pip install 'moto[server,s3]' s3fs")
+    s3fs = pytest.importorskip("s3fs")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    settings = {
+        "AWS_ACCESS_KEY_ID": "test",
+        "AWS_SECRET_ACCESS_KEY": "test",
+        "AWS_DEFAULT_REGION": "us-east-1",
+        "AWS_ENDPOINT_URL": f"http://127.0.0.1:{port}",
+    }
+    serving = subprocess.Popen(
+        [server, "-H", "127.0.0.1", "-p", str(port)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, **settings},
+    )
+    with pytest.MonkeyPatch.context() as environment:
+        for name, value in settings.items():
+            environment.setenv(name, value)
+        try:
+            for _ in range(600):
+                with socket.socket() as probe:
+                    if probe.connect_ex(("127.0.0.1", port)) == 0:
+                        break
+                assert serving.poll() is None
+                time.sleep(0.1)
+            s3fs.S3FileSystem(skip_instance_cache=True).mkdir("studies")
+            yield "s3://studies"
+        finally:
+            serving.send_signal(signal.SIGTERM)
+            serving.wait()
+
+
+class TestFolder(ArtifactStoreContract):
+    @pytest.fixture
+    def store(self, tmp_path):
+        return FolderStore(tmp_path)
+
+
+class TestMemory(ArtifactStoreContract):
+    @pytest.fixture
+    def store(self):
+        pytest.importorskip("fsspec")
+        return RemoteStore(f"memory://{uuid.uuid4().hex}")
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+class TestS3(ArtifactStoreContract):
+    @pytest.fixture
+    def store(self, s3):
+        return RemoteStore(f"{s3}/{uuid.uuid4().hex}")
+
+
+def study_at(path, artifacts=None, **settings):
+    settings = {"budget": 3, "bounds": (0.0, 1.0), "selector": "random", **settings}
+    place = path / "study.db"
+    return mbtl.create_study(
+        SPACE, storage=place, artifacts=artifacts, load_if_exists=True, **settings
+    )
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+@pytest.mark.parametrize("kind", ["folder", "memory", "s3"])
+def test_a_study_keeps_its_policies_where_it_is_told(tmp_path, kind, request):
+    address = {
+        "folder": lambda: (tmp_path / "kept").as_uri(),
+        "memory": lambda: f"memory://{uuid.uuid4().hex}",
+        "s3": lambda: request.getfixturevalue("s3") + "/a",
+    }[kind]()
+    study = study_at(tmp_path, address).run(trainer=TRAINER)
+    assert not (tmp_path / "policies").exists()
+    later = mbtl.load_study(tmp_path, artifacts=address)
+    for i, row in enumerate(later.state.rows):
+        assert row.policy.endswith(later.state.picks[row.pick].answered_by)
+        assert len(row.sha256) == 64
+        assert row.recipe == recipe_digest(later.state.equipment)
+        assert later.portfolio(TRAINER).policy(i) == pytest.approx(SPACE.unit[row.source])
+    study.portfolio(TRAINER).save(tmp_path / "portfolio")
+    assert mbtl.load_portfolio(tmp_path / "portfolio", load=TRAINER.load).policy(0) is not None
+
+
+def test_a_policy_whose_files_have_changed_is_not_read(tmp_path):
+    study = study_at(tmp_path).run(trainer=TRAINER)
+    place = tmp_path / study.state.rows[1].policy
+    np.save(place / "x.npy", np.array([9.0]))
+    with pytest.raises(StorageError, match="is not the one that was told"):
+        study.portfolio(TRAINER)
+    study.void(1, "a changed file")
+    assert study.portfolio(TRAINER).policy(1) is not None
+
+
+def test_a_saved_policy_of_a_dead_worker_is_evaluated_and_not_trained_again(tmp_path):
+    """Also where its folder is an object store: the receipt is looked for under earlier tokens."""
+
+    def interrupted(policy, contexts, seed):
+        raise KeyboardInterrupt
+
+    address, trained = f"memory://{uuid.uuid4().hex}", []
+    stopped = FunctionTrainer(train, interrupted, TRAINER.save_fn, TRAINER.load_fn)
+    with pytest.raises(KeyboardInterrupt):
+        study_at(tmp_path, address, budget=1).run(trainer=stopped)
+    again = FunctionTrainer(
+        lambda c, s: trained.append(s) or train(c, s), evaluate, TRAINER.save_fn, TRAINER.load_fn
+    )
+    study = study_at(tmp_path, address, budget=1).run(trainer=again)
+    assert (len(study.state.rows), trained) == (1, [])
+    first, second = study.state.picks[0].tokens
+    assert study.state.rows[0].policy.endswith(first)
+    assert study.state.picks[0].answered_by == second
+
+
+class Resuming(FunctionTrainer):
+    """Counts to ten, and notes in `partial` how far it is."""
+
+    resumes = True
+
+    def __init__(self, stop_at=None, **recipe):
+        super().__init__(train, evaluate, TRAINER.save_fn, TRAINER.load_fn)
+        object.__setattr__(self, "stop_at", stop_at)
+        object.__setattr__(self, "recipe", recipe)
+        object.__setattr__(self, "began_at", [])
+
+    def train(self, context, seed, on_progress=None, *, partial=None):
+        begin = int(partial.read_text()) if partial.is_file() else 0
+        self.began_at.append(begin)
+        for step in range(begin, 10):
+            partial.write_text(str(step))
+            if step == self.stop_at:
+                raise KeyboardInterrupt
+        return train(context, seed)
+
+
+def test_a_training_goes_on_from_the_checkpoint_of_a_dead_worker(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        study_at(tmp_path, budget=1).run(trainer=Resuming(stop_at=7, rate=1))
+    later = Resuming(rate=1)
+    study_at(tmp_path, budget=1).run(trainer=later)
+    assert later.began_at == [7]
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_a_checkpoint_of_another_recipe_is_none(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        study_at(tmp_path, budget=1).run(trainer=Resuming(stop_at=7, rate=1))
+    later = Resuming(rate=2)
+    study_at(tmp_path, budget=1).run(trainer=later)
+    assert later.began_at == [0]
+
+
+@pytest.mark.parametrize(
+    ("given", "beside", "expected"),
+    [
+        (None, None, None),
+        (None, Path("/data"), FolderStore(Path("/data"))),
+        ("/kept", Path("/data"), FolderStore(Path("/kept"))),
+        ("file:///a%20b", None, FolderStore(Path("/a b"))),
+        ("s3://bucket/studies/", None, RemoteStore("s3://bucket/studies")),
+    ],
+)
+def test_where_a_store_is(given, beside, expected):
+    assert store_at(given, beside) == expected
+
+
+def test_a_store_that_cannot_be_reached_is_named_and_spends_nothing(tmp_path):
+    with pytest.raises(InvalidInput, match="got an empty text"):
+        study_at(tmp_path, "")
+    study = study_at(tmp_path, "no-such-protocol://bucket")
+    with pytest.raises(StorageError, match="no-such-protocol://bucket could not be"):
+        study.run(trainer=TRAINER)
+    assert not study.state.failures
