@@ -168,7 +168,7 @@
     traces.push({
       type: "scatter", mode: "markers+text", x: marks.map((m) => m.at[0]), y: marks.map((m) => m.at[1]), text: marks.map((m) => m.numbers.join(",")),
       textfont: { color: "#000", size: 10 }, hovertext: marks.map((m) => m.said.join("<br>")), hoverinfo: "text",
-      marker: { size: marks.map((m) => 14 + 5 * m.numbers.join().length), color: "#fff", line: { color: "#000", width: 1 } }, showlegend: false,
+      marker: { opacity: 1, size: marks.map((m) => 14 + 5 * m.numbers.join().length), color: "#fff", line: { color: "#000", width: 1 } }, showlegend: false,
     });
     return traces;
   }
