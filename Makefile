@@ -21,13 +21,13 @@ test-long: .venv/dev.stamp
 	$(PYTEST) -m long $(TESTS)
 
 lint: .venv/dev.stamp
-	$(BIN)/ruff check src tests benchmarks examples
-	$(BIN)/ruff format --check src tests benchmarks examples
+	$(BIN)/ruff check src tests benchmarks evidence examples
+	$(BIN)/ruff format --check src tests benchmarks evidence examples
 	$(BIN)/mypy
 
 format: .venv/dev.stamp
-	$(BIN)/ruff check --fix src tests benchmarks examples
-	$(BIN)/ruff format src tests benchmarks examples
+	$(BIN)/ruff check --fix src tests benchmarks evidence examples
+	$(BIN)/ruff format src tests benchmarks evidence examples
 
 bench: .venv/rivals.stamp
 	$(BIN)/python benchmarks/import_time.py

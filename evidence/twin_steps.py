@@ -5,7 +5,7 @@ every tenth step, from the position and speed of all cars, the twin says how fas
 the next one. Compared are the cars that drive by themselves, by section of the road: the share
 whose speed differs by more than 1 mm/s and 1 cm/s, and the mean difference.
 
-example: python benchmarks/twin_steps.py
+example: python evidence/twin_steps.py
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ its values give different rollouts under the same seed and random actions. "Cont
 episode differs from the same one alone while, or after, another context is simulated. Needs an
 environment with CARL (docs/carl.md); the table is in Markdown.
 
-example: python benchmarks/carl_check.py --environments CARLCartPole CARLBipedalWalker
+example: python evidence/carl_check.py --environments CARLCartPole CARLBipedalWalker
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ The ring without noise from equal gaps, and as it is; the ramp; a signal with fi
 driving in which every car drives as its human driver (IDM). Beside each the paper's value, or the
 specification's, where there is one. Mean and range over the seeds. The table is in Markdown.
 
-example: python benchmarks/traffic_checks.py --seeds 5
+example: python evidence/traffic_checks.py --seeds 5
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from statistics import fmean
 from typing import Any
 
 import measure
+from fixed_advice import PHASES
 from measure import digits, note
-from traffic_speed import PHASES
 
 
 def unguided(team: Any, seed: int) -> None:

@@ -9,7 +9,7 @@ and so without a falling learning rate. All else is that preset's. Scores are th
 episodes in the context trained on and, in brackets, the mean over the contexts of the others; on
 the ramp after the score of nobody advised.
 
-example: python benchmarks/sumo_learning.py --cmdp ramp-acc     # a quarter of an hour of a core
+example: python evidence/sumo_learning.py --cmdp ramp-acc     # a quarter of an hour of a core
 """
 
 from __future__ import annotations

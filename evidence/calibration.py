@@ -1,6 +1,6 @@
 """Is the transfer model's uncertainty honest? Rows held out, of families its prior has not seen.
 
-    .venv/bin/python benchmarks/calibration.py [--write]
+    .venv/bin/python evidence/calibration.py [--write]
 
 From k = 1, 2, 4, 8, 15 rows of a shipped matrix, which `auto` picked or chance did, the model
 predicts what a new training on every other source would give. Measured per case, a case being
@@ -17,7 +17,7 @@ Three predictive distributions stand side by side. *Gaussian*: the model's poste
 degrees of freedom; the share is the one of least NLPD on the *other* families. *Naive*: the mean of
 each target over the rows seen and one deviation for all; of one row, its mean and deviation.
 
-Matrices are those of one axis with 30 contexts or more, as benchmarks/learn_prior.py takes them
+Matrices are those of one axis with 30 contexts or more, as evidence/learn_prior.py takes them
 (all seeds, at most 50 contexts, no "-final" twins), every second context a target. Cases of a
 family are averaged, each counting once. `--write` puts the tables into docs/calibration.md and
 draws docs/images/calibration.png.
@@ -50,7 +50,7 @@ from mbtl.selectors.auto import Auto
 
 DOCS = Path(__file__).parents[1] / "docs"
 FILE, FIGURE = DOCS / "calibration.md", DOCS / "images/calibration.png"
-MARK = "<!-- benchmarks/calibration.py --write: all below -->\n"
+MARK = "<!-- evidence/calibration.py --write: all below -->\n"
 ROWS = (1, 2, 4, 8, 15)
 FEW = 2
 """Up to so many rows a case is one of few; the table shows few and more apart."""

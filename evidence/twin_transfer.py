@@ -1,6 +1,6 @@
 """Do policies of a twin transfer in SUMO as they do in the twin? One sub-matrix in both engines.
 
-    .venv/bin/python benchmarks/twin_transfer.py [--cmdp ring-acc] [--sources 6] [--targets 8]
+    .venv/bin/python evidence/twin_transfer.py [--cmdp ring-acc] [--sources 6] [--targets 8]
         [--episodes 5] [--train 300] [--train-in jax|sumo] [--out FILE.npz]
 
 Trains each source in the twin, or in SUMO (preset `quick`, with as many training episodes as

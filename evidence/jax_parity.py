@@ -1,6 +1,6 @@
 """Do PPO, A2C and DQN in jax learn as Stable-Baselines3's do? Same environment, recipe and seeds.
 
-    .venv/bin/python benchmarks/jax_parity.py [--algorithm PPO] [--cmdp cartpole] [--seeds 10]
+    .venv/bin/python evidence/jax_parity.py [--algorithm PPO] [--cmdp cartpole] [--seeds 10]
         [--steps 50000]
 
 At five checkpoints the latest policy of each seed plays 20 deterministic episodes. Printed: means,

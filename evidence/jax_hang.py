@@ -1,6 +1,6 @@
 """Does training hang? Twenty guarded runs with 100 policies on two threads.
 
-    .venv/bin/python benchmarks/jax_hang.py [--runs 20] [--threads 2] [--unsafe]
+    .venv/bin/python evidence/jax_hang.py [--runs 20] [--threads 2] [--unsafe]
 
 jax 0.10's concurrency-optimised scheduler can wait for ever in programs of many small operations on
 few cores; `mbtl.training.jax` switches it off and asks for one thread. Here every run is a process

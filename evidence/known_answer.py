@@ -1,6 +1,6 @@
 """Is the V that a run reports the true one? A problem with two axes whose answer is known.
 
-    python benchmarks/known_answer.py --seeds 100
+    python evidence/known_answer.py --seeds 100
 
 runs `mbtl run` on it, each seed with other luck of trainings and other noise: 100 contexts, 8
 trainings, 10 targets each, 4 episodes with a standard deviation of 0.1 to 0.3. It prints how often

@@ -14,7 +14,7 @@ come with 95 % intervals. Every line has CO2 [g] and stops of a trip, completed 
     standard  policies of a preset on every tenth context of each axis, each in its own context;
               also before the first update (whole road and rewards are not measured)
 
-example: python benchmarks/eco_causes.py --part rules
+example: python evidence/eco_causes.py --part rules
 """
 
 from __future__ import annotations

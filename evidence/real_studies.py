@@ -1,6 +1,6 @@
 """What `auto` makes of what real studies have: noise, partial rows, costs, luck, batches, an end.
 
-    .venv/bin/python benchmarks/real_studies.py [--parts noise,partial,...] [--sets a,b]
+    .venv/bin/python evidence/real_studies.py [--parts noise,partial,...] [--sets a,b]
 
 Plays on all seeds of shipped matrices (of 100 contexts every second), with the prior that has not
 seen their family, on all cores. V is always that of the true rows, of the policies that the study

@@ -1,6 +1,6 @@
 """The leaderboard of selectors on all shipped matrices.
 
-    .venv/bin/python benchmarks/leaderboard.py [--budget 30] [--selectors a,b] [--write]
+    .venv/bin/python evidence/leaderboard.py [--budget 30] [--selectors a,b] [--write]
 
 Nothing that was learned has seen what it is judged on: `auto` runs with the prior fitted without
 the family of each matrix. Beside the selectors stands "told", which is none: it owns the whole
@@ -150,7 +150,7 @@ def main() -> None:
     lines += [*each(names, summaries), "", *beside(summaries), ""]
     print("\n".join(lines))
     if args.write:
-        mark = "<!-- benchmarks/leaderboard.py --write: all below -->\n"
+        mark = "<!-- evidence/leaderboard.py --write: all below -->\n"
         head = FILE.read_text(encoding="utf-8").split(mark)[0]
         FILE.write_text(f"{head}{mark}\n" + "\n".join(lines), encoding="utf-8")
 

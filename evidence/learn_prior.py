@@ -1,6 +1,6 @@
 """Choose the prior of `auto`: once on all shipped families, and once without each of them.
 
-    .venv/bin/python benchmarks/learn_prior.py [--budget 25] [--write]
+    .venv/bin/python evidence/learn_prior.py [--budget 25] [--write]
 
 Every candidate of mbtl.models.priors picks, without covering picks, on the shipped matrices of one
 axis (of 100 contexts every second; coarser grids are left out), on all cores. What counts is the
@@ -136,7 +136,7 @@ def main() -> None:
     for label in found:
         print(against(found, label, shipped, families))
     if args.write:
-        marks = ("# begin: benchmarks/learn_prior.py --write\n", "# end\n")
+        marks = ("# begin: evidence/learn_prior.py --write\n", "# end\n")
         head, rest = FILE.read_text(encoding="utf-8").split(marks[0])
         tail = rest.split(marks[1])[1]
         rows = "\n".join(lines)

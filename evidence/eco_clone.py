@@ -4,7 +4,7 @@ Observations are made up, not played: any speed, place, moment of the cycle and 
 the rule lets a driver drive, any advice above the limit is right. Prints the mean error of advised
 speeds where the rule advises, and how often the network advises a car that should be let alone.
 
-example: python benchmarks/eco_clone.py --write src/mbtl/worlds/traffic/rules/glide.npz
+example: python evidence/eco_clone.py --write src/mbtl/worlds/traffic/rules/glide.npz
 """
 
 from __future__ import annotations

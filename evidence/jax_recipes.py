@@ -1,6 +1,6 @@
 """Do the fast recipes end as high as Stable-Baselines3's? The same steps, many contexts and seeds.
 
-    .venv/bin/python benchmarks/jax_recipes.py [--cmdp cartpole-length] [--steps 1000000]
+    .venv/bin/python evidence/jax_recipes.py [--cmdp cartpole-length] [--steps 1000000]
 
 Trains 10 contexts x 3 seeds by two recipes in the jax engine (`jax_parity.py` shows that its `sb3`
 is Stable-Baselines3's) and prints mean returns of best and final policies on 100 fresh episodes of

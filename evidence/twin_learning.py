@@ -7,7 +7,7 @@ preset's; each line differs from the first by what it says. Scores are mean spee
 on the context trained on and, in brackets, on the contexts of the others; for eco-driving also the
 sum of rewards of an agent's life.
 
-example: python benchmarks/twin_learning.py --cmdp ring-acc     # ten minutes of a core
+example: python evidence/twin_learning.py --cmdp ring-acc     # ten minutes of a core
 """
 
 from __future__ import annotations

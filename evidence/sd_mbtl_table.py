@@ -10,7 +10,7 @@ their world.
 Random is its exact expectation; published is one order per trial. The oracle is, as published, one
 order for all trials, greedy for the mean over all 100 of them; beside it stands each trial's own.
 
-example: python benchmarks/sd_mbtl_table.py --trials 2 --worlds const-lin-nd const-lin-l1
+example: python evidence/sd_mbtl_table.py --trials 2 --worlds const-lin-nd const-lin-l1
 """
 
 from __future__ import annotations

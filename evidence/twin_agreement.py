@@ -12,7 +12,7 @@ the main road and on the ramp before the zipper and the mean speed within the me
 difference is given in its standard errors: two thirds should lie within 1, nearly all within 3.
 Lines share seeds, so they are not independent. The table is in Markdown.
 
-example: python benchmarks/twin_agreement.py --families eco --seeds 40
+example: python evidence/twin_agreement.py --families eco --seeds 40
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from fixed_advice import steady
 from measure import digits, note
 
 Measures = dict[str, Any]
@@ -56,8 +57,6 @@ WAVES = {"ring": ("spread", "standing"), "eco": ()} | dict.fromkeys(
     ("ramp-acc", "ramp-vel"), ("main", "ramp", "merge")
 )
 """Measures that are means over the decisions."""
-STEADY = {"ring": 3.0, "eco": 9.0, "ramp-acc": 5.0}  # m/s
-LEVEL = 2  # of ramp-vel
 STANDS = 0.1  # m/s
 LESSON = {
     "ring": ("ring-acc", "quick", {"hold": 5.0}),
@@ -74,21 +73,6 @@ Policy = Callable[[Any], Any]
 def _random(obs: Any) -> Any:
     """A mark: any action is as likely as another."""
     raise NotImplementedError
-
-
-def steady(family: str, obs: Any) -> Any:
-    """Acceleration towards the steady speed, in numpy and jax."""
-    from mbtl.cmdps.traffic import eco, ramp, ring
-
-    if family == "ramp-vel":
-        return (0.0 * obs[..., 0]).astype(int) + LEVEL
-    if family == "ramp-acc":
-        speed = 0.5 * (obs[..., 1:2] + 1.0) * ramp.SCALE[1]
-        return (STEADY[family] - speed).clip(-1.0, 1.0)
-    if family == "ring":
-        speed = 0.5 * (obs[..., :1] + 1.0) * ring.SCALE[0]
-        return (STEADY[family] - speed).clip(-1.0, 1.0)
-    return STEADY[family] - obs[..., :1] * eco.SPEED_SCALE
 
 
 def policies(family: str) -> dict[str, tuple[Policy | None, Policy | None]]:

@@ -1,6 +1,6 @@
 """Do sources richer than a point pay? Intervals and warm starts, at equal cost of training.
 
-    python benchmarks/richer_sources.py [--cmdp cartpole-length --cmdp pendulum-length] [--seeds 2]
+    python evidence/richer_sources.py [--cmdp cartpole-length --cmdp pendulum-length] [--seeds 2]
 
 A *generalist* is one policy trained on an interval of the axis: the episodes of its training take
 turns among 20 contexts of it. A *warm start* trains on a context from the networks of a policy that

@@ -1,6 +1,6 @@
 """What it changes that numbers are measured on other episodes than those that chose.
 
-    .venv/bin/python benchmarks/two_halves.py [--budget 15]
+    .venv/bin/python evidence/two_halves.py [--budget 15]
 
 For every shipped matrix that holds two halves of its episodes: V as it would be said of the half
 that chose (as older versions of mbtl did with all episodes) and V on the other half, of the same

@@ -8,7 +8,7 @@ can be compared is the order of the methods and the score (V - Random) / (oracle
 Random is its exact expectation; published is one order per trial. The oracle is each seed's own
 greedy order; theirs is one order for all trials. `auto` has the prior fitted without CartPole.
 
-example: python benchmarks/cartpole_900.py --write
+example: python evidence/cartpole_900.py --write
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ NAMES = {
 K_TABLE, K_CURVE, BUDGET = 12, 15, 30
 SHOWN = (1, 2, 3, 4, 6, K_TABLE, K_CURVE, BUDGET)
 FILE = Path(__file__).parents[1] / "docs/cartpole-900.md"
-MARK = "<!-- benchmarks/cartpole_900.py --write: all below -->\n"
+MARK = "<!-- evidence/cartpole_900.py --write: all below -->\n"
 
 PUBLISHED: Mapping[str, Mapping[str, float]] = {
     f"V at K = {K_TABLE}": {

@@ -11,7 +11,7 @@ curve, and at K), and trainings to 90 % and 95 % of the way to Oracle Transfer; 
 of untried sources are predicted after 1, 4 and 10 random rows: root mean square error, and negative
 log density, with all axes equal and with relevance.
 
-example: python benchmarks/several_axes.py --seeds 3 --budget 15
+example: python evidence/several_axes.py --seeds 3 --budget 15
 """
 
 from __future__ import annotations
