@@ -19,8 +19,8 @@ each target over the rows seen and one deviation for all; of one row, its mean a
 
 Matrices are those of one axis with 30 contexts or more, as evidence/learn_prior.py takes them
 (all seeds, at most 50 contexts, no "-final" twins), every second context a target. Cases of a
-family are averaged, each counting once. `--write` puts the tables into docs/calibration.md and
-draws docs/images/calibration.png.
+family are averaged, each counting once. `--write` puts the tables into
+docs/appendix/calibration.md and draws docs/images/calibration.png.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import appendix
 import numpy as np
 from learn_prior import small
 from scipy.stats import norm
@@ -48,9 +49,7 @@ from mbtl.models.transfer_kernel import Places, TransferPrior, grid_pairs
 from mbtl.selectors import SelectionProblem
 from mbtl.selectors.auto import Auto
 
-DOCS = Path(__file__).parents[1] / "docs"
-FILE, FIGURE = DOCS / "calibration.md", DOCS / "images/calibration.png"
-MARK = "<!-- evidence/calibration.py --write: all below -->\n"
+FIGURE = appendix.DOCS / "images/calibration.png"
 ROWS = (1, 2, 4, 8, 15)
 FEW = 2
 """Up to so many rows a case is one of few; the table shows few and more apart."""
@@ -337,8 +336,7 @@ def main() -> None:
     print("\n".join(lines))
     print(f"{time.process_time() - begin:.0f} s of processor")
     if args.write:
-        head = FILE.read_text(encoding="utf-8").split(MARK)[0]
-        FILE.write_text(f"{head}{MARK}\n" + "\n".join(lines), encoding="utf-8")
+        appendix.write("calibration", "Calibration: all tables", "calibration.md", lines)
         draw(found, FIGURE)
 
 

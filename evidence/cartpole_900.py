@@ -15,9 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
+import appendix
 import measure
 import numpy as np
 from measure import cost_of, digits
@@ -38,8 +38,6 @@ NAMES = {
 }  # fmt: skip
 K_TABLE, K_CURVE, BUDGET = 12, 15, 30
 SHOWN = (1, 2, 3, 4, 6, K_TABLE, K_CURVE, BUDGET)
-FILE = Path(__file__).parents[1] / "docs/cartpole-900.md"
-MARK = "<!-- evidence/cartpole_900.py --write: all below -->\n"
 
 PUBLISHED: Mapping[str, Mapping[str, float]] = {
     f"V at K = {K_TABLE}": {
@@ -176,7 +174,7 @@ def main() -> None:
     """Run what the arguments ask for."""
     parser = measure.parser(__doc__)
     parser.add_argument("--folder", help="of the matrix files, instead of the shipped ones")
-    parser.add_argument("--write", action="store_true", help="the tables go into the page")
+    parser.add_argument("--write", action="store_true", help="docs/appendix/cartpole-900.md")
     args = parser.parse_args()
     load = cost_of(lambda: load_matrix(CMDP, folder=args.folder))
     matrix = scaled(load_matrix(CMDP, folder=args.folder))
@@ -211,8 +209,8 @@ def main() -> None:
     lines = lines_of(document)
     measure.show(document, lines, as_json=args.json)
     if args.write:
-        text = FILE.read_text(encoding="utf-8").split(MARK)[0]
-        FILE.write_text(f"{text}{MARK}\n" + "\n".join(lines) + "\n", encoding="utf-8")
+        title = "CartPole with 900 contexts: all tables"
+        appendix.write("cartpole-900", title, "cartpole-900.md", lines)
 
 
 if __name__ == "__main__":

@@ -9,15 +9,15 @@ What separates it from the Sequential Oracle is luck of single trainings, which 
 
 Sets with several axes have a table of their own, without the selectors that need one axis (n/a).
 
-`--write` puts the tables into docs/leaderboard.md.
+`--write` puts the tables into docs/appendix/leaderboard.md.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 
+import appendix
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
@@ -33,7 +33,6 @@ from mbtl.benchmark.summary import trainings_to
 SELECTORS = (
     "random", "greedy", "mbtl", "mbtl-release", "gp-mbtl", "m-mbtl", "sd-mbtl", "auto", "oracle",
 )  # fmt: skip
-FILE = Path(__file__).parents[1] / "docs/leaderboard.md"
 SMOOTH = 2.0
 """Grid steps over which the rows of the other seeds are averaged."""
 
@@ -150,9 +149,7 @@ def main() -> None:
     lines += [*each(names, summaries), "", *beside(summaries), ""]
     print("\n".join(lines))
     if args.write:
-        mark = "<!-- evidence/leaderboard.py --write: all below -->\n"
-        head = FILE.read_text(encoding="utf-8").split(mark)[0]
-        FILE.write_text(f"{head}{mark}\n" + "\n".join(lines), encoding="utf-8")
+        appendix.write("leaderboard", "Leaderboard: all tables", "leaderboard.md", lines)
 
 
 if __name__ == "__main__":

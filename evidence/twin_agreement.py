@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterator  # isort: skip
 from functools import partial
 from typing import Any
 
+import appendix
 import numpy as np
 from fixed_advice import steady
 from measure import digits, note
@@ -265,6 +266,7 @@ def line(row: dict[str, Any]) -> str:
 def main() -> None:
     """Measure and print."""
     parser = measure.parser(__doc__)
+    parser.add_argument("--write", action="store_true", help="docs/appendix/twin-agreement.md")
     parser.add_argument("--families", nargs="+", choices=list(CONTEXTS), default=list(CONTEXTS))
     parser.add_argument("--seeds", type=int, default=20, help="episodes in SUMO per line")
     parser.add_argument("--twin-seeds", type=int, default=256, help="episodes in the twin")
@@ -280,6 +282,9 @@ def main() -> None:
     head = ["family", "context", "policy", "measure", "SUMO", "twin", "difference / its error"]
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|", *map(line, rows), ""]
     measure.show(document, lines, as_json=args.json)
+    if args.write:
+        title = "The twins against SUMO: all means"
+        appendix.write("twin-agreement", title, "twin-agreement.md", lines)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """What it changes that numbers are measured on other episodes than those that chose.
 
-    .venv/bin/python evidence/two_halves.py [--budget 15]
+    .venv/bin/python evidence/two_halves.py [--budget 15] [--write]
 
 For every shipped matrix that holds two halves of its episodes: V as it would be said of the half
 that chose (as older versions of mbtl did with all episodes) and V on the other half, of the same
@@ -14,6 +14,7 @@ import measure  # noqa: F401  first: threads
 import argparse  # isort: skip
 from dataclasses import replace
 
+import appendix
 import numpy as np
 
 from mbtl.benchmark import TransferMatrix, compare, levels, load_matrix, shipped_matrices
@@ -39,10 +40,14 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--budget", type=int, default=15)
-    budget = parser.parse_args().budget
+    parser.add_argument("--write", action="store_true", help="docs/appendix/two-halves.md")
+    args = parser.parse_args()
+    budget = args.budget
     columns = ("Independent", *SELECTORS, "Oracle Transfer")
-    print(f"| K = {budget}: on the half that chose / on the other | {' | '.join(columns)} |")
-    print("|---" * (len(columns) + 1) + "|")
+    lines = [
+        f"| K = {budget}: on the half that chose / on the other | {' | '.join(columns)} |",
+        "|---" * (len(columns) + 1) + "|",
+    ]
     for name in shipped_matrices():
         matrix = load_matrix(name)
         if matrix.fresh_returns is None:
@@ -51,7 +56,11 @@ def main() -> None:
         told = measured(same, budget)
         true = measured(matrix, budget)
         cells = [f"{told[c]:.4f} / {true[c]:.4f}" if c in told else "-" for c in columns]
-        print(f"| {name} | {' | '.join(cells)} |", flush=True)
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+        print(lines[-1], flush=True)
+    if args.write:
+        title = "V on the episodes that chose, and on the others"
+        appendix.write("two-halves", title, "honest-numbers.md", lines)
 
 
 if __name__ == "__main__":
