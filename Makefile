@@ -21,13 +21,13 @@ test-long: .venv/dev.stamp
 	$(PYTEST) -m long $(TESTS)
 
 lint: .venv/dev.stamp
-	$(BIN)/ruff check src tests benchmarks evidence examples docs/conf.py
-	$(BIN)/ruff format --check src tests benchmarks evidence examples docs/conf.py
+	$(BIN)/ruff check src tests benchmarks evidence examples docs/conf.py docs/notebooks
+	$(BIN)/ruff format --check src tests benchmarks evidence examples docs/conf.py docs/notebooks
 	$(BIN)/mypy
 
 format: .venv/dev.stamp
-	$(BIN)/ruff check --fix src tests benchmarks evidence examples docs/conf.py
-	$(BIN)/ruff format src tests benchmarks evidence examples docs/conf.py
+	$(BIN)/ruff check --fix src tests benchmarks evidence examples docs/conf.py docs/notebooks
+	$(BIN)/ruff format src tests benchmarks evidence examples docs/conf.py docs/notebooks
 
 # the site, in build/site; a warning is an error
 docs: .venv/docs.stamp

@@ -50,6 +50,25 @@ def _as_it_is(found):
     return f"{found[1]}::\n\n{block.rstrip()}\n\n"
 
 
+def helps(command, name):
+    """What `--help` of a command and of those below it prints, in Markdown."""
+    if hasattr(command, "commands"):
+        return "".join(helps(c, f"{name} {n}") for n, c in command.commands.items())
+    text = command.get_help(command.context_class(command, info_name=name, terminal_width=90))
+    return f"\n## {name}\n\n```text\n{text}\n```\n"
+
+
+def add_helps(app, page, source):
+    """The page of commands goes on with what the program says itself."""
+    if page == "commands":
+        from typer.main import get_command
+
+        from mbtl.cli.app import app as program
+
+        source[0] += helps(get_command(program), "mbtl")
+
+
 def setup(app):
-    """Before napoleon, which reads the sections."""
+    """`plain` comes before napoleon, which reads the sections."""
     app.connect("autodoc-process-docstring", plain, priority=1)
+    app.connect("source-read", add_helps)

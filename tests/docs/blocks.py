@@ -11,7 +11,8 @@ A page is executed from top to bottom in an empty folder, its Python blocks in o
   command and all of its options, scripts must exist.
 - `<!-- invisible-code-block: python` begins Python that readers do not see: what a page takes for
   granted. `examples` and `numpy` are known from the start.
-- `text`, `toml`, `xml`, ... are for people. A block without a language is an error.
+- An `xml` block whose first line is `<!-- name -->` is written to that file.
+- `text`, `toml`, ... are for people. A block without a language is an error.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import tomllib
 from collections import Counter
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy
 from sybil import Document, Example, Sybil
@@ -39,7 +41,7 @@ PAGES = sorted(
     for page in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
     if not set(page.relative_to(ROOT).parts) & set(GENERATED)
 )
-SHOWN = {"text", "toml", "xml", "json", "ini", "html", "yaml", "dockerfile"}
+SHOWN = {"text", "toml", "json", "ini", "html", "yaml", "dockerfile"}
 FENCE = re.compile(r"^[ >]*(`{3,})([^`\n]*)$")
 NOT_RUN = re.compile(r"<!-- not run: .+ -->\s*\Z")
 FILE = re.compile(r"# ([\w/]+\.py)\b")
@@ -83,6 +85,15 @@ def python(example: Example) -> None:
         importlib.import_module(Path(file[1]).stem)
 
 
+def xml(example: Example) -> None:
+    """Write a file that the page goes on with."""
+    text = str(example.parsed)
+    ElementTree.fromstring(text)
+    name = re.match(r"<!-- ([\w.]+) -->\n", text)
+    if name is not None:
+        Path(name[1]).write_text(text)
+
+
 def bash(example: Example) -> None:
     """Run each command, or only look whether it could be run."""
     lines = str(example.parsed).replace("\\\n", " ").splitlines()
@@ -108,6 +119,10 @@ def _command(words: list[str], *, run: bool) -> None:
         for word in words:
             ours = re.match(r"mbtl\[(.*)\]", word)
             assert ours is None or set(ours[1].split(",")) <= set(known["optional-dependencies"])
+    elif program in ("netgenerate", "netconvert"):
+        if run:
+            found = Path(sys.executable).with_name(program)
+            subprocess.run([found, *words[1:]], check=True, capture_output=True)
     elif program == "python" and len(words) > 1 and words[1].endswith(".py"):
         script = next(f for f in (Path(words[1]), ROOT / words[1]) if f.exists())
         if run:
@@ -144,7 +159,8 @@ def read(words: list[str]) -> None:
 
 def parse(page: Path) -> Document:
     """The examples of a page."""
-    parsers = [CodeBlockParser("python", python), CodeBlockParser("bash", bash)]
+    kinds = {"python": python, "bash": bash, "xml": xml}
+    parsers = [CodeBlockParser(language, evaluate) for language, evaluate in kinds.items()]
     return Sybil(parsers).parse(page)
 
 

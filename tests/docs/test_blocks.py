@@ -26,7 +26,7 @@ def test_the_blocks_of_a_page_run(page, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("page", blocks.PAGES, ids=lambda page: str(page.relative_to(blocks.ROOT)))
 def test_every_block_says_what_it_is(page):
-    known = blocks.SHOWN | {"python", "bash"}
+    known = blocks.SHOWN | {"python", "bash", "xml"}
     for line, language in blocks.fences(page.read_text()):
         assert language in known or language.startswith("{"), f"line {line}: {language!r}"
 
