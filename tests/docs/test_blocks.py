@@ -1,5 +1,6 @@
 """Every code block of README and docs is executed, or says why it is not."""
 
+import re
 import sys
 
 import blocks
@@ -29,6 +30,14 @@ def test_every_block_says_what_it_is(page):
     known = blocks.SHOWN | {"python", "bash", "xml"}
     for line, language in blocks.fences(page.read_text()):
         assert language in known or language.startswith("{"), f"line {line}: {language!r}"
+
+
+@pytest.mark.parametrize("page", blocks.PAGES, ids=lambda page: str(page.relative_to(blocks.ROOT)))
+def test_a_script_that_a_page_names_exists(page):
+    for name in re.findall(
+        r"\b(?:evidence|benchmarks|examples|tests)/[\w/]+\.py\b", page.read_text()
+    ):
+        assert (blocks.ROOT / name).exists(), name
 
 
 def test_most_blocks_are_executed():
