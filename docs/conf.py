@@ -72,3 +72,4 @@ def setup(app):
     """`plain` comes before napoleon, which reads the sections."""
     app.connect("autodoc-process-docstring", plain, priority=1)
     app.connect("source-read", add_helps)
+    app.connect("env-get-outdated", lambda *_: ["commands"])
