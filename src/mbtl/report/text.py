@@ -26,7 +26,7 @@ def table(summary: StudySummary, space: ContextSpace) -> Table:
     size = f"K = {summary.budget}, N = {summary.n_contexts}"
     title = f"{summary.problem or 'study'}: {summary.selector}, {size}"
     found = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)
-    for head in ("pick", "trained on", "V", "V fresh", "minutes"):
+    for head in ("pick", "trained on", "V", "V fresh", "min"):
         found.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
     found.add_column("why")
     for pick in summary.picks:
