@@ -19,7 +19,7 @@ html_title = f"mbtl {release}"
 default_role = "code"  # docstrings mark code by single backticks
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True}
-autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Floats")}
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Context", "Floats")}
 python_maximum_signature_line_length = 88
 python_use_unqualified_type_names = True
 napoleon_numpy_docstring = False
@@ -50,6 +50,12 @@ def _as_it_is(found):
     return f"{found[1]}::\n\n{block.rstrip()}\n\n"
 
 
+def short(app, what, name, obj, options, signature, returned):
+    """Names of types as they are written in the source."""
+    alias = re.compile(r"TypeAliasForwardRef\('(\w+)'\)")
+    return tuple(None if text is None else alias.sub(r"\1", text) for text in (signature, returned))
+
+
 def helps(command, name):
     """What `--help` of a command and of those below it prints, in Markdown."""
     if hasattr(command, "commands"):
@@ -71,5 +77,6 @@ def add_helps(app, page, source):
 def setup(app):
     """`plain` comes before napoleon, which reads the sections."""
     app.connect("autodoc-process-docstring", plain, priority=1)
+    app.connect("autodoc-process-signature", short)
     app.connect("source-read", add_helps)
     app.connect("env-get-outdated", lambda *_: ["commands"])

@@ -1,6 +1,7 @@
 """Every code block of README and docs is executed, or says why it is not."""
 
 import re
+import shlex
 import sys
 
 import blocks
@@ -38,6 +39,13 @@ def test_a_script_that_a_page_names_exists(page):
         r"\b(?:evidence|benchmarks|examples|tests)/[\w/]+\.py\b", page.read_text()
     ):
         assert (blocks.ROOT / name).exists(), name
+
+
+@pytest.mark.parametrize("page", blocks.PAGES, ids=lambda page: str(page.relative_to(blocks.ROOT)))
+def test_a_command_within_a_sentence_exists(page):
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M)
+    for span in re.findall(r"`(mbtl [a-z][^`]*)`", text):
+        blocks.read(shlex.split(span.replace("...", ""))[1:], whole=False)
 
 
 def test_most_blocks_are_executed():
