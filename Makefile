@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constr
 PROBLEM ?= cartpole-length
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal --durations 25
 
-.PHONY: run test test-long lint format bench clean
+.PHONY: run test test-long lint format docs bench clean
 
 run: .venv/run.stamp
 	$(BIN)/mbtl run $(PROBLEM)
@@ -21,13 +21,17 @@ test-long: .venv/dev.stamp
 	$(PYTEST) -m long $(TESTS)
 
 lint: .venv/dev.stamp
-	$(BIN)/ruff check src tests benchmarks examples
-	$(BIN)/ruff format --check src tests benchmarks examples
+	$(BIN)/ruff check src tests benchmarks evidence examples docs/conf.py docs/notebooks
+	$(BIN)/ruff format --check src tests benchmarks evidence examples docs/conf.py docs/notebooks
 	$(BIN)/mypy
 
 format: .venv/dev.stamp
-	$(BIN)/ruff check --fix src tests benchmarks examples
-	$(BIN)/ruff format src tests benchmarks examples
+	$(BIN)/ruff check --fix src tests benchmarks evidence examples docs/conf.py docs/notebooks
+	$(BIN)/ruff format src tests benchmarks evidence examples docs/conf.py docs/notebooks
+
+# the site, in build/site; a warning is an error
+docs: .venv/docs.stamp
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs build/site
 
 bench: .venv/rivals.stamp
 	$(BIN)/python benchmarks/import_time.py
@@ -53,6 +57,10 @@ clean:
 .venv/dev.stamp: .venv/run.stamp
 	$(PIP) torch
 	$(PIP) --editable '.[jax,plots,train,traffic,envs,cluster,dev]'
+	touch $@
+
+.venv/docs.stamp: .venv/dev.stamp
+	$(PIP) --editable '.[jax,plots,train,traffic,envs,cluster,dev,docs]'
 	touch $@
 
 .venv/rivals.stamp: .venv/dev.stamp

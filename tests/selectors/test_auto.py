@@ -119,11 +119,11 @@ def test_every_third_pick_goes_where_nobody_is_near():
     nearer = np.maximum(covered - np.abs(steps[:, None] - steps), 0.0).sum(axis=1)
     proposal = Auto(cover=3).propose(problem, history, RNG)
     assert proposal.source == nearer.argmax()
-    assert "far from all sources" in proposal.reason
+    assert "largest untested region" in proposal.reason
     assert Auto(cover=0).propose(problem, history, RNG).reason == "largest expected gain"
     assert Auto(cover=4).propose(problem, history, RNG).reason == "largest expected gain"
     waiting = history.with_pending(40)
-    assert "far from all sources" in Auto(cover=4).propose(problem, waiting, RNG).reason
+    assert "largest untested region" in Auto(cover=4).propose(problem, waiting, RNG).reason
     failed = replace(history, failed=(proposal.source,))
     assert Auto(cover=3).propose(problem, failed, RNG).reason == "largest expected gain"
     with pytest.raises(InvalidInput, match="cover must be >= 0"):
@@ -146,7 +146,7 @@ def test_with_everything_trained_a_covering_pick_is_an_ordinary_one():
         history = history.with_row(source, np.full(5, 0.1 * source))
     proposal = Auto(cover=3).propose(problem, history, RNG)
     assert 0 <= proposal.source < 5
-    assert "far from all sources" not in proposal.reason
+    assert "largest untested region" not in proposal.reason
 
 
 def test_gain_per_cost_prefers_the_cheap_of_two_alike():

@@ -45,7 +45,7 @@ _LEADERS, _AROUND = 3, 12
 """So many of the best candidates are looked around, at so many contexts each and round."""
 _MANY = 20_000
 """Contexts through which every round of the search may look."""
-_LONELY = "far from all sources, as every so many-th pick"
+_LONELY = "largest untested region"
 _LEFT = 25
 """Candidates, and targets, that stand for all when it is asked what is left to gain."""
 _PENDING = 300
@@ -69,8 +69,8 @@ class Auto:
         most_pairs: observed pairs used; with more rows, fewer targets of each.
         finalists: candidates that are judged a second time, on more targets.
         final_targets: targets of that.
-        cover: every so many-th pick goes where the sources leave the most uncovered, whatever the
-            model says; 0: none does.
+        cover: with 3, every third pick explores the largest untested region, whatever the model
+            says; with 0 none does.
         relevance: with several axes, learn which of them matter (predicts better, picks alike).
     """
 
