@@ -37,6 +37,7 @@ from mbtl.selectors.base import (
     nearest_distance,
     open_candidates,
 )
+from mbtl.selectors.contract import Traits
 
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
@@ -83,8 +84,7 @@ class Auto:
     cover: int = 3
     relevance: bool = False
     name: str = "auto"
-    predicts_chances: ClassVar[bool] = True
-    retrains: ClassVar[bool] = True
+    traits: ClassVar[Traits] = Traits(deterministic=True, retrains=True, predicts_chances=True)
 
     def __post_init__(self) -> None:
         if self.cover < 0:

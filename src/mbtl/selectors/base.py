@@ -1,15 +1,11 @@
-"""The selector contract: a problem (frozen data) and a history in, the next source out.
-
-A selector never sees a study, a storage or a matrix. It keeps no state between calls: what it needs
-is in the history, so a resumed study proposes what an undisturbed one would have.
-"""
+"""What selectors work with: a problem (frozen data), a proposal, and which contexts are open."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,26 +172,6 @@ class Outlook:
     std: Array
     gain: Array
     drawn: Callable[[int], Array] | None = None
-
-
-@runtime_checkable
-class Selector(Protocol):
-    """Proposes the next source to train on."""
-
-    @property
-    def name(self) -> str:
-        """The registered name, e.g. "mbtl-ei"."""
-        ...
-
-    def propose(
-        self, problem: SelectionProblem, history: History, rng: np.random.Generator
-    ) -> Proposal:
-        """Choose one source that is neither trained, pending nor failed.
-
-        Raises:
-            Exhausted: every context is taken.
-        """
-        ...
 
 
 class Exhausted(StudyError):

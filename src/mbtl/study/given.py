@@ -16,6 +16,7 @@ from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds
 from mbtl.selectors import Selector
+from mbtl.selectors.contract import traits_of
 
 
 def costs_of(
@@ -42,7 +43,7 @@ def check_wishes(
     bounds: tuple[float, float] | Bounds | None,
 ) -> None:
     """Repeated trainings and the stopping rule need a selector that knows of them."""
-    if repeats != 1 and not getattr(selector, "retrains", False):
+    if repeats != 1 and not traits_of(selector).retrains:
         raise InvalidInput(
             f"repeats needs a selector that trains a context again, such as 'auto', got "
             f"{selector.name!r} with repeats={repeats!r}"
@@ -53,7 +54,7 @@ def check_wishes(
         return
     if bounds is None:
         raise InvalidInput("stop_gain is in performance, so it needs bounds=(low, high); got none")
-    if not getattr(selector, "predicts_chances", False):
+    if not traits_of(selector).predicts_chances:
         raise InvalidInput(
             f"stop_gain needs a selector that predicts chances of a gain, such as 'auto', got "
             f"{selector.name!r}"
