@@ -14,6 +14,7 @@ CORE = [
     "errors",
     "version",
     "arrays",
+    "notebook",
     "settings",
     "processes",
     "provenance",
@@ -117,4 +118,11 @@ def test_importing_mbtl_is_light_and_changes_nothing():
 def test_all_public_names_exist():
     for name in mbtl.__all__:
         assert getattr(mbtl, name) is not None
-    assert len(mbtl.__all__) <= 25
+    errors = {name for name in mbtl.__all__ if name in vars(mbtl.errors)}
+    assert len(set(mbtl.__all__) - errors) <= 33
+    assert {e for e in vars(mbtl.errors) if e[0].isupper()} - {"Iterable"} == errors
+
+
+def test_pictures_are_at_hand_and_loaded_only_when_asked_for():
+    program = "import sys, mbtl; assert 'matplotlib' not in sys.modules; print(mbtl.plot.curve)"
+    subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)

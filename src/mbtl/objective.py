@@ -114,6 +114,24 @@ class Bounds:
         return self.low + p * span if self.direction == "maximize" else self.high - p * span
 
 
+@dataclass(frozen=True)
+class Objective:
+    """What a study aims at: the generalisation performance V, on a scale.
+
+    Attributes:
+        bounds: (low, high) of the returns, or `Bounds`, whose direction and floor then count; None
+            takes those of the problem, else the range told so far.
+        direction: "maximize" or "minimize" the returns; None: the problem's, else maximize.
+        risk: V is the mean over this share of the targets, those that do worst; 1 for all.
+        best_return: the largest return there is (smallest, if minimised); None: not known.
+    """
+
+    bounds: tuple[float, float] | Bounds | None = None
+    direction: Direction | str | None = None
+    risk: float = 1.0
+    best_return: float | None = None
+
+
 def generalisation_performance(rows: Array) -> Array:
     """Per target, the best performance among the trained policies; (k, N) -> (N,).
 

@@ -35,6 +35,7 @@ from mbtl.trainer import (
 
 if TYPE_CHECKING:
     from mbtl.study.callbacks import Callback
+    from mbtl.study.result import RunResult
 
 
 class Study(LeasingStudy):
@@ -48,6 +49,7 @@ class Study(LeasingStudy):
         targets: Sequence[int] | None = None,
         cost: float | None = None,
         seconds: float | None = None,
+        steps: float | None = None,
         policy: str | Artifact | None = None,
         policy_object: Any = None,
     ) -> bool:
@@ -62,6 +64,7 @@ class Study(LeasingStudy):
             cost: cost of the training, in the unit of the cost budget; None: what `costs` says of
                 the source, or 1; 0 for a row that nobody asked for.
             seconds: wall time of training and evaluation.
+            steps: environment steps of the training.
             policy: folder of the saved policy, relative to the study's folder; as an `Artifact`
                 with its hash, which is then checked whenever it is read.
             policy_object: the policy itself, kept in this process only.
@@ -94,6 +97,7 @@ class Study(LeasingStudy):
             "ddof": 1,
             "episodes": rows.shape[1],
             "seconds": seconds,
+            "steps": steps,
             "policy": policy.place if isinstance(policy, Artifact) else policy,
             "sha256": policy.sha256 if isinstance(policy, Artifact) else None,
         }
@@ -143,18 +147,19 @@ class Study(LeasingStudy):
 
         self._commit(voided)
 
-    def fail(self, pick: Pick, reason: str, *, traceback: str = "") -> bool:
+    def fail(self, pick: Pick, reason: str, *, traceback: str = "", pruned: bool = False) -> bool:
         """Record that a pick gave no policy; it spends budget and is not proposed again.
 
         Args:
             pick: what `ask` gave.
             reason: why, in one line.
             traceback: where that came from, for people.
+            pruned: it was ended early on purpose, so nothing went wrong.
 
         Returns:
             False where it came too late; see `tell`.
         """
-        return self._answer("failed", pick, reason, traceback)
+        return self._answer("failed", pick, reason, traceback, pruned=pruned)
 
     def defer(self, pick: Pick, reason: str, *, traceback: str = "") -> bool:
         """Record that a policy is trained and could not be evaluated; the pick stays open."""
@@ -258,8 +263,10 @@ class Study(LeasingStudy):
         deterministic: bool = False,
         retries: int = 0,
         timeout: float | None = None,
-    ) -> Study:
+    ) -> RunResult:
         """Train and evaluate until the study is finished; see `mbtl.study.runner.run`.
+
+        A callback ends the run by `study.stop`, and a training early by raising `TrainingPruned`.
 
         Args:
             train: context, seed -> policy.
@@ -281,6 +288,9 @@ class Study(LeasingStudy):
             retries: so often a training that failed is begun again before it counts as failed.
             timeout: seconds that a training may take.
 
+        Returns:
+            V after each training, all trainings, failures, and why the run ended.
+
         Raises:
             StudyMismatch: the study was run with another recipe or policy format before.
         """
@@ -295,7 +305,7 @@ class Study(LeasingStudy):
             if train is None or evaluate is None:
                 raise InvalidInput("run needs train and evaluate functions, or a trainer")
             trainer = FunctionTrainer(train, evaluate, save, load)
-        run(
+        return run(
             self,
             trainer,
             parallel=parallel,
@@ -311,12 +321,26 @@ class Study(LeasingStudy):
             retries=retries,
             timeout=timeout,
         )
-        return self
+
+    def stop(self, reason: str = "it was stopped") -> None:
+        """End the run of this object that goes on, from a callback or another thread.
+
+        What is under way is finished and told; no more is asked for. The study itself is not
+        finished: the next `run` goes on.
+
+        Args:
+            reason: for people.
+        """
+        self.stopping = reason
 
     # ---- inside ------------------------------------------------------------------------------
 
-    def _answer(self, kind: Kind, pick: Pick, reason: str, traceback: str) -> bool:
-        data = {"source": pick.source, "reason": reason, "traceback": traceback}
+    def _answer(
+        self, kind: Kind, pick: Pick, reason: str, traceback: str, *, pruned: bool = False
+    ) -> bool:
+        data: dict[str, Any] = {"source": pick.source, "reason": reason, "traceback": traceback}
+        if pruned:
+            data["pruned"] = True
         if pick.token:
             data["token"] = pick.token
 
