@@ -7,6 +7,7 @@ one after another, and serve every context with the best of the trained policies
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbtl import selectors
@@ -28,6 +29,7 @@ from mbtl.errors import (
 )
 from mbtl.objective import Bounds, Objective
 from mbtl.portfolio import Portfolio, load_portfolio
+from mbtl.portfolio.archive import READERS
 from mbtl.study import (
     Callback,
     Pick,
@@ -105,6 +107,15 @@ __all__ = [
     "plot",
     "selectors",
 ]
+
+
+def _read_sb3(folder: Path) -> Any:
+    from mbtl.training import load_sb3  # needs the `train` extra
+
+    return load_sb3(folder)
+
+
+READERS["sb3"] = _read_sb3
 
 
 def __getattr__(name: str) -> Any:
