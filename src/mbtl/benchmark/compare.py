@@ -23,6 +23,7 @@ from mbtl.benchmark.shipped import family_of
 from mbtl.benchmark.summary import summarise
 from mbtl.errors import InvalidInput, UnknownName, unknown_name
 from mbtl.history import History
+from mbtl.plain import whole
 from mbtl.selectors.base import SelectionProblem
 from mbtl.selectors.contract import LearnedSelector, Selector, traits_of
 from mbtl.selectors.registry import get_selector, selector_names
@@ -73,6 +74,7 @@ def compare(
             comes twice, or a selector refuses a matrix (greedy and equidistant need one axis), or
             proposes a context again.
     """
+    budget, seeds = whole("budget", budget), whole("seeds", seeds)
     if seeds < 1:
         raise InvalidInput(f"seeds must be at least 1, got {seeds}")
     sources = open_matrices(matrices)

@@ -14,6 +14,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import Axis, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.history import History
+from mbtl.plain import is_finite, short, whole
 
 
 def default_theta(n: int) -> float:
@@ -56,6 +57,8 @@ class SelectionProblem:
     trainable: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
+        for name in ("repeats", "budget"):
+            object.__setattr__(self, name, whole(name, getattr(self, name)))
         if not self.repeats >= 1:
             raise InvalidInput(f"repeats must be at least 1, got {self.repeats}")
         if self.trainable is not None and (
@@ -72,9 +75,9 @@ class SelectionProblem:
                 f"budget must be from 1 to the number of {which} ({len(self.sources)}){times}, "
                 f"got {self.budget}"
             )
-        if not 0.0 < self.risk <= 1.0:
+        if not (is_finite(self.risk) and 0.0 < self.risk <= 1.0):
             raise InvalidInput(
-                f"risk is the share of the worst targets, in (0, 1], got {self.risk!r}"
+                f"risk is the share of the worst targets, in (0, 1], got {short(self.risk)}"
             )
         if self.costs is not None and not (
             self.costs.shape == (self.n,)
@@ -85,8 +88,8 @@ class SelectionProblem:
                 f"costs must be {self.n} finite numbers > 0, one per context, got "
                 f"{self.costs.shape[0]} from {self.costs.min():g} to {self.costs.max():g}"
             )
-        if not (np.isfinite(self.theta) and self.theta >= 0):
-            raise InvalidInput(f"theta must be finite and >= 0, got {self.theta!r}")
+        if not (is_finite(self.theta) and self.theta >= 0):
+            raise InvalidInput(f"theta must be finite and >= 0, got {short(self.theta)}")
 
     @classmethod
     def of(

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.objective import Bounds, Direction, Objective, direction_named
+from mbtl.plain import finite, real, short, text, whole
 from mbtl.selectors import Selector, get_selector, selector_names
 from mbtl.settings import as_json, first_difference
 from mbtl.study.checks import check_spec
@@ -20,11 +21,8 @@ from mbtl.study.events import Event
 from mbtl.study.given import (
     check_wishes,
     costs_of,
-    finite,
     pair_of,
-    real,
     target_count,
-    whole,
 )
 from mbtl.study.listing import chosen_name, database_at
 from mbtl.study.places import fixed_url, policy_store
@@ -181,8 +179,8 @@ def create_study(
         trial,
         stop_value,
         cost_budget,
-        problem or facts.id,
-        as_json("settings", {**facts.settings, **(settings or {})}),
+        text("problem", facts.id if problem is None else problem) or facts.id,
+        as_json("settings", {**facts.settings, **_record("settings", settings)}),
         whole("repeats", repeats),
         costs_of(costs, space),
         real("risk", aim.risk),
@@ -212,6 +210,12 @@ def create_study(
             study.extend(spec.budget)
         return study
     return Study(log, chosen, folder=folder, name=name, trainer=trainer)
+
+
+def _record(name: str, given: Any) -> Mapping[str, Any]:
+    if given is not None and not isinstance(given, Mapping):
+        raise InvalidInput(f"{name} must be a record, a dict of names, got {short(given)}")
+    return given or {}
 
 
 def load_study(

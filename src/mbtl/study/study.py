@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
+from mbtl.plain import finite, whole
 from mbtl.settings import first_difference
 from mbtl.study import telling
 from mbtl.study.artifacts import Artifact
@@ -81,7 +82,8 @@ class Study(LeasingStudy):
             StudyError: the pick was answered before, or is another study's.
         """
         source = telling.source_of(self.space, pick)
-        if cost is not None and not (np.isfinite(cost) and cost >= 0):
+        price = finite("cost", cost)
+        if price is not None and price < 0:
             raise InvalidInput(f"cost must be finite and >= 0, got {cost!r}")
         usual = 1.0 if self.spec.costs is None else self.spec.costs[source]
         if targets is None:
@@ -96,8 +98,8 @@ class Study(LeasingStudy):
             "source": source,
             "ddof": 1,
             "episodes": rows.shape[1],
-            "seconds": seconds,
-            "steps": steps,
+            "seconds": finite("seconds", seconds),
+            "steps": finite("steps", steps),
             "policy": policy.place if isinstance(policy, Artifact) else policy,
             "sha256": policy.sha256 if isinstance(policy, Artifact) else None,
         }
@@ -112,7 +114,7 @@ class Study(LeasingStudy):
             place = len(state.rows)
             number = telling.answered(state, pick, source)
             expected = 0.0 if number is None else usual
-            spent = expected if cost is None else float(cost)
+            spent = expected if price is None else price
             made = None if state.equipment is None else recipe_digest(state.equipment)
             return Event("told", {**data, "pick": number, "cost": spent, "recipe": made}, arrays)
 
@@ -135,6 +137,7 @@ class Study(LeasingStudy):
         """
         rows = self.refresh().rows
         if not isinstance(row, ToldRow):
+            row = whole("the place of a row", row)
             if not 0 <= row < len(rows):
                 raise StudyError(f"the places of the {len(rows)} rows count from 0, got {row}")
             row = rows[row]
@@ -174,6 +177,8 @@ class Study(LeasingStudy):
         Raises:
             StudyError: that pick did not fail, or its source was told since.
         """
+        if not isinstance(pick, Pick):
+            pick = whole("the number of a pick", pick)
         self._commit(lambda state: telling.reopening(state, pick))
 
     def equip(self, trainer: Trainer) -> None:
@@ -202,6 +207,7 @@ class Study(LeasingStudy):
         Raises:
             InvalidInput: it is not larger than now, or exceeds the number of contexts.
         """
+        budget = whole("budget", budget)
 
         def extended(state: StudyState) -> Event:
             now, most = self.spec.budget, self.space.n * self.spec.repeats
