@@ -42,6 +42,10 @@ class StorageError(MbtlError):
     """The event log cannot be read or written."""
 
 
+class Unreachable(StorageError):
+    """The server of the event log does not answer now; it may in a moment."""
+
+
 class TrainingFailed(MbtlError):
     """A training or evaluation gave nothing that can be used."""
 

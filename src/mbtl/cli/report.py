@@ -81,6 +81,8 @@ def report(
 
 def _open(name: str) -> Study | TransferMatrix:
     path = Path(name)
+    if "://" in name:
+        return open_study(name, None)
     if path.suffix != ".npz" and path.exists():
         return open_study(path, None)
     if path.suffix == ".npz" or name in shipped_matrices():
