@@ -31,6 +31,7 @@ CORE = [
     "acquisition",
     "theory",
     "selectors",
+    "actions",
     "portfolio",
     "study",
 ]
