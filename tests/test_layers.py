@@ -33,6 +33,7 @@ CORE = [
     "acquisition",
     "theory",
     "selectors",
+    "actions",
     "portfolio",
     "study",
 ]
