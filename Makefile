@@ -1,10 +1,10 @@
 # Two commands do all the set-up on a fresh machine: `make run` (the main job) and `make test`.
-# Each creates .venv with what it needs; only the tests need PyTorch. One that is in .venv is kept, so
-# to avoid the CUDA build on a machine without a GPU, install PyTorch's CPU build there first.
+# Each creates .venv with what it needs, by uv where it can be had and by pip otherwise. Only the tests
+# need PyTorch; its CPU build is taken where one can be reached, and one that is in .venv is kept.
 
 PYTHON ?= python3
 BIN := .venv/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
+PIP := tools/install
 PROBLEM ?= cartpole-length
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal --durations 25
 
@@ -45,11 +45,11 @@ clean:
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
-.venv/run.stamp: .venv/bin/python pyproject.toml constraints.txt
+.venv/run.stamp: .venv/bin/python pyproject.toml constraints.txt tools/install
 	$(PIP) --editable '.[jax,plots]'
 	touch $@
 
-# torch alone first: asked for together with others, pip may prefer another build of it
+# torch alone first: asked for together with others, another build of it may be preferred
 .venv/dev.stamp: .venv/run.stamp
 	$(PIP) torch
 	$(PIP) --editable '.[jax,plots,train,traffic,envs,cluster,dev]'
