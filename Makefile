@@ -8,7 +8,7 @@ PIP := tools/install
 PROBLEM ?= cartpole-length
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal --durations 25
 
-.PHONY: run test test-long lint format bench clean
+.PHONY: run test test-long lint format bench release-check clean
 
 run: .venv/run.stamp
 	$(BIN)/mbtl run $(PROBLEM)
@@ -21,13 +21,13 @@ test-long: .venv/dev.stamp
 	$(PYTEST) -m long $(TESTS)
 
 lint: .venv/dev.stamp
-	$(BIN)/ruff check src tests benchmarks examples
-	$(BIN)/ruff format --check src tests benchmarks examples
+	$(BIN)/ruff check src tests benchmarks examples tools
+	$(BIN)/ruff format --check src tests benchmarks examples tools
 	$(BIN)/mypy
 
 format: .venv/dev.stamp
-	$(BIN)/ruff check --fix src tests benchmarks examples
-	$(BIN)/ruff format src tests benchmarks examples
+	$(BIN)/ruff check --fix src tests benchmarks examples tools
+	$(BIN)/ruff format src tests benchmarks examples tools
 
 bench: .venv/rivals.stamp
 	$(BIN)/python benchmarks/import_time.py
@@ -39,8 +39,12 @@ bench: .venv/rivals.stamp
 	$(BIN)/python benchmarks/jax_throughput.py
 	$(BIN)/python benchmarks/jax_evaluation.py
 
+# wheel and sdist, used in clean environments of every Python, with the newest and oldest dependencies
+release-check: .venv/run.stamp
+	$(BIN)/python tools/release_check.py
+
 clean:
-	rm -rf .venv build .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
