@@ -16,7 +16,7 @@ import numpy as np
 from mbtl.actions.base import Action, Extend, Start, StepProblem, Stop, Trail
 from mbtl.actions.fixed import evaluate, next_source, selector_without
 from mbtl.arrays import Array
-from mbtl.selectors.base import Selector
+from mbtl.selectors.contract import Selector
 
 
 @dataclass(frozen=True)

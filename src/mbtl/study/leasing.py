@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import random
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, overload
@@ -66,12 +67,19 @@ class LeasingStudy(StudyView):
                 one pick, not in a list.
             lease: seconds after which others may take the pick over, unless `heartbeat` is called
                 meanwhile; None: never, until it is told, failed or given back (`release`).
-            take_over: without effect; kept for programs of version 0.1, which had no leases.
+            take_over: without effect since version 0.2; version 0.3 will not take it any more.
 
         Raises:
             StudyFinished: the budget is spent, a stopping rule is met, or no context is left.
             InvalidInput: n < 1, or a lease that is not > 0.
         """
+        if take_over:
+            warnings.warn(
+                "ask(take_over=) has no effect since mbtl 0.2 and goes in 0.3: a pick whose lease "
+                "has ended is handed out by itself; leave the argument out",
+                DeprecationWarning,
+                stacklevel=2,
+            )
         lease = real("the seconds of a lease", lease)
         if n is None:
             return self._ask(lease)
