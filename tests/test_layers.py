@@ -42,8 +42,9 @@ OUTSIDE = {
     "benchmark": {"plot"},
     "cmdps": {"training", "worlds", "envs"},
     "report": {"benchmark", "plot"},
+    "reproduction": {"benchmark", "plot"},
     "testing": {"cmdps", "training", "worlds", "envs"},
-    "cli": {"training", "envs", "benchmark", "cmdps", "plot", "report"},
+    "cli": {"training", "envs", "benchmark", "cmdps", "plot", "report", "reproduction"},
 }
 LAZY = {("portfolio", "training")}  # a saved Stable-Baselines3 policy is read by its adapter
 HEAVY = {"torch", "jax", "sklearn", "gymnasium", "stable_baselines3", "matplotlib", "typer", "rich"}
