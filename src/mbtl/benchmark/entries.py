@@ -71,6 +71,13 @@ def checked_sources(sources: ArrayLike | None, returns: Floats) -> NDArray[np.in
     return None if m == n else array.astype(np.intp)
 
 
+def same_sources(one: NDArray[np.intp] | None, other: NDArray[np.intp] | None) -> bool:
+    """Whether two matrices are of trainings on the same contexts; None: on all."""
+    if one is None or other is None:
+        return one is other
+    return np.array_equal(one, other)
+
+
 def checked_like(returns: Floats, entry: ArrayLike, key: str) -> Floats:
     """An entry in the shape of `returns`."""
     if np.shape(entry) != returns.shape:
