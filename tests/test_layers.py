@@ -45,8 +45,9 @@ OUTSIDE = {
     "benchmark": {"plot"},
     "cmdps": {"training", "worlds", "envs"},
     "report": {"benchmark", "plot"},
+    "reproduction": {"benchmark", "plot"},
     "testing": {"cmdps", "training", "worlds", "envs"},
-    "cli": {"training", "envs", "benchmark", "cmdps", "plot", "report"},
+    "cli": {"training", "envs", "benchmark", "cmdps", "plot", "report", "reproduction"},
 }
 HEAVY = {"torch", "jax", "sklearn", "gymnasium", "stable_baselines3", "matplotlib", "typer", "rich"}
 
