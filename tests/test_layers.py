@@ -16,6 +16,7 @@ CORE = [
     "arrays",
     "settings",
     "processes",
+    "elsewhere",
     "provenance",
     "untrusted",
     "files",
