@@ -36,20 +36,10 @@ MOST = 32
 """Simulations at once: so many processes, of 100 MB or so each."""
 
 
-class Sight(NamedTuple):
-    """A scene between two decisions.
-
-    Attributes:
-        obs: (A, f) float32; of places without an agent, any.
-        acting: (A,) there is an agent, and it decides; at the end, its life was only cut off.
-        over: the episode has ended.
-        score: what it is worth, once it has ended.
-    """
-
-    obs: NDArray[np.float32]
-    acting: NDArray[np.bool_]
-    over: bool
-    score: float
+Sight = tuple[NDArray[np.float32], NDArray[np.bool_], bool, float]
+"""A scene between two decisions: (A, f) observations, of places without an agent any; (A,) there is
+an agent, and it decides; whether the episode has ended; and what it is worth, once it has. An agent
+that decides at the end was cut off: its life had not ended."""
 
 
 class Scene(Protocol):
@@ -151,7 +141,8 @@ class Processes(Seeded):
         contexts = [jnp.broadcast_to(getattr(params, name), (n,)) for name in self.features]
         kinds = (jax.ShapeDtypeStruct((n,), jnp.int32), *self._kinds(n))
         shown = io_callback(self._begin, kinds, drawn, *contexts)
-        return Live(*shown, left=jnp.max(jnp.asarray(params.decisions)).astype(jnp.int32))
+        left = jnp.max(jnp.asarray(params.decisions)).astype(jnp.int32)
+        return Live(*(*shown, left))
 
     def observe(self, state: Live, params: Tree) -> Seen:
         """What is seen; who was cut off counts at the end of the longest episode only."""
@@ -192,7 +183,7 @@ class Processes(Seeded):
         given = () if action is None else (action,)
         found = io_callback(self._on, (*self._kinds(n), none, ended), *state[:-1], *given)
         *shown, reward, done = found
-        return Moved(Live(state.number, *shown, left=state.left - 1), reward, done)
+        return Moved(Live(*(state.number, *shown, state.left - 1)), reward, done)
 
     def _on(
         self, number: Any, obs: Any, acting: Any, over: Any, score: Any, action: Any = None
@@ -202,9 +193,9 @@ class Processes(Seeded):
         reward, done = np.zeros(acting.shape, np.float32), np.zeros(acting.shape, bool)
         crew = self._crew(len(over))
         there = np.flatnonzero(~over)
-        for i in there:
+        for i in there.tolist():
             crew[i].ask("step", None if action is None else np.asarray(action[i]))
-        for i in there:
+        for i in there.tolist():
             found = _answer(crew[i])
             sight, reward[i], done[i] = found if found is not None else (self._lost(), np.nan, True)
             obs[i], acting[i], over[i], score[i] = sight
@@ -213,7 +204,7 @@ class Processes(Seeded):
     def _crew(self, n: int) -> Sequence[Elsewhere]:
         crew = _crew(self.scene, os.getpid())
         while len(crew) < n:
-            crew.append(Elsewhere(pickle.loads(self.scene)))  # noqa: S301  our own bytes
+            crew.append(Elsewhere(pickle.loads(self.scene)))
         return crew[:n]
 
     def _kinds(self, n: int) -> tuple[jax.ShapeDtypeStruct, ...]:
@@ -227,7 +218,7 @@ class Processes(Seeded):
     def _lost(self) -> Sight:
         """Not a number, and somebody has to learn from it."""
         obs = np.full((self.agents, self.n_features), np.nan, np.float32)
-        return Sight(obs, np.ones(self.agents, bool), True, np.nan)
+        return obs, np.ones(self.agents, bool), True, np.nan
 
 
 @functools.lru_cache(maxsize=4)
