@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constr
 PROBLEM ?= cartpole-length
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal --durations 25
 
-.PHONY: run test test-long lint format bench clean
+.PHONY: run test test-long lint format bench pictures clean
 
 run: .venv/run.stamp
 	$(BIN)/mbtl run $(PROBLEM)
@@ -38,6 +38,10 @@ bench: .venv/rivals.stamp
 	$(BIN)/python benchmarks/env_speed.py
 	$(BIN)/python benchmarks/jax_throughput.py
 	$(BIN)/python benchmarks/jax_evaluation.py
+
+# the pictures of README and of the page of the reproduction, and that page, from shipped matrices
+pictures: .venv/run.stamp
+	$(BIN)/mbtl reproduce --page docs/reproduction.md
 
 clean:
 	rm -rf .venv build .mypy_cache .ruff_cache .pytest_cache
