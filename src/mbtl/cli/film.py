@@ -12,9 +12,9 @@ import numpy as np
 
 _RATE = 10
 """Pictures per second."""
-_BAND, _GAP = 40, 8
+_BAND, _GAP = 56, 8
 """Pixels of the words above a picture, and between two pictures."""
-_NARROW = 420
+_NARROW = 560
 """Pixels that words need at least."""
 
 
@@ -137,9 +137,9 @@ def _captioned(name: str, take: Watched, number: int) -> Any:
     width = max(seen.width, _NARROW)
     framed = Image.new("RGB", (width, seen.height + _BAND), "white")
     framed.paste(seen, ((width - seen.width) // 2, _BAND))
-    pen, font = ImageDraw.Draw(framed), ImageFont.load_default(14)
+    pen, font = ImageDraw.Draw(framed), ImageFont.load_default(20)
     pen.text((6, 3), name, fill=(20, 20, 20), font=font)
-    pen.text((6, 21), caption(take, number), fill=(20, 60, 160), font=font)
+    pen.text((6, 29), caption(take, number), fill=(20, 60, 160), font=font)
     return framed
 
 

@@ -28,6 +28,7 @@ _SHOWN = (
     ("11-elimination", "Search space that is left"),
 )
 _IMAGES = "images/reproduction"
+_HERO = "14-hero.png"
 
 
 def write_index(file: Path, outcomes: Sequence[Outcome], claims: Sequence[Claim]) -> None:
@@ -42,7 +43,7 @@ def write_index(file: Path, outcomes: Sequence[Outcome], claims: Sequence[Claim]
         lines += [f"- not available: {said}" for said in outcome.missing]
         lines.append("")
     if claims:
-        lines += ["## Claims of the paper", "", _claims(claims)]
+        lines += ["## Claims of the paper", "", _claims(claims, FIGURES)]
     _write(file, "\n".join(lines))
 
 
@@ -62,9 +63,11 @@ def write_page(
     pictures = page.parent / _IMAGES
     try:
         pictures.mkdir(parents=True, exist_ok=True)
-        for stem, _ in _SHOWN:
+        for stem in {*(stem for stem, _ in _SHOWN), *(claim.figure for claim in claims)}:
             if (out / FIGURES / f"{stem}.png").is_file():
                 shutil.copyfile(out / FIGURES / f"{stem}.png", pictures / f"{stem}.png")
+        if (out / FIGURES / _HERO).is_file():
+            shutil.copyfile(out / FIGURES / _HERO, page.parent / "images" / "hero.png")
     except OSError as error:
         raise cannot_write(pictures, error) from error
     parts = [
@@ -73,7 +76,7 @@ def write_page(
         "number and every verdict on this page is computed, by the rules it states.*",
         *_conclusion(numbers["main-table"], claims),
         "## The claims of abstract and text",
-        _claims(claims),
+        _claims(claims, _IMAGES),
         "## The 22 lines of the paper's tables",
         RULE,
         _rows(numbers["main-table"]),
@@ -128,10 +131,14 @@ def _conclusion(table: Numbers, claims: Sequence[Claim]) -> list[str]:
     return lines
 
 
-def _claims(claims: Sequence[Claim]) -> str:
-    rows = tuple((c.title, c.paper, c.verdict, c.found, c.figure and f"{c.figure}") for c in claims)
-    table = Table("", ("claim", "the paper", "verdict", "found here", "figure"), rows).markdown()
-    rules = "\n".join(f"- {c.title}. {c.rule}" for c in claims)
+def _claims(claims: Sequence[Claim], pictures: str) -> str:
+    """A table, and the rule and the picture of each."""
+    rows = tuple((c.title, c.paper, c.verdict, c.found) for c in claims)
+    table = Table("", ("claim", "the paper", "verdict", "found here"), rows).markdown()
+    rules = "\n".join(
+        f"- *{c.title}.* {c.rule}" + (f" [Figure]({pictures}/{c.figure}.png)" if c.figure else "")
+        for c in claims
+    )
     return f"{table}\nThe rules of these verdicts:\n\n{rules}\n"
 
 

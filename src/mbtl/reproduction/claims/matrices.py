@@ -71,45 +71,46 @@ def of_correlation(numbers: Numbers) -> list[Claim]:
     return found
 
 
+Holds = Callable[[dict[str, float]], bool]
+
+
 def of_heatmaps(numbers: Numbers) -> list[Claim]:
     """Of the item `heatmaps`."""
     facts = {id: one["facts"] for id, one in numbers["cmdps"].items()}
     flat = ("signal-speed", "walker-friction", "cheetah-friction")
     decay = ("cartpole-masscart", "cartpole-length", "pendulum-length")
-    said: tuple[tuple[str, tuple[str, ...], str, str, Callable[[dict[str, float]], bool]], ...] = (
+    said: tuple[tuple[str, tuple[str, ...], str, str, str, Holds], ...] = (
         ("Heatmaps: signal inflow", ("signal-inflow",),
          "Transfer from low to high inflow is bad.",
          "low to high loses 0.1 or more and over twice of high to low",
+         "low to high {up:+.3f}, high to low {down:+.3f}",
          lambda f: f["up"] <= -0.1 and f["up"] <= 2 * f["down"]),
         ("Heatmaps: near uniform", flat, "Signal speed and the frictions are near uniform.",
-         "deviation between sources at most 0.05", lambda f: f["by_source"] <= 0.05),
+         "deviation between sources at most 0.05", "between sources {by_source:.3f}",
+         lambda f: f["by_source"] <= 0.05),
         ("Heatmaps: green phase", ("eco-green",), "Eco-driving is better at long green.",
          "performance rises with the target's green (rank correlation above 0.5)",
-         lambda f: f["target_trend"] > 0.5),
+         "rank correlation {target_trend:+.2f}", lambda f: f["target_trend"] > 0.5),
         ("Heatmaps: eco inflow", ("eco-inflow",), "Eco-driving is better at low inflow.",
          "performance falls with the target's inflow (rank correlation below -0.5)",
-         lambda f: f["target_trend"] < -0.5),
+         "rank correlation {target_trend:+.2f}", lambda f: f["target_trend"] < -0.5),
         ("Heatmaps: penetration", ("eco-penetration",), "Penetration is nearly flat.",
-         "deviation between targets at most 0.05", lambda f: f["by_target"] <= 0.05),
+         "deviation between targets at most 0.05", "between targets {by_target:.3f}",
+         lambda f: f["by_target"] <= 0.05),
         ("Heatmaps: decay with distance", decay,
          "CartPole's cart mass and length and Pendulum's length decay with distance.",
-         "far pairs lose 0.05 or more against near ones",
+         "far pairs lose 0.05 or more against near ones", "near {near:+.3f}, far {far:+.3f}",
          lambda f: f["far"] <= f["near"] - 0.05),
     )  # fmt: skip
     found = []
-    for title, ids, paper, rule, holds in said:
+    for title, ids, paper, rule, shown, holds in said:
         some = {id: facts[id] for id in ids if id in facts}
         rule = f"Reproduced: {rule}, on every CMDP named. Partly: on some."
         if not some:
             found.append(Claim(title, paper, rule, "no matrix so far", OPEN, "05-heatmaps"))
             continue
         good = [id for id, f in some.items() if holds(f)]
-        words = "; ".join(
-            f"{id}: by source {f['by_source']:.3f}, by target {f['by_target']:.3f}, far "
-            f"{f['far']:+.3f}, low to high {f['up']:+.3f}, high to low {f['down']:+.3f}, trend "
-            f"{f['target_trend']:+.2f}"
-            for id, f in some.items()
-        )
+        words = "; ".join(f"{id}: {shown.format(**f)}" for id, f in some.items())
         missing = [id for id in ids if id not in some]
         words += f"; without a matrix so far: {', '.join(missing)}" if missing else ""
         found.append(
