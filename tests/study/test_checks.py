@@ -81,7 +81,7 @@ def used(study):
     summarise_study(study).to_json()
     study.portfolio().explain({"mass": 1.5, "n": 1})
     study.extend(5)
-    study.ask(take_over=True)
+    study.ask()
 
 
 # ---- strangers --------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ def play(
         typer.Option(help="Context, NAME=VALUE; repeat for more. Default: the nominal one."),
     ] = None,
     episodes: Annotated[int, typer.Option(help="Episodes to play.")] = 1,
-    seed: Annotated[int, typer.Option(help="Of the episodes.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the episodes.")] = 0,
     gui: Annotated[
         bool, typer.Option("--gui", help="Show it in sumo-gui, where there is a screen.")
     ] = False,

@@ -243,7 +243,10 @@ class Categorical(Axis):
     def __post_init__(self) -> None:
         _check_names(self.name, self.unit)
         given = self.choices
-        choices = () if isinstance(given, str) else tuple(_python(choice) for choice in given)
+        try:
+            choices = () if isinstance(given, str) else tuple(_python(choice) for choice in given)
+        except TypeError:  # nothing that can be gone through
+            choices = ()
         object.__setattr__(self, "choices", choices)
         if not all(isinstance(c, str) or _number(c) is not None for c in choices):
             raise InvalidInput(f"axis {self.name!r} takes texts and numbers, got {choices!r}")

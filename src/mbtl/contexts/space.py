@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array, uniform_weights
 from mbtl.contexts.axes import Axis, Categorical, Integer, Value, axis_from_json
-from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, unknown_name
+from mbtl.untrusted import MALFORMED
 
 Context = dict[str, Value]
 
@@ -250,7 +251,22 @@ class ContextSpace:
 
     @classmethod
     def from_json(cls, record: Mapping[str, Any]) -> ContextSpace:
-        """Rebuild a space from `to_json`."""
+        """Rebuild a space from `to_json`.
+
+        Raises:
+            InvalidInput: it is of another form.
+        """
+        try:
+            return cls._from_json(record)
+        except MbtlError:
+            raise
+        except MALFORMED as error:
+            raise InvalidInput(
+                f"a context space is read from what to_json gave, got another form ({error!r:.80})"
+            ) from error
+
+    @classmethod
+    def _from_json(cls, record: Mapping[str, Any]) -> ContextSpace:
         axes = [axis_from_json(a) for a in record["axes"]]
         weights = record.get("weights")
         if "grid" in record:

@@ -243,6 +243,7 @@ class StudyState:
                 event.seq,
                 data.get("sha256"),
                 data.get("recipe"),
+                data.get("steps"),
             )
         )
 
