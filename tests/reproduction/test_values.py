@@ -156,6 +156,8 @@ def test_what_has_no_matrix_is_said_and_unknown_ids_are_refused(folder):
 
 
 def test_the_best_within_significance():
+    agree = [marked(line.values, 3) == line.marked for line in published().values()]
+    assert sum(agree) == 20  # of 22 lines of the paper, whose own rule is not known
     best = {"mbtl": Value(1.0, 0.01), "random": Value(0.99, 0.01), "greedy": Value(0.5, 0.01)}
     assert marked(best, 3) == {"mbtl", "random"}
     alone = {"mbtl": Value(1.0, None), "random": Value(0.99, None), "greedy": Value(1.0, None)}

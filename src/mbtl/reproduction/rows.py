@@ -14,8 +14,8 @@ NEAR = 0.05
 RULE = (
     "Three checks. Level: each of the six values is within 0.05 of the paper's. Order: several "
     "policies (mean of Random, Greedy and MBTL) are above the better of Independent and Multi-task "
-    "exactly where they are in the paper. Best: MBTL is among the best within significance exactly "
-    "where it is in the paper (the same test for both). Three checks: reproduced; one or two: "
+    "exactly where they are in the paper. Best: MBTL is among the best (standard "
+    "errors overlap) exactly where it is in the paper. Three checks: reproduced; one or two: "
     "partly; none: not."
 )
 _SIX = ("independent", "multitask", "random", "greedy", "mbtl", "sequential_oracle")

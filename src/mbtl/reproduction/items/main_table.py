@@ -28,8 +28,8 @@ from mbtl.reproduction.table import Measured, Table
 DOMAINS = ("traffic", "control")
 _MANY = ("random", "greedy", "mbtl", "sequential_oracle")
 _MARKS = (
-    "Bold: the best of the first five within significance (two-sided Welch t-test at 5 %, the same "
-    "rule for both; the paper does not say its own)."
+    "Bold: the best of the first five, and those whose standard errors overlap with its own (the "
+    "same rule for both; the paper does not say its own)."
 )
 
 
