@@ -8,7 +8,7 @@ PIP := tools/install
 PROBLEM ?= cartpole-length
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal --durations 25
 
-.PHONY: run test test-long lint format docs bench pictures release-check clean
+.PHONY: run test test-long lint format docs bench release-check pictures clean
 
 run: .venv/run.stamp
 	$(BIN)/mbtl run $(PROBLEM)
@@ -43,13 +43,13 @@ bench: .venv/rivals.stamp
 	$(BIN)/python benchmarks/jax_throughput.py
 	$(BIN)/python benchmarks/jax_evaluation.py
 
-# the pictures of README and of the page of the reproduction, and that page, from shipped matrices
-pictures: .venv/run.stamp
-	$(BIN)/mbtl reproduce --page docs/reproduction.md
-
 # wheel and sdist, used in clean environments of every Python, with the newest and oldest dependencies
 release-check: .venv/run.stamp
 	$(BIN)/python tools/release_check.py
+
+# the pictures of README and of the page of the reproduction, and that page, from shipped matrices
+pictures: .venv/run.stamp
+	$(BIN)/mbtl reproduce --page docs/reproduction.md
 
 clean:
 	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache

@@ -1,6 +1,6 @@
 """Whatever is given to loaders, commands and functions: a sentence of ours, never a traceback.
 
-`MBTL_EXAMPLES=10000` generates so many inputs over all tests of this file; without it 300.
+`MBTL_EXAMPLES=10000` generates so many inputs over all tests of this file; without it 200.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ from mbtl.selectors import SelectionProblem
 from damage import places  # isort: skip
 
 TESTS = 10
-EXAMPLES = int(os.environ.get("MBTL_EXAMPLES", "300"))
+EXAMPLES = int(os.environ.get("MBTL_EXAMPLES", "200"))
 
 generated = settings(
     max_examples=max(EXAMPLES // TESTS, 1),

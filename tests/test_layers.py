@@ -18,6 +18,7 @@ CORE = [
     "notebook",
     "settings",
     "processes",
+    "elsewhere",
     "provenance",
     "untrusted",
     "files",

@@ -46,6 +46,7 @@ NEEDED = (
     "mbtl/benchmark/data/published.csv",
 )
 IN_SDIST = ("pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "CITATION.cff", "Makefile")
+FOLDERS = ("tests", "tools", "examples", "benchmarks", "evidence")
 MACHINE_PATH = re.compile(rb"(?<![\w.\]>~])/(?:home|root|Users|work|tmp|opt)/[\w./-]+")
 CORE_TESTS = (
     "contexts", "acquisition", "models", "selectors", "portfolio", "benchmark",
@@ -147,7 +148,7 @@ def check_sdist(sdist: Path) -> None:
     """
     with tarfile.open(sdist) as content:
         names = {name.partition("/")[2] for name in content.getnames()}
-    wanted = output("git", "ls-files", "tests", "tools", "examples", cwd=ROOT).splitlines()
+    wanted = output("git", "ls-files", *FOLDERS, cwd=ROOT).splitlines()
     if missing := {*IN_SDIST, *wanted} - names:
         raise Refused(f"the sdist lacks {', '.join(sorted(missing)[:5])}; see MANIFEST.in")
 

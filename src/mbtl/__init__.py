@@ -25,6 +25,7 @@ from mbtl.errors import (
     TrainingFailed,
     TrainingPruned,
     UnknownName,
+    Unreachable,
     UnsavedPolicies,
 )
 from mbtl.objective import Bounds, Objective
@@ -92,6 +93,7 @@ __all__ = [
     "TrainingPruned",
     "TransferMatrix",
     "UnknownName",
+    "Unreachable",
     "UnsavedPolicies",
     "__version__",
     "check_cmdp",

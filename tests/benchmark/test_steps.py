@@ -5,7 +5,7 @@ import pytest
 
 from mbtl.actions.base import Evaluate, Extend, Policy, Start, Stop, Trail
 from mbtl.benchmark.curves import TransferCurves
-from mbtl.benchmark.step_measure import StepScale
+from mbtl.benchmark.step_measure import StepScale, geometric_mean, paired_interval
 from mbtl.benchmark.steps import StepWorld, replay_steps, serving
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import InvalidInput
@@ -60,7 +60,7 @@ def test_an_episode_of_cartpole_costs_its_return_and_a_training_that_ended_no_mo
     assert run.spent.tolist() == [150 + 10 * (12 * 40 + 6 * 50) + 2 * 40]
     assert run.trail.trainings[0].ended
     with pytest.raises(InvalidInput, match="unless it has ended"):
-        world.extend(world.start(Trail(3), 1, 1), 0, 2)
+        world.extend(world.start(Trail(SPACE.steps), 1, 1), 0, 2)
 
 
 def test_the_best_policy_so_far_is_charged_its_checks():
@@ -141,3 +141,10 @@ def test_a_unit_is_a_whole_training_with_its_evaluation():
     assert scale.high == pytest.approx(0.59)
     assert scale.low == pytest.approx((59 * 3 + 49 * 4 + 39 * 2) / 900)
     assert scale.oracle_spent.tolist() == [1600.0, 3200.0, 4800.0]
+
+
+def test_intervals_are_paired_and_seeds_are_drawn_within_a_set():
+    mean, low, high = paired_interval({"a": np.array([1.0, 2.0, 3.0]), "b": np.full(3, 4.0)})
+    assert mean == pytest.approx(3.0)
+    assert (low, high) == pytest.approx((2.5, 3.5))  # thrice the least, thrice the most of "a"
+    assert geometric_mean([1.0, 4.0]) == pytest.approx(2.0)

@@ -12,15 +12,19 @@ from mbtl.actions.base import (
     Trail,
     Training,
 )
+from mbtl.actions.evaluation import Evaluation
 from mbtl.actions.fixed import FixedLength
 from mbtl.actions.halving import Halving
+from mbtl.actions.pilot import Pilot
 
 __all__ = [
     "Action",
     "Evaluate",
+    "Evaluation",
     "Extend",
     "FixedLength",
     "Halving",
+    "Pilot",
     "Policy",
     "Start",
     "StepProblem",

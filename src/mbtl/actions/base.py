@@ -141,7 +141,7 @@ class Trail:
     """What was done so far, and what it brought: all that a strategy may see.
 
     Attributes:
-        n_targets: N.
+        steps: (N, D) grid steps of the contexts.
         trainings: in the order of their starts.
         policies: (k,) those evaluated somewhere, in the order of their first evaluations.
         rows: (k, N) performance, NaN where not evaluated.
@@ -149,7 +149,7 @@ class Trail:
         spent: environment steps, all in.
     """
 
-    n_targets: int
+    steps: Array
     trainings: tuple[Training, ...] = ()
     policies: tuple[Policy, ...] = ()
     rows: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -158,12 +158,17 @@ class Trail:
 
     def __post_init__(self) -> None:
         if not self.policies:
-            object.__setattr__(self, "rows", np.empty((0, self.n_targets)))
-        if self.rows.shape != (len(self.policies), self.n_targets):
+            object.__setattr__(self, "rows", np.empty((0, self.n)))
+        if self.rows.shape != (len(self.policies), self.n):
             raise InvalidInput(
-                f"rows must have shape {(len(self.policies), self.n_targets)}, one per policy, "
+                f"rows must have shape {(len(self.policies), self.n)}, one per policy, "
                 f"got {self.rows.shape}"
             )
+
+    @property
+    def n(self) -> int:
+        """Number of contexts N."""
+        return len(self.steps)
 
     @cached_property
     def sources(self) -> NDArray[np.intp]:
@@ -173,8 +178,9 @@ class Trail:
     @property
     def unevaluated(self) -> Policy | None:
         """A policy at the last mark of its training that has not been evaluated anywhere."""
+        known = {(p.training, p.length) for p in self.policies}
         for j in reversed(range(len(self.trainings))):
-            if self.latest(j) not in self.policies:
+            if (j, self.trainings[j].length) not in known:
                 return self.latest(j)
         return None
 
@@ -182,9 +188,10 @@ class Trail:
         """The policy at the last mark that a training has passed."""
         return Policy(training, self.trainings[training].length)
 
-    def filled(self, steps: Array) -> Array:
+    @cached_property
+    def filled(self) -> Array:
         """(k, N) rows where an entry not evaluated is believed; see `filled_rows`."""
-        return filled_rows(self.rows, steps)
+        return filled_rows(self.rows, self.steps)
 
     def with_training(self, training: int, now: Training, cost: float) -> Trail:
         """After a training was begun or continued."""
@@ -200,7 +207,7 @@ class Trail:
         rows = self.rows.copy()
         if policy not in policies:
             policies, paid = (*policies, policy), (*paid, 0.0)
-            rows = np.vstack([rows, np.full(self.n_targets, np.nan)])
+            rows = np.vstack([rows, np.full(self.n, np.nan)])
         i = policies.index(policy)
         rows[i, targets] = values
         paid = (*paid[:i], paid[i] + cost, *paid[i + 1 :])
@@ -236,25 +243,22 @@ def filled_rows(rows: Array, steps: Array) -> Array:
         return rows
     if steps.shape[1] > 1:
         return nearest_filled(rows, steps)
-    return _Line.of(steps)(rows, known)
+    order = np.argsort(steps[:, 0], kind="stable")
+    filled = np.empty(rows.shape)
+    filled[:, order] = _between(steps[order, 0], rows[:, order], known[:, order])
+    return filled
 
 
-@dataclass(frozen=True)
-class _Line:
-    """Contexts on one axis, in rising order."""
-
-    at: Array
-    order: NDArray[np.intp]
-
-    @classmethod
-    def of(cls, steps: Array) -> _Line:
-        order = np.argsort(steps[:, 0], kind="stable")
-        return cls(steps[order, 0], order)
-
-    def __call__(self, rows: Array, known: NDArray[np.bool_]) -> Array:
-        out = np.array(rows)
-        for row, there in zip(out, known[:, self.order], strict=True):
-            if there.any() and not there.all():
-                values = row[self.order]
-                row[self.order] = np.interp(self.at, self.at[there], values[there])
-        return out
+def _between(at: Array, rows: Array, known: NDArray[np.bool_]) -> Array:
+    """Linear interpolation of every row along rising places `at` (N,)."""
+    n = len(at)
+    places = np.broadcast_to(np.arange(n), rows.shape)
+    left = np.maximum.accumulate(np.where(known, places, -1), axis=1)
+    right = np.minimum.accumulate(np.where(known, places, n)[:, ::-1], axis=1)[:, ::-1]
+    left, right = np.where(left < 0, right, left), np.where(right >= n, left, right)
+    none = left >= n  # nothing known in this row
+    left, right = np.where(none, 0, left), np.where(none, 0, np.minimum(right, n - 1))
+    low, high = (np.take_along_axis(rows, side, axis=1) for side in (left, right))
+    width = at[right] - at[left]
+    part = np.where(width > 0, (at - at[left]) / np.where(width > 0, width, 1.0), 0.0)
+    return np.asarray(np.where(known, rows, low + part * (high - low)))

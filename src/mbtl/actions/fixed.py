@@ -6,38 +6,35 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbtl.actions.base import Action, Evaluate, Policy, Start, StepProblem, Stop, Trail
+from mbtl.actions.base import Action, Start, StepProblem, Stop, Trail
+from mbtl.actions.evaluation import EVERYWHERE, Evaluation
 from mbtl.history import History
 from mbtl.selectors.base import Exhausted, nearest_distance
 from mbtl.selectors.contract import Selector
 from mbtl.selectors.registry import get_selector
-from mbtl.selectors.targets import spread_targets
-
-SPREAD = "spread"
-"""Picks that halve the largest untouched stretch: equidistant, however many there will be."""
 
 
 @dataclass(frozen=True)
 class FixedLength:
-    """One length for all, evaluated on the same number of targets.
+    """One length for all.
 
     Attributes:
         selector: where to train next; None: halve the largest stretch without a training.
         length: index of the mark; -1: whole trainings.
-        targets: evaluated of each policy; None: all.
+        evaluation: where each policy is evaluated.
         name: what results call it.
     """
 
     selector: Selector | str | None = None
     length: int = -1
-    targets: int | None = None
+    evaluation: Evaluation = EVERYWHERE
     name: str = "fixed"
 
     def decide(self, problem: StepProblem, trail: Trail, rng: np.random.Generator) -> Action:
         """Evaluate what was trained, else train where the selector says."""
-        waiting = trail.unevaluated
-        if waiting is not None:
-            return evaluate(problem, trail, waiting, self.targets)
+        due = self.evaluation.next(problem, trail)
+        if due is not None:
+            return due
         source = next_source(self.selector, problem, trail, rng)
         length = range(len(problem.lengths))[self.length]
         return Stop() if source is None else Start(source, length)
@@ -45,12 +42,6 @@ class FixedLength:
     def without(self, family: str) -> FixedLength:
         """The same with a selector that has not seen a family of matrices."""
         return replace(self, selector=selector_without(self.selector, family))
-
-
-def evaluate(problem: StepProblem, trail: Trail, policy: Policy, count: int | None) -> Evaluate:
-    """A policy on `count` targets spread over the contexts, its own among them; None: on all."""
-    source = trail.trainings[policy.training].source
-    return Evaluate(policy, spread_targets(problem.selection, source, count or problem.n))
 
 
 def next_source(
@@ -64,7 +55,7 @@ def next_source(
     for i, policy in enumerate(trail.policies):
         if policy.length >= trail.policies[latest.get(policy.training, i)].length:
             latest[policy.training] = i
-    rows = trail.rows[list(latest.values())]
+    rows = trail.filled[list(latest.values())]
     sources = tuple(trail.trainings[j].source for j in latest)
     pending = tuple(s for s in begun if s not in sources)
     history = History(problem.n, sources, rows, pending=pending)

@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 
 from mbtl.actions.base import Action, Extend, Start, StepProblem, Stop, Trail
-from mbtl.actions.fixed import evaluate, next_source, selector_without
+from mbtl.actions.evaluation import EVERYWHERE, Evaluation
+from mbtl.actions.fixed import next_source, selector_without
 from mbtl.arrays import Array
 from mbtl.selectors.contract import Selector
 
@@ -29,7 +30,7 @@ class Halving:
         every: marks from one rung to the next; lengths double from mark to mark, so eta = 2**every.
         selector: where to begin new trainings; "random" is ASHA's rule.
         first: mark of the lowest rung.
-        targets: evaluated of each policy; None: all.
+        evaluation: where each policy is evaluated.
         name: what results call it.
     """
 
@@ -37,14 +38,14 @@ class Halving:
     every: int = 2
     selector: Selector | str | None = "random"
     first: int = 0
-    targets: int | None = None
+    evaluation: Evaluation = EVERYWHERE
     name: str = "asha"
 
     def decide(self, problem: StepProblem, trail: Trail, rng: np.random.Generator) -> Action:
         """Evaluate what was trained; else promote, from the top rung down; else begin anew."""
-        waiting = trail.unevaluated
-        if waiting is not None:
-            return evaluate(problem, trail, waiting, self.targets)
+        due = self.evaluation.next(problem, trail)
+        if due is not None:
+            return due
         last = len(problem.lengths) - 1
         rungs = sorted({*range(self.first, last, self.every), last})
         scores = self._scores(problem, trail)
@@ -81,7 +82,7 @@ class Halving:
             return np.empty(0)
         if self.rank == "own":
             return trail.rows[np.arange(len(trail.policies)), trail.sources]
-        rows, weights = trail.filled(problem.selection.steps), problem.selection.weights
+        rows, weights = trail.filled, problem.selection.weights
         if self.rank == "mean":
             return np.asarray(rows @ weights)
         return np.asarray(lost_without(rows) @ weights)

@@ -8,15 +8,17 @@ Notation (shapes): S seeds, E events of a run.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
 from mbtl.benchmark.base import Levels, levels
 from mbtl.benchmark.oracle import sequential_oracle
-from mbtl.benchmark.steps import StepRun, StepWorld
+from mbtl.benchmark.records import RESAMPLES
+from mbtl.benchmark.steps import StepWorld
 from mbtl.benchmark.summary import SHARES
 
 BUDGET = 30.0
@@ -89,12 +91,22 @@ class StepScale:
         return float(share[position].mean())
 
 
-def value_at(run: StepRun, steps: float) -> float:
-    """V when so many steps are spent; -inf before anything was evaluated."""
-    position = int(np.searchsorted(run.spent, steps, side="right"))
-    return float(run.value[position - 1]) if position else -np.inf
-
-
-def geometric_mean(values: Sequence[float]) -> float:
+def geometric_mean(values: ArrayLike) -> float:
     """Of positive numbers."""
     return float(np.exp(np.mean(np.log(values))))
+
+
+def paired_interval(differences: Mapping[str, Array]) -> tuple[float, float, float]:
+    """Mean over sets of the mean over seeds, and its 95 % interval: seeds of each set drawn again.
+
+    Args:
+        differences: (S,) by set, of two strategies on the same seeds.
+    """
+    rng = np.random.default_rng(0)
+    drawn = np.zeros(RESAMPLES)
+    for values in differences.values():
+        size = (RESAMPLES, len(values))
+        drawn += np.asarray(values)[rng.integers(0, len(values), size)].mean(axis=1)
+    low, high = np.quantile(drawn / len(differences), [0.025, 0.975])
+    mean = float(np.mean([values.mean() for values in differences.values()]))
+    return mean, float(low), float(high)

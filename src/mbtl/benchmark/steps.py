@@ -193,8 +193,7 @@ class StepWorld:
     def value(self, trail: Trail) -> float:
         """V on fresh episodes of all policies evaluated so far, routed by what was seen of them."""
         problem = self.selection
-        rows = trail.filled(problem.steps)
-        route = serving(rows, trail.sources, problem.steps)
+        route = serving(trail.filled, trail.sources, problem.steps)
         lengths = np.array([p.length for p in trail.policies])
         positions = np.array([self._row[s] for s in trail.sources.tolist()])
         fresh = self.fresh[lengths[route], positions[route], np.arange(problem.n)]
@@ -253,7 +252,7 @@ def replay_steps(strategy: Strategy, world: StepWorld, budget: float, *, seed: i
     Raises:
         InvalidInput: an action is impossible.
     """
-    problem, trail = world.problem(budget), Trail(world.curves.space.n)
+    problem, trail = world.problem(budget), Trail(world.selection.steps)
     spent, value, seconds, decisions = [], [], 0.0, 0
     while decisions < _MOST_ACTIONS:
         rng = selection_rng(seed, world.seed, decisions)

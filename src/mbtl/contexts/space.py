@@ -251,30 +251,19 @@ class ContextSpace:
 
     @classmethod
     def from_json(cls, record: Mapping[str, Any]) -> ContextSpace:
-        """Rebuild a space from `to_json`.
-
-        Raises:
-            InvalidInput: it is of another form.
-        """
+        """Rebuild a space from `to_json`; raises `InvalidInput` where it is of another form."""
         try:
-            return cls._from_json(record)
+            axes = [axis_from_json(a) for a in record["axes"]]
+            weights = record.get("weights")
+            if "grid" not in record:
+                return cls(axes, record["points"], weights=weights)
+            if len(levels := dict(zip(axes, record["grid"], strict=True))) < len(axes):
+                raise InvalidInput("a context space needs axes of distinct names")
+            return cls.grid(levels, weights=weights)
         except MbtlError:
             raise
         except MALFORMED as error:
-            raise InvalidInput(
-                f"a context space is read from what to_json gave, got another form ({error!r:.80})"
-            ) from error
-
-    @classmethod
-    def _from_json(cls, record: Mapping[str, Any]) -> ContextSpace:
-        axes = [axis_from_json(a) for a in record["axes"]]
-        weights = record.get("weights")
-        if "grid" in record:
-            levels = dict(zip(axes, record["grid"], strict=True))
-            if len(levels) < len(axes):
-                raise InvalidInput("a context space needs axes of distinct names")
-            return cls.grid(levels, weights=weights)
-        return cls(axes, record["points"], weights=weights)
+            raise InvalidInput(f"a context space is as to_json gives it: {error!r:.80}") from error
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, ContextSpace) and self.to_json() == other.to_json()

@@ -184,10 +184,10 @@ def database_errors(url: str) -> Iterator[None]:
     try:
         yield
     except DBAPIError as error:
-        cause, url = str(error.orig), shown(url)
+        cause, url = " ".join(str(error.orig).split()), shown(url)
         if _is_away(error, url):
             raise Unreachable(
-                f"the database at {url} does not answer ({cause.strip()}); what was told before is "
+                f"the database at {url} does not answer ({cause}); what was told before is "
                 "kept: see that the server runs and can be reached, then run the same command again"
             ) from error
         if "not a database" in cause or "malformed" in cause:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, overload
 
 from mbtl.errors import InvalidInput, StorageError, StudyError
-from mbtl.plain import real, whole
+from mbtl.plain import is_finite, short, whole
 from mbtl.seeds import training_seed
 from mbtl.selectors import Selector
 from mbtl.study import asking, telling
@@ -80,7 +80,10 @@ class LeasingStudy(StudyView):
                 DeprecationWarning,
                 stacklevel=2,
             )
-        lease = real("the seconds of a lease", lease)
+        if lease is not None and not (is_finite(lease) and lease > 0):
+            raise InvalidInput(
+                f"a lease lasts a number of seconds > 0, or None, got {short(lease)}"
+            )
         if n is None:
             return self._ask(lease)
         if whole("the number n of picks", n) < 1:

@@ -308,9 +308,11 @@ def _lease_of(event: Event) -> Lease | None:
 def _deviations_of(event: Event) -> Array:
     """Standard deviations with n - 1; older versions wrote them with n, and 0 for one episode."""
     episodes, written = event.data["episodes"], event.arrays["std"]
+    if episodes == 1:  # unknown everywhere: one number instead of a million
+        return np.broadcast_to(np.float64(np.nan), written.shape)
     if event.data.get("ddof") == 1:
         return written
-    return written * np.sqrt(episodes / (episodes - 1)) if episodes > 1 else written * np.nan
+    return np.asarray(written * np.sqrt(episodes / (episodes - 1)))
 
 
 def replay(events: Iterable[Event]) -> StudyState:
