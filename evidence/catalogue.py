@@ -70,7 +70,8 @@ def row(cmdp: CMDP, shipped: set[str]) -> str:
     low, high = cmdp.bounds or (0.0, 1.0)
     varies = "; ".join(_span(cmdp, axis.name) for axis in cmdp.space.axes)
     nominal = ", ".join(f"{value:g}" for value in (cmdp.nominal or {}).values())
-    engines = ", ".join(reversed(engines_of(cmdp.id)))
+    own = cmdp.settings["engine"]
+    engines = ", ".join([own, *(e for e in engines_of(cmdp.id) if e != own)])
     seeds = load_matrix(cmdp.id).n_seeds if cmdp.id in shipped else 0
     matrix = f"{seeds} seed{'s' * (seeds > 1)}" if seeds else "-"
     cells = [f"`{cmdp.id}`", varies, cmdp.space.n, nominal, cmdp.horizon, f"{low:g} to {high:g}"]

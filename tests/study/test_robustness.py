@@ -131,7 +131,7 @@ def test_numpy_numbers_are_welcome(tmp_path):
     )
     assert study.ask().context == {"n": 3}
     assert mbtl.ContextSpace.grid({mbtl.Linear("x", 0, 1): np.int64(4)}).n == 4
-    with pytest.raises(InvalidInput, match="one or more grid values"):
+    with pytest.raises(InvalidInput, match="grid values, got"):
         mbtl.ContextSpace.grid({mbtl.Linear("x", 0, 1): -3})
 
 

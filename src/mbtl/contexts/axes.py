@@ -19,9 +19,12 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.plain import short
 
 Value = float | int | str
 
+MOST = 10_000_000
+"""Contexts of a space: a few GB."""
 _ROUNDING = 1e-9
 """Share of an axis that a value may lie outside, as sums and powers are rounded."""
 
@@ -301,6 +304,27 @@ def axis_from_json(record: Mapping[str, Any]) -> Axis:
     if kind not in _NUMERIC:
         raise unknown_name("axis kind", kind, [*_NUMERIC, "categorical"])
     return _NUMERIC[kind](record["name"], record["low"], record["high"], record["unit"])
+
+
+def grid_values(axis: Axis, given: int | Sequence[Value]) -> list[Value]:
+    """The values of an axis on a grid: themselves, or so many that are evenly spread.
+
+    Raises:
+        InvalidInput: neither a number of values nor values, or far too many.
+    """
+    if not isinstance(given, (int, np.integer)):
+        try:
+            return axis.own(list(given))
+        except TypeError:
+            raise InvalidInput(
+                f"axis {axis.name!r} takes a number of values, or the values, got {given!r}"
+            ) from None
+    count = int(given)
+    if not 1 <= count <= MOST:
+        raise InvalidInput(
+            f"axis {axis.name!r} needs from 1 to {MOST:,} grid values, got {short(count)}"
+        )
+    return axis.spread(count)
 
 
 def _check_names(name: str, unit: str) -> None:
