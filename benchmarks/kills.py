@@ -149,6 +149,15 @@ class Count:
     crashed: int = 0
     unfinished: int = 0
 
+    def __str__(self) -> str:
+        hit = ", ".join(f"{n} of a {what}" for what, n in sorted(self.kills.items()))
+        return (
+            f"{self.kills.total()} kills ({hit}) in {self.studies} studies of {BUDGET} trainings; "
+            f"{self.rows} rows told, {self.taken_over} trainings taken over, {self.late} late "
+            f"results; rows lost {self.lost}, told twice {self.twice}, wrong {self.wrong}, "
+            f"processes that crashed {self.crashed}, studies that did not end {self.unfinished}"
+        )
+
     @property
     def is_good(self) -> bool:
         """Nothing happened that must not."""
@@ -279,18 +288,9 @@ def main() -> None:
         if kind == "postgresql" and (reason := missing()):
             print(f"{kind}: left out, {reason}")
             continue
-        began = time.monotonic()
         count = campaign(kind, arguments.kills, arguments.seed)
         good &= count.is_good
-        hit = ", ".join(f"{n} of a {what}" for what, n in sorted(count.kills.items()))
-        print(
-            f"{kind}: {count.kills.total()} kills ({hit}) in {count.studies} studies of {BUDGET} "
-            f"trainings; {count.rows} rows told, {count.taken_over} trainings taken over, "
-            f"{count.late} late results; rows lost {count.lost}, told twice {count.twice}, wrong "
-            f"{count.wrong}, processes that crashed {count.crashed}, studies that did not end "
-            f"{count.unfinished} ({time.monotonic() - began:.0f} s)",
-            flush=True,
-        )
+        print(f"{kind}: {count}", flush=True)
     sys.exit(0 if good else 1)
 
 

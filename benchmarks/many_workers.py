@@ -56,7 +56,7 @@ def workers(number: int, trainings: int, seconds: float, selector: str) -> None:
     if reason := missing():
         print(f"workers: left out, {reason}")
         return
-    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 1000})
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 640})
     with Server() as server:
         settings = {
             "budget": number * trainings, "bounds": (0.0, 1.0), "selector": selector,
@@ -68,13 +68,14 @@ def workers(number: int, trainings: int, seconds: float, selector: str) -> None:
         def work():
             study = mbtl.load_study(server.url, "many")
             spent = {"ask": 0.0, "train": 0.0, "tell": 0.0, "beat": 0.0}
-            picks, began = [], time.perf_counter()
+            picks, began, processor = [], time.perf_counter(), time.process_time()
 
             def timed(name, job):
                 start = time.perf_counter()
-                done = job()
-                spent[name] += time.perf_counter() - start
-                return done
+                try:
+                    return job()
+                finally:
+                    spent[name] += time.perf_counter() - start
 
             while True:
                 try:
@@ -83,24 +84,28 @@ def workers(number: int, trainings: int, seconds: float, selector: str) -> None:
                     break
                 timed("train", lambda: time.sleep(seconds))
                 timed("beat", lambda pick=pick: study.heartbeat(pick))
-                row = 1.0 - np.abs(np.arange(1000) - pick.source) / 1000
+                row = 1.0 - np.abs(np.arange(640) - pick.source) / 640
                 assert timed("tell", lambda pick=pick, row=row: study.tell(pick, row))
                 picks.append(pick.number)
-            return {"picks": picks, "whole": time.perf_counter() - began, **spent}
+            whole, cpu = time.perf_counter() - began, time.process_time() - processor
+            return {"picks": picks, "whole": whole, "cpu": cpu, **spent}
 
         began = time.perf_counter()
-        found = [said(*each) for each in [forked(work) for _ in range(number)]]
+        started = [forked(work) for _ in range(number)]
+        found = [said(*each) for each in started]
         wall = time.perf_counter() - began
     given = [pick for one in found for pick in one["picks"]]
     whole = sum(one["whole"] for one in found)
     shares = {name: sum(one[name] for one in found) / whole for name in ("ask", "tell", "beat")}
     train = sum(one["train"] for one in found) / whole
+    cpu = sum(one["cpu"] for one in found) / number / len(given)
     print(
         f"workers: {number} workers, selector {selector}, {len(given)} trainings of {seconds:g} s, "
         f"{len(given) - len(set(given))} picks given twice; of the workers' time {train:.1%} "
         f"training, {shares['ask']:.1%} ask (their wait for the proposals of others with it), "
         f"{shares['tell']:.1%} tell, {shares['beat']:.1%} heartbeats; {len(given) / wall:.1f} "
-        f"trainings a second, load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
+        f"trainings a second; a worker computes {1000 * cpu:.1f} ms for each training of the "
+        f"study, its own or not; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
         flush=True,
     )
 
@@ -180,12 +185,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--parts", default="workers,utilisation,load")
     parser.add_argument("--selector", default="random")
+    parser.add_argument("--trainings", type=int, default=10, help="of each worker, in the mean")
     parser.add_argument("--rows", type=int, default=1000)
     parser.add_argument("--contexts", type=int, default=1_000_000)
     arguments = parser.parse_args()
     parts = arguments.parts.split(",")
     if "workers" in parts:
-        workers(64, 10, 1.0, arguments.selector)
+        for number in (8, 64):
+            workers(number, arguments.trainings, 1.0, arguments.selector)
     if "utilisation" in parts:
         for spread in (0.5, 1.0):
             utilisation(8, 80, 1.0, spread)

@@ -16,6 +16,8 @@ from mbtl.trainer import Progress
 
 _LOOK, _LONGEST_LOOK = 0.1, 2.0
 """Seconds between looks: often at first, seldom while nothing happens."""
+_IDLE = 20.0
+"""Seconds without any worker after which it is said."""
 
 
 def check_master(url: str, *, new: bool, parallel: int, tensorboard: Path | None) -> None:
@@ -70,13 +72,15 @@ def follow(study: Study, start: str, *, retry_failed: bool = False) -> None:
         return
     _say(f"start workers, as many as you like, wherever the database is reached:\n  {start}")
     with LiveProgress(study, console) as live:
-        news, pause, idle = _News(study, live), _LOOK, False
+        news, pause, idle, said = _News(study, live), _LOOK, 0.0, False
         while not study.is_finished:
             pause = _LOOK if news.tell() else min(1.5 * pause, _LONGEST_LOOK)
-            waits = not asking.others(study.state, study.watch(), study.worker)
-            if waits and not idle and study.state.picks:
+            held = asking.others(study.state, study.watch(), study.worker)
+            idle = 0.0 if held or study.state.proposing else idle + pause
+            said = said and idle > 0.0
+            if idle > _IDLE and not said and study.state.picks:
+                said = True
                 _say("nobody works on this study now; start workers, and it goes on")
-            idle = waits
             time.sleep(pause)
         news.tell()
 

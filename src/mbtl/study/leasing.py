@@ -25,8 +25,10 @@ from mbtl.study.storage import Conflict, EventLog
 from mbtl.study.view import StudyView
 from mbtl.trainer import Trainer
 
-_PAUSE, _LONGEST_PAUSE = 0.01, 0.5
+_PAUSE, _LONGEST_PAUSE = 0.01, 2.0
 """Seconds between looks while somebody else proposes."""
+_WATCH = 1.0
+"""Seconds for which an asker believes what it knows of heartbeats: many wait at the same time."""
 
 
 class LeasingStudy(StudyView):
@@ -149,10 +151,12 @@ class LeasingStudy(StudyView):
     # ---- inside ------------------------------------------------------------------------------
 
     def _ask(self, lease: float | None) -> Pick:
-        pause = _PAUSE
+        pause, watch, watched = _PAUSE, self.watch(), time.monotonic()
         while True:
             state = self.refresh()
-            claim = asking.claim(state, self.watch(), lease, self.worker)
+            if time.monotonic() - watched > _WATCH:
+                watch, watched = self.watch(), time.monotonic()
+            claim = asking.claim(state, watch, lease, self.worker)
             if claim is None:  # somebody proposes just now
                 time.sleep(pause * random.uniform(0.5, 1.0))
                 pause = min(2 * pause, _LONGEST_PAUSE)

@@ -130,35 +130,36 @@ class SqlLog:
         self.study = study
         self.patience = Patience()
         self._engine, self._table, self._heartbeats = open_database(self.url, create=create)
+        self._has_beats = False
         weakref.finalize(self, self._engine.dispose)  # a server's connections end with the log
 
     def append(self, event: Event, *, after: int) -> int:
         """Append in one transaction; see `EventLog`."""
-        from sqlalchemy import insert
+        from sqlalchemy import insert, literal, select
         from sqlalchemy.exc import IntegrityError
 
-        row = {
-            "study": self.study,
-            "seq": after + 1,
-            "time": clock(self._engine),
-            "kind": event.kind,
-            "data": _text(event),
-            "arrays": _pack(event),
-        }
+        t = self._table
+        facts = {"kind": event.kind, "data": _text(event), "arrays": _pack(event)}
+        row = {"study": self.study, "seq": after + 1, "time": clock(self._engine), **facts}
+        values = [literal(row[c.name], c.type) if c is not t.c.time else row["time"] for c in t.c]
+        names = [c.name for c in t.c]
+        # one statement: the server may be far away, and is asked thousands of times
+        is_last = select(*values).where(self._last() == after)
+        statement = insert(t).from_select(names, is_last, include_defaults=False)
+        statement = statement.execution_options(preserve_rowcount=True)
         taken = Conflict(f"event {after + 1} of study {self.study!r} is taken")
 
         def write(connection: Connection) -> None:
-            if self._last(connection) != after:
-                raise taken
             try:
-                connection.execute(insert(self._table).values(**row))
+                if connection.execute(statement).rowcount != 1:
+                    raise taken
             except IntegrityError as error:  # the primary key: another process was faster
                 raise taken from error
 
         in_doubt = False
         while True:
             try:
-                self._try(write, writes=True)
+                self._try(write, writes=True, single=True)
                 return after + 1
             except Unreachable as error:  # perhaps after the event was written
                 in_doubt = True
@@ -223,8 +224,9 @@ class SqlLog:
         t = self._heartbeats
 
         def fetch(connection: Connection) -> dict[str, Beat]:
-            if not inspect(connection).has_table(t.name):
+            if not self._has_beats and not inspect(connection).has_table(t.name):
                 return {}
+            self._has_beats = True
             columns = (t.c.token, t.c.expires, t.c.steps, t.c.value)
             rows = connection.execute(select(*columns).where(t.c.study == self.study))
             return {token: Beat(*facts) for token, *facts in rows}
@@ -233,13 +235,13 @@ class SqlLog:
 
     # ---- inside ------------------------------------------------------------------------------
 
-    def _last(self, connection: Connection) -> Any:
-        """Number of the last event; anything, where the log is damaged."""
+    def _last(self) -> Any:
+        """Number of the last event, as a part of a statement."""
         from sqlalchemy import func, select
 
         t = self._table.c
-        query = select(func.coalesce(func.max(t.seq), 0)).where(t.study == self.study)
-        return connection.execute(query).scalar_one()
+        found = select(func.coalesce(func.max(t.seq), 0)).where(t.study == self.study)
+        return found.scalar_subquery()
 
     def _holds(self, row: Mapping[str, Any]) -> bool:
         """True when the log has this very event at this place.
@@ -259,12 +261,18 @@ class SqlLog:
         """What `work` gives in one transaction, which may be done twice."""
         while True:
             try:
-                return self._try(work, writes=writes)
+                return self._try(work, writes=writes, single=not writes)
             except Unreachable as error:
                 self.patience.wait(error)
 
-    def _try(self, work: Callable[[Connection], T], *, writes: bool = False) -> T:
-        engine = self._engine.execution_options(**{WRITES: writes})
+    def _try(
+        self, work: Callable[[Connection], T], *, writes: bool = False, single: bool = False
+    ) -> T:
+        """Once; a single statement is a transaction by itself, and needs no words around it."""
+        options: dict[str, Any] = {WRITES: writes}
+        if single and self._engine.dialect.name == "postgresql":
+            options["isolation_level"] = "AUTOCOMMIT"
+        engine = self._engine.execution_options(**options)
         with database_errors(self.url), engine.begin() as connection:
             done = work(connection)
         self.patience.answered()
