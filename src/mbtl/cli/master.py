@@ -16,7 +16,7 @@ from mbtl.trainer import Progress
 
 _LOOK, _LONGEST_LOOK = 0.1, 2.0
 """Seconds between looks: often at first, seldom while nothing happens."""
-_IDLE = 20.0
+_IDLE = 60.0
 """Seconds without any worker after which it is said."""
 
 
@@ -92,6 +92,7 @@ class _News:
         self._study, self._callback = study, callback
         self._seq = study.state.seq
         self._open: set[int] = set()
+        self._closed = _answered(study)
 
     def tell(self) -> bool:
         """False when nothing has happened."""
@@ -100,11 +101,11 @@ class _News:
         self._seq = state.seq
         failed = {failure.pick: failure.reason for failure in state.failures}
         now = {n for n, pick in state.open_picks.items() if pick.lease is not None}
-        ended = self._open - now
-        begun = now - self._open
-        for number in sorted(begun):
+        before_that, self._closed = self._closed, _answered(study)
+        ended = self._closed - before_that  # perhaps begun and ended between two looks
+        for number in sorted((now | ended) - self._open):
             self._callback.on_pick(study, study.pick(number))
-        for number in sorted(ended):
+        for number in sorted(ended | (self._open - now)):
             pick = study.pick(number)
             if number in failed:
                 self._callback.on_failed(study, pick, failed[number])
@@ -125,6 +126,11 @@ class _News:
                 metrics = {} if beat.value is None else {"return": beat.value}
                 done = Progress(int(beat.steps), 0, metrics)
                 self._callback.on_progress(self._study, self._study.pick(number), done)
+
+
+def _answered(study: Study) -> set[int]:
+    """Numbers of the picks that gave something, or failed."""
+    return set(range(len(study.state.picks))) - set(study.state.open_picks)
 
 
 def _say(line: str) -> None:
