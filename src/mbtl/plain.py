@@ -6,6 +6,7 @@ import operator
 from typing import Any, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbtl.errors import InvalidInput
 
@@ -70,6 +71,20 @@ def finite(name: str, number: float | None) -> float | None:
     if value is not None and not np.isfinite(value):
         raise InvalidInput(f"{name} must be finite, got {short(number)}")
     return value
+
+
+def array_of(name: str, given: Any) -> NDArray[Any]:
+    """An array of whatever kind.
+
+    Raises:
+        InvalidInput: rows of different lengths.
+    """
+    try:
+        return np.asarray(given)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidInput(
+            f"{name} must be an array of rows of one length ({error!s:.90})"
+        ) from error
 
 
 def text(name: str, given: Any) -> str:
