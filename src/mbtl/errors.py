@@ -50,6 +50,13 @@ class TrainingFailed(MbtlError):
     """A training or evaluation gave nothing that can be used."""
 
 
+class TrainingPruned(MbtlError):
+    """A training is ended early on purpose: raised in `on_progress`, or by a user's own training.
+
+    It spends budget and is not proposed again, but does not count as something that went wrong.
+    """
+
+
 class SimulationFailed(TrainingFailed):
     """A simulator stopped, crashed, or reached a state that no episode can go on from."""
 

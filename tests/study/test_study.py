@@ -9,7 +9,7 @@ from mbtl.errors import InvalidInput, StudyError, StudyMismatch, TrainingFailed
 from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.seeds import training_seed
-from mbtl.selectors import MBTL, Proposal, SelectionProblem
+from mbtl.selectors import MBTL, Proposal, SelectionProblem, Traits
 from mbtl.study import StudyFinished
 from mbtl.study.events import Event
 
@@ -321,7 +321,7 @@ class Stubborn:
     """Context 7 as long as it is allowed."""
 
     name: str = "stubborn"
-    retrains: ClassVar[bool] = True
+    traits: ClassVar[Traits] = Traits(retrains=True)
 
     def propose(self, problem, history, rng):
         mask = history.open_mask(problem.n, problem.repeats)

@@ -10,7 +10,8 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.seeds import selection_rng
-from mbtl.selectors.base import Proposal, SelectionProblem, Selector
+from mbtl.selectors.base import Proposal, SelectionProblem
+from mbtl.selectors.contract import Selector
 
 
 class Replay(NamedTuple):

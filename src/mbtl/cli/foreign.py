@@ -23,7 +23,7 @@ def import_matrix(
     ] = None,
     axis: Annotated[
         list[str] | None,
-        typer.Option(help="Instead: NAME=V1,V2,... for each axis, the slowest first."),
+        typer.Option(help="Or name the grid: NAME=V1,V2,... for each axis, the slowest first."),
     ] = None,
     bounds: Annotated[
         str | None,

@@ -37,7 +37,7 @@ def report(
         float | None,
         typer.Option(
             metavar="SECONDS",
-            help="Write the page again every so many seconds, until all studies are finished; "
+            help="Write the page again at this interval, until all studies are finished; "
             "the page loads itself again.",
         ),
     ] = None,

@@ -60,7 +60,7 @@ def run(
     parallel: Annotated[
         int,
         typer.Option(
-            help="Trainings at a time; picked together, so each without the others' rows."
+            help="Trainings at a time; each is chosen before the others' results are known."
         ),
     ] = 1,
     engine: Annotated[
@@ -81,28 +81,28 @@ def run(
         typer.Option(help="End when one more training surely gains less than this in V."),
     ] = None,
     stop_confidence: Annotated[
-        float, typer.Option(help="How probable that has to be, as the selector predicts it.")
+        float, typer.Option(help="How sure the selector must be of that.")
     ] = 0.9,
     whole_budget: Annotated[
         bool,
-        typer.Option(
-            "--all", help="Spend the whole budget, also where nothing seems left to gain."
-        ),
+        typer.Option("--all", help="Spend the whole budget, even if nothing seems left to gain."),
     ] = False,
     repeats: Annotated[
         int, typer.Option(help="Trainings allowed on one context, where another try may pay.")
     ] = 1,
     eval_targets: Annotated[
         int | None,
-        typer.Option(help="Evaluate each policy on so many contexts only."),
+        typer.Option(help="Evaluate each policy on this many contexts, not on all."),
     ] = None,
     costs: Annotated[
         Path | None,
-        typer.Option(help="Text file: cost of a training on each context; auto gains per cost."),
+        typer.Option(
+            help="Text file: what a training costs on each context; auto then seeks gain per cost."
+        ),
     ] = None,
     cost_budget: Annotated[
         float | None,
-        typer.Option(help="End when trainings have cost this; with --costs, before."),
+        typer.Option(help="End when the trainings have cost this much in all."),
     ] = None,
     risk: Annotated[
         float, typer.Option(help="V is the mean of this share of the contexts, the worst of them.")
@@ -111,7 +111,7 @@ def run(
         bool, typer.Option("--stop-on-failure", help="End at the first failed training.")
     ] = False,
     stop_after_failures: Annotated[
-        int, typer.Option(help="End after so many failed trainings in a row.")
+        int, typer.Option(help="End after this many failed trainings in a row.")
     ] = 3,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Train again where trainings failed.")

@@ -183,6 +183,10 @@ def database_errors(url: str) -> Iterator[None]:
 
     try:
         yield
+    except UnicodeDecodeError as error:  # SQLite gives its names as they are in the file
+        raise StorageError(
+            f"{shown(url)} is corrupt ({error}); restore a copy, or start a new study elsewhere"
+        ) from error
     except DBAPIError as error:
         cause, url = " ".join(str(error.orig).split()), shown(url)
         if _is_away(error, url):

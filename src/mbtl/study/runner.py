@@ -14,6 +14,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from logging import getLogger
+from typing import TYPE_CHECKING
 
 from mbtl.errors import (
     InvalidInput,
@@ -28,13 +29,16 @@ from mbtl.study import asking
 from mbtl.study.batch import Batches, failure
 from mbtl.study.callbacks import Callback, shared_words
 from mbtl.study.flights import brought_back
-from mbtl.study.fresh import can_report, report_fresh_returns
+from mbtl.study.fresh import can_report, fresh_value, report_fresh_returns
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, reason_of
 from mbtl.study.keeper import Keeper
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.rehearsal import rehearse as rehearsed
-from mbtl.study.study import Study
+from mbtl.study.result import RunResult
 from mbtl.trainer import RehearsingTrainer, Trainer
+
+if TYPE_CHECKING:
+    from mbtl.study.study import Study
 
 _logger = getLogger(__name__)
 
@@ -62,7 +66,7 @@ def run(
     timeout: float | None = None,
     may_begin: Callable[[], bool] | None = None,
     wait: bool = True,
-) -> None:
+) -> RunResult:
     """Run a study to its end; interrupted, it goes on where it was when called again.
 
     A policy that is trained and could not be evaluated is kept: it spends no further budget, and
@@ -93,10 +97,14 @@ def run(
         may_begin: asked before each training; once it says no, the run ends.
         wait: stay while others are at the last trainings, to take over from those that die.
 
+    Returns:
+        The study at its end, and why it ended.
+
     Raises:
         TrainingFailed: failures ended the run, or no training succeeded.
     """
     check_options(parallel, on_failure, stop_after_failures, lease, retries, timeout)
+    started, study.stopping = time.monotonic(), None
     try:
         with Keeper(study, lease) as keeper, _workers(parallel, executor) as pooled:
             if pooled is not None:
@@ -104,7 +112,8 @@ def run(
             _warn_of_unsaved(study, trainer)
             _announce_others(study, callbacks)
             for failed in list(study.refresh().failures) if retry_failed else []:
-                study.retry(failed.pick)
+                if not failed.pruned:
+                    study.retry(failed.pick)
             first_policy = rehearse
             if rehearse and isinstance(trainer, RehearsingTrainer):
                 _rehearse(study, trainer, pooled)
@@ -131,6 +140,15 @@ def run(
     finally:
         for callback in callbacks:
             callback.on_end(study)
+    return RunResult(
+        study,
+        study.curve,
+        fresh_value(study) if study.state.rows else None,
+        study.trainings,
+        tuple(study.state.failures),
+        study.stopping or study.stop_reason,
+        time.monotonic() - started,
+    )
 
 
 def check_options(
@@ -172,7 +190,7 @@ def _workers(parallel: int, executor: Executor | None) -> Iterator[Executor | No
 
 
 def _check_any_success(study: Study) -> None:
-    failures = study.state.failures
+    failures = [failure for failure in study.state.failures if not failure.pruned]
     if failures and not study.state.rows:
         raise TrainingFailed(
             f"no training of this study succeeded, {len(failures)} failed, the last with "
@@ -219,8 +237,8 @@ def _do_all(
 
 
 def _next_pick(study: Study, keeper: Keeper, may_begin: Callable[[], bool]) -> Pick | None:
-    """A pick that is held from now on; None when nothing can or may be asked."""
-    if not may_begin():
+    """A pick that is held from now on; None when nothing can be asked, or shall be."""
+    if study.stopping is not None or not may_begin():
         return None
     try:
         pick = study.ask(lease=keeper.seconds)
@@ -241,7 +259,7 @@ def _wait_for_others(
     pause = _LOOK
     while seq == study.refresh().seq and study.orphans == left:
         theirs = asking.others(study.state, study.watch(), study.worker, for_ever=False)
-        if not theirs or not may_begin():
+        if not theirs or study.stopping is not None or not may_begin():
             return False
         if not announced:
             announced = True

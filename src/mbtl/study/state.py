@@ -268,6 +268,7 @@ class StudyState:
                 event.seq,
                 data.get("sha256"),
                 data.get("recipe"),
+                data.get("steps"),
             )
         )
 

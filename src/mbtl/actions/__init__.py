@@ -1,0 +1,35 @@
+"""Strategies that count steps: what to train on, how long, where to evaluate, when to stop."""
+
+from mbtl.actions.base import (
+    Action,
+    Evaluate,
+    Extend,
+    Policy,
+    Start,
+    StepProblem,
+    Stop,
+    Strategy,
+    Trail,
+    Training,
+)
+from mbtl.actions.evaluation import Evaluation
+from mbtl.actions.fixed import FixedLength
+from mbtl.actions.halving import Halving
+from mbtl.actions.pilot import Pilot
+
+__all__ = [
+    "Action",
+    "Evaluate",
+    "Evaluation",
+    "Extend",
+    "FixedLength",
+    "Halving",
+    "Pilot",
+    "Policy",
+    "Start",
+    "StepProblem",
+    "Stop",
+    "Strategy",
+    "Trail",
+    "Training",
+]

@@ -1,0 +1,96 @@
+"""Successive halving: many short trainings, and ever longer ones of those that look best.
+
+ASHA (Li et al., MLSys 2020) over (context, seed): a training is promoted to the next rung as soon
+as it is among the best 1/eta of those that reached its rung. It ranks by one number, as it does for
+hyper-parameters: the own return, or the mean over all targets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from mbtl.actions.base import Action, Extend, Start, StepProblem, Stop, Trail
+from mbtl.actions.evaluation import EVERYWHERE, Evaluation
+from mbtl.actions.fixed import next_source, selector_without
+from mbtl.arrays import Array
+from mbtl.selectors.contract import Selector
+
+
+@dataclass(frozen=True)
+class Halving:
+    """Promote the best 1 / 2**`every` of each rung.
+
+    Attributes:
+        rank: "own": the return on its own context; "mean": the mean over targets; "gain": what V
+            would lose without it.
+        every: marks from one rung to the next; lengths double from mark to mark, so eta = 2**every.
+        selector: where to begin new trainings; "random" is ASHA's rule.
+        first: mark of the lowest rung.
+        evaluation: where each policy is evaluated.
+        name: what results call it.
+    """
+
+    rank: Literal["own", "mean", "gain"] = "own"
+    every: int = 2
+    selector: Selector | str | None = "random"
+    first: int = 0
+    evaluation: Evaluation = EVERYWHERE
+    name: str = "asha"
+
+    def decide(self, problem: StepProblem, trail: Trail, rng: np.random.Generator) -> Action:
+        """Evaluate what was trained; else promote, from the top rung down; else begin anew."""
+        due = self.evaluation.next(problem, trail)
+        if due is not None:
+            return due
+        last = len(problem.lengths) - 1
+        rungs = sorted({*range(self.first, last, self.every), last})
+        scores = self._scores(problem, trail)
+        for low, high in reversed(list(pairwise(rungs))):
+            there = [
+                i for i, p in enumerate(trail.policies)
+                if p.length == low or (p.length < low and trail.trainings[p.training].ended)
+            ]  # fmt: skip
+            best = sorted(there, key=lambda i: -scores[i])[: len(there) // 2**self.every]
+            for i in best:
+                training = trail.trainings[trail.policies[i].training]
+                if training.length == low and not training.ended:
+                    return Extend(trail.policies[i].training, high)
+        source = next_source(self.selector, problem, trail, rng)
+        if source is not None:
+            return Start(source, self.first)
+        return self._rest(trail, rungs, scores)
+
+    def without(self, family: str) -> Halving:
+        """The same with a selector that has not seen a family of matrices."""
+        return replace(self, selector=selector_without(self.selector, family))
+
+    def _rest(self, trail: Trail, rungs: list[int], scores: Array) -> Action:
+        """Every context was begun: go on with the best that can."""
+        for i in np.argsort(-scores, kind="stable").tolist():
+            policy = trail.policies[i]
+            training = trail.trainings[policy.training]
+            if not training.ended and training.length == policy.length < rungs[-1]:
+                return Extend(policy.training, next(r for r in rungs if r > policy.length))
+        return Stop()
+
+    def _scores(self, problem: StepProblem, trail: Trail) -> Array:
+        if not trail.policies:
+            return np.empty(0)
+        if self.rank == "own":
+            return trail.rows[np.arange(len(trail.policies)), trail.sources]
+        rows, weights = trail.filled, problem.selection.weights
+        if self.rank == "mean":
+            return np.asarray(rows @ weights)
+        return np.asarray(lost_without(rows) @ weights)
+
+
+def lost_without(rows: Array) -> Array:
+    """(k, N) what each target would lose without each policy."""
+    if len(rows) == 1:
+        return np.ones_like(rows)
+    top = np.sort(rows, axis=0)[-2:]
+    return np.where(rows == top[1], top[1] - top[0], 0.0)
