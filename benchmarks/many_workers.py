@@ -174,8 +174,9 @@ def load(contexts: int, rows: int, episodes: int) -> None:
         seconds, mib = said(*forked(read))
         size = file.stat().st_size / 2**20
     print(
-        f"load: {contexts:,} contexts, {rows} rows of {episodes} episodes, processor time: a tell {wrote:.2f} s; "
-        f"the file {size / rows:.1f} MiB a row; a load {seconds:.1f} s and {mib:.0f} MiB, "
+        f"load: {contexts:,} contexts, {rows} rows of {episodes} episodes, processor time: "
+        f"a tell {wrote:.2f} s; the file {size / rows:.1f} MiB a row; a load {seconds:.1f} s and "
+        f"{mib:.0f} MiB, "
         f"{1000 * seconds / rows:.0f} ms and {mib / rows:.1f} MiB a row",
         flush=True,
     )
