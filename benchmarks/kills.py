@@ -42,11 +42,11 @@ SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 30})
 BUDGET = 20
 LEASE = 1.0
 """Seconds; where the database is a file, the dead are missed at once."""
-LONGEST = 0.6
+LONGEST = 0.8
 """Seconds until the next kill, at most."""
 OF_THE_DATABASE = 0.1
 """Share of the kills that hit a server."""
-OF_A_STUDY = 16
+OF_A_STUDY = 50
 """Kills of one study; then it may end. On a busy machine more would leave it no time to begin."""
 PATIENCE = 300.0
 """Seconds in which a study of twenty quick trainings ends after its last kill."""
@@ -166,8 +166,19 @@ class Count:
 
 def disturb(place: Place, server: Server | None, rng: random.Random, count: Count, most: int):
     """One study to its end, with up to `most` kills."""
-    roles = ["run", "worker", "another worker"]
     alive: dict[str, int] = {}
+    try:
+        if _worked(place, server, rng, count, most, alive):
+            judge(place, count)
+    finally:  # an interrupt, or a study that does not end
+        for pid in alive.values():
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+
+
+def _worked(place, server, rng, count, most, alive):
+    """False where it did not end."""
+    roles = ["run", "worker", "another worker"]
     disturbed, left = time.monotonic(), most
     while roles:
         for role in roles:
@@ -181,11 +192,8 @@ def disturb(place: Place, server: Server | None, rng: random.Random, count: Coun
                     roles.remove(role)
                     count.crashed += code != 0
             if time.monotonic() - disturbed > PATIENCE:
-                for pid in alive.values():
-                    os.kill(pid, signal.SIGKILL)
-                    os.waitpid(pid, 0)
                 count.unfinished += 1
-                return
+                return False
             time.sleep(0.005)
         if not roles or not left:
             break
@@ -201,7 +209,7 @@ def disturb(place: Place, server: Server | None, rng: random.Random, count: Coun
         os.kill(alive[role], signal.SIGKILL)
         os.waitpid(alive.pop(role), 0)
         count.kills["run" if role == "run" else "worker"] += 1
-    judge(place, count)
+    return True
 
 
 def reaped(pid: int) -> int | None:
@@ -273,6 +281,7 @@ def campaign(kind: str, kills: int, seed: int) -> Count:
             disturb(
                 Place(url, place.name, place), server, rng, count, min(kills - done, OF_A_STUDY)
             )
+            print(f"so far {count}", file=sys.stderr, flush=True)
     return count
 
 
@@ -282,6 +291,7 @@ def main() -> None:
     parser.add_argument("--databases", default="sqlite,postgresql")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     logging.getLogger("mbtl").addHandler(logging.NullHandler())  # of kills there is enough to read
     good = True
     for kind in arguments.databases.split(","):
