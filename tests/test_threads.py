@@ -26,7 +26,7 @@ class Asked:
 
     def propose(self, problem, history, rng):
         self.threads.append(most_threads())
-        return Proposal(len(history.sources))
+        return Proposal(len(history.sources), "the next one")
 
 
 @pytest.fixture
