@@ -58,6 +58,7 @@ class Family:
         simulator: the engine of `entry_point`, "gymnasium" or "sumo".
         visibility: what of the context the policy sees unless told otherwise.
         visibility_on_all: likewise, of one policy for all contexts.
+        preset_on_all: whose steps one policy for all contexts has, unless told otherwise.
         check_steps: environment steps of a rollout of `mbtl check`; fewer where steps are long.
         floor: return below which none is worse in performance.
         best_return: the largest return there is; None: not known.
@@ -74,6 +75,7 @@ class Family:
     simulator: str = "gymnasium"
     visibility: str = "multiplier"
     visibility_on_all: str = "multiplier"
+    preset_on_all: str = "paper"
     check_steps: int | None = None
     floor: float | None = None
     best_return: float | None = None

@@ -107,6 +107,7 @@ LOCOMOTION_FAMILIES: Mapping[str, Family] = {
         bounds=(-150.0, 300.0),
         theta=0.005,
         presets=_SB3,
+        preset_on_all="standard",
         jax=JaxFamily(
             "mbtl.cmdps.locomotion.walker_batch:BipedalWalkers", _ours(_WALKER), on_host=True
         ),
@@ -117,6 +118,7 @@ LOCOMOTION_FAMILIES: Mapping[str, Family] = {
         bounds=(0.0, 6000.0),
         theta=0.005,
         presets=_SB3,
+        preset_on_all="standard",
         jax=JaxFamily(
             "mbtl.cmdps.locomotion.cheetah_batch:HalfCheetahs", _ours(_CHEETAH), on_host=True
         ),

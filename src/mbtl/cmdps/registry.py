@@ -53,6 +53,11 @@ def visibility_on_all(id: str) -> str:
     return _entry(id)[1].visibility_on_all
 
 
+def preset_on_all(id: str) -> str:
+    """Whose steps one policy for all contexts has: those of the matrix to compare it with."""
+    return _entry(id)[1].preset_on_all
+
+
 def env_factory(
     id: str,
     *,
