@@ -49,6 +49,7 @@ class Family:
         entry_point: "module:Class" of the environment.
         horizon: longest episode, environment steps.
         bounds: returns at which performance is 0 and 1 (spec, 2.2).
+        paper_bounds: those of the paper, where policies of ours need to be seen by both.
         theta: slope of the linear gap, performance per grid step (spec, 2.2).
         presets: recipes of Stable-Baselines3 by name, the first is the default.
         jax: the same in the jax engine, if it is there.
@@ -76,6 +77,7 @@ class Family:
     visibility: str = "multiplier"
     visibility_on_all: str = "multiplier"
     preset_on_all: str = "paper"
+    paper_bounds: tuple[float, float] | None = None
     check_steps: int | None = None
     floor: float | None = None
     best_return: float | None = None
