@@ -17,8 +17,9 @@ from mbtl.training import SB3Trainer, WorldTrainer
 
 SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
 CARTPOLE = get_cmdp("cartpole-length", engine="jax").trainer_for(
-    "quick", timesteps=2_000, hyperparameters=SMALL, eval_episodes=3, checkpoint_episodes=2
-)
+    "quick", timesteps=2_000, hyperparameters=SMALL, eval_episodes=3, checkpoint_episodes=2,
+    checkpoint_every=200,
+)  # fmt: skip
 PENDULUM = get_cmdp("pendulum-length", engine="jax").trainer_for(
     "quick", timesteps=2_000, hyperparameters={**SMALL, "anneal": True}, eval_episodes=2
 )
@@ -97,10 +98,13 @@ def test_what_is_charged_is_what_ran(monkeypatch):
 
 
 def test_a_training_with_nothing_left_to_gain_ends():
-    easy = replace(CARTPOLE, timesteps=60_000, hyperparameters={}, checkpoint_episodes=1)
+    easy = replace(
+        CARTPOLE, timesteps=60_000, hyperparameters={}, checkpoint_episodes=1, checkpoint_every=None
+    )
     reached = easy.train_steps(POLE, 0, easy.whole_steps)
     assert reached.ended
     assert reached.steps < easy.whole_steps
+    assert reached.checks <= reached.steps / 20
     assert np.all(easy.evaluate(reached.policy, [POLE], 3) > 100)
 
 
@@ -157,7 +161,6 @@ class _Silent:
 
 
 def test_trainings_of_episodes_are_refused():
-    trainer = get_cmdp("ring-accel", engine="jax").trainer if False else None
     trainer = WorldTrainer(CARTPOLE.problem, episodes=10)
     assert trainer.whole_steps is None
     with pytest.raises(InvalidInput, match="recipe of 10 episodes"):

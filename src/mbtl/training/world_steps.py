@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mbtl.training.world_trainer import WorldTrainer
 
 _CHECKS, _CHECKED_AT = "checks", "checked_at"
+_CHECK_TIMES, _CHECK_SHARE = 50, 20
 
 
 class WorldSteps:
@@ -100,7 +101,7 @@ class WorldSteps:
             params,
             trainer.length,
             on_block=on_block,
-            checkpoint_every=trainer.checkpoint_every,
+            checkpoint_every=_check_every(trainer, world) if checked else None,
             checkpoint_episodes=trainer.checkpoint_episodes,
             acting=trainer._how,
             only_best=checked,
@@ -175,6 +176,13 @@ def _lasts(world: Any) -> str | None:
 def _may_end(world: Any) -> bool:
     """Whether a training can be found to have nothing left to gain."""
     return world.max_return is not None and _lasts(world) == "return"
+
+
+def _check_every(trainer: WorldTrainer, world: Any) -> int:
+    """Steps between two evaluations of itself: every 2 %, and they cost a twentieth at most."""
+    dearest = trainer.checkpoint_episodes * int(world.env.horizon)
+    often = -(-trainer.length // _CHECK_TIMES)
+    return trainer.checkpoint_every or max(often, _CHECK_SHARE * dearest)
 
 
 def _check_counted(trainer: WorldTrainer) -> None:

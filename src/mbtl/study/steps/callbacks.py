@@ -56,9 +56,10 @@ class PrintSteps(StepCallback):
     def on_evaluated(self, study: StepStudy, policy: Policy) -> None:
         """Where, and V by it."""
         row = study.state.returns[study.state.policies.index(policy)]
+        _, mark = study.state.trainings[policy.training].at(policy.length)
         self._write(
-            f"{self._spent(study)}  training {policy.training + 1} evaluated on "
-            f"{int(np.isfinite(row).sum())} contexts: V {study.value:.4f}"
+            f"{self._spent(study)}  training {policy.training + 1} at {counted(mark.steps)} steps, "
+            f"evaluated on {int(np.isfinite(row).sum())} contexts: V {study.value:.4f}"
         )
 
     def on_end(self, study: StepStudy) -> None:

@@ -161,7 +161,8 @@ class _Worker:
             mark = study.state.reached(number) + 1
             if not self._fits(number, mark):
                 study.append("halted", {"training": number})
-                break
+                self._tell("on_trained", number)
+                return
             began, progress = time.monotonic(), _Latest(self, number)
             try:
                 reached = self._piece(number, source, mark, progress)
@@ -171,7 +172,8 @@ class _Worker:
             except Exception as error:
                 done = study.state.trainings[number].steps if mark else 0
                 self._failed(error, max(progress.steps - done, 0), number, source)
-                break
+                self._tell("on_trained", number)
+                return
             study.append(
                 "trained",
                 {"training": number, "source": source, "mark": mark, "steps": reached.steps,
@@ -179,9 +181,7 @@ class _Worker:
                  "seconds": time.monotonic() - began, **artifact},
             )  # fmt: skip
             self._tell("on_trained", number)
-        else:
-            self._forget(number)
-        self._tell("on_trained", number)
+        self._forget(number)
 
     def _fits(self, number: int, mark: int) -> bool:
         spec, state = self.study.spec, self.study.state

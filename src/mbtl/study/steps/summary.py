@@ -167,20 +167,21 @@ def summarise(study: StepStudy) -> StepSummary:
 
 def _training(study: StepStudy, number: int, serves: int) -> StepTraining:
     course = study.state.trainings[number]
-    condition, why = _condition(study, number)
+    state, why = condition(study, number)
     return StepTraining(
         number,
         course.source,
         study.space.context(course.source),
         course.steps,
-        condition,
+        state,
         why,
         sum(policy.training == number for policy in study.state.policies),
         serves,
     )
 
 
-def _condition(study: StepStudy, number: int) -> tuple[Condition, str]:
+def condition(study: StepStudy, number: int) -> tuple[Condition, str]:
+    """How a training stands, and why."""
     course, spec, state = study.state.trainings[number], study.spec, study.state
     pending = state.pending
     if course.failed is not None:
@@ -204,9 +205,9 @@ def _condition(study: StepStudy, number: int) -> tuple[Condition, str]:
 def training_words(study: StepStudy, number: int) -> str:
     """A training in one line."""
     course = study.state.trainings[number]
-    condition, why = _condition(study, number)
+    state, why = condition(study, number)
     where = _words(study.space.context(course.source))
-    return f"training {number + 1} ({where}): {counted(course.steps)} steps, {condition}: {why}"
+    return f"training {number + 1} ({where}): {counted(course.steps)} steps, {state}: {why}"
 
 
 def counted(steps: float) -> str:
