@@ -203,6 +203,11 @@ class StepState:
             self.spent,
         )
 
+    def value(self) -> float:
+        """V by the rows that route the policies, performance; -inf before the first one."""
+        filled = self.trail().filled
+        return float(filled.max(axis=0) @ self.the_spec.space.weights) if len(filled) else -np.inf
+
     def reached(self, training: int) -> int:
         """Index of the last mark of a training; -1: none, or it has not begun."""
         known = training < len(self.trainings)

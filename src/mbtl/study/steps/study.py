@@ -156,8 +156,7 @@ class StepStudy:
     @property
     def value(self) -> float:
         """V by the rows that route the policies, performance; -inf before the first one."""
-        filled = self.trail.filled
-        return float(filled.max(axis=0) @ self.space.weights) if len(filled) else float("-inf")
+        return self._state.value()
 
     def summary(self) -> StepSummary:
         """The study in numbers: trainings, price list, V."""
