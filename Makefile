@@ -1,14 +1,14 @@
 # Two commands do all the set-up on a fresh machine: `make run` (the main job) and `make test`.
-# Each creates .venv with what it needs; only the tests need PyTorch. One that is in .venv is kept, so
-# to avoid the CUDA build on a machine without a GPU, install PyTorch's CPU build there first.
+# Each creates .venv with what it needs, by uv where it can be had and by pip otherwise. Only the tests
+# need PyTorch; its CPU build is taken where one can be reached, and one that is in .venv is kept.
 
 PYTHON ?= python3
 BIN := .venv/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
+PIP := tools/install
 PROBLEM ?= cartpole-length
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal --durations 25
 
-.PHONY: run test test-long lint format bench clean
+.PHONY: run test test-long lint format docs bench release-check pictures clean
 
 run: .venv/run.stamp
 	$(BIN)/mbtl run $(PROBLEM)
@@ -21,13 +21,17 @@ test-long: .venv/dev.stamp
 	$(PYTEST) -m long $(TESTS)
 
 lint: .venv/dev.stamp
-	$(BIN)/ruff check src tests benchmarks examples
-	$(BIN)/ruff format --check src tests benchmarks examples
+	$(BIN)/ruff check src tests benchmarks evidence examples tools docs/conf.py docs/notebooks
+	$(BIN)/ruff format --check src tests benchmarks evidence examples tools docs/conf.py docs/notebooks
 	$(BIN)/mypy
 
 format: .venv/dev.stamp
-	$(BIN)/ruff check --fix src tests benchmarks examples
-	$(BIN)/ruff format src tests benchmarks examples
+	$(BIN)/ruff check --fix src tests benchmarks evidence examples tools docs/conf.py docs/notebooks
+	$(BIN)/ruff format src tests benchmarks evidence examples tools docs/conf.py docs/notebooks
+
+# the site, in build/site; a warning is an error
+docs: .venv/docs.stamp
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs build/site
 
 bench: .venv/rivals.stamp
 	$(BIN)/python benchmarks/import_time.py
@@ -39,20 +43,32 @@ bench: .venv/rivals.stamp
 	$(BIN)/python benchmarks/jax_throughput.py
 	$(BIN)/python benchmarks/jax_evaluation.py
 
+# wheel and sdist, used in clean environments of every Python, with the newest and oldest dependencies
+release-check: .venv/run.stamp
+	$(BIN)/python tools/release_check.py
+
+# the pictures of README and of the page of the reproduction, and that page, from shipped matrices
+pictures: .venv/run.stamp
+	$(BIN)/mbtl reproduce --page docs/reproduction.md
+
 clean:
-	rm -rf .venv build .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
-.venv/run.stamp: .venv/bin/python pyproject.toml constraints.txt
+.venv/run.stamp: .venv/bin/python pyproject.toml constraints.txt tools/install
 	$(PIP) --editable '.[jax,plots]'
 	touch $@
 
-# torch alone first: asked for together with others, pip may prefer another build of it
+# torch alone first: asked for together with others, another build of it may be preferred
 .venv/dev.stamp: .venv/run.stamp
 	$(PIP) torch
 	$(PIP) --editable '.[jax,plots,train,traffic,envs,cluster,dev]'
+	touch $@
+
+.venv/docs.stamp: .venv/dev.stamp
+	$(PIP) --editable '.[jax,plots,train,traffic,envs,cluster,dev,docs]'
 	touch $@
 
 .venv/rivals.stamp: .venv/dev.stamp

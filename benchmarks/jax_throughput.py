@@ -15,14 +15,11 @@ import measure  # noqa: F401  first: threads
 import argparse  # isort: skip
 import resource
 import time
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
-from multiprocessing import get_context
 from typing import Any
 
-from mbtl.processes import usable_cores
+import rates
+from rates import CORES, on_every_core
 
-CORES = usable_cores()
 RECIPES = ("sb3", "fast")
 
 
@@ -35,13 +32,7 @@ def sb3_rate(seconds: float, barrier: Any) -> float:
 
     torch.set_num_threads(1)
     model = PPO("MlpPolicy", cartpole.CartPole({"length": 0.5}), device="cpu", seed=0)
-    model.learn(2048)
-    barrier.wait()
-    begin, wall, steps = time.process_time(), time.perf_counter(), 0
-    while time.perf_counter() - wall < seconds:
-        model.learn(2048, reset_num_timesteps=False)
-        steps += 2048
-    return steps / (time.process_time() - begin)
+    return rates.of_sb3(model, seconds, barrier)
 
 
 def flops_per_step(recipe: Any, n_inputs: int) -> float:
@@ -73,41 +64,10 @@ def jax_rate(n_policies: int, name: str, seconds: float, barrier: Any) -> tuple[
     lengths = [0.05 * (1 + 99 * k // max(1, n_policies - 1)) for k in range(n_policies)]
     env, params = cmdp.trainer.problem([{"length": length} for length in lengths])
     recipe = engine.recipe_named("PPO", name)
-    marks: list[tuple[int, float]] = []
-    started = 0.0
-
-    class Enough(Exception):
-        pass
-
-    def watch(block: engine.Block) -> None:
-        nonlocal started
-        if not marks:  # compiled by now
-            barrier.wait()
-            started = time.perf_counter()
-        marks.append((block.steps, time.process_time()))
-        if len(marks) > 1 and time.perf_counter() - started > seconds:
-            raise Enough
-
     every = recipe.update_length * max(1, round(8192 / recipe.update_length))
-    with suppress(Enough):
-        engine.train(
-            env, recipe, range(n_policies), params, 10**8,
-            checkpoint_every=every, checkpoint_episodes=1, on_block=watch,
-        )  # fmt: skip
-    (first, begin), (last, end) = marks[0], marks[-1]
+    rate = rates.of_engine(env, recipe, range(n_policies), params, every, seconds, barrier)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return n_policies * (last - first) / (end - begin), memory
-
-
-def on_every_core(work: Any, *arguments: Any) -> list[Any]:
-    """`work` at the same time in one fresh process per core."""
-    context = get_context("spawn")
-    with context.Manager() as manager, ProcessPoolExecutor(CORES, mp_context=context) as pool:
-        barrier = manager.Barrier(CORES)
-        return [
-            future.result()
-            for future in [pool.submit(work, *arguments, barrier) for _ in range(CORES)]
-        ]
+    return n_policies * rate, memory
 
 
 def main() -> None:

@@ -14,8 +14,8 @@ import measure  # first: threads
 
 from typing import Any  # isort: skip
 
+from fixed_advice import steady
 from measure import cost_of, digits, median, note
-from twin_agreement import steady
 
 CONTEXTS: dict[str, dict[str, dict[str, float]]] = {
     "ring": {"hold 1 s": {"hold": 1.0}},

@@ -19,16 +19,12 @@ import argparse  # isort: skip
 import functools
 import os
 import time
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
+import rates
+from rates import CORES, on_every_core
 
-from mbtl.processes import usable_cores
-
-CORES = usable_cores()
 HORIZON, EPISODES = 1000, 10
 NOMINAL = {"gravity": 10.0}
 
@@ -108,55 +104,18 @@ def least(seconds: list[float]) -> float:
 
 def sb3_rate(seconds: float, barrier: Any) -> float:
     """Steps per second of processor time of one process."""
-    model = sb3_model(0)
-    model.learn(2048)
-    barrier.wait()
-    begin, wall, steps = time.process_time(), time.perf_counter(), 0
-    while time.perf_counter() - wall < seconds:
-        model.learn(2048, reset_num_timesteps=False)
-        steps += 2048
-    return steps / (time.process_time() - begin)
+    return rates.of_sb3(sb3_model(0), seconds, barrier)
 
 
 def our_rate(seconds: float, barrier: Any) -> float:
     """Likewise, of the default preset, without its evaluations on the way."""
     os.environ["NPROC"] = "1"
-    import mbtl.training.jax as engine
     from mbtl.cmdps import get_cmdp
 
     trainer = get_cmdp("walker-gravity", engine="jax").trainer
     world, params = trainer.problem([NOMINAL])
-    marks: list[tuple[int, float]] = []
-    started = 0.0
-
-    class Enough(Exception):
-        pass
-
-    def watch(block: engine.Block) -> None:
-        nonlocal started
-        if not marks:  # compiled by now
-            barrier.wait()
-            started = time.perf_counter()
-        marks.append((block.steps, time.process_time()))
-        if len(marks) > 1 and time.perf_counter() - started > seconds:
-            raise Enough
-
-    with suppress(Enough):
-        engine.train(
-            world, trainer.learner, [0], params, 10**8,
-            checkpoint_every=trainer.update_length, checkpoint_episodes=1, on_block=watch,
-        )  # fmt: skip
-    (first, begin), (last, end) = marks[0], marks[-1]
-    return (last - first) / (end - begin)
-
-
-def on_every_core(work: Any, seconds: float) -> list[float]:
-    """`work` at the same time in one fresh process per core."""
-    context = get_context("spawn")
-    with context.Manager() as manager, ProcessPoolExecutor(CORES, mp_context=context) as pool:
-        barrier = manager.Barrier(CORES)
-        doing = [pool.submit(work, seconds, barrier) for _ in range(CORES)]
-        return [one.result() for one in doing]
+    every = trainer.update_length
+    return rates.of_engine(world, trainer.learner, [0], params, every, seconds, barrier)
 
 
 # ---- learning --------------------------------------------------------------------------------

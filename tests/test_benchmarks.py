@@ -1,13 +1,15 @@
-"""Benchmarks and examples are not run here; what they import from the library must exist."""
+"""Programs outside the library are not run here; what they import must exist."""
 
 import ast
 import importlib
+import re
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PROGRAMS = sorted([*ROOT.glob("benchmarks/*.py"), *ROOT.glob("examples/*.py")])
+FOLDERS = ("benchmarks", "evidence", "examples")
+PROGRAMS = sorted(path for folder in FOLDERS for path in ROOT.glob(f"{folder}/*.py"))
 
 
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.name)
@@ -18,3 +20,22 @@ def test_what_it_imports_from_the_library_exists(path):
             for alias in node.names:
                 if not hasattr(module, alias.name):
                     importlib.import_module(f"{node.module}.{alias.name}")
+
+
+@pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.name)
+def test_what_it_imports_from_its_folder_is_there(path):
+    """`python evidence/x.py` finds modules beside the script and nowhere else in the repository."""
+    ours = {program.stem: program for program in PROGRAMS}
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            names = {node.module: [alias.name for alias in node.names]}
+        elif isinstance(node, ast.Import):
+            names = {alias.name: [] for alias in node.names}
+        else:
+            continue
+        for module, wanted in names.items():
+            if module in ours:
+                beside = path.with_name(f"{module}.py")
+                assert beside.exists(), f"{path.name} imports {module}, which is not beside it"
+                text = beside.read_text()
+                assert all(re.search(rf"^(def |class )?{name}\b", text, re.M) for name in wanted)

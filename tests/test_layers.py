@@ -12,10 +12,13 @@ import mbtl
 ROOT = Path(mbtl.__file__).parent
 CORE = [
     "errors",
+    "plain",
     "version",
     "arrays",
+    "notebook",
     "settings",
     "processes",
+    "elsewhere",
     "provenance",
     "untrusted",
     "files",
@@ -43,10 +46,10 @@ OUTSIDE = {
     "benchmark": {"plot"},
     "cmdps": {"training", "worlds", "envs"},
     "report": {"benchmark", "plot"},
+    "reproduction": {"benchmark", "plot"},
     "testing": {"cmdps", "training", "worlds", "envs"},
-    "cli": {"training", "envs", "benchmark", "cmdps", "plot", "report"},
+    "cli": {"training", "envs", "benchmark", "cmdps", "plot", "report", "reproduction"},
 }
-LAZY = {("portfolio", "training")}  # a saved Stable-Baselines3 policy is read by its adapter
 HEAVY = {"torch", "jax", "sklearn", "gymnasium", "stable_baselines3", "matplotlib", "typer", "rich"}
 
 
@@ -58,26 +61,27 @@ def layer_of(path):
     return path.relative_to(ROOT).parts[0].removesuffix(".py")
 
 
-def imports(path):
-    """(layer, at module level) of every import of our own; type-checking blocks do not run."""
+def running(path):
+    """Every node of a module that runs at some time; blocks for type checkers do not."""
     tree = ast.parse(path.read_text())
     for block in [n for n in ast.walk(tree) if isinstance(n, ast.If)]:
         if "TYPE_CHECKING" in ast.dump(block.test):
             block.body = [ast.Pass()]
-    for top in tree.body:
-        for node in ast.walk(top):
-            names = []
-            if isinstance(node, ast.ImportFrom) and node.module:
-                names = (
-                    [node.module]
-                    if node.module != "mbtl"
-                    else [f"mbtl.{a.name}" for a in node.names]
-                )
-            elif isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            for name in names:
-                if name.startswith("mbtl."):
-                    yield name.split(".")[1], top is node
+    return ast.walk(tree)
+
+
+def imports(path):
+    """The layer of every import of our own."""
+    for node in running(path):
+        names = []
+        if isinstance(node, ast.ImportFrom) and node.module:
+            whole = node.module != "mbtl"
+            names = [node.module] if whole else [f"mbtl.{a.name}" for a in node.names]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        for name in names:
+            if name.startswith("mbtl."):
+                yield name.split(".")[1]
 
 
 def test_every_folder_has_a_place():
@@ -87,20 +91,60 @@ def test_every_folder_has_a_place():
 @pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(ROOT)))
 def test_imports_point_up(path):
     layer = layer_of(path)
-    for imported, _ in imports(path):
+    for imported in imports(path):
         if imported == layer:
             continue
-        if layer in CORE:
-            allowed = set(CORE[: CORE.index(layer)]) | {b for a, b in LAZY if a == layer}
-        else:
-            allowed = {*CORE, *OUTSIDE[layer]}
-        assert imported in allowed, f"{layer} must not import {imported}"
+        above = CORE[: CORE.index(layer)] if layer in CORE else [*CORE, *OUTSIDE[layer]]
+        assert imported in above, f"{layer} must not import {imported}"
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(ROOT)))
 def test_no_module_outgrows_one_idea(path):
     assert len(path.read_text().splitlines()) <= 400
     assert path.stem != "utils"
+
+
+def name_of(path):
+    parts = ["mbtl", *path.relative_to(ROOT).with_suffix("").parts]
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def graph():
+    """Module -> modules it imports, in functions too; what is for type checkers does not count.
+
+    A package that is imported by name alone stands for what its `__init__` re-exports.
+    """
+    every = {name_of(path): path for path in ROOT.rglob("*.py") if path.parent != ROOT}
+    every |= {name_of(path): path for path in ROOT.glob("*.py") if path.stem != "__init__"}
+    edges = {}
+    for name, path in every.items():
+        found = set()
+        for node in running(path):
+            if isinstance(node, ast.Import):
+                found |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                one = {f"{node.module}.{alias.name}" for alias in node.names}
+                found |= {full if full in every else node.module for full in one}
+        edges[name] = (found & every.keys()) - {name}
+    return edges
+
+
+def circles(edges):
+    """Sets of modules that reach each other."""
+    reach = {}
+    for start in edges:
+        seen, left = set(), [*edges[start]]
+        while left:
+            if (one := left.pop()) not in seen:
+                seen.add(one)
+                left += edges[one]
+        reach[start] = seen
+    return {frozenset(b for b in reach[a] if a in reach[b]) for a in reach if a in reach[a]}
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == {frozenset("bc")}
+    assert not circles(graph())
 
 
 def test_importing_mbtl_is_light_and_changes_nothing():
@@ -118,4 +162,11 @@ def test_importing_mbtl_is_light_and_changes_nothing():
 def test_all_public_names_exist():
     for name in mbtl.__all__:
         assert getattr(mbtl, name) is not None
-    assert len(mbtl.__all__) <= 25
+    errors = {name for name in mbtl.__all__ if name in vars(mbtl.errors)}
+    assert len(set(mbtl.__all__) - errors) <= 33
+    assert {e for e in vars(mbtl.errors) if e[0].isupper()} - {"Iterable"} == errors
+
+
+def test_pictures_are_at_hand_and_loaded_only_when_asked_for():
+    program = "import sys, mbtl; assert 'matplotlib' not in sys.modules; print(mbtl.plot.curve)"
+    subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)

@@ -7,13 +7,43 @@ one after another, and serve every context with the best of the trained policies
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbtl import selectors
 from mbtl.contexts import Categorical, Context, ContextSpace, Integer, Linear, Log
-from mbtl.errors import MbtlError
+from mbtl.errors import (
+    CheckFailed,
+    ContextMismatch,
+    InvalidInput,
+    MbtlError,
+    MissingExtra,
+    SimulationFailed,
+    StorageError,
+    StudyError,
+    StudyMismatch,
+    TrainingFailed,
+    TrainingPruned,
+    UnknownName,
+    Unreachable,
+    UnsavedPolicies,
+)
+from mbtl.objective import Bounds, Objective
 from mbtl.portfolio import Portfolio, load_portfolio
-from mbtl.study import Callback, Pick, Study, create_study, load_study
+from mbtl.portfolio.archive import READERS
+from mbtl.study import (
+    Callback,
+    Pick,
+    RunResult,
+    Stopping,
+    Study,
+    StudyFinished,
+    Training,
+    create_study,
+    delete_study,
+    list_studies,
+    load_study,
+)
 from mbtl.version import __version__
 
 if TYPE_CHECKING:
@@ -34,23 +64,44 @@ _LAZY = {
 
 __all__ = [
     "CMDP",
+    "Bounds",
     "Callback",
     "Categorical",
+    "CheckFailed",
     "Context",
+    "ContextMismatch",
     "ContextSpace",
     "Integer",
+    "InvalidInput",
     "Linear",
     "Log",
     "MbtlError",
+    "MissingExtra",
+    "Objective",
     "Pick",
     "Portfolio",
+    "RunResult",
+    "SimulationFailed",
+    "Stopping",
+    "StorageError",
     "Study",
+    "StudyError",
+    "StudyFinished",
+    "StudyMismatch",
+    "Training",
+    "TrainingFailed",
+    "TrainingPruned",
     "TransferMatrix",
+    "UnknownName",
+    "Unreachable",
+    "UnsavedPolicies",
     "__version__",
     "check_cmdp",
     "compare",
     "create_study",
+    "delete_study",
     "get_cmdp",
+    "list_studies",
     "load_curves",
     "load_matrix",
     "load_portfolio",
@@ -58,6 +109,15 @@ __all__ = [
     "plot",
     "selectors",
 ]
+
+
+def _read_sb3(folder: Path) -> Any:
+    from mbtl.training import load_sb3  # needs the `train` extra
+
+    return load_sb3(folder)
+
+
+READERS["sb3"] = _read_sb3
 
 
 def __getattr__(name: str) -> Any:

@@ -42,8 +42,19 @@ class StorageError(MbtlError):
     """The event log cannot be read or written."""
 
 
+class Unreachable(StorageError):
+    """The server of the event log does not answer now; it may in a moment."""
+
+
 class TrainingFailed(MbtlError):
     """A training or evaluation gave nothing that can be used."""
+
+
+class TrainingPruned(MbtlError):
+    """A training is ended early on purpose: raised in `on_progress`, or by a user's own training.
+
+    It spends budget and is not proposed again, but does not count as something that went wrong.
+    """
 
 
 class SimulationFailed(TrainingFailed):

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
+from mbtl.plain import is_finite, short
 
 Direction = Literal["maximize", "minimize"]
 
@@ -34,11 +35,11 @@ def direction_named(text: str) -> Direction:
     Raises:
         InvalidInput: anything else.
     """
-    for short, long in _DIRECTIONS.items():
-        if text in (short, long):
+    for brief, long in _DIRECTIONS.items():
+        if isinstance(text, str) and text in (brief, long):
             return long
     raise InvalidInput(
-        f"direction must be 'maximize' or 'minimize' ('max' or 'min' for short), got {text!r}"
+        f"direction must be 'maximize' or 'minimize' ('max' or 'min' for short), got {short(text)}"
     )
 
 
@@ -65,12 +66,14 @@ class Bounds:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "direction", direction_named(self.direction))
-        if not (self.low < self.high and np.isfinite(self.high - self.low)):
+        proper = is_finite(self.low) and is_finite(self.high)
+        if not (proper and self.low < self.high and is_finite(float(self.high) - float(self.low))):
             raise InvalidInput(
-                f"bounds must be finite with low < high, got ({self.low}, {self.high})"
+                "bounds must be finite with low < high, got "
+                f"({short(self.low)}, {short(self.high)})"
             )
-        if self.floor is not None and not np.isfinite(self.floor):
-            raise InvalidInput(f"a floor must be a finite return, got {self.floor!r}")
+        if self.floor is not None and not is_finite(self.floor):
+            raise InvalidInput(f"a floor must be a finite return, got {short(self.floor)}")
 
     def __iter__(self) -> Iterator[float]:
         return iter((self.low, self.high))
@@ -112,6 +115,24 @@ class Bounds:
         p = np.asarray(performance, dtype=np.float64)
         span = self.high - self.low
         return self.low + p * span if self.direction == "maximize" else self.high - p * span
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What a study aims at: the generalisation performance V, on a scale.
+
+    Attributes:
+        bounds: (low, high) of the returns, or `Bounds`, whose direction and floor then count; None
+            takes those of the problem, else the range told so far.
+        direction: "maximize" or "minimize" the returns; None: the problem's, else maximize.
+        risk: V is the mean over this share of the targets, those that do worst; 1 for all.
+        best_return: the largest return there is (smallest, if minimised); None: not known.
+    """
+
+    bounds: tuple[float, float] | Bounds | None = None
+    direction: Direction | str | None = None
+    risk: float = 1.0
+    best_return: float | None = None
 
 
 def generalisation_performance(rows: Array) -> Array:

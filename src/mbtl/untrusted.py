@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import stat
+import threading
 import unicodedata
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import IO, Any
@@ -19,6 +20,10 @@ from mbtl.errors import StorageError
 
 MALFORMED = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError)
 """What taking a record apart raises where it is of another form than ours."""
+
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Numpy parses headers by `ast`, in which threads disturb each other in Python 3.11 (gh-106905)."""
 
 
 def is_local(name: object) -> bool:
@@ -100,11 +105,12 @@ def read_arrays(file: IO[bytes]) -> dict[str, NDArray[Any]]:
         ValueError: it is no archive of plain arrays, or a damaged one.
     """
     try:
-        loaded = np.load(file, allow_pickle=False)
-        if not isinstance(loaded, np.lib.npyio.NpzFile):
-            raise ValueError("a single array, no archive of named ones")
-        with loaded:
-            arrays = {name: loaded[name] for name in loaded.files}
+        with _ONE_AT_A_TIME:
+            loaded = np.load(file, allow_pickle=False)
+            if not isinstance(loaded, np.lib.npyio.NpzFile):
+                raise ValueError("a single array, no archive of named ones")
+            with loaded:
+                arrays = {name: loaded[name] for name in loaded.files}
     except Exception as error:  # numpy and zipfile raise whatever their parts raise
         raise ValueError(f"something else or a damaged file ({error})") from error
     for name, array in arrays.items():

@@ -1,15 +1,17 @@
 """Comparisons: closed answers of the linear-gap world, and what a selector is shown."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from mbtl.benchmark import TransferMatrix, compare, linear_gap_world, random_curve
-from mbtl.benchmark.compare import default_selectors, is_deterministic
+from mbtl.benchmark.compare import default_selectors
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.selectors import get_selector
 from mbtl.selectors.base import Proposal
+from mbtl.selectors.contract import Traits, traits_of
 
 WORLD = "synthetic:linear-gap"
 
@@ -98,7 +100,7 @@ class Recorder:
     """Takes contexts in order and keeps what it was shown."""
 
     name: str = "recorder"
-    deterministic: bool = True
+    traits: ClassVar[Traits] = Traits(deterministic=True)
     seen: list = field(default_factory=list)
 
     def propose(self, problem, history, rng):
@@ -130,9 +132,9 @@ def test_a_selector_of_a_users_own_is_run_with_all_seeds_unless_it_says_that_one
     result = compare([Coin()], [TransferMatrix.of(np.eye(9)[None])], budget=4, seeds=4)
     assert [run.seed for run in result.results] == [0, 1, 2, 3]
     assert len({run.sources for run in result.results}) > 1
-    assert is_deterministic(Recorder())
-    assert is_deterministic(get_selector("mbtl"))
-    assert not is_deterministic(get_selector("random"))
+    assert traits_of(Recorder()).deterministic
+    assert traits_of(get_selector("mbtl")).deterministic
+    assert not traits_of(get_selector("random")).deterministic
 
 
 @pytest.mark.parametrize(("source", "match"), [(2, "2 again from 'stuck' at pick 2"), (3, "got 3")])

@@ -17,6 +17,7 @@ from mbtl.benchmark import (
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.routing import last_route, routes
+from mbtl.selectors import Traits
 
 SEEN = np.array([[0.9, 0.1, 0.3], [0.2, 0.8, 0.3], [0.2, 0.8, 0.3]])
 FRESH = np.array([[0.5, 0.6, 0.0], [0.7, 0.4, 0.1], [0.0, 0.3, 0.2]])
@@ -72,7 +73,7 @@ def test_a_selector_sees_one_half_and_its_curve_is_of_the_other():
     seen = []
 
     class Spy:
-        name, deterministic = "spy", True
+        name, traits = "spy", Traits(deterministic=True)
 
         def propose(self, problem, history, rng):
             from mbtl.selectors import Proposal

@@ -85,7 +85,9 @@ def test_presets_of_every_engine_are_shown(run):
     text = run("cmdps", "ring-acc").stdout
     sumo = get_cmdp("ring-acc", engine="sumo").presets
     assert all(f"preset {name} with --engine sumo: K = " in text for name in sumo)
-    assert run("cmdps", "signal-speed").stdout.count("preset ") == 3  # SUMO is where it is anyway
+    signal = run("cmdps", "signal-speed").stdout
+    assert signal.count("preset ") == 4
+    assert signal.count("with --engine sumo-jax") == 1  # SUMO is where it is anyway
     one = json.loads(run("cmdps", "ring-acc", "--json").stdout)
     assert one["presets_elsewhere"]["sumo"]["quick"]["budget"] == sumo["quick"].budget
 

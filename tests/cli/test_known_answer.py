@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-FILE = Path(__file__).parents[2] / "benchmarks" / "known_answer.py"
+FILE = Path(__file__).parents[2] / "evidence" / "known_answer.py"
 
 
 @pytest.fixture(scope="module")

@@ -132,7 +132,7 @@ def test_the_summary_says_what_a_person_wants_to_know(mbtl_command, own):
         "fresh episodes",
         "policy would",
         "One more training, at mass =",
-        "no reference curves",
+        "no other methods are drawn",
     ):
         assert words in out.replace("\n", " ")
     assert max(map(len, out.splitlines())) <= 100

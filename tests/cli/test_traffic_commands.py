@@ -9,7 +9,7 @@ pytest.importorskip("libsumo")
 pytest.importorskip("stable_baselines3")
 pytest.importorskip("jax")
 
-from mbtl.cli.play import _Watched
+from mbtl.cli.film import Watched
 from mbtl.envs import rollout
 from mbtl.envs.rollout import Actor, Job
 from mbtl.portfolio import load_portfolio
@@ -41,6 +41,7 @@ def test_a_ring_is_run_in_the_twin_and_its_policy_played_in_sumo(mbtl_command, r
 
     with Image.open(tmp_path / "films" / "ring.gif") as film:
         assert film.n_frames > 17  # eleven looks an episode; equal pictures are stored once
+        assert film.width > 1.5 * film.height  # unguided traffic beside it
     code, again, _ = mbtl_command(*play, "--json")
     assert json.loads(again)["scores"] == told["scores"][:1]
     code, other, _ = mbtl_command(*play, "--json", "--seed", "7")
@@ -77,7 +78,7 @@ def test_an_episode_whose_score_is_known_is_watched_to_its_end():
             self.steps += 1
             return 0.0, 0.0, False, self.steps == 5, {"final_score": -100.0, "score": -7.0}
 
-    watched = _Watched(Jam(), filming=False)
+    watched = Watched(Jam(), filming=False)
 
     class Waits:
         def predict(self, observation, deterministic=True):

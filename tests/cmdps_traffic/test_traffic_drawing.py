@@ -133,3 +133,11 @@ def test_what_cannot_be_rendered_says_why():
         RingVel(render_mode="rgb_array").render()
     with pytest.raises(UnknownName, match="render mode"):
         RingVel(render_mode="human")
+
+
+def test_a_controlled_car_is_blue_with_a_white_edge():
+    plain, marked = draw(Road(), WINDOW), draw(Road(), WINDOW, {"car"})
+    blue = (marked[..., 2].astype(int) > 180) & (marked[..., 0] < 60)
+    assert blue.sum() > 100
+    assert not ((plain[..., 2].astype(int) > 180) & (plain[..., 0] < 60)).any()
+    assert (marked == 255).all(axis=2).sum() > (plain == 255).all(axis=2).sum()

@@ -189,3 +189,13 @@ def test_any_context_gets_coordinates_or_a_sentence():
         assert np.isfinite(space.encode(context)).all()
 
     assert refusals(attempt, 300) > 150
+
+
+def test_a_grid_that_no_memory_holds_is_refused_before_it_is_made():
+    x, y = (Linear(name, 0.0, 1.0) for name in "xy")
+    for axes in ({x: 2**31}, {x: 100_000, y: 100_000}):
+        with pytest.raises(InvalidInput, match="10,000,000"):
+            ContextSpace.grid(axes)
+    record = ContextSpace.grid({x: 3}).to_json()
+    with pytest.raises(InvalidInput, match="as to_json gives it"):
+        ContextSpace.from_json({**record, "grid": [3]})

@@ -10,7 +10,8 @@ from mbtl.history import History
 from mbtl.models import priors
 from mbtl.models.transfer_kernel import TransferPrior
 from mbtl.selectors import Auto, Exhausted, Random, SelectionProblem
-from mbtl.selectors.auto import _PENDING, _nearest, _pending_pairs, _search
+from mbtl.selectors.auto import _nearest, _search
+from mbtl.selectors.auto_beliefs import forget, pending_pairs
 
 RNG = np.random.default_rng(0)
 
@@ -119,11 +120,11 @@ def test_every_third_pick_goes_where_nobody_is_near():
     nearer = np.maximum(covered - np.abs(steps[:, None] - steps), 0.0).sum(axis=1)
     proposal = Auto(cover=3).propose(problem, history, RNG)
     assert proposal.source == nearer.argmax()
-    assert "far from all sources" in proposal.reason
+    assert "largest untested region" in proposal.reason
     assert Auto(cover=0).propose(problem, history, RNG).reason == "largest expected gain"
     assert Auto(cover=4).propose(problem, history, RNG).reason == "largest expected gain"
     waiting = history.with_pending(40)
-    assert "far from all sources" in Auto(cover=4).propose(problem, waiting, RNG).reason
+    assert "largest untested region" in Auto(cover=4).propose(problem, waiting, RNG).reason
     failed = replace(history, failed=(proposal.source,))
     assert Auto(cover=3).propose(problem, failed, RNG).reason == "largest expected gain"
     with pytest.raises(InvalidInput, match="cover must be >= 0"):
@@ -146,7 +147,7 @@ def test_with_everything_trained_a_covering_pick_is_an_ordinary_one():
         history = history.with_row(source, np.full(5, 0.1 * source))
     proposal = Auto(cover=3).propose(problem, history, RNG)
     assert 0 <= proposal.source < 5
-    assert "far from all sources" not in proposal.reason
+    assert "largest untested region" not in proposal.reason
 
 
 def test_gain_per_cost_prefers_the_cheap_of_two_alike():
@@ -302,11 +303,11 @@ def test_the_search_for_a_source_ends_at_the_top_of_a_hill(space):
             asked.extend(sources)
             return height[sources]
 
-        found, gain = _search(problem, everyone, 100, gain_of, np.ones(problem.n))
+        found, gain = _search(problem, everyone, 100, np.ones(problem.n), (), gain_of)
         assert gain.max() == height.max()
         assert len(asked) == len(set(asked)) == len(found) < 600
         np.testing.assert_array_equal(gain, height[found])
-    few, _ = _search(problem, everyone[:60], 100, gain_of, np.ones(problem.n))
+    few, _ = _search(problem, everyone[:60], 100, np.ones(problem.n), (), gain_of)
     np.testing.assert_array_equal(few, everyone[:60])
 
 
@@ -314,7 +315,7 @@ def test_the_search_looks_for_gain_per_cost_and_keeps_sight_of_the_gain():
     problem = line(2000)
     x = np.linspace(0.0, 1.0, 2000)
     gain, costs = 1.1 - np.square(x - 0.83), 1.0 + 9.0 * np.square(x - 0.17)
-    found, seen = _search(problem, np.arange(2000), 20, lambda sources: gain[sources], costs)
+    found, seen = _search(problem, np.arange(2000), 20, costs, (), lambda sources: gain[sources])
     assert (seen / costs[found]).max() == (gain / costs).max()
     assert seen.max() == gain.max()  # what a stopping rule asks about
     assert len(found) < 300
@@ -333,12 +334,34 @@ def test_many_picks_under_way_are_stood_for_by_a_limited_number_of_pairs():
     """A hundred picks on fifty targets each were 5,000 pairs, and n^3 of that for each proposal."""
     problem = line(400)
     targets = np.arange(0, 400, 8)
-    every = _pending_pairs(problem, np.array([3, 200]), targets, 5)
+    every = pending_pairs(problem, np.array([3, 200]), targets, 5)
     assert len(every) == 100
     assert set(every[:, 2]) == {5, 6}
-    many = _pending_pairs(problem, np.arange(0, 400, 4), targets, 5)
-    assert len(many) == _PENDING
+    many = pending_pairs(problem, np.arange(0, 400, 4), targets, 5)
+    assert len(many) < 700
     assert set(many[:, 2]) == set(range(5, 105))
     for source, target, number in many:
         assert source == 4 * (number - 5)
-        assert abs(target - source) <= 24
+        assert number < 15 or abs(target - source) <= 60
+    np.testing.assert_array_equal(
+        pending_pairs(problem, np.arange(0, 200, 4), targets, 5), many[many[:, 2] < 55]
+    )
+
+
+def test_a_batch_is_the_same_whatever_was_kept_of_the_picks_before():
+    problem, rng = line(150, budget=40), np.random.default_rng(3)
+    history = History(150)
+    for source in (20, 75, 130):
+        history = history.with_row(source, reach(150, source, 15, 30) + 0.01 * rng.random(150))
+    picks, kept = [], history
+    for _ in range(8):
+        forget()  # as in another process, which was not asked before
+        fresh = Auto().propose(problem, kept, RNG)
+        kept = kept.with_pending(fresh.source)
+        picks.append(fresh.source)
+    again, asked = [], history
+    for _ in range(8):
+        again.append(Auto().propose(problem, asked, RNG).source)
+        asked = asked.with_pending(again[-1])
+    assert again == picks
+    assert len(set(picks)) == 8

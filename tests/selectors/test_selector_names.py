@@ -1,9 +1,13 @@
 import sys
+import types
 
+import numpy as np
 import pytest
 
+import mbtl
 from mbtl.errors import InvalidInput, UnknownName
-from mbtl.selectors import get_selector
+from mbtl.selectors import Proposal, Traits, get_selector
+from mbtl.selectors.contract import traits_of
 
 OWN = """
 from mbtl.selectors import Proposal
@@ -59,3 +63,47 @@ def test_a_class_in_a_file_and_a_selector_made_there_are_both_found(file):
 def test_what_is_no_selector_is_refused_in_one_sentence(file, name, error, match):
     with pytest.raises(error, match=match):
         get_selector(f"{file}:{name}")
+
+
+class Bare:
+    """A plain class with the one method that a selector needs."""
+
+    def propose(self, problem, history, rng):
+        return Proposal(int(np.flatnonzero(history.open_mask(problem.n))[-1]), "the last one")
+
+
+def test_one_method_is_enough_for_a_selector():
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
+    study = mbtl.create_study(space, budget=2, selector=Bare())
+    assert [study.ask().source, study.ask().source] == [4, 3]
+    assert study.spec.selector["name"] == "Bare"
+    assert traits_of(study.selector) == Traits()
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [(42, "got int 42"), (Bare, r"give Bare\(\)"), (None, "got NoneType"), (object(), "propose")],
+)
+def test_an_object_that_is_no_selector_is_refused_in_one_sentence(given, match):
+    with pytest.raises(InvalidInput, match=match):
+        get_selector(given)
+
+
+@pytest.mark.parametrize(
+    ("proposed", "match"),
+    [
+        (3, "got int 3 from 'Bare'"),
+        (Proposal(7, ""), "from 0 to 4, got 7"),
+        (Proposal(1.5, ""), "got 1.5"),
+        (Proposal(2, ""), "neither trained, under way nor failed, got 2"),
+    ],
+)
+def test_a_proposal_that_breaks_the_contract_is_refused_and_the_next_asker_goes_on(proposed, match):
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
+    study = mbtl.create_study(space, budget=3, selector=Bare())
+    study.tell(2, np.zeros(5))
+    study.selector = types.SimpleNamespace(name="Bare", propose=lambda *_: proposed)
+    with pytest.raises(InvalidInput, match=match):
+        study.ask()
+    study.selector = Bare()
+    assert study.ask().source == 4

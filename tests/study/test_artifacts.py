@@ -113,7 +113,7 @@ def test_a_study_keeps_its_policies_where_it_is_told(tmp_path, kind, request):
         "memory": lambda: f"memory://{uuid.uuid4().hex}",
         "s3": lambda: request.getfixturevalue("s3") + "/a",
     }[kind]()
-    study = study_at(tmp_path, address).run(trainer=TRAINER)
+    study = study_at(tmp_path, address).run(trainer=TRAINER).study
     assert not (tmp_path / "policies").exists()
     later = mbtl.load_study(tmp_path, artifacts=address)
     for i, row in enumerate(later.state.rows):
@@ -126,7 +126,7 @@ def test_a_study_keeps_its_policies_where_it_is_told(tmp_path, kind, request):
 
 
 def test_a_policy_whose_files_have_changed_is_not_read(tmp_path):
-    study = study_at(tmp_path).run(trainer=TRAINER)
+    study = study_at(tmp_path).run(trainer=TRAINER).study
     place = tmp_path / study.state.rows[1].policy
     np.save(place / "x.npy", np.array([9.0]))
     with pytest.raises(StorageError, match="is not the one that was told"):
@@ -148,7 +148,7 @@ def test_a_saved_policy_of_a_dead_worker_is_evaluated_and_not_trained_again(tmp_
     again = FunctionTrainer(
         lambda c, s: trained.append(s) or train(c, s), evaluate, TRAINER.save_fn, TRAINER.load_fn
     )
-    study = study_at(tmp_path, address, budget=1).run(trainer=again)
+    study = study_at(tmp_path, address, budget=1).run(trainer=again).study
     assert (len(study.state.rows), trained) == (1, [])
     first, second = study.state.picks[0].tokens
     assert study.state.rows[0].policy.endswith(first)

@@ -81,7 +81,7 @@ def used(study):
     summarise_study(study).to_json()
     study.portfolio().explain({"mass": 1.5, "n": 1})
     study.extend(5)
-    study.ask(take_over=True)
+    study.ask()
 
 
 # ---- strangers --------------------------------------------------------------------------------
@@ -251,7 +251,7 @@ def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
     study.tell(study.ask(), np.zeros(6), seconds=number, cost=number)
     assert mbtl.load_study(tmp_path / "a.db").spec.theta == 0.5
     assert study.spec.direction == "maximize"
-    with pytest.raises(InvalidInput, match="`seconds` must be a finite number"):
+    with pytest.raises(InvalidInput, match="seconds must be finite"):
         study.tell(study.ask(), np.zeros(6), seconds=np.nan)
     with pytest.raises(InvalidInput, match="distinct context indices"):
         study.tell(2, np.zeros(1), targets=[0.9])

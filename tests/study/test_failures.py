@@ -119,7 +119,7 @@ def test_another_process_evaluates_what_one_has_trained(tmp_path):
     with pytest.raises(TrainingFailed):
         study_in(tmp_path).run(trainer=Bench(evaluate=wrong_shape))
     later = Bench()
-    study = study_in(tmp_path).run(trainer=later)
+    study = study_in(tmp_path).run(trainer=later).study
     assert len(study.state.rows) == 5
     assert len(later.trained) == 4
 
@@ -143,14 +143,14 @@ def test_a_licence_that_expires_after_the_first_training_ends_the_run_after_thre
         study.run(trainer=trainer)
     assert (len(study.state.rows), len(study.state.failures)) == (1, 3)
     trainer.breaks["train"] = None
-    study = study_in(tmp_path).run(trainer=trainer, retry_failed=True)
+    study = study_in(tmp_path).run(trainer=trainer, retry_failed=True).study
     assert (len(study.state.rows), len(study.state.failures)) == (5, 0)
     assert len(study.state.picks) == 5  # what failed spent no budget twice
 
 
 def test_failures_with_successes_between_do_not_end_the_run(tmp_path):
     trainer = Bench(train=fails(lambda count: count % 3 == 0))
-    study = study_in(tmp_path, budget=8).run(trainer=trainer)
+    study = study_in(tmp_path, budget=8).run(trainer=trainer).study
     assert (len(study.state.rows), len(study.state.failures)) == (6, 2)
     trainer = Bench(train=fails(lambda count: count % 3 == 0))
     with pytest.raises(TrainingFailed, match="1 failure in a row"):
@@ -166,7 +166,7 @@ def test_a_failed_evaluation_spends_nothing_and_is_done_again_at_the_end(tmp_pat
         def on_failed(self, study, pick, reason):
             heard.append((pick.number, reason))
 
-    study = study_in(tmp_path).run(trainer=trainer, callbacks=[Ear()])
+    study = study_in(tmp_path).run(trainer=trainer, callbacks=[Ear()]).study
     assert (len(study.state.rows), len(study.state.failures)) == (5, 0)
     assert len(trainer.trained) == 5
     assert study.state.rows[-1].pick == 1
@@ -186,7 +186,7 @@ def test_an_evaluation_that_fails_twice_waits_for_the_next_run(tmp_path, saves):
             raise RuntimeError("no display")
 
     trainer.breaks["evaluate"] = evaluate
-    study = study_in(tmp_path).run(trainer=trainer)
+    study = study_in(tmp_path).run(trainer=trainer).study
     assert len(study.state.rows) == 4
     assert list(study.state.deferred) == [1]
     assert not study.is_finished
@@ -208,7 +208,7 @@ def test_a_policy_that_cannot_be_read_back_is_not_trained_again(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         study_in(tmp_path).run(trainer=trainer)
     trainer.breaks["load"] = fails(lambda folder: True)
-    study = study_in(tmp_path).run(trainer=trainer, report=False)
+    study = study_in(tmp_path).run(trainer=trainer, report=False).study
     assert list(study.state.deferred) == [1]
     assert "its loading failed with RuntimeError" in study.state.deferred[1].reason
     trainer.breaks["load"] = None

@@ -97,8 +97,10 @@ def test_a_training_that_fails_by_chance_is_begun_again(parallel):
         return context["x"]
 
     with ThreadPoolExecutor(2) as pool:
-        study = study_of().run(
-            train, evaluate, parallel=parallel, executor=pool, retries=2, report=False
+        study = (
+            study_of()
+            .run(train, evaluate, parallel=parallel, executor=pool, retries=2, report=False)
+            .study
         )
     assert (len(study.state.rows), len(study.state.failures)) == (6, 0)
     assert len(tries) == 18
@@ -155,8 +157,10 @@ def test_a_future_that_its_user_cancels_is_a_failed_training():
             return super().submit(fn, *args, **kwargs)
 
     with Cancelling(1) as pool:
-        study = study_of().run(
-            lambda c, s: c["x"], evaluate, parallel=2, executor=pool, report=False
+        study = (
+            study_of()
+            .run(lambda c, s: c["x"], evaluate, parallel=2, executor=pool, report=False)
+            .study
         )
     assert [f.reason for f in study.state.failures] == ["it was cancelled"]
     assert len(study.state.rows) == 5

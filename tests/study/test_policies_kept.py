@@ -102,13 +102,13 @@ def test_the_file_behind_a_url(address, file):
 
 
 def test_artifacts_say_where_policies_go(tmp_path):
-    study = study_at(tmp_path / "s.db", artifacts=tmp_path / "kept").run(trainer=TRAINER)
+    study = study_at(tmp_path / "s.db", artifacts=tmp_path / "kept").run(trainer=TRAINER).study
     assert len(policies_in(tmp_path / "kept" / "policies")) == 2
     assert not (tmp_path / "policies").exists()
     shutil.move(tmp_path / "kept", tmp_path / "moved")
     found = mbtl.load_study(tmp_path / "s.db", artifacts=tmp_path / "moved").portfolio(TRAINER)
     assert found.policy(0) == pytest.approx(train(SPACE.context(study.history.sources[0]), 0))
-    memory = study_at(None, artifacts=tmp_path / "memory").run(trainer=TRAINER)
+    memory = study_at(None, artifacts=tmp_path / "memory").run(trainer=TRAINER).study
     assert all(row.policy for row in memory.state.rows)
 
 
@@ -118,7 +118,7 @@ def test_a_database_that_is_no_file_needs_artifacts(tmp_path, monkeypatch):
     with pytest.warns(UnsavedPolicies, match="give artifacts="):
         study.run(trainer=TRAINER)
     assert study.portfolio().policy_for({"x": 0.0}) is not None
-    other = study_at(tmp_path / "s.db", name="other", artifacts=tmp_path).run(trainer=TRAINER)
+    other = study_at(tmp_path / "s.db", name="other", artifacts=tmp_path).run(trainer=TRAINER).study
     assert all(row.policy for row in other.state.rows)
 
 
@@ -153,7 +153,7 @@ def test_the_recipe_enters_the_log_and_another_one_is_refused(tmp_path):
         again.run(trainer=Recipe("mlp", net=(64, 64), steps=20))
     with pytest.raises(StudyMismatch, match="policy_format was 'mlp', got 'custom'"):
         again.run(trainer=Recipe(net=(64, 64), steps=10))
-    assert len(again.run(trainer=Recipe("mlp", net=[64, 64], steps=10)).state.rows) == 3
+    assert len(again.run(trainer=Recipe("mlp", net=[64, 64], steps=10)).curve) == 3
 
 
 def test_a_recipe_can_be_mended_until_it_has_made_a_policy(tmp_path):

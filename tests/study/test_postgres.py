@@ -1,72 +1,36 @@
 """A study on a PostgreSQL server, which the tests start themselves where it is installed."""
 
-import os
-import pwd
-import shutil
 import signal
-import socket
-import subprocess
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+import sqlalchemy
 
 import mbtl
+from mbtl.errors import StorageError, Unreachable
 from mbtl.study import SqlLog, StudyFinished, study_names
+from mbtl.study.events import Event
+from mbtl.study.storage import Conflict
+from mbtl.testing.postgres import Server, missing
 from mbtl.testing.storage import EventLogContract
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 100})
 
 
-def server_program(name):
-    """On the path, or where Debian keeps it."""
-    found = sorted(Path("/usr/lib/postgresql").glob(f"*/bin/{name}"))
-    return str(found[-1]) if found else shutil.which(name)
-
-
 @pytest.fixture(scope="session")
-def postgres(tmp_path_factory):
-    """URL of an empty server of this test run, on a port of its own."""
-    pytest.importorskip("psycopg")
-    initdb, program = server_program("initdb"), server_program("postgres")
-    if initdb is None or program is None:
-        pytest.skip("PostgreSQL is not installed here")
-    user = {}
-    if os.geteuid() == 0:  # the server refuses to run as root
-        try:
-            owner = pwd.getpwnam("postgres")
-        except KeyError:
-            pytest.skip("PostgreSQL does not run as root, and there is no user postgres")
-        user = {"user": owner.pw_uid, "group": owner.pw_gid, "extra_groups": []}
-    place = Path(subprocess.check_output(["mktemp", "-d"], text=True, **user).strip())
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": "/", **user}
-    data = str(place / "data")
-    subprocess.run([initdb, "-D", data, "-U", "mbtl", "--auth=trust", "-N"], check=True, **quiet)
-    settings = {
-        "port": port, "listen_addresses": "127.0.0.1", "unix_socket_directories": "",
-        "max_connections": 200,
-    }  # fmt: skip
-    options = [part for name, value in settings.items() for part in ("-c", f"{name}={value}")]
-    serving = subprocess.Popen([program, "-D", data, *options], **quiet)
-    url = f"postgresql+psycopg://mbtl@127.0.0.1:{port}/postgres"
-    try:
-        for _ in range(600):
-            try:
-                SqlLog(url, "probe", create=True)
-                break
-            except mbtl.MbtlError:
-                assert serving.poll() is None
-                time.sleep(0.1)
-        yield url
-    finally:
-        serving.send_signal(signal.SIGINT)  # at once, whoever is connected
-        serving.wait()
-        shutil.rmtree(place, ignore_errors=True)
+def server():
+    """An empty server of this test run."""
+    if reason := missing():
+        pytest.skip(reason)
+    with Server() as started:
+        yield started
+
+
+@pytest.fixture
+def postgres(server):
+    return server.url
 
 
 @pytest.fixture
@@ -144,3 +108,57 @@ def test_a_run_keeps_its_policies_in_a_folder_of_its_own(postgres, name, tmp_pat
     )
     assert study.is_finished
     assert len(list(tmp_path.rglob("x"))) == 3
+
+
+@pytest.mark.parametrize("how", [signal.SIGQUIT, signal.SIGKILL])
+def test_a_restart_of_the_server_costs_a_study_nothing(server, name, how, caplog):
+    study = mbtl.create_study(
+        SPACE, budget=3, bounds=(0.0, 1.0), storage=server.url, name=name, selector="random"
+    )
+    pick = study.ask(lease=60.0)
+    server.stop(how)
+    again = threading.Timer(0.3, server.start)
+    again.start()
+    assert study.tell(pick, np.ones(100))
+    again.join()
+    assert [row.source for row in mbtl.load_study(server.url, name).state.rows] == [pick.source]
+    assert "does not answer" in caplog.text
+    assert "answers again" in caplog.text
+
+
+def test_an_event_is_appended_once_where_its_commit_was_not_heard_of(server, name):
+    """The server wrote it, and then the connection was lost."""
+    log = SqlLog(server.url, name, create=True)
+    cut = []
+
+    @sqlalchemy.event.listens_for(log._engine, "commit")
+    def _write_and_lose(connection):
+        if not cut:
+            cut.append(True)
+            connection.connection.driver_connection.commit()
+            raise Unreachable("the connection was lost")
+
+    assert log.append(Event("created", {"by": "me"}), after=0) == 1
+    assert cut
+    assert [event.data for event in log.read()] == [{"by": "me"}]
+    cut.clear()
+    with pytest.raises(Conflict):  # of somebody else, in doubt or not
+        log.append(Event("created", {"by": "another"}), after=0)
+
+
+def test_a_server_that_stays_away_is_given_up_in_one_sentence_without_the_password(server, name):
+    study = mbtl.create_study(
+        SPACE, budget=3, bounds=(0.0, 1.0), storage=server.url.replace("mbtl@", "mbtl:pw9@"),
+        name=name,
+    )  # fmt: skip
+    study.log.patience.seconds = 0.2
+    server.stop()
+    try:
+        with pytest.raises(Unreachable, match="does not answer") as caught:
+            study.ask()
+        assert "pw9" not in str(caught.value)
+    finally:
+        server.start()
+    with pytest.raises(StorageError, match="does not exist") as caught:
+        mbtl.load_study(server.url.replace("/postgres", "/nothing"), name)
+    assert not isinstance(caught.value, Unreachable)  # nor will it be there in a minute

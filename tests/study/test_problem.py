@@ -39,7 +39,7 @@ def problem(**record):
 @pytest.mark.parametrize("make", [lambda p, **s: p.study(**s), mbtl.create_study])
 def test_a_study_of_a_problem_needs_nothing_said_twice(tmp_path, make):
     cmdp = problem()
-    study = make(cmdp, selector="random", storage=tmp_path / "s.db").run(report=False)
+    study = make(cmdp, selector="random", storage=tmp_path / "s.db").run(report=False).study
     assert study.space == SPACE
     spec = study.spec
     assert (spec.budget, spec.bounds, spec.direction) == (3, (0.0, 4.0), "minimize")
@@ -131,7 +131,7 @@ def test_a_selector_in_a_file_is_named_in_the_log_and_never_run_from_it(tmp_path
     monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "own_selector.py").write_text(OWN)
     reference = "own_selector.py:Last"
-    study = problem().study(selector=reference, storage="s.db").run(report=False)
+    study = problem().study(selector=reference, storage="s.db").run(report=False).study
     assert study.history.sources == (8, 7, 6)
     with pytest.raises(StudyError, match=r"'last'; give it as selector='own_selector\.py:Last'"):
         mbtl.load_study("s.db")
@@ -146,7 +146,7 @@ def test_a_selector_in_a_file_is_named_in_the_log_and_never_run_from_it(tmp_path
 
 
 def test_a_line_per_pick_is_for_people_who_count_from_1(capsys):
-    study = problem().study(selector="equidistant").run(report=False)
+    study = problem().study(selector="equidistant").run(report=False).study
     lines = capsys.readouterr().err.splitlines()
     gain = study.curve[1] - study.curve[0]
     assert lines[0].startswith("pick 1 of 3: gravity = 8 m/s2, V = ")

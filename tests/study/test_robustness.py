@@ -36,9 +36,9 @@ def scaled(factor):
 
 def test_studies_in_one_folder_or_one_database_keep_their_policies_apart(tmp_path):
     studies = [
-        new(tmp_path / "a.db").run(trainer=scaled(1.0)),
-        new(tmp_path / "b.db").run(trainer=scaled(0.5)),
-        new(tmp_path / "b.db", name="second").run(trainer=scaled(0.25)),
+        new(tmp_path / "a.db").run(trainer=scaled(1.0)).study,
+        new(tmp_path / "b.db").run(trainer=scaled(0.5)).study,
+        new(tmp_path / "b.db", name="second").run(trainer=scaled(0.25)).study,
     ]
     for study, factor in zip(studies, (1.0, 0.5, 0.25), strict=True):
         for pick in study.state.picks:
@@ -131,7 +131,7 @@ def test_numpy_numbers_are_welcome(tmp_path):
     )
     assert study.ask().context == {"n": 3}
     assert mbtl.ContextSpace.grid({mbtl.Linear("x", 0, 1): np.int64(4)}).n == 4
-    with pytest.raises(InvalidInput, match="one or more grid values"):
+    with pytest.raises(InvalidInput, match="grid values, got"):
         mbtl.ContextSpace.grid({mbtl.Linear("x", 0, 1): -3})
 
 
@@ -168,7 +168,7 @@ def test_a_report_that_fails_does_not_hide_the_study(tmp_path):
         return quick_problem.evaluate(policy, contexts, seed)
 
     trainer = FunctionTrainer(quick_problem.train, evaluate, quick_problem.save, quick_problem.load)
-    study = new(tmp_path / "s.db").run(trainer=trainer, callbacks=[Ear()])
+    study = new(tmp_path / "s.db").run(trainer=trainer, callbacks=[Ear()]).study
     assert study.is_finished
     assert said == ["RuntimeError: licence expired"]
 
@@ -208,8 +208,8 @@ def test_a_study_on_a_read_only_medium_can_be_read(tmp_path):
 
 
 def test_a_budget_can_be_raised_and_goes_on_as_if_it_had_been_larger(tmp_path):
-    long = new(tmp_path / "long.db", budget=6).run(trainer=quick_problem.TRAINER)
-    short = new(tmp_path / "short.db", budget=4).run(trainer=quick_problem.TRAINER)
+    long = new(tmp_path / "long.db", budget=6).run(trainer=quick_problem.TRAINER).study
+    short = new(tmp_path / "short.db", budget=4).run(trainer=quick_problem.TRAINER).study
     short.extend(6)
     short.run(trainer=quick_problem.TRAINER)
     assert [p.source for p in short.state.picks] == [p.source for p in long.state.picks]
@@ -244,7 +244,7 @@ def test_studies_and_portfolios_introduce_themselves():
 
 
 def test_a_portfolio_does_not_drop_policies_silently(tmp_path):
-    study = new(None).run(quick_problem.train, quick_problem.evaluate)
+    study = new(None).run(quick_problem.train, quick_problem.evaluate).study
     with pytest.raises(mbtl.MbtlError, match="allow_missing=True"):
         study.portfolio().save(tmp_path / "p")
     study.portfolio().save(tmp_path / "p", allow_missing=True)

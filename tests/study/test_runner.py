@@ -38,7 +38,7 @@ def counting(calls, **changes):
 
 def test_a_run_trains_each_pick_once_and_reports_on_fresh_episodes(tmp_path):
     calls = []
-    study = study_at(tmp_path).run(trainer=counting(calls))
+    study = study_at(tmp_path).run(trainer=counting(calls)).study
     assert len(calls) == 5
     assert study.is_finished
     fresh = fresh_value(study).values
@@ -50,7 +50,7 @@ def test_a_run_trains_each_pick_once_and_reports_on_fresh_episodes(tmp_path):
 def test_a_finished_study_run_again_trains_nothing(tmp_path):
     calls = []
     study_at(tmp_path).run(trainer=counting(calls))
-    again = study_at(tmp_path).run(trainer=counting(calls))
+    again = study_at(tmp_path).run(trainer=counting(calls)).study
     assert len(calls) == 5
     assert again.is_finished
 
@@ -72,7 +72,7 @@ def test_a_run_stopped_in_evaluation_does_not_train_again(tmp_path):
     study.run(trainer=trainer)
     assert len(calls) == 5  # the third policy was found in its folder
     (tmp_path / "calm").mkdir()
-    calm = study_at(tmp_path / "calm").run(trainer=counting([]))
+    calm = study_at(tmp_path / "calm").run(trainer=counting([])).study
     assert [p.source for p in study.state.picks] == [p.source for p in calm.state.picks]
     assert np.array_equal(study.curve, calm.curve)
 
@@ -111,7 +111,7 @@ def test_minimised_returns_serve_with_the_smallest(tmp_path):
     def evaluate(policy, contexts, seed):
         return -quick_problem.evaluate(policy, contexts, seed)
 
-    calm = study_at(tmp_path / "up").run(trainer=counting([]))
+    calm = study_at(tmp_path / "up").run(trainer=counting([])).study
     down = study_at(tmp_path / "down", bounds=(0.0, 20.0), direction="minimize")
     down.run(trainer=counting([], evaluate_fn=evaluate))
     assert [p.source for p in down.state.picks] == [p.source for p in calm.state.picks]
@@ -121,12 +121,16 @@ def test_minimised_returns_serve_with_the_smallest(tmp_path):
 
 def test_workers_in_other_processes_give_the_same_study(tmp_path):
     """Real processes, two trainings at a time; the order of completion does not matter."""
-    there = study_at(tmp_path / "processes").run(
-        trainer=quick_problem.TRAINER, parallel=2, deterministic=True
+    there = (
+        study_at(tmp_path / "processes")
+        .run(trainer=quick_problem.TRAINER, parallel=2, deterministic=True)
+        .study
     )
     with ThreadPoolExecutor(2) as pool:
-        here = study_at(tmp_path / "threads").run(
-            trainer=quick_problem.TRAINER, executor=pool, **BATCHES
+        here = (
+            study_at(tmp_path / "threads")
+            .run(trainer=quick_problem.TRAINER, executor=pool, **BATCHES)
+            .study
         )
     assert [p.source for p in there.state.picks] == [p.source for p in here.state.picks]
     assert np.array_equal(there.curve, here.curve)
@@ -155,8 +159,10 @@ def test_an_interrupted_batch_asks_as_an_undisturbed_one(tmp_path):
                 raise KeyboardInterrupt
 
     with ThreadPoolExecutor(2) as pool:
-        calm = study_at(tmp_path / "calm").run(
-            trainer=quick_problem.TRAINER, executor=pool, **BATCHES
+        calm = (
+            study_at(tmp_path / "calm")
+            .run(trainer=quick_problem.TRAINER, executor=pool, **BATCHES)
+            .study
         )
         with pytest.raises(KeyboardInterrupt):
             study_at(tmp_path / "b").run(
@@ -166,8 +172,10 @@ def test_an_interrupted_batch_asks_as_an_undisturbed_one(tmp_path):
                 deterministic=True,
                 callbacks=[Stop()],
             )
-        resumed = study_at(tmp_path / "b").run(
-            trainer=quick_problem.TRAINER, executor=pool, **BATCHES
+        resumed = (
+            study_at(tmp_path / "b")
+            .run(trainer=quick_problem.TRAINER, executor=pool, **BATCHES)
+            .study
         )
     assert [p.source for p in resumed.state.picks] == [p.source for p in calm.state.picks]
 
@@ -225,7 +233,7 @@ def test_policies_that_cannot_be_saved_stay_in_memory_and_that_is_said_at_once(t
 
 
 def test_a_saved_portfolio_serves_every_context(tmp_path):
-    study = study_at(tmp_path / "s").run(trainer=quick_problem.TRAINER)
+    study = study_at(tmp_path / "s").run(trainer=quick_problem.TRAINER).study
     study.portfolio(quick_problem.TRAINER).save(tmp_path / "p")
     portfolio = mbtl.load_portfolio(tmp_path / "p", load=quick_problem.load)
     seed = evaluation_seed(1, 0)

@@ -7,8 +7,9 @@ import pytest
 import mbtl
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, TrainingFailed
 from mbtl.history import History
+from mbtl.objective import Bounds
 from mbtl.seeds import training_seed
-from mbtl.selectors import MBTL, Proposal, SelectionProblem
+from mbtl.selectors import MBTL, Proposal, SelectionProblem, Traits
 from mbtl.study import StudyFinished
 from mbtl.study.events import Event
 
@@ -320,7 +321,7 @@ class Stubborn:
     """Context 7 as long as it is allowed."""
 
     name: str = "stubborn"
-    retrains: ClassVar[bool] = True
+    traits: ClassVar[Traits] = Traits(retrains=True)
 
     def propose(self, problem, history, rng):
         mask = history.open_mask(problem.n, problem.repeats)
@@ -472,3 +473,26 @@ def test_wishes_that_make_no_sense_leave_nothing_behind(tmp_path, settings, word
     with pytest.raises(InvalidInput, match=words):
         new(tmp_path, **{"selector": "auto", **settings})
     assert not (tmp_path / "study.db").exists()
+
+
+def test_performance_is_computed_once_per_row_under_bounds_that_stay(monkeypatch):
+    study = mbtl.create_study(
+        mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 6}), budget=6, bounds=(0.0, 2.0)
+    )
+    normalised, usual = [], Bounds.normalise
+
+    def counting(self, returns):
+        normalised.append(np.shape(returns))
+        return usual(self, returns)
+
+    monkeypatch.setattr(Bounds, "normalise", counting)
+    seen = []
+    for source in range(5):
+        study.tell(source, np.arange(6.0) + source)
+        seen.append(study.history.rows)
+    assert normalised == [(1, 6)] * 5
+    for k, rows in enumerate(seen, start=1):  # what was handed out stays as it was
+        assert np.array_equal(rows, (np.arange(6.0) + np.arange(k)[:, None]) / 2.0)
+        assert not rows.flags.writeable
+    study.void(1, "wrong simulator")
+    assert np.array_equal(study.history.rows, seen[-1][[0, 2, 3, 4]])

@@ -9,7 +9,8 @@ import numpy as np
 from mbtl.actions.base import Action, Start, StepProblem, Stop, Trail
 from mbtl.actions.evaluation import EVERYWHERE, Evaluation
 from mbtl.history import History
-from mbtl.selectors.base import Exhausted, Selector, nearest_distance
+from mbtl.selectors.base import Exhausted, nearest_distance
+from mbtl.selectors.contract import Selector
 from mbtl.selectors.registry import get_selector
 
 

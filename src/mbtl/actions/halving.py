@@ -17,7 +17,7 @@ from mbtl.actions.base import Action, Extend, Start, StepProblem, Stop, Trail
 from mbtl.actions.evaluation import EVERYWHERE, Evaluation
 from mbtl.actions.fixed import next_source, selector_without
 from mbtl.arrays import Array
-from mbtl.selectors.base import Selector
+from mbtl.selectors.contract import Selector
 
 
 @dataclass(frozen=True)

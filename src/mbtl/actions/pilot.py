@@ -25,7 +25,7 @@ from mbtl.actions.base import (
 from mbtl.actions.evaluation import WHERE_IT_MATTERS, Evaluation
 from mbtl.actions.fixed import next_source, selector_without
 from mbtl.actions.halving import lost_without
-from mbtl.selectors.base import Selector
+from mbtl.selectors.contract import Selector
 
 
 @dataclass(frozen=True)

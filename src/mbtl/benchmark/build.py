@@ -45,7 +45,7 @@ class Build:
         lanes: sources trained together, P.
         kept: folder of policies that are only to be evaluated again; None: train.
         along: rows along the trainings, of a `ManyTrainer`, if any.
-        every: train on each so many-th context only, beginning with the first; all are targets.
+        every: train only on every n-th context, beginning with the first; all are targets.
     """
 
     trainer: Trainer

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -24,8 +23,10 @@ from mbtl.benchmark.shipped import family_of
 from mbtl.benchmark.summary import summarise
 from mbtl.errors import InvalidInput, UnknownName, unknown_name
 from mbtl.history import History
-from mbtl.selectors.base import SelectionProblem, Selector
-from mbtl.selectors.registry import get_selector, is_registered, selector_names
+from mbtl.plain import whole
+from mbtl.selectors.base import SelectionProblem
+from mbtl.selectors.contract import LearnedSelector, Selector, traits_of
+from mbtl.selectors.registry import get_selector, selector_names
 
 ORACLE = "oracle"
 RANDOM = "random"
@@ -64,7 +65,7 @@ def compare(
         matrices: paths ending in .npz, ids of shipped matrices, "all", synthetic ids, or matrices.
         budget: K, from 1 to the smallest N.
         seeds: selector seeds 0..seeds-1 for each matrix seed; deterministic selectors run once. A
-            selector of your own says that it is with an attribute `deterministic`.
+            selector of your own says that it is with `traits = Traits(deterministic=True)`.
         on_step: called before each piece of work, for a progress display.
 
     Raises:
@@ -73,6 +74,7 @@ def compare(
             comes twice, or a selector refuses a matrix (greedy and equidistant need one axis), or
             proposes a context again.
     """
+    budget, seeds = whole("budget", budget), whole("seeds", seeds)
     if seeds < 1:
         raise InvalidInput(f"seeds must be at least 1, got {seeds}")
     sources = open_matrices(matrices)
@@ -95,7 +97,7 @@ def compare(
                     group = [_oracle_run(known, name, s, problems[name].theta)]
                 else:
                     group, fair = [], held_out(selector, getattr(source, "cmdp", ""))
-                    for seed in range(1 if is_deterministic(selector) else seeds):
+                    for seed in range(1 if traits_of(selector).deterministic else seeds):
                         steps.next(f"{name}, seed {s}: {label}")
                         group.append(_run(fair, source, problems[name], (name, s, seed)))
                 runs += group
@@ -113,14 +115,7 @@ def held_out(selector: Selector, cmdp: str) -> Selector:
     One that has learned from matrices has a method `without(family)`; see `family_of`. A matrix is
     of the CMDP that its provenance names, whether it is opened by file or by id.
     """
-    without = getattr(selector, "without", None)
-    return selector if without is None else cast(Selector, without(family_of(cmdp)))
-
-
-def is_deterministic(selector: Selector) -> bool:
-    """Whether a selector ignores its generator: so it says, or it is one of ours but `random`."""
-    ours = is_registered(selector) and selector.name != RANDOM
-    return bool(getattr(selector, "deterministic", ours))
+    return selector.without(family_of(cmdp)) if isinstance(selector, LearnedSelector) else selector
 
 
 def default_selectors(matrices: Sequence[str | Path | RowSource]) -> list[str]:
@@ -227,7 +222,7 @@ class _Steps:
         on_step: OnStep | None,
     ) -> None:
         runs = sum(
-            1 if is_deterministic(selector) else seeds
+            1 if traits_of(selector).deterministic else seeds
             for selector in entrants.values()
             if selector is not None
         )

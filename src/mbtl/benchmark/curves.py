@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.benchmark.entries import Floats, halves, keywords
+from mbtl.benchmark.entries import Floats, halves, keywords, same_sources
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.npz import read_npz, write_npz
 from mbtl.benchmark.shipped import DEFAULT, data_folder, matrix_id, seed_files
@@ -237,9 +237,7 @@ def load_curves(
         same = (part.space, part.bounds, part.theta, part.episodes, part.unit) == (
             first.space, first.bounds, first.theta, first.episodes, first.unit,
         ) and np.array_equal(part.lengths, first.lengths)  # fmt: skip
-        same &= np.array_equal(
-            part.matrix(0).problem(1).sources, first.matrix(0).problem(1).sources
-        )
+        same &= same_sources(part.sources, first.sources)
         if not same:
             raise StorageError(
                 f"the curves of {name!r} must agree on contexts, scale, lengths and episodes, and "

@@ -18,6 +18,7 @@ from mbtl.contexts import ContextSpace, Integer, Linear
 from mbtl.contexts.space import factorial_shape
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds, Direction
+from mbtl.plain import array_of
 from mbtl.untrusted import MALFORMED
 
 Floats = NDArray[np.floating[Any]]
@@ -28,7 +29,7 @@ REFERENCE = "reference_"
 
 def checked_returns(returns: ArrayLike, key: str = "returns", *, square: bool = True) -> Floats:
     """Returns as (S, M, N) finite floats, M = N if `square`, or an `InvalidInput`."""
-    array = np.asarray(returns)
+    array = array_of(key, returns)
     if array.dtype.kind not in "fiu":
         raise InvalidInput(f"{key} must be real numbers, got dtype {array.dtype}")
     if array.dtype.kind != "f":
@@ -56,7 +57,7 @@ def checked_sources(sources: ArrayLike | None, returns: Floats) -> NDArray[np.in
     """(M,) rising indices of contexts; None where they are all N."""
     if sources is None:
         return None
-    array, (_, m, n) = np.asarray(sources), returns.shape
+    array, (_, m, n) = array_of("sources", sources), returns.shape
     if (
         array.shape != (m,)
         or array.dtype.kind not in "iu"
@@ -69,6 +70,13 @@ def checked_sources(sources: ArrayLike | None, returns: Floats) -> NDArray[np.in
             f"{n - 1}, got {array.tolist()!r:.80}"
         )
     return None if m == n else array.astype(np.intp)
+
+
+def same_sources(one: NDArray[np.intp] | None, other: NDArray[np.intp] | None) -> bool:
+    """Whether two matrices are of trainings on the same contexts; None: on all."""
+    if one is None or other is None:
+        return one is other
+    return np.array_equal(one, other)
 
 
 def checked_like(returns: Floats, entry: ArrayLike, key: str) -> Floats:
@@ -84,7 +92,7 @@ def checked_episodes(episodes: Sequence[int] | None, n_halves: int) -> tuple[int
     """Episodes of each half, whole numbers >= 1."""
     if episodes is None:
         return None
-    counts = np.atleast_1d(np.asarray(episodes))
+    counts = np.atleast_1d(array_of("episodes", episodes))
     if counts.shape != (n_halves,) or counts.dtype.kind not in "iu" or (counts < 1).any():
         raise InvalidInput(
             f"episodes must be {n_halves} whole number(s) >= 1, those behind `returns` and "
@@ -99,7 +107,7 @@ def checked_references(
     """Reference rows by name, (S, H, N) finite floats each."""
     rows = {}
     for name, given in references.items():
-        row = np.asarray(given)
+        row = array_of(REFERENCE, given)
         if row.shape != shape or row.dtype.kind != "f" or not np.isfinite(row).all():
             raise InvalidInput(
                 f"{REFERENCE}{name} must be finite numbers of shape (seed, half, target) {shape}, "
@@ -132,7 +140,7 @@ def checked_bounds(
         return bounds
     if bounds is None:
         return replace(Bounds.of(returns, direction), floor=floor)
-    pair = np.asarray(bounds)
+    pair = array_of("bounds", bounds)
     if pair.shape != (2,) or pair.dtype.kind not in "fiu":
         raise InvalidInput(f"bounds must be two numbers (low, high), got {bounds!r}")
     return Bounds(float(pair[0]), float(pair[1]), direction, floor)
@@ -145,7 +153,7 @@ def space_of(contexts: ArrayLike | None, axes: Sequence[str] | None, n: int) -> 
             raise InvalidInput(f"axes {list(axes)} need `contexts` (N, d), which is missing")
         name = axes[0] if axes is not None else "index"
         return ContextSpace.grid({Integer(name, 0, max(n - 1, 1)): list(range(n))})
-    values = np.asarray(contexts)
+    values = array_of("contexts", contexts)
     if (
         values.ndim != 2
         or len(values) != n

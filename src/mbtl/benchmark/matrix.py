@@ -41,6 +41,7 @@ from mbtl.benchmark.npz import read_npz, text_array, write_npz
 from mbtl.contexts import Axis, Categorical, ContextSpace
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds, direction_named
+from mbtl.plain import array_of
 from mbtl.selectors.base import SelectionProblem, default_theta
 
 
@@ -161,10 +162,12 @@ class TransferMatrix:
             theta=default_theta(n) if theta is None else float(theta),
             std=std,
             provenance=dict(provenance or {}),
-            fresh_returns=None if fresh_returns is None else np.asarray(fresh_returns),
+            fresh_returns=None
+            if fresh_returns is None
+            else array_of("fresh_returns", fresh_returns),
             episodes=None if episodes is None else tuple(episodes),
-            references={key: np.asarray(row) for key, row in (references or {}).items()},
-            sources=None if sources is None else np.asarray(sources),
+            references={key: array_of(key, row) for key, row in (references or {}).items()},
+            sources=None if sources is None else array_of("sources", sources),
         )
 
     @classmethod

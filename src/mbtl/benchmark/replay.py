@@ -10,18 +10,21 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.seeds import selection_rng
-from mbtl.selectors.base import SelectionProblem, Selector
+from mbtl.selectors.base import Proposal, SelectionProblem
+from mbtl.selectors.contract import Selector
 
 
 class Replay(NamedTuple):
-    """What was trained, and how long the selector thought.
+    """What was trained and why, and how long the selector thought.
 
     Attributes:
         history: after K = `problem.budget` trainings.
+        proposals: of these, in order.
         select_seconds: wall time of all proposals.
     """
 
     history: History
+    proposals: tuple[Proposal, ...]
     select_seconds: float
 
 
@@ -45,15 +48,17 @@ def replay(
     Raises:
         InvalidInput: it proposes a context more often than the problem allows, or one that is none.
     """
-    history, seconds = History(n_targets=problem.n), 0.0
+    history, proposals, seconds = History(n_targets=problem.n), [], 0.0
     for pick in range(problem.budget):
         rng = selection_rng(seed, trial, pick)
         start = time.perf_counter()
-        source = selector.propose(problem, history, rng).source
+        proposal = selector.propose(problem, history, rng)
         seconds += time.perf_counter() - start
+        source = proposal.source
         _check(selector, problem, history, source)
+        proposals.append(proposal)
         history = history.with_row(source, row_of(source))
-    return Replay(history, seconds)
+    return Replay(history, tuple(proposals), seconds)
 
 
 def _check(selector: Selector, problem: SelectionProblem, history: History, source: int) -> None:

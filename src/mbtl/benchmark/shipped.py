@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbtl.benchmark.entries import Floats
+from mbtl.benchmark.entries import Floats, same_sources
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.npz import write_npz
 from mbtl.errors import InvalidInput, StorageError, unknown_name
@@ -102,7 +102,7 @@ def _difference(one: TransferMatrix, other: TransferMatrix) -> str | None:
     """What keeps two files from being seeds of one matrix; None if nothing does."""
     same = {
         "contexts": one.space == other.space,
-        "sources": np.array_equal(one.problem(1).sources, other.problem(1).sources),
+        "sources": same_sources(one.sources, other.sources),
         "bounds": one.bounds == other.bounds,
         "theta": one.theta == other.theta,
         "deviations (std)": (one.std is None) == (other.std is None),

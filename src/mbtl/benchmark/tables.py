@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mbtl.benchmark.records import (
-    Comparison,
-    Estimate,
-    MatrixSummary,
-    SelectorSummary,
-    Trainings,
-)
 from mbtl.benchmark.references import NAMES
+
+if TYPE_CHECKING:
+    from mbtl.benchmark.records import (
+        Comparison,
+        Estimate,
+        MatrixSummary,
+        SelectorSummary,
+        Trainings,
+    )
 
 
 def comparison_text(comparison: Comparison) -> str:

@@ -22,6 +22,7 @@ from mbtl.cli.reproduce import reproduce_command
 from mbtl.cli.run import run
 from mbtl.cli.study import study_app
 from mbtl.cli.watch import watch
+from mbtl.cli.worker import worker
 from mbtl.errors import InvalidInput, MbtlError, TrainingFailed
 from mbtl.version import __version__
 
@@ -34,7 +35,7 @@ app = typer.Typer(
 )
 
 
-for command in (run, watch, report, play, cmdps, bench, check):
+for command in (run, worker, watch, report, play, cmdps, bench, check):
     app.command()(interruptible(command))
 app.command("reproduce")(interruptible(reproduce_command))
 app.add_typer(study_app, name="study")
@@ -69,11 +70,11 @@ def program() -> None:
     keep_interrupts()
     try:
         main()
-    except SystemExit:
+    except SystemExit as end:
         if interrupts and "jax" in sys.modules:
             sys.stdout.flush()
             sys.stderr.flush()
-            os._exit(1)
+            os._exit(1 if end.code else 0)
         raise
 
 

@@ -46,11 +46,11 @@ def build(
     physics: Annotated[str, typer.Option(help="How contexts act on CartPole.")] = "intended",
     engine: Annotated[str | None, typer.Option(help="jax, gymnasium or sumo.")] = None,
     every: Annotated[
-        int, typer.Option(help="Only each so many-th context of the grid, per axis.")
+        int, typer.Option(help="Keep only every n-th context of the grid, per axis.")
     ] = 1,
     sources_every: Annotated[
         int,
-        typer.Option(help="Train on each so many-th context only; all are targets."),
+        typer.Option(help="Train only on every n-th context; all stay targets."),
     ] = 1,
     algorithm: Annotated[str | None, typer.Option(help="Default: the preset's.")] = None,
     recipe: Annotated[
@@ -77,7 +77,7 @@ def build(
         ),
     ] = 0,
     halvings: Annotated[
-        int, typer.Option(help="Of the shortest length of --along: 6 is 1/64 of a training.")
+        int, typer.Option(help="Shortest length that --along keeps: 6 means 1/64 of a training.")
     ] = 6,
     evaluate_again: Annotated[
         bool,

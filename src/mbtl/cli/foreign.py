@@ -10,7 +10,7 @@ import typer
 from mbtl.benchmark import levels
 from mbtl.benchmark.foreign import LAYOUTS, import_npy
 from mbtl.cli.common import JsonFlag, console, print_json
-from mbtl.errors import InvalidInput, StorageError
+from mbtl.errors import InvalidInput, cannot_write
 
 
 def import_matrix(
@@ -23,7 +23,7 @@ def import_matrix(
     ] = None,
     axis: Annotated[
         list[str] | None,
-        typer.Option(help="Instead: NAME=V1,V2,... for each axis, the slowest first."),
+        typer.Option(help="Or name the grid: NAME=V1,V2,... for each axis, the slowest first."),
     ] = None,
     bounds: Annotated[
         str | None,
@@ -48,7 +48,7 @@ def import_matrix(
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StorageError(f"{out.parent} cannot be created ({error.strerror})") from error
+        raise cannot_write(out, error) from error
     matrix.save(out)
     known = levels(matrix, 0)
     if as_json:

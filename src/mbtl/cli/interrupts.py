@@ -24,15 +24,15 @@ def keep_interrupts() -> None:
         if not issubclass(dropped.exc_type, KeyboardInterrupt):
             usual(dropped)
             return
-        again = threading.Timer(_SOON, _interrupt)
+        again = threading.Timer(_SOON, interrupt_main)
         again.daemon = True
         again.start()
 
     sys.unraisablehook = hook
 
 
-def _interrupt() -> None:
-    """As Ctrl-C does it, so that a wait of the main thread ends, too."""
+def interrupt_main() -> None:
+    """An interrupt of the main thread, as Ctrl-C does it, so that a wait ends, too."""
     main = threading.main_thread().ident
     # a batch system's job may ignore the first, and a program that embeds ours handles no other
     handled = [n for n in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(n))]

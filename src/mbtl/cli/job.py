@@ -42,7 +42,7 @@ class Job:
         variant: name of the set.
         command: that builds it, but for the seed.
         along: rows along the trainings, if any.
-        every: each so many-th context is a source; all are targets.
+        every: every n-th context is a source; all are targets.
     """
 
     cmdp: CMDP

@@ -8,10 +8,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from mbtl.cli.common import JsonFlag, print_json, printer
+from mbtl.cli.film import Watched, save_film
 from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp
 from mbtl.cmdps.engines import EnvFactory, resolved
 from mbtl.cmdps.registry import engines_of
@@ -19,9 +19,6 @@ from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import MANIFEST
 from mbtl.seeds import action_seed, episode_seed, evaluation_seed
-
-_RATE = 10
-"""Pictures of a film per second."""
 
 
 def play(
@@ -37,7 +34,7 @@ def play(
         typer.Option(help="Context, NAME=VALUE; repeat for more. Default: the nominal one."),
     ] = None,
     episodes: Annotated[int, typer.Option(help="Episodes to play.")] = 1,
-    seed: Annotated[int, typer.Option(help="Of the episodes.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the episodes.")] = 0,
     gui: Annotated[
         bool, typer.Option("--gui", help="Show it in sumo-gui, where there is a screen.")
     ] = False,
@@ -66,21 +63,26 @@ def play(
     cmdp = _cmdp(target if portfolio is None else str(portfolio.cmdp), _record(made, "switches"))
     nominal = dict(cmdp.nominal or {})
     context = {**nominal, **_parsed(at or [])}
+    nominal_part = {axis: context[axis] for axis in nominal}
     assert isinstance(cmdp.make_env, EnvFactory)
     shown = _shown(cmdp, gui, film is not None)
     make_env = replace(cmdp.make_env, options={**cmdp.make_env.options, **shown})
-    env = _Watched(make_env(context), film is not None)
+    env = Watched(make_env(context), film is not None)
     if portfolio is None:
         actor, why = rollout.Actor(_AtRandom(env, seed)), "choices at random"
     else:  # other features than the axes are nobody's business but the simulator's
-        choice = portfolio.explain({axis: context[axis] for axis in nominal})
+        choice = portfolio.explain(nominal_part)
         sampled = _record(made, "recipe").get("acting") == "sampled"
         actor, why = actor_for(portfolio.policy(choice.policy), sampled=sampled), choice.explanation
     seeds = [episode_seed(evaluation_seed(seed, 0), episode) for episode in range(episodes)]
     (scores,) = rollout.play([rollout.Job(lambda: env, seeds)], actor, max_envs=1)
+    pictures = 0
     if film is not None:
-        first, *rest = env.pictures
-        first.save(film, save_all=True, append_images=rest, duration=1000 // _RATE, loop=0)
+        env.scores = scores.tolist()
+        takes = {"choices at random" if portfolio is None else "guided": env}
+        if hasattr(env, "drive"):
+            takes["unguided"] = _unguided(make_env(context), seeds, actor)
+        pictures = save_film(film, f"{cmdp.id} at {cmdp.space.describe(nominal_part)}", takes)
     if json:
         print_json({"cmdp": cmdp.id, "context": context, "policy": why, "scores": scores.tolist()})
         return
@@ -88,36 +90,18 @@ def play(
     out.print(f"{cmdp.id} at {cmdp.space.describe(context)}; {why}", markup=False, highlight=False)
     out.print(f"score: {' '.join(f'{score:.4g}' for score in scores)}", highlight=False)
     if film is not None:
-        out.print(f"{len(env.pictures)} pictures: {film}", markup=False, highlight=False)
+        out.print(f"{pictures} pictures: {film}", markup=False, highlight=False)
 
 
-class _Watched:
-    """An environment whose episodes are seen to their end, and which can keep pictures of them."""
+def _unguided(env: Any, seeds: Sequence[int], actor: Any) -> Watched:
+    """The same episodes without a controller."""
+    from mbtl.envs import rollout
+    from mbtl.envs.references import Unguided
 
-    def __init__(self, env: Any, filming: bool) -> None:
-        self.env, self._filming = env, filming
-        self.pictures: list[Any] = []
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.env, name)
-
-    def reset(self, **options: Any) -> Any:
-        started = self.env.reset(**options)
-        self._look()
-        return started
-
-    def step(self, action: Any) -> Any:
-        *moved, info = self.env.step(action)
-        self._look()
-        info.pop("final_score", None)  # a score that is known is no reason to look away
-        return *moved, info
-
-    def _look(self) -> None:
-        if self._filming:
-            from PIL import Image
-
-            picture = Image.fromarray(np.asarray(self.env.render()))
-            self.pictures.append(picture.convert("P", palette=Image.Palette.ADAPTIVE))
+    alone = Watched(Unguided(env), filming=True)
+    (scores,) = rollout.play([rollout.Job(lambda: alone, seeds)], actor, max_envs=1)
+    alone.scores = scores.tolist()
+    return alone
 
 
 class _AtRandom:

@@ -37,7 +37,7 @@ def report(
         float | None,
         typer.Option(
             metavar="SECONDS",
-            help="Write the page again every so many seconds, until all studies are finished; "
+            help="Write the page again at this interval, until all studies are finished; "
             "the page loads itself again.",
         ),
     ] = None,
@@ -81,6 +81,8 @@ def report(
 
 def _open(name: str) -> Study | TransferMatrix:
     path = Path(name)
+    if "://" in name:
+        return open_study(name, None)
     if path.suffix != ".npz" and path.exists():
         return open_study(path, None)
     if path.suffix == ".npz" or name in shipped_matrices():

@@ -14,7 +14,9 @@ import typer
 
 from mbtl.arrays import Array
 from mbtl.cli.common import JsonFlag, console, plain_warnings, print_json, printer
+from mbtl.cli.master import artifacts_for, check_master, command, follow
 from mbtl.cli.progress import LiveProgress
+from mbtl.cli.worker import check_evaluated
 from mbtl.cmdps import resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
 from mbtl.plot import curve, policy_map, policy_shares, save
@@ -58,7 +60,7 @@ def run(
     parallel: Annotated[
         int,
         typer.Option(
-            help="Trainings at a time; picked together, so each without the others' rows."
+            help="Trainings at a time; each is chosen before the others' results are known."
         ),
     ] = 1,
     engine: Annotated[
@@ -79,28 +81,28 @@ def run(
         typer.Option(help="End when one more training surely gains less than this in V."),
     ] = None,
     stop_confidence: Annotated[
-        float, typer.Option(help="How probable that has to be, as the selector predicts it.")
+        float, typer.Option(help="How sure the selector must be of that.")
     ] = 0.9,
     whole_budget: Annotated[
         bool,
-        typer.Option(
-            "--all", help="Spend the whole budget, also where nothing seems left to gain."
-        ),
+        typer.Option("--all", help="Spend the whole budget, even if nothing seems left to gain."),
     ] = False,
     repeats: Annotated[
         int, typer.Option(help="Trainings allowed on one context, where another try may pay.")
     ] = 1,
     eval_targets: Annotated[
         int | None,
-        typer.Option(help="Evaluate each policy on so many contexts only."),
+        typer.Option(help="Evaluate each policy on this many contexts, not on all."),
     ] = None,
     costs: Annotated[
         Path | None,
-        typer.Option(help="Text file: cost of a training on each context; auto gains per cost."),
+        typer.Option(
+            help="Text file: what a training costs on each context; auto then seeks gain per cost."
+        ),
     ] = None,
     cost_budget: Annotated[
         float | None,
-        typer.Option(help="End when trainings have cost this; with --costs, before."),
+        typer.Option(help="End when the trainings have cost this much in all."),
     ] = None,
     risk: Annotated[
         float, typer.Option(help="V is the mean of this share of the contexts, the worst of them.")
@@ -109,7 +111,7 @@ def run(
         bool, typer.Option("--stop-on-failure", help="End at the first failed training.")
     ] = False,
     stop_after_failures: Annotated[
-        int, typer.Option(help="End after so many failed trainings in a row.")
+        int, typer.Option(help="End after this many failed trainings in a row.")
     ] = 3,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Train again where trainings failed.")
@@ -121,6 +123,18 @@ def run(
     tensorboard: Annotated[
         Path | None, typer.Option(help="Folder for TensorBoard: V per pick and training scalars.")
     ] = None,
+    workers: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL",
+            help="Train nothing here: make the study in this database, wait while `mbtl worker`s "
+            "train it, and sum up.",
+        ),
+    ] = None,
+    artifacts: Annotated[
+        str | None,
+        typer.Option(help="Folder or URL of the policies; default: the folder of the study."),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Train policies on the contexts that pay most, and serve all contexts with the best of them.
@@ -128,6 +142,9 @@ def run(
     Interrupt it at any time; the same command goes on where it was.
 
     Example: mbtl run cartpole-length --budget 6 --seed 1
+
+    On a cluster: mbtl run cartpole-length --workers postgresql+psycopg://me@db/studies, and as many
+    `mbtl worker` as you like on the hosts.
 
     The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million
     steps each, 100 episodes per context). The paper's rule: --selector mbtl.
@@ -151,14 +168,15 @@ def run(
     folder = study or Path("runs") / f"{cmdp.id}-{settings['preset']}-seed{seed}"
     former = cmdp.preset(preset).formerly
     begun = Path("runs") / f"{cmdp.id}-{former}-seed{seed}"
-    if former and study is None and not folder.exists() and _is_there(begun, settings, former):
+    if workers is not None:
+        check_master(workers, new=new, parallel=parallel, tensorboard=tensorboard)
+        artifacts = artifacts_for(workers, artifacts, folder)
+    elif former and study is None and not folder.exists() and _is_there(begun, settings, former):
         folder, settings = begun, {**settings, "preset": former}  # before the preset was renamed
     if new:
         _set_aside(folder)
-    if folder.exists() and not (folder / "study.db").exists() and any(folder.iterdir()):
-        raise InvalidInput(
-            f"{folder} holds something that is not a study; choose another with --study"
-        )
+    if workers is None:
+        _check_folder(folder)
     running = cmdp.study(
         preset,
         trainer=trainer,
@@ -174,13 +192,17 @@ def run(
         costs=None if costs is None else _numbers(costs),
         cost_budget=cost_budget,
         risk=risk,
-        storage=folder / "study.db",
+        storage=folder / "study.db" if workers is None else workers,
+        artifacts=artifacts,
         name=folder.resolve().name,
         settings=settings,
         load_if_exists=True,
     )
     _announce(running, folder)
     ended: TrainingFailed | None = None
+    if workers is not None:
+        start = command(workers, running.name, problem, engine, selector, artifacts)
+        follow(running, start, retry_failed=retry_failed)
     with plain_warnings(), LiveProgress(running, console) as live:
         callbacks: list[Callback] = [live]
         if tensorboard is not None:
@@ -192,7 +214,7 @@ def run(
                 parallel=parallel,
                 on_failure="stop" if stop_on_failure else "continue",
                 stop_after_failures=stop_after_failures,
-                retry_failed=retry_failed,
+                retry_failed=retry_failed and workers is None,
                 rehearse=not no_rehearsal,
                 progress=False,
                 callbacks=callbacks,
@@ -204,12 +226,13 @@ def run(
     _finish(running, trainer, folder, as_json=as_json)
     if ended is not None:
         raise ended
-    if running.state.deferred:
-        count = len(running.state.deferred)
-        raise TrainingFailed(
-            f"{count} {'policy is' if count == 1 else 'policies are'} trained and could not be "
-            "evaluated (`mbtl study show` says why); mend the cause, then run the same command "
-            "again: nothing is trained twice"
+    check_evaluated(running)
+
+
+def _check_folder(folder: Path) -> None:
+    if folder.exists() and not (folder / "study.db").exists() and any(folder.iterdir()):
+        raise InvalidInput(
+            f"{folder} holds something that is not a study; choose another with --study"
         )
 
 

@@ -23,7 +23,10 @@ from mbtl.study import SqlLog, Study, study_names
 study_app = typer.Typer(help="List, show and export studies.", no_args_is_help=True)
 
 _Study = Annotated[
-    Path, typer.Argument(metavar="STUDY", help="Folder of the study, e.g. runs/NAME, or its file.")
+    str,
+    typer.Argument(
+        metavar="STUDY", help="Folder of the study, e.g. runs/NAME, its file, or a URL."
+    ),
 ]
 _Name = Annotated[
     str | None, typer.Option(help="Name of the study, where its database holds several.")
@@ -166,9 +169,11 @@ def _row(database: Path, name: str) -> dict[str, Any]:
     }
 
 
-def open_study(path: Path, name: str | None) -> Study:
+def open_study(path: str | Path, name: str | None) -> Study:
     """A study for reading only: with any selector, so that one of the user's own opens too."""
-    place = path / "study.db" if path.is_dir() else path
+    place: str | Path = path
+    if "://" not in str(path):
+        place = Path(path) / "study.db" if Path(path).is_dir() else Path(path)
     names = study_names(place)
     if name is None and len(names) > 1:
         raise InvalidInput(
@@ -177,4 +182,5 @@ def open_study(path: Path, name: str | None) -> Study:
     if name is not None and name not in names:
         raise unknown_name("study", name, names)
     chosen = name or next(iter(names), "study")
-    return Study(SqlLog(place, chosen), get_selector("random"), folder=place.parent, name=chosen)
+    folder = None if isinstance(place, str) else place.parent
+    return Study(SqlLog(place, chosen), get_selector("random"), folder=folder, name=chosen)

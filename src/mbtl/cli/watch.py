@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -20,7 +19,9 @@ from mbtl.study import Study
 
 
 def watch(
-    study: Annotated[Path, typer.Argument(metavar="STUDY", help="Folder of the study, or file.")],
+    study: Annotated[
+        str, typer.Argument(metavar="STUDY", help="Folder of the study, its file, or a URL.")
+    ],
     every: Annotated[float, typer.Option(help="Seconds between looks.")] = 2.0,
     name: Annotated[
         str | None, typer.Option(help="Name of the study, where its database holds several.")

@@ -1,20 +1,22 @@
 """Where a CMDP is simulated: step by step in Gymnasium or SUMO, or in jax for whole batches.
 
-Both take their physics from the same environment, so no constant is derived twice.
+All take their physics from the same environment, so no constant is derived twice. "sumo-jax" is
+SUMO with the learners of the jax engine: each simulation has a process of its own.
 """
 
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, Literal
 
 from mbtl.contexts import Axis, Context
-from mbtl.errors import ContextMismatch, missing_extra, unknown_name
+from mbtl.errors import ContextMismatch, InvalidInput, missing_extra, unknown_name
 
-ENGINES = ("jax", "gymnasium", "sumo")
+ENGINES = ("jax", "gymnasium", "sumo", "sumo-jax")
 
 _EXTRAS = {"Box2D": "envs", "gymnasium": "envs", "mujoco": "envs", "pettingzoo": "traffic"}
 """Of packages that simulators need."""
@@ -137,6 +139,73 @@ class TwinProblem:
         record = pkgutil.resolve_name(self.problem)(**self.options, **switches)
         twin, params = record(contexts)
         return twin, _stacked(params) if params else None
+
+
+@dataclass(frozen=True)
+class SceneProblem:
+    """contexts -> world of simulators in processes (`mbtl.training.world_trainer.Problem`).
+
+    Attributes:
+        make_env: context -> environment, of a function of a module or a record; a Gymnasium one, or
+            a PettingZoo parallel one that has `most_agents`. It has `episode_steps`, and what it
+            shows of the context is in its observations.
+        time_limit: how learning sees the end of an episode.
+    """
+
+    make_env: Callable[[Context], Any]
+    time_limit: Literal["truncation", "terminal"] = "truncation"
+
+    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
+        """The world, and the parameters of `contexts` with one leading axis.
+
+        Raises:
+            InvalidInput: there are no contexts, their numbers have different names, or the
+                environments cannot be made elsewhere.
+            MissingExtra: jax or the simulator is not installed.
+        """
+        from gymnasium.spaces import Discrete
+
+        from mbtl import worlds
+        from mbtl.envs.scene import EnvScene
+        from mbtl.worlds.processes import Processes
+
+        names = {tuple(sorted(context)) for context in contexts}
+        if len(names) != 1:
+            raise InvalidInput(
+                f"simulators in processes take contexts with the same names, got {sorted(names)}"
+            )
+        (features,) = names
+        envs = [self.make_env(context) for context in contexts]
+        team = hasattr(envs[0], "possible_agents")
+        seen, act = (
+            (envs[0].observation_space(""), envs[0].action_space(""))
+            if team
+            else (envs[0].observation_space, envs[0].action_space)
+        )
+        places = envs[0].most_agents if team else 1
+        world = Processes.of(
+            partial(EnvScene, self.make_env, places),
+            action=worlds.Discrete(int(act.n))
+            if isinstance(act, Discrete)
+            else worlds.Box(tuple(act.low.tolist()), tuple(act.high.tolist())),
+            agents=places,
+            n_features=int(seen.shape[0]),
+            features=features,
+            time_limit=self.time_limit,
+            drives=hasattr(envs[0], "drive"),
+        )
+        constants = [
+            {**context, "decisions": env.episode_steps}
+            for context, env in zip(contexts, envs, strict=True)
+        ]
+        for env in envs:
+            env.close()
+        return world, worlds.stack_params(world, constants)
+
+    @property
+    def lanes(self) -> int:
+        """Policies trained together: their episodes run at the same time."""
+        return 1
 
 
 def _stacked(params: Sequence[Any]) -> Any:

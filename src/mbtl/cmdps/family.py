@@ -52,6 +52,8 @@ class Family:
         theta: slope of the linear gap, performance per grid step (spec, 2.2).
         presets: recipes of Stable-Baselines3 by name, the first is the default.
         jax: the same in the jax engine, if it is there.
+        in_processes: recipes of the jax engine's learners in the simulator, each simulation in a
+            process of its own; empty: they cannot.
         switches: options of the environment beside visibility and time limit.
         simulator: the engine of `entry_point`, "gymnasium" or "sumo".
         visibility: what of the context the policy sees unless told otherwise.
@@ -67,6 +69,7 @@ class Family:
     theta: float
     presets: Mapping[str, Preset]
     jax: JaxFamily | TwinFamily | None = None
+    in_processes: Mapping[str, Preset] = field(default_factory=dict)
     switches: tuple[str, ...] = ()
     simulator: str = "gymnasium"
     visibility: str = "multiplier"

@@ -10,6 +10,7 @@ from mbtl.cmdps.engines import (
     ENGINES,
     EnvFactory,
     JaxProblem,
+    SceneProblem,
     TwinProblem,
     jax_is_installed,
 )
@@ -37,7 +38,8 @@ def cmdp_ids() -> list[str]:
 def engines_of(id: str) -> list[str]:
     """Where a CMDP is simulated; each has presets of its own."""
     _, family = _entry(id)
-    return [family.simulator, *(["jax"] if family.jax is not None else [])]
+    others = {"jax": family.jax is not None, "sumo-jax": bool(family.in_processes)}
+    return [family.simulator, *(engine for engine, there in others.items() if there)]
 
 
 def gym_id(id: str) -> str:
@@ -104,8 +106,8 @@ def get_cmdp(
         obs: what an advised driver sees (ring, ramp): "fresh", the state at the decision, or
             "stale", that of one hold before, as in the reference.
         engine: "jax" (vectorised, needs the extra), or Stable-Baselines3 in the simulator of the
-            family, "gymnasium" or "sumo"; None: jax where it is installed and this CMDP has it. The
-            presets are those of the engine.
+            family, "gymnasium" or "sumo", or "sumo-jax", the learners of jax in SUMO; None: jax
+            where it is installed and this CMDP has it. The presets are those of the engine.
 
     Raises:
         UnknownName: no CMDP has this id, or a switch has no such setting.
@@ -187,11 +189,16 @@ def _training(
         # a process has room for one simulation in libsumo: evaluate one at a time, train elsewhere
         alone: dict[str, Any] = {"n_eval_envs": 1, "processes": True} if engine == "sumo" else {}
         return family.presets, SB3Trainer(make_env, **alone, **default.options())
-    if family.jax is None or engine != "jax":
+    if engine not in engines_of(id):
         there = " and ".join(engines_of(id))
         raise InvalidInput(f"{id!r} is simulated in {there}, got engine={engine!r}")
     from mbtl.training import WorldTrainer
 
+    if engine == "sumo-jax":
+        default = next(iter(family.in_processes.values()))
+        scenes = SceneProblem(make_env, make_env.options["time_limit"])
+        return family.in_processes, WorldTrainer(scenes, **default.options())
+    assert family.jax is not None  # `engines_of` says so
     default = next(iter(family.jax.presets.values()))
     problem: JaxProblem | TwinProblem
     if isinstance(family.jax, TwinFamily):

@@ -34,7 +34,7 @@ _RING_TRPO = {**_TRPO, "learning_rate": 1e-4, "batch_size": 400}
 _RAMP_TRPO = {**_TRPO, "learning_rate": 1e-3}
 _NEAR_SIGHTED = {"gamma": 0.9, "n_critic_updates": 10, "normalize_advantage": True}
 """For few episodes on the ramp: what an instruction does to the traffic shows within ten of them,
-and all that comes later is noise. `benchmarks/sumo_learning.py` has what it is worth."""
+and all that comes later is noise. `evidence/sumo_learning.py` has what it is worth."""
 
 _IN_TWIN = Preset(
     budget=15,
@@ -124,6 +124,7 @@ def _ring(name: str, actions: str) -> Family:
         theta=0.005,
         presets=_in_sumo(_RING_TRPO, {}, normalize_reward=True, **_applied(actions)),
         jax=TwinFamily("mbtl.cmdps.traffic.twins:RingProblem", _TWIN_PRESETS, {"actions": actions}),
+        in_processes=_TWIN_PRESETS,
         switches=("obs",),
         simulator="sumo",
         visibility="hidden",
@@ -144,6 +145,7 @@ def _ramp(name: str, actions: str, checkpoint: str) -> Family:
         jax=TwinFamily(
             "mbtl.cmdps.traffic.twins:RampProblem", _RAMP_TWIN_PRESETS, {"actions": actions}
         ),
+        in_processes=_RAMP_TWIN_PRESETS,
         switches=("obs",),
         simulator="sumo",
         visibility="hidden",
@@ -182,7 +184,7 @@ _DQN_OF_FEW: Mapping[str, Any] = {
     "policy_kwargs": {"net_arch": [128] * 2, "activation_fn": "Mish"},
 }
 """For few episodes: what was seen is turned by quarters, and learnt from by a small network at a
-rate that falls. `benchmarks/sumo_learning.py --cmdp signal-inflow` has what each is worth."""
+rate that falls. `evidence/sumo_learning.py --cmdp signal-inflow` has what each is worth."""
 
 
 def _signal(hyperparameters: Mapping[str, Any], **changes: Any) -> Preset:
@@ -211,6 +213,19 @@ _SIGNAL = {
     ),
     "paper": _signal(_DQN, description="the paper's budget, final policy"),
 }  # fmt: skip
+
+_SIGNAL_PPO = Preset(
+    budget=15,
+    episodes=100,
+    eval_episodes=4,
+    algorithm="PPO",
+    recipe_name="fast",
+    hyperparameters={"n_episodes": 4},
+    checkpoint="final",
+    checkpoint_every=100,
+    checkpoint_episodes=1,
+    description="the paper's episodes, by PPO on whole episodes instead of DQN",
+)
 
 # ---- eco-driving -----------------------------------------------------------------------------
 
@@ -311,6 +326,7 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
         bounds=(-100.0, 0.0),
         theta=0.001,
         presets=_SIGNAL,
+        in_processes={"standard": _SIGNAL_PPO},
         simulator="sumo",
         visibility="hidden",
         check_steps=40,
@@ -323,6 +339,7 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
         theta=0.005,
         presets=_ECO,
         jax=TwinFamily("mbtl.cmdps.traffic.twins:EcoProblem", _ECO_TWIN),
+        in_processes={name: _ECO_TWIN[name] for name in ("fast", "paper")},
         simulator="sumo",
         check_steps=60,
     ),

@@ -19,9 +19,12 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.plain import short
 
 Value = float | int | str
 
+MOST = 10_000_000
+"""Contexts of a space: a few GB."""
 _ROUNDING = 1e-9
 """Share of an axis that a value may lie outside, as sums and powers are rounded."""
 
@@ -243,7 +246,10 @@ class Categorical(Axis):
     def __post_init__(self) -> None:
         _check_names(self.name, self.unit)
         given = self.choices
-        choices = () if isinstance(given, str) else tuple(_python(choice) for choice in given)
+        try:
+            choices = () if isinstance(given, str) else tuple(_python(choice) for choice in given)
+        except TypeError:  # nothing that can be gone through
+            choices = ()
         object.__setattr__(self, "choices", choices)
         if not all(isinstance(c, str) or _number(c) is not None for c in choices):
             raise InvalidInput(f"axis {self.name!r} takes texts and numbers, got {choices!r}")
@@ -298,6 +304,27 @@ def axis_from_json(record: Mapping[str, Any]) -> Axis:
     if kind not in _NUMERIC:
         raise unknown_name("axis kind", kind, [*_NUMERIC, "categorical"])
     return _NUMERIC[kind](record["name"], record["low"], record["high"], record["unit"])
+
+
+def grid_values(axis: Axis, given: int | Sequence[Value]) -> list[Value]:
+    """The values of an axis on a grid: themselves, or so many that are evenly spread.
+
+    Raises:
+        InvalidInput: neither a number of values nor values, or far too many.
+    """
+    if not isinstance(given, (int, np.integer)):
+        try:
+            return axis.own(list(given))
+        except TypeError:
+            raise InvalidInput(
+                f"axis {axis.name!r} takes a number of values, or the values, got {given!r}"
+            ) from None
+    count = int(given)
+    if not 1 <= count <= MOST:
+        raise InvalidInput(
+            f"axis {axis.name!r} needs from 1 to {MOST:,} grid values, got {short(count)}"
+        )
+    return axis.spread(count)
 
 
 def _check_names(name: str, unit: str) -> None:

@@ -9,6 +9,7 @@ Notation (shapes): N contexts, d axes, D >= d columns (a categorical axis has on
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -17,8 +18,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array, uniform_weights
-from mbtl.contexts.axes import Axis, Categorical, Integer, Value, axis_from_json
-from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+from mbtl.contexts.axes import (
+    MOST,
+    Axis,
+    Categorical,
+    Integer,
+    Value,
+    axis_from_json,
+    grid_values,
+)
+from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, unknown_name
+from mbtl.untrusted import MALFORMED
 
 Context = dict[str, Value]
 
@@ -79,7 +89,7 @@ class ContextSpace:
                 raise InvalidInput(
                     f"grid takes axes as keys, such as Linear('x', 0, 1), got {axis!r}"
                 )
-        levels = [_grid_values(axis, given) for axis, given in axes.items()]
+        levels = [grid_values(axis, given) for axis, given in axes.items()]
         for axis, values in zip(axes, levels, strict=True):
             if not values:
                 raise InvalidInput(f"axis {axis.name!r} needs one or more values, got none")
@@ -90,6 +100,8 @@ class ContextSpace:
                     f"grid values of axis {axis.name!r} must be strictly increasing, got {values}"
                 )
         shape = tuple(len(values) for values in levels)
+        if (n := math.prod(shape)) > MOST:
+            raise InvalidInput(f"a context space has at most {MOST:,} contexts, got {n:,}")
         columns = [np.asarray(v, dtype=object) for v in levels]
         mesh = [m.ravel().tolist() for m in np.meshgrid(*columns, indexing="ij")]
         return cls(tuple(axes), mesh, shape=shape, weights=weights)
@@ -250,15 +262,19 @@ class ContextSpace:
 
     @classmethod
     def from_json(cls, record: Mapping[str, Any]) -> ContextSpace:
-        """Rebuild a space from `to_json`."""
-        axes = [axis_from_json(a) for a in record["axes"]]
-        weights = record.get("weights")
-        if "grid" in record:
-            levels = dict(zip(axes, record["grid"], strict=True))
-            if len(levels) < len(axes):
+        """Rebuild a space from `to_json`; raises `InvalidInput` where it is of another form."""
+        try:
+            axes = [axis_from_json(a) for a in record["axes"]]
+            weights = record.get("weights")
+            if "grid" not in record:
+                return cls(axes, record["points"], weights=weights)
+            if len(levels := dict(zip(axes, map(list, record["grid"]), strict=True))) < len(axes):
                 raise InvalidInput("a context space needs axes of distinct names")
             return cls.grid(levels, weights=weights)
-        return cls(axes, record["points"], weights=weights)
+        except MbtlError:
+            raise
+        except MALFORMED as error:
+            raise InvalidInput(f"a context space is as to_json gives it: {error!r:.80}") from error
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, ContextSpace) and self.to_json() == other.to_json()
@@ -329,20 +345,6 @@ class ContextSpace:
 
 def _key(unit: Array) -> tuple[float, ...]:
     return tuple((np.round(unit, _DIGITS) + 0.0).tolist())
-
-
-def _grid_values(axis: Axis, given: int | Sequence[Value]) -> list[Value]:
-    if not isinstance(given, (int, np.integer)):
-        try:
-            return axis.own(list(given))
-        except TypeError:
-            raise InvalidInput(
-                f"axis {axis.name!r} takes a number of values, or the values, got {given!r}"
-            ) from None
-    count = int(given)
-    if count < 1:
-        raise InvalidInput(f"axis {axis.name!r} needs one or more grid values, got {count}")
-    return axis.spread(count)
 
 
 def _from_fraction(axis: Axis, u: float) -> Value:

@@ -16,7 +16,7 @@ score with it: to evaluate, step the environment itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import gymnasium
@@ -164,16 +164,8 @@ class Slots(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untyped for ou
 
     def _seat(self, seen: dict[str, Observation]) -> Observation:
         """Give newcomers a slot; what every slot sees now."""
-        seated = {car for car in self.present if car is not None}
-        for car in self.team.agents:
-            if car not in seated:
-                if None not in self.present:
-                    raise InvalidInput(
-                        f"every agent needs a slot, got {len(self.team.agents)} agents and "
-                        f"{len(self.present)} slots; give more slots"
-                    )
-                k = self.present.index(None)
-                self.present[k], self._returns[k], self._lengths[k] = car, 0.0, 0
+        for k in seated(self.present, self.team.agents):
+            self._returns[k], self._lengths[k] = 0.0, 0
         shown = np.full(self.observation_space.shape, BLANK, dtype=np.float32)
         for k, car in enumerate(self.present):
             if car is not None:
@@ -194,6 +186,29 @@ class Together(Slots):
         if not last:
             return seen, reward, False, False, info
         return seen, reward, False, True, {**info, "score": last[0]["score"]}
+
+
+def seated(present: list[str | None], agents: Sequence[str]) -> list[int]:
+    """Give agents that have none the first free slots; these slots.
+
+    Args:
+        present: name of the agent in each slot, or None; changed in place.
+        agents: all that are there now.
+
+    Raises:
+        InvalidInput: more agents than slots.
+    """
+    there, given = set(present), []
+    for agent in agents:
+        if agent not in there:
+            if None not in present:
+                raise InvalidInput(
+                    f"every agent needs a slot, got {len(agents)} agents and {len(present)} slots; "
+                    "give more slots"
+                )
+            given.append(present.index(None))
+            present[given[-1]] = agent
+    return given
 
 
 def as_one(env: Any) -> Any:

@@ -32,7 +32,7 @@ CANDIDATES: Mapping[str, TransferPrior] = {
 """How far a policy reaches is a matter of the ratio of contexts, of their difference, or both; or
 targets are hard or easy whatever the source."""
 
-# begin: benchmarks/learn_prior.py --write
+# begin: evidence/learn_prior.py --write
 CHOSEN: Mapping[str, str] = {
     "all": "ratio",
     "cartpole": "ratio",

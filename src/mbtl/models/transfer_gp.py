@@ -102,7 +102,7 @@ class TransferGP:
 
     def predict_pairs(self, pairs: Pairs) -> tuple[Array, Array]:
         """Mean and standard deviation (m,) of J at `pairs` (m, 3), without noise; O(n^2 m)."""
-        half = _half(self._chol, covariance(self._places, self._prior, self._pairs, pairs))
+        half = half_solved(self._chol, covariance(self._places, self._prior, self._pairs, pairs))
         own = variance(self._prior)
         left = np.maximum(own - np.einsum("ij,ij->j", half, half), 1e-9 * own)
         return self.mean + half.T @ self._residual, np.sqrt(self.scale * left)
@@ -137,14 +137,14 @@ class TransferGP:
         """Covariances with the data, halved; the mean; what not knowing mu adds, a deviation."""
         across = covariance(self._places, self._prior, self._pairs, pairs)
         across += self._prior.noise * same_pair(self._pairs, pairs)
-        half = _half(self._chol, across)
+        half = half_solved(self._chol, across)
         unsure = (1.0 - half.T @ self._ones) / np.sqrt(self._ones @ self._ones)
         return half, self.mean + half.T @ self._residual, unsure
 
     def draws(self, sources: Pairs, targets: Pairs, n: int, rng: np.random.Generator) -> Array:
         """(n, M, T) samples of the rows of new trainings, one on each of M sources."""
         pairs = grid_pairs(sources, targets, NEW - 1 - np.arange(len(sources)))
-        half = _half(self._chol, covariance(self._places, self._prior, self._pairs, pairs))
+        half = half_solved(self._chol, covariance(self._places, self._prior, self._pairs, pairs))
         left = covariance(self._places, self._prior, pairs, pairs) - half.T @ half
         left[np.diag_indices_from(left)] += 1e-6 * variance(self._prior)
         root = np.sqrt(self.scale) * np.linalg.cholesky(left)
@@ -181,17 +181,23 @@ def _fit_relative(kernel: Array, noise: float | Array, y: Array) -> _Fit:
     noisy = kernel.copy()
     noisy[np.diag_indices_from(noisy)] += noise
     chol = np.asarray(np.linalg.cholesky(noisy), np.float64)
-    ones, values = _half(chol, np.ones(len(y))), _half(chol, y)
+    ones, values = half_solved(chol, np.ones(len(y))), half_solved(chol, y)
     mean = float(ones @ values / (ones @ ones))
     residual = np.asarray(values - mean * ones)
     n, square = len(y), float(residual @ residual)
-    scale = (square + _SHRINK * _USUAL) / (n + _SHRINK)
+    scale = scale_of(square, n)
     log_det = 2.0 * float(np.log(np.diagonal(chol)).sum())
     likelihood = -0.5 * (n * np.log(2.0 * np.pi * scale) + log_det + square / scale)
     return _Fit(chol, residual, ones, mean, scale, float(likelihood))
 
 
-def _half(chol: Array, right: Array) -> Array:
+def scale_of(square: float, n: int) -> float:
+    """The factor of all variances, of n residuals whose squares add up to `square`."""
+    return (square + _SHRINK * _USUAL) / (n + _SHRINK)
+
+
+def half_solved(chol: Array, right: Array) -> Array:
+    """L^-1 times the right-hand side."""
     from scipy.linalg import solve_triangular  # kept out of `import mbtl`
 
     return np.asarray(solve_triangular(chol, right, lower=True, check_finite=False))

@@ -44,6 +44,10 @@ _ASIDE = ".old-"
 
 _RECORDED_LIBRARIES = ("mbtl", "numpy", "gymnasium", "stable-baselines3", "sb3-contrib", "torch")
 
+READERS: dict[str, Callable[[Path], Any]] = {}
+"""Policy format -> folder -> policy, for formats of adapters, which are outside the core; the
+package itself names them (`mbtl/__init__.py`), so that nothing here knows of them."""
+
 Record = dict[str, Any]
 SavedPolicy = tuple[str, Path | None, Any]
 """Folder name, where it was saved (None: nowhere), the policy itself if it is at hand."""
@@ -133,16 +137,14 @@ def load_policy(
         return load(folder)
     if is_mlp_folder(regular_files(folder, "a policy")):
         return MLPPolicy.load(folder)
-    if policy_format == "sb3" and not trust:
+    if policy_format in READERS and not trust:
         raise InvalidInput(
             f"a Stable-Baselines3 zip can run code of whoever made it, and {folder} has no other "
             "copy of its policy; if you trust its maker, pass trust=True (--trust), or the trainer "
             "that wrote it"
         )
-    if policy_format == "sb3":
-        from mbtl.training import load_sb3  # outside the core: needs the `train` extra
-
-        return load_sb3(folder)
+    if policy_format in READERS:
+        return READERS[policy_format](folder)
     raise InvalidInput(
         f"policies of format {policy_format!r} are read by the trainer that wrote them; pass "
         "load=<function from folder to policy>"

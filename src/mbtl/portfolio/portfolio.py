@@ -20,6 +20,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Value
 from mbtl.errors import InvalidInput, StorageError
+from mbtl.notebook import table
 from mbtl.objective import Bounds
 from mbtl.portfolio import router
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
@@ -281,6 +282,19 @@ class Portfolio:
 
     def __repr__(self) -> str:
         return f"Portfolio({len(self)} policies for {self.space!r}, V = {self.value:.4f})"
+
+    def _repr_html_(self) -> str:
+        routes = self.routing.routes[-1]
+        lines = [
+            (
+                i + 1,
+                self.space.describe(self.space.context(source)),
+                float(self.returns[i, source]),
+                int((routes == i).sum()),
+            )
+            for i, source in enumerate(self.sources)
+        ]
+        return table(repr(self), ("policy", "trained on", "return there", "contexts"), lines)
 
     def _saved_policies(self) -> list[SavedPolicy]:
         names: list[str] = []

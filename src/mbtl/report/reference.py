@@ -55,7 +55,10 @@ def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
     """Curves of a shipped matrix whose recipe is this study's, and a sentence on what was found."""
     name, settings = study.spec.problem, study.spec.settings
     if name not in shipped_matrices():
-        return None, f"no reference curves: no transfer matrix of {name!r} is shipped"
+        return (
+            None,
+            f"no other methods are drawn beside V: no transfer matrix of {name!r} is shipped",
+        )
     matrix = load_matrix(name)
     same = [
         all(record.get(key) == settings.get(key) for key in _SAME)
@@ -64,10 +67,11 @@ def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
     if not all(same) or matrix.space != study.space:
         return (
             None,
-            f"no reference curves: the shipped matrix of {name!r} was trained by another recipe",
+            f"no other methods are drawn beside V: the shipped matrix of {name!r} was trained with "
+            "another recipe",
         )
     if study.spec.risk < 1.0:
-        return None, "no reference curves: they are of the mean, this study's V is not"
+        return None, "no other methods are drawn beside V: theirs is a mean, this study's is not"
     budget, seeds = min(study.spec.budget, matrix.n), range(matrix.n_seeds)
     known = [reference(matrix, seed, budget) for seed in seeds]
     greedy: Array = np.empty((0, budget))
@@ -82,4 +86,4 @@ def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
         np.array([k.oracle.curve for k in known]),
         {NAMES.get(n, n): float(np.mean([one[n] for one in levels])) for n in levels[0]},
     )
-    return curves, f"reference curves: the shipped matrix of {name!r}, {matrix.n_seeds} seeds"
+    return curves, f"other methods: on the shipped matrix of {name!r}, {matrix.n_seeds} seeds"

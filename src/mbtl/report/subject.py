@@ -16,12 +16,11 @@ from mbtl.arrays import Array
 from mbtl.benchmark import (
     TransferMatrix,
     compare,
-    levels,
     reference,
-    reference_levels,
 )
 from mbtl.benchmark.base import measured_curve
 from mbtl.benchmark.references import NAMES
+from mbtl.benchmark.replay import replay
 from mbtl.contexts import ContextSpace
 from mbtl.history import History
 from mbtl.plot.matrices import shown_performance
@@ -29,7 +28,6 @@ from mbtl.report.reference import reference_curves
 from mbtl.report.summary import summarise_study
 from mbtl.report.text import lines
 from mbtl.routing import Routing
-from mbtl.seeds import selection_rng
 from mbtl.selectors import SelectionProblem, get_selector
 from mbtl.study import Study
 from mbtl.study.fresh import fresh_value
@@ -159,11 +157,10 @@ def of_matrix(
 ) -> Subject:
     """A selector replayed on a matrix seed, beside others and what the matrix allows."""
     problem = matrix.problem(min(budget, len(matrix.problem(1).sources)))
-    rule, history, picks = get_selector(selector), History(matrix.n), []
-    for k in range(problem.budget):
-        proposal = rule.propose(problem, history, selection_rng(0, seed, k))
-        history = history.with_row(proposal.source, matrix.rows(seed, [proposal.source])[0])
-        picks.append(PickFacts(proposal.source, proposal.reason, promised=proposal.acquisition))
+    rule = get_selector(selector)
+    played = replay(rule, problem, lambda i: matrix.rows(seed, [i])[0], trial=seed)
+    history = played.history
+    picks = [PickFacts(p.source, p.reason, promised=p.acquisition) for p in played.proposals]
     known = [reference(matrix, s, problem.budget) for s in range(matrix.n_seeds)]
     baselines = {
         "Random": np.array([one.random for one in known]),
@@ -175,8 +172,8 @@ def of_matrix(
     for name in others:
         baselines[name] = np.array([run.performance for run in runs if run.selector == name])
     values = measured_curve(matrix, seed, history.sources)
-    level = levels(matrix, seed)
-    rows = {NAMES.get(n, n): v for n, v in reference_levels(matrix, seed).items()}
+    level = known[seed].levels
+    rows = {NAMES.get(n, n): v for n, v in known[seed].rows.items()}
     sentences = [
         f"{rule.name} reaches V = {values[-1]:.4f} with {len(values)} trainings on seed {seed}; "
         f"Random is expected to reach {known[seed].random[-1]:.4f}, the Sequential Oracle reaches "

@@ -26,7 +26,7 @@ def table(summary: StudySummary, space: ContextSpace) -> Table:
     size = f"K = {summary.budget}, N = {summary.n_contexts}"
     title = f"{summary.problem or 'study'}: {summary.selector}, {size}"
     found = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)
-    for head in ("pick", "trained on", "V", "V fresh", "minutes"):
+    for head in ("pick", "trained on", "V", "V fresh", "min"):
         found.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
     found.add_column("why")
     for pick in summary.picks:
@@ -70,11 +70,11 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
         )
     if summary.value is not None and summary.measured is not None:
         out.append(
-            f"V = {_with_margin(summary.value, summary.value_margin)} by the episodes that chose "
+            f"V = {_with_margin(summary.value, summary.value_margin)} on the episodes that chose "
             f"the policies{_extrapolated(summary.measured)}."
         )
     if summary.worst_tenth is not None:
-        out.append(f"The tenth of the contexts served worst: {summary.worst_tenth:.4f}.")
+        out.append(f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}.")
     out.append(summary.verdict)
     if summary.next_source is not None and summary.next_gain is not None:
         where = space.describe(space.context(summary.next_source))

@@ -1,8 +1,9 @@
 """Selectors: propose the next source from a problem and the rows seen so far."""
 
 from mbtl.selectors.auto import Auto
-from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, Selector, default_theta
+from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, default_theta
 from mbtl.selectors.clustering import KMeansSelector
+from mbtl.selectors.contract import Proposes, Selector, Traits
 from mbtl.selectors.equidistant import Equidistant
 from mbtl.selectors.gp_mbtl import GPMBTL
 from mbtl.selectors.greedy import Greedy
@@ -28,9 +29,11 @@ __all__ = [
     "KMeansSelector",
     "MBTLRelease",
     "Proposal",
+    "Proposes",
     "Random",
     "SelectionProblem",
     "Selector",
+    "Traits",
     "WorstFirst",
     "default_theta",
     "get_selector",

@@ -12,7 +12,7 @@ Every third pick is none of the model's: it goes where the sources leave the mos
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import ClassVar
@@ -26,8 +26,8 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.priors import PRIORS, prior_without
 from mbtl.models.relevance import Columns, fit_relevance, stretched
-from mbtl.models.transfer_gp import TransferGP, likely_noise
-from mbtl.models.transfer_kernel import NEW, Pairs, TransferPrior, grid_pairs
+from mbtl.models.transfer_kernel import NEW, TransferPrior
+from mbtl.selectors.auto_beliefs import Beliefs, conditioned, floor_of, observed, pending_pairs
 from mbtl.selectors.base import (
     Outlook,
     Proposal,
@@ -37,6 +37,7 @@ from mbtl.selectors.base import (
     nearest_distance,
     open_candidates,
 )
+from mbtl.selectors.contract import Traits
 
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
@@ -45,13 +46,9 @@ _LEADERS, _AROUND = 3, 12
 """So many of the best candidates are looked around, at so many contexts each and round."""
 _MANY = 20_000
 """Contexts through which every round of the search may look."""
-_LONELY = "far from all sources, as every so many-th pick"
+_LONELY = "largest untested region"
 _LEFT = 25
 """Candidates, and targets, that stand for all when it is asked what is left to gain."""
-_PENDING = 300
-"""Pairs that stand for all picks under way together."""
-_MARGIN = 0.02
-"""By how much `top` lies above the best seen, as a share of the range seen."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +66,8 @@ class Auto:
         most_pairs: observed pairs used; with more rows, fewer targets of each.
         finalists: candidates that are judged a second time, on more targets.
         final_targets: targets of that.
-        cover: every so many-th pick goes where the sources leave the most uncovered, whatever the
-            model says; 0: none does.
+        cover: with 3, every third pick explores the largest untested region, whatever the model
+            says; with 0 none does.
         relevance: with several axes, learn which of them matter (predicts better, picks alike).
     """
 
@@ -83,8 +80,7 @@ class Auto:
     cover: int = 3
     relevance: bool = False
     name: str = "auto"
-    predicts_chances: ClassVar[bool] = True
-    retrains: ClassVar[bool] = True
+    traits: ClassVar[Traits] = Traits(deterministic=True, retrains=True, predicts_chances=True)
 
     def __post_init__(self) -> None:
         if self.cover < 0:
@@ -124,7 +120,7 @@ class Auto:
         return Outlook("auto", *beliefs.told.predict_pairs(own), gain, row_gain.drawn)
 
     def _choose(
-        self, problem: SelectionProblem, history: History, mask: Mask, beliefs: _Beliefs
+        self, problem: SelectionProblem, history: History, mask: Mask, beliefs: Beliefs
     ) -> Proposal:
         costs = np.ones(problem.n)
         if problem.costs is not None:  # their unit must not matter to what counts as a tie
@@ -134,7 +130,9 @@ class Auto:
         if not problem.is_line and len(wide) > len(beliefs.targets):
             # a few targets on several axes are a sample, with its luck; on a line they are even
             outlook = beliefs.row_gain(wide)
-        search = partial(_search, problem, np.flatnonzero(mask), self.most_candidates, costs=costs)
+        search = partial(
+            _search, problem, np.flatnonzero(mask), self.most_candidates, costs, history.pending
+        )
         lonely = self._least_covered(problem, history, wide, search, costs)
         if lonely is not None and problem.least_gain is None and problem.least_left is None:
             return Proposal(lonely, _LONELY, outlook.said(lonely))
@@ -182,15 +180,15 @@ class Auto:
         best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
         return int(candidates[best]) if gain[best] > TIE else None
 
-    def _beliefs(self, problem: SelectionProblem, history: History) -> _Beliefs:
+    def _beliefs(self, problem: SelectionProblem, history: History) -> Beliefs:
         """Condition the model on the rows, at some of the targets."""
         count = min(self.most_targets, max(24, self.most_pairs // len(history)))
         targets = _spread(problem, np.flatnonzero(problem.weights > 0), count)
         columns = Columns.of(problem.axes, problem.unit.shape[1])
         places = columns.places(problem.unit, problem.steps)
         sources = np.asarray(history.sources, dtype=np.intp)
-        pairs, y = _observed(history, targets, self.most_pairs)
-        floor = _floor(y)
+        pairs, y = observed(history, targets, self.most_pairs)
+        floor = floor_of(y)
         y = np.maximum(y, floor)
         prior, known = self.prior or PRIORS["all"], None
         if self.relevance:
@@ -198,46 +196,11 @@ class Auto:
             places = stretched(places, weights[columns.axis])
         if history.errors is not None:
             known = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
-        prior, noise = likely_noise(places, prior, pairs, y, known)
-        told = TransferGP(places, prior, pairs, y, noise)
+        model = conditioned(places, prior, pairs, y, known)
         waiting = np.asarray(history.pending, dtype=np.intp)
-        expecting = told
-        if len(waiting):  # believed to give what is expected of them
-            extra = _pending_pairs(problem, waiting, targets, len(sources))
-            believed = told.predict_pairs(extra)[0]
-            pairs = np.vstack([pairs, extra])
-            noise = np.append(noise, np.zeros(len(believed)))
-            expecting = TransferGP(places, prior, pairs, np.append(y, believed), noise)
-        return _Beliefs(problem, history, targets, y, floor, bool(noise.any()), told, expecting)
-
-
-@dataclass(frozen=True)
-class _Beliefs:
-    """The model after the rows told (values `y`), and after those expected of pending picks too."""
-
-    problem: SelectionProblem
-    history: History
-    targets: Indices
-    y: Array
-    floor: float
-    noisy: bool
-    told: TransferGP
-    expecting: TransferGP
-
-    def row_gain(self, targets: Indices) -> RowGain:
-        """What one more training may bring on these targets."""
-        sources = np.asarray(self.history.sources, dtype=np.intp)
-        best = np.maximum(self.history.best[targets], self.floor)
-        if self.noisy or not np.isfinite(self.history.rows[:, targets]).all():
-            # the best of noisy or missing entries is what the model believes them to be
-            best = self.told.predict(sources, targets, np.arange(len(sources)))[0].max(axis=0)
-        waiting = np.asarray(self.history.pending, dtype=np.intp)
-        if len(waiting):
-            best = np.maximum(best, self.told.predict(waiting, targets)[0].max(axis=0))
-        highest = float(self.y.max())
-        top = np.maximum(highest + _MARGIN * float(np.ptp(self.y)), best)
-        weights = self.problem.weights[targets] / self.problem.weights[targets].sum()
-        return RowGain(self.expecting, targets, best, top, highest, weights, self.problem.risk)
+        extra = pending_pairs(problem, waiting, targets, len(sources))
+        expecting = model.expecting(extra) if len(waiting) else model.told
+        return Beliefs(problem, history, targets, y, floor, model.noisy, model.told, expecting)
 
 
 def _largest(
@@ -282,64 +245,26 @@ def _chance_left(
     )
 
 
-def _floor(y: Array) -> float:
-    """Performance below which all is equally bad: far outside, and far below the bounds as well.
-
-    A policy that jams a junction may be worth -800 where others reach 0.9; as they stand, such
-    values would be all that a Gaussian process sees.
-    """
-    low, high = np.quantile(y, [0.25, 0.75])
-    return float(min(low - 3.0 * (high - low), -1.0))
-
-
-def _pending_pairs(
-    problem: SelectionProblem, waiting: Indices, targets: Indices, told: int
-) -> Pairs:
-    """Pairs that stand for the picks under way: all, or of many picks those nearest to each.
-
-    What a pick is believed to give says something of its neighbourhood; far away it is only the
-    mean that is known anyway.
-    """
-    numbers = told + np.arange(len(waiting))
-    few = max(_PENDING // len(waiting), 1)
-    if few >= len(targets):
-        return grid_pairs(waiting, targets, numbers)
-    where = problem.steps
-    far = [np.linalg.norm(where[targets] - where[source], axis=1) for source in waiting]
-    near = [targets[np.argsort(one, kind="stable")[:few]] for one in far]
-    apart = zip(waiting, near, numbers, strict=True)
-    return np.vstack([grid_pairs(np.array([s]), t, np.array([i])) for s, t, i in apart])
-
-
-def _observed(history: History, targets: Indices, most: int) -> tuple[Pairs, Array]:
-    """Pairs and their performance: on `targets`, or all there are where rows are partial.
-
-    Those are thinned evenly to `most`.
-    """
-    sources = np.asarray(history.sources, dtype=np.intp)
-    y = history.rows[:, targets].ravel()
-    if np.isfinite(y).all():
-        return grid_pairs(sources, targets), y
-    rows, seen = np.nonzero(np.isfinite(history.rows))
-    if len(rows) > most:
-        kept = np.linspace(0, len(rows) - 1, most).round().astype(np.intp)
-        rows, seen = rows[kept], seen[kept]
-    return np.column_stack([sources[rows], seen, rows]), history.rows[rows, seen]
-
-
 def _search(
     problem: SelectionProblem,
     among: Indices,
     most: int,
-    gain_of: Callable[[Indices], Array],
     costs: Array,
+    pending: Sequence[int],
+    gain_of: Callable[[Indices], Array],
 ) -> tuple[Indices, Array]:
     """Candidates and their gains: `most` spread over the space first, then some near the best.
+
+    Those first ones stay the same while picks are asked for together, but for the picks themselves.
 
     Near is meant in unit coordinates and in grid steps, so that neither fine nor coarse axes are
     left out, and shrinks from round to round; the last rounds go on while they find a better one.
     """
-    found = _spread(problem, among, most)
+    found = among
+    if len(among) > most:
+        spread = _spread(problem, np.union1d(among, np.asarray(pending, dtype=np.intp)), most)
+        found = np.intersect1d(spread, among)
+        found = found if len(found) else _spread(problem, among, most)
     gain = gain_of(found)
     reach, pool = max(4 * len(among) // most, _AROUND), among
     while len(found) < len(among):

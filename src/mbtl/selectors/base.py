@@ -1,15 +1,11 @@
-"""The selector contract: a problem (frozen data) and a history in, the next source out.
-
-A selector never sees a study, a storage or a matrix. It keeps no state between calls: what it needs
-is in the history, so a resumed study proposes what an undisturbed one would have.
-"""
+"""What selectors work with: a problem (frozen data), a proposal, and which contexts are open."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +14,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import Axis, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.history import History
+from mbtl.plain import is_finite, short, whole
 
 
 def default_theta(n: int) -> float:
@@ -60,6 +57,8 @@ class SelectionProblem:
     trainable: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
+        for name in ("repeats", "budget"):
+            object.__setattr__(self, name, whole(name, getattr(self, name)))
         if not self.repeats >= 1:
             raise InvalidInput(f"repeats must be at least 1, got {self.repeats}")
         if self.trainable is not None and (
@@ -76,9 +75,9 @@ class SelectionProblem:
                 f"budget must be from 1 to the number of {which} ({len(self.sources)}){times}, "
                 f"got {self.budget}"
             )
-        if not 0.0 < self.risk <= 1.0:
+        if not (is_finite(self.risk) and 0.0 < self.risk <= 1.0):
             raise InvalidInput(
-                f"risk is the share of the worst targets, in (0, 1], got {self.risk!r}"
+                f"risk is the share of the worst targets, in (0, 1], got {short(self.risk)}"
             )
         if self.costs is not None and not (
             self.costs.shape == (self.n,)
@@ -89,8 +88,8 @@ class SelectionProblem:
                 f"costs must be {self.n} finite numbers > 0, one per context, got "
                 f"{self.costs.shape[0]} from {self.costs.min():g} to {self.costs.max():g}"
             )
-        if not (np.isfinite(self.theta) and self.theta >= 0):
-            raise InvalidInput(f"theta must be finite and >= 0, got {self.theta!r}")
+        if not (is_finite(self.theta) and self.theta >= 0):
+            raise InvalidInput(f"theta must be finite and >= 0, got {short(self.theta)}")
 
     @classmethod
     def of(
@@ -176,26 +175,6 @@ class Outlook:
     std: Array
     gain: Array
     drawn: Callable[[int], Array] | None = None
-
-
-@runtime_checkable
-class Selector(Protocol):
-    """Proposes the next source to train on."""
-
-    @property
-    def name(self) -> str:
-        """The registered name, e.g. "mbtl-ei"."""
-        ...
-
-    def propose(
-        self, problem: SelectionProblem, history: History, rng: np.random.Generator
-    ) -> Proposal:
-        """Choose one source that is neither trained, pending nor failed.
-
-        Raises:
-            Exhausted: every context is taken.
-        """
-        ...
 
 
 class Exhausted(StudyError):

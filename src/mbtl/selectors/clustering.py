@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.history import History
 from mbtl.selectors.base import Proposal, SelectionProblem, open_candidates
+from mbtl.selectors.contract import Traits
 
 _SEED, _RESTARTS = 0, 10
 
@@ -23,6 +25,7 @@ class KMeansSelector:
     """
 
     name: str = "kmeans"
+    traits: ClassVar[Traits] = Traits(deterministic=True)
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator

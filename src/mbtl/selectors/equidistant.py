@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from mbtl.history import History
 from mbtl.selectors.base import Proposal, SelectionProblem, nearest_open, open_candidates
+from mbtl.selectors.contract import Traits
 
 
 @dataclass(frozen=True)
@@ -15,6 +17,7 @@ class Equidistant:
     """The K cell midpoints of a fixed budget K, on one axis; K must be known beforehand."""
 
     name: str = "equidistant"
+    traits: ClassVar[Traits] = Traits(deterministic=True)
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator

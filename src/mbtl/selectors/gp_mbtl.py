@@ -6,6 +6,7 @@ Source: SD-MBTL (AAAI 2026), its own form of MBTL for several axes.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from mbtl.models.constant_mean_gp import fit_constant_mean
 from mbtl.models.directional_gap import DirectionalGap, fit_directional_gap
 from mbtl.models.gp import Fitter
 from mbtl.selectors.base import Proposal, SelectionProblem, open_candidates
+from mbtl.selectors.contract import Traits
 from mbtl.selectors.m_mbtl import middle
 from mbtl.selectors.mbtl import start
 from mbtl.selectors.model_based import choose, fit_posterior, observed_best
@@ -49,6 +51,7 @@ class GPMBTL:
     gp: GPSettings = field(default=_SETTINGS)
     fitter: Fitter = fit_constant_mean
     name: str = "gp-mbtl"
+    traits: ClassVar[Traits] = Traits(deterministic=True)
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator

@@ -7,11 +7,13 @@ Source: cmdp-spec 8.1, "pseudo-greedy" of the released code; needs no returns.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from mbtl.history import History
 from mbtl.selectors.base import Proposal, SelectionProblem, centre, nearest_open, open_candidates
+from mbtl.selectors.contract import Traits
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,7 @@ class Greedy:
     """
 
     name: str = "greedy"
+    traits: ClassVar[Traits] = Traits(deterministic=True)
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator

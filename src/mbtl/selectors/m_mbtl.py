@@ -15,6 +15,7 @@ Notation (shapes): N contexts, S starts, D columns of grid steps.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.history import History
 from mbtl.selectors.base import Proposal, SelectionProblem, nearest_open, open_candidates
+from mbtl.selectors.contract import Traits
 
 _SEED = 0  # of the starts: the same contexts at every pick, whatever the study's seed
 _ITERATIONS, _TOLERANCE = 300, 1e-6  # published
@@ -47,6 +49,7 @@ class MMBTL:
 
     starts: int = 400
     name: str = "m-mbtl"
+    traits: ClassVar[Traits] = Traits(deterministic=True)
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator

@@ -6,7 +6,7 @@ Source: Cho et al., NeurIPS 2024; rules where the paper is silent: cmdp-spec 8.2
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from mbtl.history import History
 from mbtl.models import FittedGap, FittedGP, GPSettings, LinearGap, fit_gp, predicted_rows
 from mbtl.models.gp import Fitter
 from mbtl.selectors.base import Outlook, Proposal, SelectionProblem, first_pick, open_candidates
+from mbtl.selectors.contract import Traits
 from mbtl.selectors.model_based import (
     choose,
     fit_posterior,
@@ -54,6 +55,7 @@ class MBTL:
     incumbent: Incumbent = "observed"
     fitter: Fitter = fit_gp
     name: str = "mbtl"
+    traits: ClassVar[Traits] = Traits(deterministic=True)
 
     def __post_init__(self) -> None:
         if self.warm_up < 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from mbtl.history import History
 from mbtl.models import GPSettings, fit_gp
 from mbtl.models.gp import Fitter
 from mbtl.selectors.base import Proposal, SelectionProblem, open_candidates
+from mbtl.selectors.contract import Traits
 from mbtl.selectors.mbtl import start
 from mbtl.selectors.model_based import choose, fit_posterior, observed_incumbent
 
@@ -28,6 +30,7 @@ class MBTLRelease:
     gp: GPSettings = field(default_factory=lambda: GPSettings(noise_std=0.1))
     fitter: Fitter = fit_gp
     name: str = "mbtl-release"
+    traits: ClassVar[Traits] = Traits(deterministic=True)
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator

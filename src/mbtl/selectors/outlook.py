@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.selectors.auto import Auto
-from mbtl.selectors.base import Outlook, SelectionProblem, Selector
+from mbtl.selectors.base import Outlook, SelectionProblem
+from mbtl.selectors.contract import OutlookSelector, Selector
 from mbtl.selectors.registry import get_selector, selector_names
 
 MOST = 200
@@ -48,12 +49,10 @@ def outlook(
     then = History(history.n_targets, history.sources[:k], history.rows[:k], errors=errors)
     candidates = _candidates(problem)
     for model in (_known(selector), Auto()):
-        asked = getattr(model, "outlook", None)
-        if asked is None:
+        if not isinstance(model, OutlookSelector):
             continue
         try:
-            found: Outlook = asked(problem, then, candidates)
-            return found
+            return model.outlook(problem, then, candidates)
         except (InvalidInput, np.linalg.LinAlgError):  # nothing to fit so far
             continue
     return None

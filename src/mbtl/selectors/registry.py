@@ -7,8 +7,8 @@ from collections.abc import Callable
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.loading import load_object
 from mbtl.selectors.auto import Auto
-from mbtl.selectors.base import Selector
 from mbtl.selectors.clustering import KMeansSelector
+from mbtl.selectors.contract import Proposes, Selector, adopted
 from mbtl.selectors.equidistant import Equidistant
 from mbtl.selectors.gp_mbtl import GPMBTL
 from mbtl.selectors.greedy import Greedy
@@ -41,24 +41,20 @@ def selector_names() -> list[str]:
     return list(_FACTORIES)
 
 
-def is_registered(selector: Selector) -> bool:
-    """Whether it is one of ours, with whatever settings."""
-    return type(selector) in _FACTORIES.values()
-
-
-def get_selector(selector: str | Selector) -> Selector:
+def get_selector(selector: str | Proposes) -> Selector:
     """A selector by registered name or by where a user's own is, or the given selector itself.
 
     Args:
         selector: e.g. "mbtl"; "my_selectors.py:Mine" or "package.module:Mine", which may be a
-            class or function that makes one without arguments, or the selector itself; an object.
+            class or function that makes one without arguments, or the selector itself; an object
+            with `propose`.
 
     Raises:
         UnknownName: no selector has this name.
         InvalidInput: what is there is no selector, or cannot be imported or made.
     """
     if not isinstance(selector, str):
-        return selector
+        return adopted(selector)
     if ":" in selector:
         return _own(selector)
     if selector not in _FACTORIES:
@@ -68,7 +64,7 @@ def get_selector(selector: str | Selector) -> Selector:
 
 def _own(reference: str) -> Selector:
     found = load_object(reference)
-    if isinstance(found, type) or (callable(found) and not isinstance(found, Selector)):
+    if isinstance(found, type) or (callable(found) and not isinstance(found, Proposes)):
         try:
             found = found()
         except Exception as error:
@@ -76,9 +72,9 @@ def _own(reference: str) -> Selector:
                 f"{reference!r} must make a selector when called without arguments, got "
                 f"{type(error).__name__}: {error}; name a selector made with them instead"
             ) from error
-    if not isinstance(found, Selector):
+    if not isinstance(found, Proposes):
         raise InvalidInput(
-            f"{reference!r} must be a selector, with `name` and `propose(problem, history, rng)`, "
+            f"{reference!r} must be a selector, with `propose(problem, history, rng)`, "
             f"got {type(found).__name__}"
         )
-    return found
+    return adopted(found)

@@ -12,7 +12,7 @@ Notation (shapes): k rows observed, N targets, D columns of grid steps.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.directional_gap import DirectionalGap, fit_directional_gap
 from mbtl.selectors.base import Proposal, SelectionProblem, open_candidates
+from mbtl.selectors.contract import Traits
 from mbtl.selectors.gp_mbtl import GPMBTL
 from mbtl.selectors.m_mbtl import MMBTL
 
@@ -79,6 +80,7 @@ class SDMBTL:
     cover: MMBTL = field(default_factory=MMBTL)
     model: GPMBTL = field(default_factory=GPMBTL)
     name: str = "sd-mbtl"
+    traits: ClassVar[Traits] = Traits(deterministic=True)
 
     def __post_init__(self) -> None:
         if self.look_after < 2:

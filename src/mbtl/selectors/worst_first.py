@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from mbtl.acquisition import TIE
 from mbtl.arrays import Array
 from mbtl.history import History
 from mbtl.selectors.base import Proposal, SelectionProblem, first_pick, open_candidates
+from mbtl.selectors.contract import Traits
 
 
 @dataclass(frozen=True)
@@ -18,6 +20,7 @@ class WorstFirst:
     """The middle first, then always the open context with the lowest generalisation performance."""
 
     name: str = "worst-first"
+    traits: ClassVar[Traits] = Traits(deterministic=True)
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator

@@ -119,6 +119,12 @@ class FolderStore:
             _check(folder, place, sha256)
         return folder
 
+    def remove(self, place: str) -> None:
+        """Take away what is there, if anything is."""
+        folder = inside(self.root, place, "a study")
+        if folder.is_dir():
+            shutil.rmtree(folder, ignore_errors=True)
+
     def partial(self, place: str) -> Path | None:
         """Beside the policy's folder."""
         final = inside(self.root, place, "a study")

@@ -6,13 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from mbtl.errors import InvalidInput
 from mbtl.seeds import selection_rng
-from mbtl.selectors.base import (
-    Exhausted,
-    Proposal,
-    Selector,
-    open_candidates,
-)
+from mbtl.selectors.base import Exhausted, Proposal, open_candidates
+from mbtl.selectors.contract import Selector
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
 from mbtl.study.leases import PROPOSING, Watch, new_token
@@ -140,6 +137,7 @@ def propose(state: StudyState, selector: Selector) -> dict[str, Any] | str:
 
     Raises:
         StudyFinished: nothing is left to propose.
+        InvalidInput: the selector breaks its contract.
     """
     spec, number = state.spec, len(state.picks)
     assert spec is not None
@@ -149,6 +147,7 @@ def propose(state: StudyState, selector: Selector) -> dict[str, Any] | str:
         proposal = selector.propose(problem, history, rng)
     except Exhausted as error:
         raise StudyFinished(f"the study is finished: {error}") from error
+    _check_proposal(state, selector, proposal)
     enough = _enough(spec, proposal)
     if enough is not None and len(history) >= LEAST_ROWS:
         return enough
@@ -163,6 +162,26 @@ def propose(state: StudyState, selector: Selector) -> dict[str, Any] | str:
     if spec.eval_targets is not None:
         data["targets"] = list(spread_targets(problem, source, spec.eval_targets))
     return data
+
+
+def _check_proposal(state: StudyState, selector: Selector, proposal: Any) -> None:
+    """A user's own selector may give anything."""
+    if not isinstance(proposal, Proposal):
+        raise InvalidInput(
+            f"a selector proposes a mbtl.selectors.Proposal(source, reason), got "
+            f"{type(proposal).__name__} {proposal!r:.60} from {selector.name!r}"
+        )
+    source = proposal.source
+    if not isinstance(source, (int, np.integer)) or not 0 <= source < state.history().n_targets:
+        raise InvalidInput(
+            f"a selector proposes a context index from 0 to {state.history().n_targets - 1}, got "
+            f"{source!r} from {selector.name!r}"
+        )
+    if not is_open(state, int(source)):
+        raise InvalidInput(
+            f"a selector proposes contexts that are neither trained, under way nor failed, got "
+            f"{source} from {selector.name!r}; `history.open_mask` says which are open"
+        )
 
 
 def _enough(spec: StudySpec, proposal: Proposal) -> str | None:

@@ -12,9 +12,9 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
 from logging import getLogger
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mbtl.errors import StorageError, StudyError, TrainingFailed
+from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
 from mbtl.seeds import evaluation_seed
 from mbtl.study.callbacks import Callback, where
 from mbtl.study.flights import Flights, brought_back, may_try_again, too_long
@@ -29,8 +29,10 @@ from mbtl.study.job import (
 )
 from mbtl.study.keeper import Keeper
 from mbtl.study.pick import Pick
-from mbtl.study.study import Study
 from mbtl.trainer import Progress, Trainer
+
+if TYPE_CHECKING:
+    from mbtl.study.study import Study
 
 _logger = getLogger(__name__)
 
@@ -122,6 +124,9 @@ class Batches:
                 waiting.remove(pick)
                 if not in_time:
                     continue
+                if outcome.pruned and outcome.kept is None:
+                    self._announce("on_pruned", pick, outcome.reason)
+                    continue
                 self._announce("on_failed", pick, _reason(outcome))
                 self._failed = pick, outcome
                 if self._in_a_row > self.failures_allowed:
@@ -196,6 +201,8 @@ class Batches:
                 )
             except _Stopped:
                 return None
+            except _Pruned as wrapped:
+                return Trouble("training", str(wrapped.error), "", wrapped.error)
             except _TookTooLong:
                 return too_long(self.timeout)
             tries += 1
@@ -241,6 +248,7 @@ class Batches:
             pick,
             outcome.returns,
             seconds=outcome.seconds,
+            steps=outcome.steps,
             policy=outcome.artifact,
             policy_object=outcome.policy,
         )
@@ -263,7 +271,9 @@ class Batches:
     def _record(self, pick: Pick, trouble: Trouble) -> bool:
         reason = _reason(trouble)
         if trouble.kept is None:
-            in_time = self.study.fail(pick, reason, traceback=trouble.traceback)
+            in_time = self.study.fail(
+                pick, reason, traceback=trouble.traceback, pruned=trouble.pruned
+            )
         else:
             in_time = self.study.defer(pick, reason, traceback=trouble.traceback)
         if not in_time:
@@ -271,6 +281,8 @@ class Batches:
             return False
         if trouble.kept is None:
             self.keeper.drop(pick)
+            if trouble.pruned:
+                return True
         else:
             self.held.append(pick)
         self._in_a_row += 1
@@ -304,6 +316,10 @@ class Batches:
         for callback in self.callbacks:
             try:
                 getattr(callback, method)(self.study, pick, *facts)
+            except TrainingPruned as error:
+                if method != "on_progress":
+                    raise _CallbackError(error) from error
+                raise _Pruned(error) from error
             except Exception as error:
                 raise _CallbackError(error) from error
 
@@ -312,6 +328,14 @@ class _CallbackError(BaseException):
     """Carries a callback's error past the code that records errors of trainings."""
 
     def __init__(self, error: Exception) -> None:
+        super().__init__(error)
+        self.error = error
+
+
+class _Pruned(BaseException):
+    """Carries a callback's wish to end a training past the trainer."""
+
+    def __init__(self, error: TrainingPruned) -> None:
         super().__init__(error)
         self.error = error
 

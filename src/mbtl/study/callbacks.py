@@ -14,7 +14,12 @@ if TYPE_CHECKING:
 
 
 class Callback:
-    """Base with methods that do nothing; exceptions in a callback end the run, nothing is lost."""
+    """Base with methods that do nothing.
+
+    `study.stop(reason)` in any of them ends the run when what is under way is told; raising
+    `TrainingPruned` in `on_progress` ends that training alone. Other exceptions end the run at
+    once, and nothing is lost.
+    """
 
     def on_shared(self, study: Study, others: Sequence[str]) -> None:
         """The run begins while other processes work on the same study; they share its picks."""
@@ -33,6 +38,10 @@ class Callback:
 
     def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
         """A training failed, or a trained policy could not be evaluated; it was recorded."""
+
+    def on_pruned(self, study: Study, pick: Pick, reason: str) -> None:
+        """A training was ended early on purpose; who does not tell it apart hears of a failure."""
+        self.on_failed(study, pick, reason)
 
     def on_lost(self, study: Study, pick: Pick) -> None:
         """A pick was taken over or taken away; its training counts for nothing."""
@@ -73,6 +82,10 @@ class PrintProgress(Callback):
     def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
         """Why there is no V."""
         self._say(f"{where(study, pick)} failed: {reason}")
+
+    def on_pruned(self, study: Study, pick: Pick, reason: str) -> None:
+        """Why there is no V, and that it is meant so."""
+        self._say(f"{where(study, pick)} was ended early: {reason}")
 
     def on_lost(self, study: Study, pick: Pick) -> None:
         """That the work was for nothing."""

@@ -197,6 +197,7 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
         "source": source,
         "reason": _TEXT,
         "traceback": _MAYBE_TEXT,
+        "pruned": (_maybe(lambda value: isinstance(value, bool)), "true, false or null"),
     }
     table: dict[Kind, dict[str, Rule]] = {
         "extended": {"budget": (lambda b: _COUNT[0](b) and b <= most, f"from 1 to {most}")},
@@ -237,6 +238,7 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
             "episodes": _COUNT,
             "cost": (_at_least(0.0), "a finite number >= 0"),
             "seconds": _NUMBER,
+            "steps": _SECONDS,
             "policy": _POLICY,
             "sha256": _MAYBE_TEXT,
             "recipe": _MAYBE_TEXT,

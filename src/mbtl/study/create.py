@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
-from mbtl.objective import Bounds, Direction, direction_named
+from mbtl.objective import Bounds, Direction, Objective, direction_named
+from mbtl.plain import finite, real, short, text, whole
 from mbtl.selectors import Selector, get_selector, selector_names
 from mbtl.settings import as_json, first_difference
 from mbtl.study.checks import check_spec
@@ -20,12 +21,10 @@ from mbtl.study.events import Event
 from mbtl.study.given import (
     check_wishes,
     costs_of,
-    finite,
     pair_of,
-    real,
     target_count,
-    whole,
 )
+from mbtl.study.listing import chosen_name, database_at
 from mbtl.study.places import fixed_url, policy_store
 from mbtl.study.problem import Problem, ProblemFacts, check_problem, facts_of
 from mbtl.study.spec import StudySpec
@@ -38,6 +37,7 @@ from mbtl.study.storage import (
     study_names,
 )
 from mbtl.study.study import Study
+from mbtl.study.wishes import Stopping, objective_of, stopping_of
 from mbtl.trainer import Trainer
 from mbtl.version import __version__
 
@@ -51,6 +51,8 @@ def create_study(
     selector: str | Selector = "auto",
     bounds: tuple[float, float] | Bounds | None = None,
     direction: Direction | str | None = None,
+    objective: Objective | None = None,
+    stopping: Stopping | None = None,
     theta: float | None = None,
     seed: int = 0,
     trial: int = 0,
@@ -58,10 +60,10 @@ def create_study(
     cost_budget: float | None = None,
     costs: ArrayLike | Callable[[Context], float] | None = None,
     repeats: int = 1,
-    risk: float = 1.0,
+    risk: float | None = None,
     eval_targets: int | None = None,
     stop_gain: float | None = None,
-    stop_confidence: float = 0.9,
+    stop_confidence: float | None = None,
     stop_left: float | None = None,
     best_return: float | None = None,
     storage: str | Path | None = None,
@@ -85,6 +87,9 @@ def create_study(
         bounds: (low, high) of the returns, or `Bounds`, whose direction and floor then count; None
             takes the range told so far.
         direction: "maximize" (default) or "minimize" the returns; "max" and "min" will do.
+        objective: bounds, direction, risk and best return in one record, instead of those keywords.
+        stopping: when to end early in one record, instead of `stop_value`, `stop_gain`,
+            `stop_left`, `stop_confidence` and `cost_budget`.
         theta: slope of the linear gap, performance per grid step; None: 0.005, or 0.5/(N-1) for
             N > 100.
         seed: root of the seed tree.
@@ -95,12 +100,12 @@ def create_study(
         costs: (N,) expected cost of a training on each context, or a function of the context. The
             selector then maximises gain per cost.
         repeats: trainings allowed on one context, with other seeds, where their luck is worth it.
-        risk: V is the mean over this share of the targets, those that do worst; 1 for all.
+        risk: V is the mean over this share of the targets, those that do worst; None: 1, all.
         eval_targets: evaluate each policy on so many targets, its source among them
             (`Pick.targets`); None for all.
         stop_gain: end when one more training gains less than this in V ...
         stop_confidence: ... with at least this probability, as the selector predicts it after
-            three rows or more. V counts as what it surely is, with this probability.
+            three rows or more; None: 0.9. V counts as what it surely is, with this probability.
         stop_left: end when nothing is left to gain: V is so near to what `best_return` is worth, or
             the selector predicts that all trainings left together gain less than this in V.
         best_return: the largest return there is (smallest, if minimised), if you know it.
@@ -122,33 +127,45 @@ def create_study(
         StorageError: the storage cannot be written.
     """
     chosen = get_selector(selector)
+    aim = objective_of(
+        objective, bounds=bounds, direction=direction, risk=risk, best_return=best_return
+    )
+    end = stopping_of(
+        stopping,
+        stop_value=stop_value,
+        stop_gain=stop_gain,
+        stop_left=stop_left,
+        stop_confidence=stop_confidence,
+        cost_budget=cost_budget,
+    )
     facts = facts_of(space, preset, trainer)
     space, trainer = facts.space, facts.trainer
     budget = facts.budget if budget is None else budget
     if budget is None:
         raise InvalidInput("a study of a ContextSpace needs budget=<number of trainings>; got none")
     budget, seed, trial = whole("budget", budget), whole("seed", seed), whole("trial", trial)
-    direction = direction_named(facts.direction if direction is None else direction)
-    bounds = facts.bounds if bounds is None else bounds
+    direction = direction_named(facts.direction if aim.direction is None else aim.direction)
+    bounds = facts.bounds if aim.bounds is None else aim.bounds
     floor = None
     if isinstance(bounds, Bounds):
         direction, floor = bounds.direction, bounds.floor
     pair = pair_of("bounds", bounds)
     if pair is not None:
         Bounds(*pair, direction, floor)
-    stop_value = finite("stop_value", stop_value)
+    stop_value = finite("stop_value", end.value)
     if stop_value is not None and bounds is None:
         raise InvalidInput("stop_value is a performance, so it needs bounds=(low, high); got none")
     if stop_value is not None and stop_value > 1.0:
         raise InvalidInput(
             f"stop_value is a performance, at most 1 (the better bound), got {stop_value!r}"
         )
-    cost_budget = real("cost_budget", cost_budget)
-    stop_gain = real("stop_gain", stop_gain)
-    stop_confidence = real("stop_confidence", stop_confidence)
+    cost_budget = real("cost_budget", end.cost)
+    stop_gain = real("stop_gain", end.gain)
+    stop_left = real("stop_left", end.left)
+    confidence = real("stop_confidence", end.confidence)
     if seed < 0 or trial < 0:
         raise InvalidInput(f"seed and trial must be >= 0, got {seed} and {trial}")
-    check_wishes(chosen, repeats, stop_gain, stop_confidence, bounds)
+    check_wishes(chosen, repeats, stop_gain, confidence, bounds)
     if stop_left is not None and bounds is None:
         raise InvalidInput("stop_left is in performance, so it needs bounds=(low, high); got none")
     spec = StudySpec(
@@ -162,16 +179,16 @@ def create_study(
         trial,
         stop_value,
         cost_budget,
-        problem or facts.id,
-        as_json("settings", {**facts.settings, **(settings or {})}),
+        text("problem", facts.id if problem is None else problem) or facts.id,
+        as_json("settings", {**facts.settings, **_record("settings", settings)}),
         whole("repeats", repeats),
         costs_of(costs, space),
-        real("risk", risk),
+        real("risk", aim.risk),
         target_count(eval_targets, space.n),
         stop_gain,
-        stop_confidence,
-        real("stop_left", stop_left),
-        finite("best_return", facts.best_return if best_return is None else best_return),
+        confidence,
+        stop_left,
+        finite("best_return", facts.best_return if aim.best_return is None else aim.best_return),
         floor,
     )
     check_spec(spec)
@@ -193,6 +210,12 @@ def create_study(
             study.extend(spec.budget)
         return study
     return Study(log, chosen, folder=folder, name=name, trainer=trainer)
+
+
+def _record(name: str, given: Any) -> Mapping[str, Any]:
+    if given is not None and not isinstance(given, Mapping):
+        raise InvalidInput(f"{name} must be a record, a dict of names, got {short(given)}")
+    return given or {}
 
 
 def load_study(
@@ -220,17 +243,8 @@ def load_study(
         StudyError: no such study, or several and no name.
         StudyMismatch: it is a study of another problem, or with another selector.
     """
-    place = storage
-    if "://" not in str(storage) and Path(storage).is_dir():
-        place = Path(storage) / "study.db"
-    place = fixed_url(place)
-    if name is None:
-        names = study_names(place)
-        if len(names) != 1:
-            raise StudyError(
-                f"{place} holds {len(names)} studies ({', '.join(names)}); give a name"
-            )
-        name = names[0]
+    place = database_at(storage)
+    name = chosen_name(place, name)
     log = SqlLog(place, name)
     created = next(iter(log.read()), None)
     if created is None or created.kind != "created":

@@ -8,12 +8,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbtl.errors import InvalidInput, StorageError
+from mbtl.errors import InvalidInput, StorageError, Unreachable
 
 if TYPE_CHECKING:
     from sqlalchemy import Engine, Table
+    from sqlalchemy.exc import DBAPIError
 
 _BUSY_SECONDS = 60.0
+
+_FILES = ("sqlite", "duckdb")
+"""Databases that are no servers."""
+
+_FOR_GOOD = ("authentication failed", "no password supplied", "does not exist", "pg_hba.conf")
+"""What a server says that will say the same in a minute."""
 
 WRITES = "mbtl_writes"
 """Option of a connection that writes: a reader takes no lock, so a study may be read-only."""
@@ -54,6 +61,17 @@ def sqlite_path(url: str) -> Path | None:
     ):
         return None  # "file:...?uri=true" is SQLite's own way to open a file, e.g. read-only
     return Path(name)
+
+
+def shown(url: str) -> str:
+    """A URL as logs and people may see it: without its password."""
+    from sqlalchemy import make_url
+    from sqlalchemy.exc import ArgumentError
+
+    try:
+        return make_url(url).render_as_string(hide_password=True)
+    except ArgumentError:
+        return url
 
 
 def clock(engine: Engine) -> Any:
@@ -100,8 +118,10 @@ def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:
                 f"a study needs a folder it can write to, and {path.parent} is not "
                 f"({error.strerror}); choose another with --study or storage="
             ) from error
+    # of a server's connections a worker keeps one; its heartbeats may need another for a moment
+    pool = {} if path is not None or url.startswith(_FILES) else {"pool_size": 1}
     try:
-        engine = create_engine(url)
+        engine = create_engine(url, **pool)
     except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
         raise StorageError(
             f"storage must be a path or an SQLAlchemy URL, got {url!r} ({error})"
@@ -156,14 +176,24 @@ def database_errors(url: str) -> Iterator[None]:
     """What the database refuses in the block is said in our words.
 
     Raises:
+        Unreachable: the server does not answer.
         StorageError: it refused something.
     """
-    from sqlalchemy.exc import DatabaseError
+    from sqlalchemy.exc import DBAPIError
 
     try:
         yield
-    except DatabaseError as error:
-        cause = str(error.orig)
+    except UnicodeDecodeError as error:  # SQLite gives its names as they are in the file
+        raise StorageError(
+            f"{shown(url)} is corrupt ({error}); restore a copy, or start a new study elsewhere"
+        ) from error
+    except DBAPIError as error:
+        cause, url = " ".join(str(error.orig).split()), shown(url)
+        if _is_away(error, url):
+            raise Unreachable(
+                f"the database at {url} does not answer ({cause}); what was told before is "
+                "kept: see that the server runs and can be reached, then run the same command again"
+            ) from error
         if "not a database" in cause or "malformed" in cause:
             raise StorageError(
                 f"{url} is corrupt or not a study database ({cause}); restore a copy, or start a "
@@ -173,3 +203,13 @@ def database_errors(url: str) -> Iterator[None]:
             f"the study at {url} could not be read or written ({cause}); what was told before is "
             "kept: free space or mend access, then run the same command again"
         ) from error
+
+
+def _is_away(error: DBAPIError, url: str) -> bool:
+    """True where a server, asked again in a moment, may answer."""
+    from sqlalchemy.exc import InterfaceError, OperationalError
+
+    if url.startswith(_FILES) or not isinstance(error, (InterfaceError, OperationalError)):
+        return False
+    lost = error.connection_invalidated or error.statement is None  # or never had
+    return lost and not any(words in str(error.orig) for words in _FOR_GOOD)

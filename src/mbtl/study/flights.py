@@ -129,6 +129,7 @@ def may_try_again(outcome: Outcome | Trouble) -> bool:
         isinstance(outcome, Trouble)
         and outcome.kept is None
         and not isinstance(outcome.error, NOT_THE_TRAININGS_FAULT)
+        and not outcome.pruned
         and outcome.reason != "it was cancelled"
     )
 

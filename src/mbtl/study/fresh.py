@@ -9,6 +9,7 @@ Notation (shapes): k policies in training order, N contexts, E episodes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,10 @@ from mbtl.arrays import Array
 from mbtl.objective import worst_share_mean, worst_share_weights
 from mbtl.routing import routed
 from mbtl.seeds import Purpose, evaluation_seed
-from mbtl.study.study import Study
 from mbtl.trainer import Trainer, checked_returns
+
+if TYPE_CHECKING:
+    from mbtl.study.study import Study
 
 Indices = NDArray[np.intp]
 

@@ -5,9 +5,7 @@ Each function raises `InvalidInput`.
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Iterable
-from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +13,9 @@ from numpy.typing import ArrayLike
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds
+from mbtl.plain import float_of, short, whole
 from mbtl.selectors import Selector
+from mbtl.selectors.contract import traits_of
 
 
 def costs_of(
@@ -27,7 +27,7 @@ def costs_of(
     given = [costs(context) for context in space.contexts] if callable(costs) else costs
     try:
         array = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInput(f"costs must be numbers, one per context ({error})") from error
     if array.shape != (space.n,):
         raise InvalidInput(f"costs must be {space.n} numbers, one per context, got {array.shape}")
@@ -42,7 +42,8 @@ def check_wishes(
     bounds: tuple[float, float] | Bounds | None,
 ) -> None:
     """Repeated trainings and the stopping rule need a selector that knows of them."""
-    if repeats != 1 and not getattr(selector, "retrains", False):
+    repeats = whole("repeats", repeats)
+    if repeats != 1 and not traits_of(selector).retrains:
         raise InvalidInput(
             f"repeats needs a selector that trains a context again, such as 'auto', got "
             f"{selector.name!r} with repeats={repeats!r}"
@@ -53,7 +54,7 @@ def check_wishes(
         return
     if bounds is None:
         raise InvalidInput("stop_gain is in performance, so it needs bounds=(low, high); got none")
-    if not getattr(selector, "predicts_chances", False):
+    if not traits_of(selector).predicts_chances:
         raise InvalidInput(
             f"stop_gain needs a selector that predicts chances of a gain, such as 'auto', got "
             f"{selector.name!r}"
@@ -70,51 +71,14 @@ def target_count(count: int | None, n: int) -> int | None:
     return count
 
 
-def whole(name: str, number: Any) -> int:
-    """A whole number, as Python's own."""
-    try:
-        return operator.index(number)
-    except TypeError:
-        raise InvalidInput(f"{name} must be a whole number, got {number!r}") from None
-
-
-@overload
-def real(name: str, number: None) -> None: ...
-
-
-@overload
-def real(name: str, number: float) -> float: ...
-
-
-def real(name: str, number: float | None) -> float | None:
-    """A finite number > 0, as Python's own, or None."""
-    value = None if number is None else _float(name, number)
-    if value is not None and not (np.isfinite(value) and value > 0):
-        raise InvalidInput(f"{name} must be finite and > 0, got {number!r}")
-    return value
-
-
-def finite(name: str, number: float | None) -> float | None:
-    """A finite number, as Python's own, or None."""
-    value = None if number is None else _float(name, number)
-    if value is not None and not np.isfinite(value):
-        raise InvalidInput(f"{name} must be finite, got {number!r}")
-    return value
-
-
-def _float(name: str, number: Any) -> float:
-    try:
-        return float(number)
-    except (TypeError, ValueError, OverflowError):
-        raise InvalidInput(f"{name} must be a number, got {number!r}") from None
-
-
 def pair_of(name: str, pair: Iterable[float] | None) -> tuple[float, float] | None:
     """Two numbers, or None."""
     if pair is None:
         return None
     try:
-        low, high = pair
-        return float(low), float(high)
-    except (TypeError, ValueError, OverflowError):
-        raise InvalidInput(f"{name} must be two numbers (low, high), got {pair!r}") from None
+        low, high = map(float_of, pair)
+    except (TypeError, ValueError):
+        low = high = None
+    if low is None or high is None:
+        raise InvalidInput(f"{name} must be two numbers (low, high), got {short(pair)}")
+    return low, high

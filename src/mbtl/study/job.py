@@ -17,10 +17,11 @@ from typing import Any, Literal
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput, MissingExtra, StorageError
+from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingPruned
 from mbtl.study.artifacts import Artifact, ArtifactStore
 from mbtl.trainer import (
     OnProgress,
+    Progress,
     ResumingTrainer,
     Trainer,
     checked_returns,
@@ -82,6 +83,7 @@ class Outcome:
     seconds: float
     artifact: Artifact | None
     policy: Any = None
+    steps: float | None = None
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,11 @@ class Trouble:
     error: Exception | None = None
     kept: Kept | None = None
 
+    @property
+    def pruned(self) -> bool:
+        """True where the training was ended early on purpose."""
+        return isinstance(self.error, TrainingPruned)
+
 
 def perform(
     job: Job,
@@ -119,14 +126,14 @@ def perform(
         on_evaluation: called when the policy is trained and saved.
     """
     started = time.perf_counter()
-    kept = job.kept
+    kept, steps = job.kept, _Steps(on_progress)
     stage: Stage = "training" if kept is None else "saving"
     try:
         if kept is None and (found := _left(job)) is not None:
             stage, kept = "loading", Kept(None, found)
             kept = Kept(job.trainer.load(_folder(job, found)), found)
         if kept is None:
-            kept = Kept(_trained(job, on_progress))
+            kept = Kept(_trained(job, None if on_progress is None else steps))
             on_kept(kept)
         if kept.artifact is None:
             stage = "saving"
@@ -143,17 +150,34 @@ def perform(
             ends = (job.targets[0], job.targets[-1])
             evaluated(job.trainer, kept.policy, ends, job.evaluation_seed)
         returns = evaluated(job.trainer, kept.policy, job.targets, job.evaluation_seed)
+    except TrainingPruned as error:
+        return Trouble(stage, str(error), "", error, kept)
     except Exception as error:
         return Trouble(stage, reason_of(error), _traceback(error), error, kept)
     seconds = time.perf_counter() - started
-    return Outcome(returns, seconds, kept.artifact, None if kept.artifact else kept.policy)
+    policy = None if kept.artifact else kept.policy
+    return Outcome(returns, seconds, kept.artifact, policy, steps.done)
+
+
+class _Steps:
+    """Passes reports of a training on, and keeps the number of environment steps."""
+
+    def __init__(self, on_progress: OnProgress | None) -> None:
+        self._tell = on_progress
+        self.done: float | None = None
+
+    def __call__(self, progress: Progress) -> None:
+        if progress.unit == "steps":
+            self.done = float(progress.step)
+        if self._tell is not None:
+            self._tell(progress)
 
 
 def perform_elsewhere(job: Job) -> Outcome | Trouble:
     """As `perform`, for a worker process: what it gives back can travel, whatever was raised."""
     outcome = perform(job)
     if isinstance(outcome, Trouble):
-        if not isinstance(outcome.error, NOT_THE_TRAININGS_FAULT):
+        if not isinstance(outcome.error, (*NOT_THE_TRAININGS_FAULT, TrainingPruned)):
             outcome = replace(outcome, error=None)
         if outcome.kept is not None and outcome.kept.artifact is not None:
             outcome = replace(outcome, kept=replace(outcome.kept, policy=None))

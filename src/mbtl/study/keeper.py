@@ -5,11 +5,14 @@ from __future__ import annotations
 import threading
 from logging import getLogger
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from mbtl.errors import MbtlError
 from mbtl.study.pick import Pick
-from mbtl.study.study import Study
 from mbtl.trainer import Progress
+
+if TYPE_CHECKING:
+    from mbtl.study.study import Study
 
 _logger = getLogger(__name__)
 

@@ -76,6 +76,10 @@ class Watch:
         beat = self._beats.get(lease.token)
         return self._now > max(lease.since + lease.seconds, beat.expires if beat else 0.0)
 
+    def beat(self, token: str) -> Beat | None:
+        """The last heartbeat of a lease; None: it gave none."""
+        return self._beats.get(token)
+
     @cached_property
     def _beats(self) -> Mapping[str, Beat]:
         return self._log.beats()

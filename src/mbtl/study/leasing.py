@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import random
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, overload
 
-import numpy as np
-
 from mbtl.errors import InvalidInput, StorageError, StudyError
+from mbtl.plain import is_finite, short, whole
 from mbtl.seeds import training_seed
 from mbtl.selectors import Selector
 from mbtl.study import asking, telling
@@ -25,8 +25,10 @@ from mbtl.study.storage import Conflict, EventLog
 from mbtl.study.view import StudyView
 from mbtl.trainer import Trainer
 
-_PAUSE, _LONGEST_PAUSE = 0.01, 0.5
+_PAUSE, _LONGEST_PAUSE = 0.01, 2.0
 """Seconds between looks while somebody else proposes."""
+_WATCH = 1.0
+"""Seconds for which an asker believes what it knows of heartbeats: many wait at the same time."""
 
 
 class LeasingStudy(StudyView):
@@ -67,17 +69,26 @@ class LeasingStudy(StudyView):
                 one pick, not in a list.
             lease: seconds after which others may take the pick over, unless `heartbeat` is called
                 meanwhile; None: never, until it is told, failed or given back (`release`).
-            take_over: without effect; kept for programs of version 0.1, which had no leases.
+            take_over: without effect since version 0.2; version 0.3 will not take it any more.
 
         Raises:
             StudyFinished: the budget is spent, a stopping rule is met, or no context is left.
             InvalidInput: n < 1, or a lease that is not > 0.
         """
-        if lease is not None and not (np.isfinite(lease) and lease > 0):
-            raise InvalidInput(f"a lease lasts a number of seconds > 0, or None, got {lease!r}")
+        if take_over:
+            warnings.warn(
+                "ask(take_over=) has no effect since mbtl 0.2 and goes in 0.3: a pick whose lease "
+                "has ended is handed out by itself; leave the argument out",
+                DeprecationWarning,
+                stacklevel=2,
+            )
+        if lease is not None and not (is_finite(lease) and lease > 0):
+            raise InvalidInput(
+                f"a lease lasts a number of seconds > 0, or None, got {short(lease)}"
+            )
         if n is None:
             return self._ask(lease)
-        if not isinstance(n, (int, np.integer)) or n < 1:
+        if whole("the number n of picks", n) < 1:
             raise InvalidInput(f"ask gives a whole number of picks, 1 or more, got n = {n!r}")
         picks = [self._ask(lease)]
         while len(picks) < n:
@@ -114,7 +125,7 @@ class LeasingStudy(StudyView):
         Raises:
             StudyError: so many were not asked for.
         """
-        picks = self.refresh().picks
+        picks, number = self.refresh().picks, whole("the number of a pick", number)
         if not 0 <= number < len(picks):
             raise StudyError(f"pick numbers run from 0 to {len(picks) - 1} so far, got {number}")
         return self._pick(picks[number])
@@ -133,15 +144,19 @@ class LeasingStudy(StudyView):
         Raises:
             StudyError: it is not open, or somebody took it over.
         """
+        if not isinstance(pick, Pick):
+            pick = whole("the number of a pick", pick)
         self._commit(lambda state: Event("released", {"pick": telling.held_number(state, pick)}))
 
     # ---- inside ------------------------------------------------------------------------------
 
     def _ask(self, lease: float | None) -> Pick:
-        pause = _PAUSE
+        pause, watch, watched = _PAUSE, self.watch(), time.monotonic()
         while True:
             state = self.refresh()
-            claim = asking.claim(state, self.watch(), lease, self.worker)
+            if time.monotonic() - watched > _WATCH:
+                watch, watched = self.watch(), time.monotonic()
+            claim = asking.claim(state, watch, lease, self.worker)
             if claim is None:  # somebody proposes just now
                 time.sleep(pause * random.uniform(0.5, 1.0))
                 pause = min(2 * pause, _LONGEST_PAUSE)

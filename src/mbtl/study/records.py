@@ -26,6 +26,7 @@ class PickRecord:
         targets: contexts to evaluate on; None: all.
         tokens: of all its leases, the first one first.
         answered_by: token of the answer; empty where it came without; None: not answered.
+        last_worker: name of who held it last; None: nobody did so far.
     """
 
     number: int
@@ -39,6 +40,7 @@ class PickRecord:
     targets: tuple[int, ...] | None = None
     tokens: tuple[str, ...] = ()
     answered_by: str | None = None
+    last_worker: str | None = None
 
     @property
     def worker(self) -> str | None:
@@ -49,7 +51,8 @@ class PickRecord:
         """The same with another holder, or none."""
         new = lease is not None and lease.token not in self.tokens
         tokens = (*self.tokens, lease.token) if lease and new else self.tokens
-        return replace(self, lease=lease, tokens=tokens, answered_by=None)
+        last = self.last_worker if lease is None else lease.worker
+        return replace(self, lease=lease, tokens=tokens, answered_by=None, last_worker=last)
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,7 @@ class ToldRow:
         event: number of the event that told it, by which it may be voided.
         sha256: of the policy's files; None: not known.
         recipe: digest of the recipe that it was made with; None: not known.
+        steps: environment steps of the training; None: not known.
     """
 
     source: int
@@ -84,6 +88,7 @@ class ToldRow:
     event: int = 0
     sha256: str | None = None
     recipe: str | None = None
+    steps: float | None = None
 
 
 @dataclass(frozen=True)
@@ -95,17 +100,20 @@ class Failure:
         pick: 0-based number of the pick.
         reason: the error in one line.
         traceback: where it came from; empty where nobody said.
+        pruned: it was ended early on purpose.
     """
 
     source: int
     pick: int
     reason: str
     traceback: str = ""
+    pruned: bool = False
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Failure:
         """As logged; older logs have no traceback."""
-        return cls(data["source"], data["pick"], data["reason"], data.get("traceback", ""))
+        pruned = data.get("pruned") is True
+        return cls(data["source"], data["pick"], data["reason"], data.get("traceback", ""), pruned)
 
 
 @dataclass(frozen=True)

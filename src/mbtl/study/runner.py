@@ -6,13 +6,15 @@ It loses at most the training in flight; see `mbtl.study.job` and `mbtl.study.ba
 from __future__ import annotations
 
 import pickle
+import random
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from logging import getLogger
+from typing import TYPE_CHECKING
 
 from mbtl.errors import (
     InvalidInput,
@@ -27,20 +29,23 @@ from mbtl.study import asking
 from mbtl.study.batch import Batches, failure
 from mbtl.study.callbacks import Callback, shared_words
 from mbtl.study.flights import brought_back
-from mbtl.study.fresh import can_report, report_fresh_returns
+from mbtl.study.fresh import can_report, fresh_value, report_fresh_returns
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, reason_of
 from mbtl.study.keeper import Keeper
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.rehearsal import rehearse as rehearsed
-from mbtl.study.study import Study
+from mbtl.study.result import RunResult
 from mbtl.trainer import RehearsingTrainer, Trainer
+
+if TYPE_CHECKING:
+    from mbtl.study.study import Study
 
 _logger = getLogger(__name__)
 
 LEASE = 60.0
 """Seconds for which a run may be silent before others take its trainings over."""
-_LOOK = 0.2
-"""Seconds between looks at what others do."""
+_LOOK, _LONGEST_LOOK = 0.1, 2.0
+"""Seconds between looks at what others do: often at first, seldom while nothing happens."""
 
 
 def run(
@@ -59,7 +64,9 @@ def run(
     deterministic: bool = False,
     retries: int = 0,
     timeout: float | None = None,
-) -> None:
+    may_begin: Callable[[], bool] | None = None,
+    wait: bool = True,
+) -> RunResult:
     """Run a study to its end; interrupted, it goes on where it was when called again.
 
     A policy that is trained and could not be evaluated is kept: it spends no further budget, and
@@ -87,11 +94,17 @@ def run(
             whose worker process died is begun again once in any case.
         timeout: seconds that a training may take; longer ones count as failed. In this process it
             is looked at whenever the training reports.
+        may_begin: asked before each training; once it says no, the run ends.
+        wait: stay while others are at the last trainings, to take over from those that die.
+
+    Returns:
+        The study at its end, and why it ended.
 
     Raises:
         TrainingFailed: failures ended the run, or no training succeeded.
     """
     check_options(parallel, on_failure, stop_after_failures, lease, retries, timeout)
+    started, study.stopping = time.monotonic(), None
     try:
         with Keeper(study, lease) as keeper, _workers(parallel, executor) as pooled:
             if pooled is not None:
@@ -99,7 +112,8 @@ def run(
             _warn_of_unsaved(study, trainer)
             _announce_others(study, callbacks)
             for failed in list(study.refresh().failures) if retry_failed else []:
-                study.retry(failed.pick)
+                if not failed.pruned:
+                    study.retry(failed.pick)
             first_policy = rehearse
             if rehearse and isinstance(trainer, RehearsingTrainer):
                 _rehearse(study, trainer, pooled)
@@ -108,12 +122,13 @@ def run(
             batches = Batches(
                 study, trainer, pooled, allowed, first_policy, callbacks, keeper, timeout, retries
             )
-            do_all = partial(_do_all, study, batches, parallel, deterministic)
+            ask = partial(_next_pick, study, keeper, may_begin or _always)
+            do_all = partial(_do_all, study, batches, parallel, deterministic, ask)
             if study.state.equipment is not None or not study.is_finished:
                 study.equip(trainer)
             try:
                 do_all()
-                while _wait_for_others(study, callbacks):
+                while wait and _wait_for_others(study, callbacks, may_begin or _always):
                     do_all()
                 if batches.give_back_held():
                     do_all()
@@ -125,6 +140,15 @@ def run(
     finally:
         for callback in callbacks:
             callback.on_end(study)
+    return RunResult(
+        study,
+        study.curve,
+        fresh_value(study) if study.state.rows else None,
+        study.trainings,
+        tuple(study.state.failures),
+        study.stopping or study.stop_reason,
+        time.monotonic() - started,
+    )
 
 
 def check_options(
@@ -166,7 +190,7 @@ def _workers(parallel: int, executor: Executor | None) -> Iterator[Executor | No
 
 
 def _check_any_success(study: Study) -> None:
-    failures = study.state.failures
+    failures = [failure for failure in study.state.failures if not failure.pruned]
     if failures and not study.state.rows:
         raise TrainingFailed(
             f"no training of this study succeeded, {len(failures)} failed, the last with "
@@ -197,17 +221,25 @@ def _rehearse(study: Study, trainer: RehearsingTrainer, executor: Executor | Non
     )
 
 
-def _do_all(study: Study, batches: Batches, size: int, deterministic: bool) -> None:
+def _always() -> bool:
+    return True
+
+
+def _do_all(
+    study: Study, batches: Batches, size: int, deterministic: bool, ask: Callable[[], Pick | None]
+) -> None:
     if batches.executor is not None and not deterministic:
-        while batches.flow(size, partial(_next_pick, study, batches.keeper)):
+        while batches.flow(size, ask):
             pass
         return
-    while batch := _next_batch(study, size, batches.keeper):
+    while batch := _next_batch(study, size, ask):
         batches.do(batch)
 
 
-def _next_pick(study: Study, keeper: Keeper) -> Pick | None:
-    """A pick that is held from now on; None when nothing can be asked."""
+def _next_pick(study: Study, keeper: Keeper, may_begin: Callable[[], bool]) -> Pick | None:
+    """A pick that is held from now on; None when nothing can be asked, or shall be."""
+    if study.stopping is not None or not may_begin():
+        return None
     try:
         pick = study.ask(lease=keeper.seconds)
     except StudyFinished:
@@ -216,21 +248,25 @@ def _next_pick(study: Study, keeper: Keeper) -> Pick | None:
     return pick
 
 
-def _wait_for_others(study: Study, callbacks: Sequence[Callback]) -> bool:
+def _wait_for_others(
+    study: Study, callbacks: Sequence[Callback], may_begin: Callable[[], bool]
+) -> bool:
     """Wait for a change while others hold what is left; False when there is nothing to wait for.
 
     One of them may die, and its training is then to be done here.
     """
     seq, left, announced = study.refresh().seq, study.orphans, False
+    pause = _LOOK
     while seq == study.refresh().seq and study.orphans == left:
         theirs = asking.others(study.state, study.watch(), study.worker, for_ever=False)
-        if not theirs:
+        if not theirs or study.stopping is not None or not may_begin():
             return False
         if not announced:
             announced = True
             for callback in callbacks:
                 callback.on_waiting(study, theirs)
-        time.sleep(_LOOK)
+        time.sleep(pause * random.uniform(0.5, 1.0))
+        pause = min(1.5 * pause, _LONGEST_LOOK)
     return True
 
 
@@ -251,7 +287,7 @@ def _report(study: Study, trainer: Trainer, callbacks: Sequence[Callback]) -> No
             callback.on_report_failed(study, reason_of(error))
 
 
-def _next_batch(study: Study, size: int, keeper: Keeper) -> list[Pick]:
+def _next_batch(study: Study, size: int, ask: Callable[[], Pick | None]) -> list[Pick]:
     """The next picks to train together; empty when the study is finished.
 
     Picks left by a killed run come first. A batch then fills up to a multiple of `size` picks
@@ -259,7 +295,7 @@ def _next_batch(study: Study, size: int, keeper: Keeper) -> list[Pick]:
     """
     batch: list[Pick] = []
     while len(batch) < size:
-        pick = _next_pick(study, keeper)
+        pick = ask()
         if pick is None:
             break
         batch.append(pick)

@@ -49,6 +49,8 @@ class StudyState:
     _rows_seq: int = field(default=0, repr=False)
     """Number of the last event that changed the rows, or how they count."""
     _performance: Array | None = field(default=None, repr=False)
+    _room: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
+    """Its memory, with place for rows to come."""
     _errors: Array | None = field(default=None, repr=False)
 
     def apply(self, event: Event) -> None:
@@ -70,7 +72,9 @@ class StudyState:
         self._history = None
         self.seq = event.seq
         if event.kind in ("created", "told", "voided"):
-            self._rows_seq, self._performance = event.seq, None
+            self._rows_seq = event.seq
+        if event.kind in ("created", "voided"):
+            self._performance = None
 
     def history(self) -> History:
         """What a selector may see: rows as performance under the bounds of this moment.
@@ -116,10 +120,8 @@ class StudyState:
     def _make_history(self) -> History:
         assert self.spec is not None
         n = self.spec.space.n
-        if self._performance is None:  # most events change no rows, of which there may be gigabytes
-            rows = np.array([row.returns for row in self.rows]).reshape(-1, n)
-            self._performance = self.bounds().normalise(rows) if len(rows) else rows
-            self._performance.setflags(write=False)  # handed out until the next row
+        if self._performance is None or len(self._performance) < len(self.rows):
+            self._performance = self._normalised()
             self._errors = self._standard_errors()
         return History(
             n,
@@ -131,6 +133,29 @@ class StudyState:
             self.committed,
         )
 
+    def _normalised(self) -> Array:
+        """(k, N) performance, not to be written to; there may be gigabytes of it.
+
+        Under bounds that stay, a row that is told is put below those before it, where there is
+        room, instead of computing all of them again in each of many workers.
+        """
+        assert self.spec is not None
+        done = (
+            0 if self._performance is None or self.spec.bounds is None else len(self._performance)
+        )
+        k, n = len(self.rows), self.spec.space.n
+        if not done or len(self._room) < k:
+            room = np.empty((2 * k if done else k, n))
+            if done:
+                room[:done] = self._room[:done]
+            self._room = room
+        if k > done:
+            new = np.array([row.returns for row in self.rows[done:]])
+            self._room[done:k] = self.bounds().normalise(new)
+        view = self._room[:k]
+        view.setflags(write=False)
+        return view
+
     def _deviations(self) -> Array:
         """(k, N) of the performance in single episodes; NaN where unknown."""
         bounds = self.bounds()
@@ -139,7 +164,7 @@ class StudyState:
 
     def _standard_errors(self) -> Array | None:
         """(k, N) of the performance; None where no row has several episodes that differ."""
-        if not self.rows:
+        if all(row.episodes == 1 for row in self.rows):
             return None
         return standard_errors(self._deviations(), [row.episodes for row in self.rows])
 
@@ -243,6 +268,7 @@ class StudyState:
                 event.seq,
                 data.get("sha256"),
                 data.get("recipe"),
+                data.get("steps"),
             )
         )
 
@@ -307,9 +333,11 @@ def _lease_of(event: Event) -> Lease | None:
 def _deviations_of(event: Event) -> Array:
     """Standard deviations with n - 1; older versions wrote them with n, and 0 for one episode."""
     episodes, written = event.data["episodes"], event.arrays["std"]
+    if episodes == 1:  # unknown everywhere: one number instead of a million
+        return np.broadcast_to(np.float64(np.nan), written.shape)
     if event.data.get("ddof") == 1:
         return written
-    return written * np.sqrt(episodes / (episodes - 1)) if episodes > 1 else written * np.nan
+    return np.asarray(written * np.sqrt(episodes / (episodes - 1)))
 
 
 def replay(events: Iterable[Event]) -> StudyState:

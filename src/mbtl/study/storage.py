@@ -15,22 +15,24 @@ import json
 import threading
 import time
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 import numpy as np
 
 from mbtl.arrays import python_value
-from mbtl.errors import InvalidInput, StorageError
-from mbtl.study.database import WRITES, as_url, clock, database_errors, open_database
+from mbtl.errors import InvalidInput, StorageError, Unreachable
+from mbtl.study.database import WRITES, as_url, clock, database_errors, open_database, shown
 from mbtl.study.events import KINDS, Event, Kind
 from mbtl.study.leases import Beat
+from mbtl.study.patience import Patience
 from mbtl.untrusted import read_arrays, read_json
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection
+
+T = TypeVar("T")
 
 _LATEST = 2e11
 """Seconds since the epoch that are still a date."""
@@ -111,42 +113,61 @@ class MemoryLog:
 class SqlLog:
     """Events of one named study in a database table.
 
+    Once it is open, a server that is away is waited for, for as long as `patience` says.
+
     Args:
         url: an SQLAlchemy URL, or the path of an SQLite file.
         study: name of the study; one database holds many.
         create: make the file and table when they are missing.
 
     Raises:
+        Unreachable: the server does not answer.
         StorageError: the database is missing, unreadable or not ours.
     """
 
     def __init__(self, url: str | Path, study: str, *, create: bool = False) -> None:
         self.url = as_url(url)
         self.study = study
+        self.patience = Patience()
         self._engine, self._table, self._heartbeats = open_database(self.url, create=create)
+        self._has_beats = False
         weakref.finalize(self, self._engine.dispose)  # a server's connections end with the log
 
     def append(self, event: Event, *, after: int) -> int:
         """Append in one transaction; see `EventLog`."""
-        from sqlalchemy import insert
+        from sqlalchemy import insert, literal, select
         from sqlalchemy.exc import IntegrityError
 
-        row = {
-            "study": self.study,
-            "seq": after + 1,
-            "time": clock(self._engine),
-            "kind": event.kind,
-            "data": _text(event),
-            "arrays": _pack(event),
-        }
-        with self._connection(write=True) as connection:
-            if self._last(connection) != after:
-                raise Conflict(f"event {after + 1} of study {self.study!r} is taken")
+        t = self._table
+        facts = {"kind": event.kind, "data": _text(event), "arrays": _pack(event)}
+        row = {"study": self.study, "seq": after + 1, "time": clock(self._engine), **facts}
+        values = [literal(row[c.name], c.type) if c is not t.c.time else row["time"] for c in t.c]
+        names = [c.name for c in t.c]
+        # one statement: the server may be far away, and is asked thousands of times
+        is_last = select(*values).where(self._last() == after)
+        statement = insert(t).from_select(names, is_last, include_defaults=False)
+        statement = statement.execution_options(preserve_rowcount=True)
+        taken = Conflict(f"event {after + 1} of study {self.study!r} is taken")
+
+        def write(connection: Connection) -> None:
             try:
-                connection.execute(insert(self._table).values(**row))
+                if connection.execute(statement).rowcount != 1:
+                    raise taken
             except IntegrityError as error:  # the primary key: another process was faster
-                raise Conflict(f"event {after + 1} of study {self.study!r} is taken") from error
-        return after + 1
+                raise taken from error
+
+        in_doubt = False
+        while True:
+            try:
+                self._try(write, writes=True, single=True)
+                return after + 1
+            except Unreachable as error:  # perhaps after the event was written
+                in_doubt = True
+                self.patience.wait(error)
+            except Conflict:
+                if in_doubt and self._holds(row):
+                    return after + 1
+                raise
 
     def read(self, after: int = 0) -> Sequence[Event]:
         """Events after number `after`."""
@@ -155,15 +176,19 @@ class SqlLog:
         t = self._table.c
         query = select(t.seq, t.time, t.kind, t.data, t.arrays)
         query = query.where((t.study == self.study) & (t.seq > after)).order_by(t.seq)
-        events = []
+        events: list[Event] = []
+
+        def fetch(connection: Connection) -> None:
+            events.clear()
+            for row in connection.execute(query):
+                events.append(_unpack(*row))
+
         try:
-            with self._connection() as connection:
-                for row in connection.execute(query):
-                    events.append(_unpack(*row))
+            self._do(fetch)
         except (TypeError, ValueError, MemoryError) as error:  # columns of other types than ours
             raise StorageError(
                 f"the event after {len(events) + after} of the study {self.study!r} cannot be read "
-                f"({error}); restore a copy of {self.url}"
+                f"({error}); restore a copy of {shown(self.url)}"
             ) from error
         return events
 
@@ -171,8 +196,9 @@ class SqlLog:
         """The server's clock; of a file, this machine's."""
         from sqlalchemy import select
 
-        with self._connection() as connection:
-            return float(connection.execute(select(clock(self._engine))).scalar_one())
+        return self._do(
+            lambda connection: float(connection.execute(select(clock(self._engine))).scalar_one())
+        )
 
     def beat(
         self, token: str, seconds: float, *, steps: float | None = None, value: float | None = None
@@ -183,36 +209,74 @@ class SqlLog:
         t = self._heartbeats
         facts = {"expires": clock(self._engine) + seconds, "steps": steps, "value": value}
         mine = (t.c.study == self.study) & (t.c.token == token)
-        with self._connection(write=True) as connection:
+
+        def write(connection: Connection) -> None:
             t.create(connection, checkfirst=True)  # version 0.1 had none
             if not connection.execute(update(t).where(mine).values(**facts)).rowcount:
                 connection.execute(insert(t).values(study=self.study, token=token, **facts))
+
+        self._do(write, writes=True)
 
     def beats(self) -> Mapping[str, Beat]:
         """The rows of this study; see `EventLog`."""
         from sqlalchemy import inspect, select
 
         t = self._heartbeats
-        with self._connection() as connection:
-            if not inspect(connection).has_table(t.name):
+
+        def fetch(connection: Connection) -> dict[str, Beat]:
+            if not self._has_beats and not inspect(connection).has_table(t.name):
                 return {}
+            self._has_beats = True
             columns = (t.c.token, t.c.expires, t.c.steps, t.c.value)
             rows = connection.execute(select(*columns).where(t.c.study == self.study))
             return {token: Beat(*facts) for token, *facts in rows}
 
-    def _last(self, connection: Connection) -> Any:
-        """Number of the last event; anything, where the log is damaged."""
+        return self._do(fetch)
+
+    # ---- inside ------------------------------------------------------------------------------
+
+    def _last(self) -> Any:
+        """Number of the last event, as a part of a statement."""
         from sqlalchemy import func, select
 
         t = self._table.c
-        query = select(func.coalesce(func.max(t.seq), 0)).where(t.study == self.study)
-        return connection.execute(query).scalar_one()
+        found = select(func.coalesce(func.max(t.seq), 0)).where(t.study == self.study)
+        return found.scalar_subquery()
 
-    @contextmanager
-    def _connection(self, *, write: bool = False) -> Iterator[Connection]:
-        engine = self._engine.execution_options(**{WRITES: write})
+    def _holds(self, row: Mapping[str, Any]) -> bool:
+        """True when the log has this very event at this place.
+
+        Events of workers name the token of a lease, so that nobody else writes the same; of those
+        that do not, it makes no difference who did.
+        """
+        from sqlalchemy import select
+
+        t = self._table.c
+        query = select(t.kind, t.data, t.arrays)
+        query = query.where((t.study == self.study) & (t.seq == row["seq"]))
+        found = self._do(lambda connection: connection.execute(query).one_or_none())
+        return found is not None and tuple(found) == (row["kind"], row["data"], row["arrays"])
+
+    def _do(self, work: Callable[[Connection], T], *, writes: bool = False) -> T:
+        """What `work` gives in one transaction, which may be done twice."""
+        while True:
+            try:
+                return self._try(work, writes=writes, single=not writes)
+            except Unreachable as error:
+                self.patience.wait(error)
+
+    def _try(
+        self, work: Callable[[Connection], T], *, writes: bool = False, single: bool = False
+    ) -> T:
+        """Once; a single statement is a transaction by itself, and needs no words around it."""
+        options: dict[str, Any] = {WRITES: writes}
+        if single and self._engine.dialect.name == "postgresql":
+            options["isolation_level"] = "AUTOCOMMIT"
+        engine = self._engine.execution_options(**options)
         with database_errors(self.url), engine.begin() as connection:
-            yield connection
+            done = work(connection)
+        self.patience.answered()
+        return done
 
 
 def study_names(url: str | Path) -> list[str]:

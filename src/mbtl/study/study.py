@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
+from mbtl.plain import finite, whole
 from mbtl.settings import first_difference
 from mbtl.study import telling
 from mbtl.study.artifacts import Artifact
@@ -35,6 +36,7 @@ from mbtl.trainer import (
 
 if TYPE_CHECKING:
     from mbtl.study.callbacks import Callback
+    from mbtl.study.result import RunResult
 
 
 class Study(LeasingStudy):
@@ -48,6 +50,7 @@ class Study(LeasingStudy):
         targets: Sequence[int] | None = None,
         cost: float | None = None,
         seconds: float | None = None,
+        steps: float | None = None,
         policy: str | Artifact | None = None,
         policy_object: Any = None,
     ) -> bool:
@@ -62,6 +65,7 @@ class Study(LeasingStudy):
             cost: cost of the training, in the unit of the cost budget; None: what `costs` says of
                 the source, or 1; 0 for a row that nobody asked for.
             seconds: wall time of training and evaluation.
+            steps: environment steps of the training.
             policy: folder of the saved policy, relative to the study's folder; as an `Artifact`
                 with its hash, which is then checked whenever it is read.
             policy_object: the policy itself, kept in this process only.
@@ -78,7 +82,8 @@ class Study(LeasingStudy):
             StudyError: the pick was answered before, or is another study's.
         """
         source = telling.source_of(self.space, pick)
-        if cost is not None and not (np.isfinite(cost) and cost >= 0):
+        price = finite("cost", cost)
+        if price is not None and price < 0:
             raise InvalidInput(f"cost must be finite and >= 0, got {cost!r}")
         usual = 1.0 if self.spec.costs is None else self.spec.costs[source]
         if targets is None:
@@ -93,7 +98,8 @@ class Study(LeasingStudy):
             "source": source,
             "ddof": 1,
             "episodes": rows.shape[1],
-            "seconds": seconds,
+            "seconds": finite("seconds", seconds),
+            "steps": finite("steps", steps),
             "policy": policy.place if isinstance(policy, Artifact) else policy,
             "sha256": policy.sha256 if isinstance(policy, Artifact) else None,
         }
@@ -108,7 +114,7 @@ class Study(LeasingStudy):
             place = len(state.rows)
             number = telling.answered(state, pick, source)
             expected = 0.0 if number is None else usual
-            spent = expected if cost is None else float(cost)
+            spent = expected if price is None else price
             made = None if state.equipment is None else recipe_digest(state.equipment)
             return Event("told", {**data, "pick": number, "cost": spent, "recipe": made}, arrays)
 
@@ -131,6 +137,7 @@ class Study(LeasingStudy):
         """
         rows = self.refresh().rows
         if not isinstance(row, ToldRow):
+            row = whole("the place of a row", row)
             if not 0 <= row < len(rows):
                 raise StudyError(f"the places of the {len(rows)} rows count from 0, got {row}")
             row = rows[row]
@@ -143,18 +150,19 @@ class Study(LeasingStudy):
 
         self._commit(voided)
 
-    def fail(self, pick: Pick, reason: str, *, traceback: str = "") -> bool:
+    def fail(self, pick: Pick, reason: str, *, traceback: str = "", pruned: bool = False) -> bool:
         """Record that a pick gave no policy; it spends budget and is not proposed again.
 
         Args:
             pick: what `ask` gave.
             reason: why, in one line.
             traceback: where that came from, for people.
+            pruned: it was ended early on purpose, so nothing went wrong.
 
         Returns:
             False where it came too late; see `tell`.
         """
-        return self._answer("failed", pick, reason, traceback)
+        return self._answer("failed", pick, reason, traceback, pruned=pruned)
 
     def defer(self, pick: Pick, reason: str, *, traceback: str = "") -> bool:
         """Record that a policy is trained and could not be evaluated; the pick stays open."""
@@ -169,6 +177,8 @@ class Study(LeasingStudy):
         Raises:
             StudyError: that pick did not fail, or its source was told since.
         """
+        if not isinstance(pick, Pick):
+            pick = whole("the number of a pick", pick)
         self._commit(lambda state: telling.reopening(state, pick))
 
     def equip(self, trainer: Trainer) -> None:
@@ -197,6 +207,7 @@ class Study(LeasingStudy):
         Raises:
             InvalidInput: it is not larger than now, or exceeds the number of contexts.
         """
+        budget = whole("budget", budget)
 
         def extended(state: StudyState) -> Event:
             now, most = self.spec.budget, self.space.n * self.spec.repeats
@@ -258,8 +269,10 @@ class Study(LeasingStudy):
         deterministic: bool = False,
         retries: int = 0,
         timeout: float | None = None,
-    ) -> Study:
+    ) -> RunResult:
         """Train and evaluate until the study is finished; see `mbtl.study.runner.run`.
+
+        A callback ends the run by `study.stop`, and a training early by raising `TrainingPruned`.
 
         Args:
             train: context, seed -> policy.
@@ -281,6 +294,9 @@ class Study(LeasingStudy):
             retries: so often a training that failed is begun again before it counts as failed.
             timeout: seconds that a training may take.
 
+        Returns:
+            V after each training, all trainings, failures, and why the run ended.
+
         Raises:
             StudyMismatch: the study was run with another recipe or policy format before.
         """
@@ -295,7 +311,7 @@ class Study(LeasingStudy):
             if train is None or evaluate is None:
                 raise InvalidInput("run needs train and evaluate functions, or a trainer")
             trainer = FunctionTrainer(train, evaluate, save, load)
-        run(
+        return run(
             self,
             trainer,
             parallel=parallel,
@@ -311,12 +327,26 @@ class Study(LeasingStudy):
             retries=retries,
             timeout=timeout,
         )
-        return self
+
+    def stop(self, reason: str = "it was stopped") -> None:
+        """End the run of this object that goes on, from a callback or another thread.
+
+        What is under way is finished and told; no more is asked for. The study itself is not
+        finished: the next `run` goes on.
+
+        Args:
+            reason: for people.
+        """
+        self.stopping = reason
 
     # ---- inside ------------------------------------------------------------------------------
 
-    def _answer(self, kind: Kind, pick: Pick, reason: str, traceback: str) -> bool:
-        data = {"source": pick.source, "reason": reason, "traceback": traceback}
+    def _answer(
+        self, kind: Kind, pick: Pick, reason: str, traceback: str, *, pruned: bool = False
+    ) -> bool:
+        data: dict[str, Any] = {"source": pick.source, "reason": reason, "traceback": traceback}
+        if pruned:
+            data["pruned"] = True
         if pick.token:
             data["token"] = pick.token
 

@@ -22,6 +22,7 @@ from mbtl.study.presence import Presence
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
 from mbtl.study.storage import EventLog, MemoryLog
+from mbtl.study.trainings import Trainings, trainings_of
 from mbtl.trainer import Trainer
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ class StudyView:
         presence: who surely is gone, where that can be known.
         policies: number of the row -> policy, for policies of this process that were not saved.
         untold: number of the pick -> policy that is trained, not saved, and not evaluated so far.
+        stopping: why the run that goes on is to end (`Study.stop`); None: it is not.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class StudyView:
         self.trainer = trainer
         self.policies: dict[int, Any] = {}
         self.untold: dict[int, Any] = {}
+        self.stopping: str | None = None
         self.worker = new_worker()
         self.presence = Presence(database_file(getattr(log, "url", "")))
         self._log = log
@@ -160,6 +163,22 @@ class StudyView:
     def has_succeeded(self) -> bool:
         """True when a pick was told; rows that nobody asked for show no training at work."""
         return any(row.pick is not None for row in self._state.rows)
+
+    @property
+    def trainings(self) -> Trainings:
+        """What became of each pick, and of rows that nobody asked for, one typed line each."""
+        return trainings_of(self.refresh(), self.watch())
+
+    def to_frame(self) -> Any:
+        """A pandas table of the trainings, a line each.
+
+        Raises:
+            MissingExtra: pandas is not installed.
+        """
+        return self.trainings.to_frame()
+
+    def _repr_html_(self) -> str:
+        return self.trainings.html(repr(self))
 
     @property
     def orphans(self) -> list[int]:

@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mbtl.contexts import Context
 from mbtl.envs.everywhere import multitask_env
-from mbtl.training.sb3 import SB3Trainer
+
+if TYPE_CHECKING:
+    from mbtl.training.sb3 import SB3Trainer
 
 
 def for_all_contexts(trainer: SB3Trainer, contexts: Sequence[Context]) -> SB3Trainer:

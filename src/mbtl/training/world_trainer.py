@@ -166,11 +166,14 @@ class WorldTrainer:
     def lanes(self) -> int:
         """Policies that are best trained together here.
 
-        All on an accelerator. On a CPU one PPO program by steps already keeps a core busy, and a
-        policy trained alone is, bit for bit, the one that a study trains; the others need company.
+        As many as the problem says, or all on an accelerator. On a CPU one PPO program by steps
+        already keeps a core busy, and a policy trained alone is, bit for bit, the one that a study
+        trains; the others need company.
         """
         import mbtl.training.jax as engine
 
+        if (own := getattr(self.problem, "lanes", None)) is not None:
+            return int(own)
         if not engine.on_cpu():
             return 1 << 20
         return 1 if (self.algorithm, self.unit) == ("PPO", "timesteps") else _CPU_LANES

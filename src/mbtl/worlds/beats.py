@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mbtl.worlds.environments import Beats, Length, Tree
-from mbtl.worlds.world import Moved, World
+from mbtl.worlds.world import Moved, Seeded, World
 
 Decide = Callable[[Tree, jax.Array], tuple[jax.Array, Tree]]
 """state, (n,) numbers of decisions -> (n, ...) actions to apply, and what shall be kept of it."""
@@ -49,19 +49,39 @@ class Holding(World, Protocol):
         ...
 
 
-def length(steps: int, hold: jax.Array) -> Length:
-    """Decisions that fill so many steps; the last may go beyond.
+class HoldParams(NamedTuple):
+    """One context, or one per simulation, in which every instruction is held for the same time.
 
-    Args:
-        steps: of an episode.
-        hold: steps of a decision, () or (n,).
+    Attributes:
+        hold: simulation steps of one decision; a scalar or (n,).
+        visible: (v,) or (n, v) features appended to each observation.
     """
-    holds = np.atleast_1d(np.asarray(hold))
-    counts = -(-steps // holds)
-    if hold.ndim == 0:
-        return int(counts[0])
-    beat = int(np.gcd.reduce(holds))
-    return Beats(int(counts.max()), int((counts * holds).max()) // beat, beat)
+
+    hold: jax.Array
+    visible: jax.Array
+
+
+class Holds(Seeded):
+    """What worlds with `HoldParams` have in common.
+
+    Attributes:
+        total_steps: of the time in which there are decisions; the last may go beyond.
+    """
+
+    total_steps: int
+
+    def decisions(self, params: HoldParams) -> Length:
+        """Enough holds to fill that time."""
+        holds = np.atleast_1d(np.asarray(params.hold))
+        counts = -(-self.total_steps // holds)
+        if params.hold.ndim == 0:
+            return int(counts[0])
+        steps = int(np.gcd.reduce(holds))
+        return Beats(int(counts.max()), int((counts * holds).max()) // steps, steps)
+
+    def beats(self, params: HoldParams, beats: Beats) -> tuple[jax.Array, jax.Array]:
+        """See `Holding`."""
+        return params.hold // beats.steps, -(-self.total_steps // params.hold)
 
 
 class Decisions(NamedTuple):

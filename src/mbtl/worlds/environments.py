@@ -79,10 +79,8 @@ class Step(NamedTuple):
     terminated: jax.Array
 
 
-class Environment(Protocol):
-    """Dynamics, hashable, as they are a compile-time constant.
-
-    With an action `idle` that is none, it can go on without any advice.
+class Described(Protocol):
+    """What is fixed about a kind of simulation; hashable, as it is a compile-time constant.
 
     Attributes:
         horizon: steps after which an episode is cut off.
@@ -108,6 +106,10 @@ class Environment(Protocol):
     def max_return(self) -> float | None: ...  # noqa: D102
     @property
     def params(self) -> type[Any]: ...  # noqa: D102
+
+
+class Environment(Described, Protocol):
+    """Dynamics of one simulation; with an action `idle` that is none, it goes on without advice."""
 
     def initial(self, noise: jax.Array, params: Tree) -> Tree:
         """First state from `noise`, (n_noise,) uniform in [0, 1)."""

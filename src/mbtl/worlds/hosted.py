@@ -25,27 +25,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.worlds.environments import Box, Discrete, Environment, Step, TimeLimit, Tree
+from mbtl.worlds.environments import Described, Environment, Step, Tree
 from mbtl.worlds.world import Solo
 
 State = Mapping[str, Array]
 """Arrays by name, with the axes of the batch first."""
 
 
-class Batch(Protocol):
-    """A native simulator of many simulations; hashable, as it is a compile-time constant.
+class Batch(Described, Protocol):
+    """A native simulator of many simulations.
 
     Axes of a batch, `...` below, come first in every array; parameters have all of them, too.
 
     Attributes:
         shapes: of a simulation's state by name, e.g. {"qpos": (3,)}, as pairs.
-        horizon: steps after which an episode is cut off.
-        time_limit: whether learning sees the cut-off as truncation or as a terminal state.
-        action: the action space.
-        n_features: length of an observation without visible context features.
-        n_noise: uniform random numbers that start an episode.
-        max_return: no episode can return more; None where that is not known.
-        params: class of the parameters; its last field is `visible`.
 
     Where first states are simple, `initial` may be written in jax for one simulation, which saves a
     call at every step; `traced_start = True` says so.
@@ -53,20 +46,6 @@ class Batch(Protocol):
 
     @property
     def shapes(self) -> tuple[tuple[str, tuple[int, ...]], ...]: ...  # noqa: D102
-    @property
-    def horizon(self) -> int: ...  # noqa: D102
-    @property
-    def time_limit(self) -> TimeLimit: ...  # noqa: D102
-    @property
-    def action(self) -> Discrete | Box: ...  # noqa: D102
-    @property
-    def n_features(self) -> int: ...  # noqa: D102
-    @property
-    def n_noise(self) -> int: ...  # noqa: D102
-    @property
-    def max_return(self) -> float | None: ...  # noqa: D102
-    @property
-    def params(self) -> type[Any]: ...  # noqa: D102
 
     def initial(self, noise: Array, params: Any) -> tuple[State, Array]:
         """First states from (..., n_noise) uniform numbers, and what is seen, (..., n_features)."""

@@ -8,14 +8,10 @@ that is known of it is not a number, with which no training goes on.
 
 from __future__ import annotations
 
-import atexit
-import contextlib
-import pickle
-import subprocess
-import sys
 import threading
 import warnings
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -30,6 +26,7 @@ from mbtl.cmdps.locomotion.walker_body import (
     advance,
     luck,
 )
+from mbtl.elsewhere import Died, Elsewhere
 
 NOBODY = -1
 """Number of a walker that has come to its end."""
@@ -153,7 +150,7 @@ class SharedHerd:
             processes: with this one, >= 1.
         """
         self._own = LocalHerd(horizon)
-        self._others = [_Elsewhere(horizon) for _ in range(processes - 1)]
+        self._others = [Elsewhere(partial(LocalHerd, horizon)) for _ in range(processes - 1)]
         self._alone = threading.Lock()
 
     def start(self, constants: Array, noise: Array) -> tuple[Numbers, NDArray[np.float32]]:
@@ -163,7 +160,7 @@ class SharedHerd:
             for i, other in enumerate(self._others, 1):
                 other.ask("start", constants[i::k], noise[i::k])
             parts = [self._own.start(constants[::k], noise[::k])]
-            parts += [other.answer() or _lost(constants[i::k]) for i, other in self._numbered()]
+            parts += [_answer(other) or _lost(constants[i::k]) for i, other in self._numbered()]
         numbers, seen = np.empty(n, np.int64), np.empty((n, N_FEATURES), np.float32)
         for i, (own, shown) in enumerate(parts):
             numbers[i::k], seen[i::k] = np.where(own < 0, own, own * k + i), shown
@@ -179,7 +176,7 @@ class SharedHerd:
             for i, other in self._numbered():
                 other.ask("step", inner[at[i]], action[at[i]])
             parts = [self._own.step(inner[at[0]], action[at[0]])]
-            parts += [other.answer() or _nothing(inner[at[i]]) for i, other in self._numbered()]
+            parts += [_answer(other) or _nothing(inner[at[i]]) for i, other in self._numbered()]
         seen, reward, ended, after = _nothing(numbers)
         for i, some in enumerate(parts):
             here = at[i]
@@ -192,8 +189,22 @@ class SharedHerd:
         for other in self._others:
             other.close()
 
-    def _numbered(self) -> list[tuple[int, _Elsewhere]]:
+    def _numbered(self) -> list[tuple[int, Elsewhere]]:
         return list(enumerate(self._others, 1))
+
+
+def _answer(other: Elsewhere) -> Any:
+    """What it gave; None where the process has died, and its walkers with it."""
+    try:
+        return other.answer()
+    except Died as died:
+        warnings.warn(
+            f"a process with walkers must not end before its walkers, got exit code {died.code}: "
+            "they are lost, and trainings and evaluations with them fail; start those again",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return None
 
 
 def _nothing(numbers: Numbers) -> Moved:
@@ -208,70 +219,3 @@ def _nothing(numbers: Numbers) -> Moved:
 def _lost(constants: Array) -> tuple[Numbers, NDArray[np.float32]]:
     n = len(constants)
     return np.full(n, NOBODY - 1, np.int64), np.full((n, N_FEATURES), np.nan, np.float32)
-
-
-# ---- other processes ---------------------------------------------------------------------------
-
-
-class _Elsewhere:
-    """A herd in a process of its own, which ends with this one; a new one follows one that died."""
-
-    def __init__(self, horizon: int) -> None:
-        self._horizon = horizon
-        self._process: subprocess.Popen[bytes] | None = None
-        atexit.register(self.close)
-
-    def ask(self, method: str, *arrays: Any) -> None:
-        if self._process is None:
-            words = [sys.executable, "-m", __name__, str(self._horizon)]
-            self._process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        with contextlib.suppress(OSError):  # it has died: there will be no answer
-            assert self._process.stdin is not None
-            pickle.dump((method, arrays), self._process.stdin, pickle.HIGHEST_PROTOCOL)
-            self._process.stdin.flush()
-
-    def answer(self) -> Any:
-        """What the method gave; None where the process has died, and its walkers with it."""
-        assert self._process is not None
-        assert self._process.stdout is not None
-        try:
-            return pickle.load(self._process.stdout)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            code = self.close()
-            warnings.warn(
-                f"a process with walkers must not end before its walkers, got exit code {code}: "
-                "they are lost, and trainings and evaluations with them fail; start those again",
-                RuntimeWarning,
-                stacklevel=2,
-            )
-            return None
-
-    def close(self) -> int | None:
-        """End the process; its exit code."""
-        process, self._process = self._process, None
-        if process is None:
-            return None
-        process.kill()
-        with contextlib.suppress(OSError):  # what nobody reads any more
-            process.communicate()
-        return process.returncode
-
-
-def _serve(horizon: int) -> None:
-    """Answer until nobody asks any more; Ctrl-C is the asking process's business."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    herd, asked, answers = LocalHerd(horizon), sys.stdin.buffer, sys.stdout.buffer
-    sys.stdout = sys.stderr  # nothing else may get among the answers
-    while True:
-        try:
-            method, arrays = pickle.load(asked)
-        except EOFError:
-            return
-        pickle.dump(getattr(herd, method)(*arrays), answers, pickle.HIGHEST_PROTOCOL)
-        answers.flush()
-
-
-if __name__ == "__main__":
-    _serve(int(sys.argv[1]))

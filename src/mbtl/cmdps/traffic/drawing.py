@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import numpy as np
@@ -25,15 +25,17 @@ FASTEST = 14.0
 
 _GRASS, _ROAD = (236, 238, 230), (92, 96, 102)
 _STOPPED, _FREE = np.array([200.0, 30.0, 30.0]), np.array([250.0, 235.0, 90.0])
+_CONTROLLED, _HALO = (20, 90, 220), (255, 255, 255)
 _LIGHTS = {"G": (40, 170, 70), "g": (40, 170, 70), "y": (245, 170, 20), "r": (220, 40, 40)}
 
 
-def draw(api: Any, window: Window | None = None) -> Image:
+def draw(api: Any, window: Window | None = None, controlled: Collection[str] = ()) -> Image:
     """The network, its lights and its cars, coloured from red (standing) to yellow (free).
 
     Args:
         api: a running simulation, libsumo or a TraCI connection.
         window: what to show; None: the whole network.
+        controlled: cars that are marked: blue, with a white edge, and drawn last.
 
     Returns:
         (height, width, 3) uint8; north is up.
@@ -58,8 +60,9 @@ def draw(api: Any, window: Window | None = None) -> Image:
     for end, along, width, colour in _stop_lines(api, lanes):
         across = np.array([-along[1], along[0]]) * width / 2.0
         canvas.line(np.array([end - across, end + across]), canvas.at_least(1.0), colour)
-    for car in api.vehicle.getIDList():
-        _draw_car(canvas, api.vehicle, car)
+    cars = api.vehicle.getIDList()
+    for car in sorted(cars, key=lambda car: car in controlled):
+        _draw_car(canvas, api.vehicle, car, car in controlled)
     return canvas.image()
 
 
@@ -68,14 +71,19 @@ def _flat(shape: Any) -> Array:
     return np.array([point[:2] for point in shape], dtype=float)
 
 
-def _draw_car(canvas: Canvas, vehicle: Any, car: str) -> None:
+def _draw_car(canvas: Canvas, vehicle: Any, car: str, controlled: bool) -> None:
     angle = math.radians(vehicle.getAngle(car))  # 0: north, clockwise
     front = np.array(vehicle.getPosition(car))
     width = canvas.at_least(vehicle.getWidth(car), SMALLEST)
     length = max(vehicle.getLength(car), 1.5 * width)
     back = front - length * np.array([math.sin(angle), math.cos(angle)])
     free = min(max(vehicle.getSpeed(car), 0.0) / FASTEST, 1.0)
-    canvas.line(np.array([back, front]), width, tuple(_STOPPED + free * (_FREE - _STOPPED)))
+    if controlled:
+        edge = canvas.at_least(0.0, 1.5)
+        along = (front - back) / length * edge
+        canvas.line(np.array([back - along, front + along]), width + 2.0 * edge, _HALO)
+    colour = _CONTROLLED if controlled else tuple(_STOPPED + free * (_FREE - _STOPPED))
+    canvas.line(np.array([back, front]), width, colour)
 
 
 def _stop_lines(

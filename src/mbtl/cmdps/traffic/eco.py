@@ -148,6 +148,11 @@ class Eco(TrafficTeam):
 
     # ---- episodes ----------------------------------------------------------------------------
 
+    @property
+    def controlled(self) -> frozenset[str]:
+        """The controlled cars of this episode."""
+        return self._controlled
+
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:

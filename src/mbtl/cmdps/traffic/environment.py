@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypedDict
+from typing import Any, ClassVar, Literal, NamedTuple, TypedDict
 
 import numpy as np
 
@@ -26,6 +26,18 @@ SEEDS = 2**31 - 1
 """SUMO takes seeds of 31 bits."""
 
 RenderMode = Literal["rgb_array"]
+
+
+class Sight(NamedTuple):
+    """What a picture shows in numbers.
+
+    Attributes:
+        clock: simulated time [s].
+        speed: mean speed of all cars [m/s]; NaN without any.
+    """
+
+    clock: float
+    speed: float
 
 
 class Settings(TypedDict, total=False):
@@ -47,6 +59,7 @@ class Traffic(Contextual):
 
     Attributes:
         simulation: the running simulation; between episodes it is not running.
+        sight: what the latest picture shows, in numbers; None before any.
     """
 
     STEP: ClassVar[float]
@@ -55,6 +68,8 @@ class Traffic(Contextual):
     """Most decisions of an episode, unless another horizon is given."""
     WINDOW: ClassVar[Window | None] = None
     """What `render` shows of the network; None: all of it."""
+    SCORE: ClassVar[str] = "m/s"
+    """Unit of the score."""
 
     np_random: np.random.Generator
     render_mode: str | None
@@ -102,6 +117,7 @@ class Traffic(Contextual):
         )
         self.render_mode = render_mode
         self._picture: Image | None = None
+        self.sight: Sight | None = None
         self.simulation = Simulation(
             self._network(),
             step_length=self.STEP,
@@ -114,6 +130,11 @@ class Traffic(Contextual):
     def episode_steps(self) -> int:
         """Most decisions of an episode in this context."""
         return self.horizon
+
+    @property
+    def controlled(self) -> frozenset[str]:
+        """Cars that somebody controls, which pictures mark."""
+        return frozenset()
 
     def _network(self) -> Path:
         """The compiled network of this context."""
@@ -149,7 +170,10 @@ class Traffic(Contextual):
             raise InvalidInput("render() needs render_mode='rgb_array', got None; make another")
         if self.simulation.running is not None:
             with self.simulation.guard() as api:
-                self._picture = draw(api, self.WINDOW)
+                self._picture = draw(api, self.WINDOW, self.controlled)
+                speeds = [api.vehicle.getSpeed(car) for car in api.vehicle.getIDList()]
+                mean = float(np.mean(speeds)) if speeds else float("nan")
+                self.sight = Sight(float(api.simulation.getTime()), mean)
         if self._picture is None:
             raise InvalidInput("render() shows a simulation, got none so far; call reset()")
         return self._picture

@@ -114,6 +114,11 @@ class Ramp(TrafficTeam):
 
     # ---- episodes ----------------------------------------------------------------------------
 
+    @property
+    def controlled(self) -> frozenset[str]:
+        """The advised cars that have entered."""
+        return frozenset(self._advised)
+
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:

@@ -128,6 +128,11 @@ class Ring(TrafficEnv):
         """
         return self._decide(self._advice(action))
 
+    @property
+    def controlled(self) -> frozenset[str]:
+        """The advised car."""
+        return frozenset([_ADVISED])
+
     def drive(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One hold without advice: the unguided baseline."""
         return self._decide(None)

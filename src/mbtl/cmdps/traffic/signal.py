@@ -75,6 +75,7 @@ class Signal(TrafficEnv):
     STEP = 1.0
     HORIZON = SECONDS // GREEN
     WINDOW = Window(-110.0, -110.0, 110.0, 110.0)
+    SCORE = "s of waiting"
 
     def __init__(
         self,

@@ -44,12 +44,9 @@ class RingProblem:
         Raises:
             ContextMismatch: a hold is no whole number of simulation steps.
         """
-        import jax.numpy as jnp
-
-        import mbtl.training.jax  # noqa: F401  first: flags of jax
         from mbtl.worlds.environments import Box, Discrete
         from mbtl.worlds.traffic.idm import IDM
-        from mbtl.worlds.traffic.ring import RingParams, RingTwin
+        from mbtl.worlds.traffic.ring import RingTwin
 
         advisory.check_seen(self.obs)
         speeds = self.actions == "speed"
@@ -77,13 +74,7 @@ class RingProblem:
             stale=self.obs == "stale",
             uniform=self.start == "uniform",
         )
-        params = []
-        for context in contexts:
-            features = full_context(ring.Ring.FEATURES, context)
-            visible = visible_features(features, self.unit, self.visibility)
-            hold = advisory.hold_steps(features["hold"])
-            params.append(RingParams(jnp.int32(hold), jnp.asarray(visible, jnp.float32)))
-        return twin, params
+        return twin, _holds(contexts, ring.Ring.FEATURES, self.unit, self.visibility)
 
 
 @dataclass(frozen=True)
@@ -110,7 +101,6 @@ class EcoProblem:
         """
         import jax.numpy as jnp
 
-        import mbtl.training.jax  # noqa: F401  first: flags of jax
         from mbtl.cmdps.traffic import corridor, eco, emissions, population, trips
         from mbtl.worlds.environments import Box
         from mbtl.worlds.traffic.arrivals import Demand, Kind
@@ -175,7 +165,7 @@ class EcoProblem:
 
 @dataclass(frozen=True)
 class RampProblem:
-    """contexts -> twin of the highway ramp and its parameters (`twin_trainer.Problem`).
+    """contexts -> twin of the highway ramp and its parameters (`engines.TwinProblem`).
 
     Attributes:
         actions: what is advised.
@@ -201,15 +191,12 @@ class RampProblem:
         Raises:
             ContextMismatch: a hold is no whole number of simulation steps.
         """
-        import jax.numpy as jnp
-
-        import mbtl.training.jax  # noqa: F401  first: flags of jax
         from mbtl.cmdps.traffic import ramp
         from mbtl.worlds.environments import Box, Discrete
         from mbtl.worlds.traffic.idm import IDM
         from mbtl.worlds.traffic.ramp import RampTwin
         from mbtl.worlds.traffic.ramp_speeds import Drivers
-        from mbtl.worlds.traffic.ramp_state import Flow, RampParams, Roads
+        from mbtl.worlds.traffic.ramp_state import Flow, Roads
 
         def flow(road: str) -> Flow:
             demand = ramp.DEMAND[road]
@@ -256,10 +243,28 @@ class RampProblem:
             time_limit=self.time_limit,
             stale=self.obs == "stale",
         )
-        params = []
-        for context in contexts:
-            features = full_context(ramp.Ramp.FEATURES, context)
-            visible = visible_features(features, self.unit, self.visibility)
-            hold = advisory.hold_steps(features["hold"])
-            params.append(RampParams(jnp.int32(hold), jnp.asarray(visible, jnp.float32)))
-        return twin, params
+        return twin, _holds(contexts, ramp.Ramp.FEATURES, self.unit, self.visibility)
+
+
+def _holds(
+    contexts: Sequence[Context],
+    nominal: Mapping[str, float],
+    unit: Mapping[str, float],
+    visibility: Visibility,
+) -> list[Any]:
+    """The `HoldParams` of each context.
+
+    Raises:
+        ContextMismatch: a hold is no whole number of simulation steps.
+    """
+    import jax.numpy as jnp
+
+    from mbtl.worlds.beats import HoldParams
+
+    params = []
+    for context in contexts:
+        features = full_context(nominal, context)
+        visible = visible_features(features, unit, visibility)
+        hold = advisory.hold_steps(features["hold"])
+        params.append(HoldParams(jnp.int32(hold), jnp.asarray(visible, jnp.float32)))
+    return params

@@ -137,6 +137,12 @@ def evaluate(
             "evaluation needs at least one policy, context and episode, "
             f"got {n_policies}, {n_contexts} and {len(seeds)}"
         )
+    most = getattr(world, "most", None)  # simulations at once
+    if most is not None and len(seeds) > most:
+        parts = [seeds[first : first + most] for first in range(0, len(seeds), most)]
+        each = partial(evaluate, world, actor, params, activation=activation, how=how)
+        return np.concatenate([each(some) for some in parts], axis=-1)
+    rows = most if rows is None else rows
     if rows is None:
         rows = (CPU_ROWS if world.apart else n_policies * len(seeds)) if on_cpu() else DEVICE_ROWS
     width = max(1, min(n_contexts, rows // len(seeds))) if world.apart else 1

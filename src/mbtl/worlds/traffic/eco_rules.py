@@ -2,7 +2,7 @@
 
     glide   arrive at the light when it turns green, slowly first; see docs/eco-driving.md
 
-The files hold layers of tanh that `benchmarks/eco_clone.py` has fitted to the rule; they see the
+The files hold layers of tanh that `evidence/eco_clone.py` has fitted to the rule; they see the
 39 numbers of an agent and advise a speed as a share of the limit.
 """
 

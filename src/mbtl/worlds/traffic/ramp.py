@@ -20,9 +20,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from mbtl.worlds import beats as beats_of
 from mbtl.worlds import random
-from mbtl.worlds.environments import Beats, Box, Discrete, Length, TimeLimit
+from mbtl.worlds.beats import HoldParams, Holds
+from mbtl.worlds.environments import Beats, Box, Discrete, TimeLimit
 from mbtl.worlds.traffic import lane
 from mbtl.worlds.traffic.ramp_queues import driven, joined, with_last, without_collided
 from mbtl.worlds.traffic.ramp_speeds import Drivers
@@ -35,14 +35,13 @@ from mbtl.worlds.traffic.ramp_state import (
     Held,
     Look,
     Queue,
-    RampParams,
     RampState,
     Roads,
     empty,
     there,
 )
 from mbtl.worlds.traffic.ramp_view import look, numbers
-from mbtl.worlds.world import Moved, Seeded, Seen
+from mbtl.worlds.world import Moved, Seen
 
 _FACTORS, _NOISE = 4, (5, 6, 7)  # streams of random numbers; noise of main, side and end
 _FEW = 6  # rows of `side` that are computed while no simulation needs more
@@ -50,7 +49,7 @@ _END_ROWS = 8
 
 
 @dataclass(frozen=True)
-class RampTwin(Seeded):
+class RampTwin(Holds):
     """Some advised cars among many; constants are those of the SUMO environment.
 
     Attributes:
@@ -93,15 +92,11 @@ class RampTwin(Seeded):
     time_limit: TimeLimit = "truncation"
     stale: bool = False
     n_features: int = 8
-    params: type[RampParams] = RampParams
-
-    def decisions(self, params: RampParams) -> Length:
-        """Enough holds to fill the controlled time."""
-        return beats_of.length(self.total_steps, params.hold)
+    params: type[HoldParams] = HoldParams
 
     # ---- episodes ----------------------------------------------------------------------------
 
-    def start(self, seeds: jax.Array, params: RampParams) -> RampState:
+    def start(self, seeds: jax.Array, params: HoldParams) -> RampState:
         """Empty roads, then the warm-up."""
         n = len(seeds)
         roads, shortest = self.roads, self.drivers.length + self.drivers.min_gap
@@ -124,7 +119,7 @@ class RampTwin(Seeded):
         warm: RampState = state._replace(look=self._look(state))
         return warm
 
-    def observe(self, state: RampState, params: RampParams) -> Seen:
+    def observe(self, state: RampState, params: HoldParams) -> Seen:
         """The layout of `mbtl.cmdps.traffic.ramp`, then the visible features."""
         physical = numbers(state.look, self.scale)
         features = params.visible[..., None, :]  # of all, or of each simulation
@@ -132,20 +127,16 @@ class RampTwin(Seeded):
         obs = jnp.concatenate([physical, visible], axis=-1).astype(jnp.float32)
         return Seen(obs, (state.look.car != NO_CAR).T)
 
-    def step(self, state: RampState, action: jax.Array, params: RampParams) -> Moved:
+    def step(self, state: RampState, action: jax.Array, params: HoldParams) -> Moved:
         """Follow one instruction per agent for the hold."""
         return self._hold(self._instructed(state, self._told(state, action)), params)
 
-    def drive(self, state: RampState, params: RampParams) -> Moved:
+    def drive(self, state: RampState, params: HoldParams) -> Moved:
         """All cars drive by themselves."""
         told = jnp.full((self.agents, len(state.seed)), jnp.inf)
         return self._hold(self._instructed(state, told), params)
 
     # ---- decisions that last differently long ------------------------------------------------
-
-    def beats(self, params: RampParams, beats: Beats) -> tuple[jax.Array, jax.Array]:
-        """See `mbtl.worlds.beats.Holding`."""
-        return params.hold // beats.steps, -(-self.total_steps // params.hold)
 
     def held(self, state: RampState) -> Held:
         """See `mbtl.worlds.beats.Holding`."""
@@ -156,7 +147,7 @@ class RampTwin(Seeded):
         state: RampState,
         held: Held,
         action: jax.Array,
-        params: RampParams,
+        params: HoldParams,
         beats: Beats,
         now: jax.Array,
     ) -> tuple[Moved, Held]:
@@ -215,7 +206,7 @@ class RampTwin(Seeded):
             told = action * jnp.where(action > 0.0, *self.push)
         return jnp.where(state.look.car != NO_CAR, told, jnp.inf)
 
-    def _hold(self, state: RampState, params: RampParams) -> Moved:
+    def _hold(self, state: RampState, params: HoldParams) -> Moved:
         """One decision of all ramps, as long in each."""
         all_, nobody = jnp.array(True), jnp.array(False)
         state, held = self._through(state, self.held(state), params.hold, all_, nobody)
@@ -243,7 +234,7 @@ class RampTwin(Seeded):
         state, reward = jax.lax.fori_loop(int(self.stale), steps, one, carry)
         return state, held._replace(reward=reward)
 
-    def _decided(self, state: RampState, held: Held, params: RampParams) -> Moved:
+    def _decided(self, state: RampState, held: Held, params: HoldParams) -> Moved:
         """The end of a decision: what is seen, gained and over."""
         now = self._look(state)
         if self.stale:  # cars that came later have nothing older

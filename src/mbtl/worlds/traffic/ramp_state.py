@@ -1,4 +1,4 @@
-"""What the ramp twin is made of: its constants, its contexts and its state.
+"""What the ramp twin is made of: its constants and its state.
 
 Notation as in `mbtl.worlds.traffic.ramp`.
 """
@@ -12,18 +12,6 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.worlds.traffic.lane import EMPTY
-
-
-class RampParams(NamedTuple):
-    """One context.
-
-    Attributes:
-        hold: simulation steps of one decision.
-        visible: (v,) features appended to each observation.
-    """
-
-    hold: jax.Array
-    visible: jax.Array
 
 
 class Queue(NamedTuple):

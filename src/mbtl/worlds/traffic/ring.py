@@ -14,25 +14,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from mbtl.worlds import beats as beats_of
 from mbtl.worlds import random
-from mbtl.worlds.environments import Beats, Box, Discrete, Length, TimeLimit
+from mbtl.worlds.beats import HoldParams, Holds
+from mbtl.worlds.environments import Beats, Box, Discrete, TimeLimit
 from mbtl.worlds.traffic.idm import IDM, follow, obey
-from mbtl.worlds.world import Moved, Seeded, Seen
+from mbtl.worlds.world import Moved, Seen
 
 _SHARES, _FACTORS, _NOISE = range(3)  # streams of random numbers
-
-
-class RingParams(NamedTuple):
-    """One context, or one per simulation.
-
-    Attributes:
-        hold: simulation steps of one decision; a scalar or (n,).
-        visible: (v,) or (n, v) features appended to each observation.
-    """
-
-    hold: jax.Array
-    visible: jax.Array
 
 
 class RingState(NamedTuple):
@@ -89,7 +77,7 @@ Advice = Callable[[RingState, Held], jax.Array]
 
 
 @dataclass(frozen=True)
-class RingTwin(Seeded):
+class RingTwin(Holds):
     """One advised car among many; constants are those of the SUMO environment.
 
     Attributes:
@@ -141,15 +129,11 @@ class RingTwin(Seeded):
     uniform: bool = False
     agents: int = 1
     n_features: int = 3
-    params: type[RingParams] = RingParams
-
-    def decisions(self, params: RingParams) -> Length:
-        """Enough holds to fill the controlled time."""
-        return beats_of.length(self.total_steps, params.hold)
+    params: type[HoldParams] = HoldParams
 
     # ---- episodes ----------------------------------------------------------------------------
 
-    def start(self, seeds: jax.Array, params: RingParams) -> RingState:
+    def start(self, seeds: jax.Array, params: HoldParams) -> RingState:
         """Cars at rest with random gaps, then the warm-up."""
         state = self._placed(seeds)
         advise = partial(self._human_speeds, min_gap=self.min_gap)
@@ -159,7 +143,7 @@ class RingTwin(Seeded):
         warm: RingState = state._replace(seen=self._look(state))
         return warm
 
-    def observe(self, state: RingState, params: RingParams) -> Seen:
+    def observe(self, state: RingState, params: HoldParams) -> Seen:
         """Own speed, leader's speed, distance between the fronts; then the visible features."""
         share = state.seen / jnp.asarray(self.scale)[:, None]
         physical = 2.0 * jnp.clip(share, 0.0, 1.0) - 1.0
@@ -168,20 +152,16 @@ class RingTwin(Seeded):
         obs = jnp.concatenate([physical.T, visible], axis=1).astype(jnp.float32)
         return Seen(obs[:, None], state.running[:, None])
 
-    def step(self, state: RingState, action: jax.Array, params: RingParams) -> Moved:
+    def step(self, state: RingState, action: jax.Array, params: HoldParams) -> Moved:
         """Follow one instruction for the hold."""
         held = self.held(state)._replace(told=action.reshape(-1))
         return self._hold(state, held, self._told, params)
 
-    def drive(self, state: RingState, params: RingParams) -> Moved:
+    def drive(self, state: RingState, params: HoldParams) -> Moved:
         """The advised car drives by itself, without noise."""
         return self._hold(state, self.held(state), self._undisturbed, params)
 
     # ---- decisions that last differently long ------------------------------------------------
-
-    def beats(self, params: RingParams, beats: Beats) -> tuple[jax.Array, jax.Array]:
-        """See `mbtl.worlds.beats.Holding`."""
-        return params.hold // beats.steps, -(-self.total_steps // params.hold)
 
     def held(self, state: RingState) -> Held:
         """See `mbtl.worlds.beats.Holding`."""
@@ -193,7 +173,7 @@ class RingTwin(Seeded):
         state: RingState,
         held: Held,
         action: jax.Array,
-        params: RingParams,
+        params: HoldParams,
         beats: Beats,
         now: jax.Array,
     ) -> tuple[Moved, Held]:
@@ -262,7 +242,7 @@ class RingTwin(Seeded):
     def _undisturbed(self, state: RingState, held: Held) -> jax.Array:
         return self._human_speeds(state, self._advised_min_gaps())
 
-    def _hold(self, state: RingState, held: Held, advise: Advice, params: RingParams) -> Moved:
+    def _hold(self, state: RingState, held: Held, advise: Advice, params: HoldParams) -> Moved:
         """One decision of all rings, as long in each."""
         all_, nobody = jnp.array(True), jnp.array(False)
         state, held = self._through(state, held, advise, params.hold, all_, nobody)

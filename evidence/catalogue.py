@@ -1,0 +1,150 @@
+"""The catalogue of CMDPs, docs/catalogue.md, written from the registry; a strip of film per family.
+
+`--films` also plays the first CMDP of each family that can be drawn, with random choices at its
+nominal context, and keeps five moments of the episode in one picture. Half a minute, needs
+mbtl[traffic,envs]; without a screen HalfCheetah needs MUJOCO_GL=egl or osmesa.
+
+example: python evidence/catalogue.py --write
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from typing import Any
+
+import appendix
+import numpy as np
+
+from mbtl.benchmark import load_matrix, shipped_matrices
+from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp
+from mbtl.cmdps.engines import EnvFactory, resolved
+from mbtl.cmdps.registry import engines_of
+
+FILE = appendix.DOCS / "catalogue.md"
+FAMILIES = {
+    "cartpole": ("CartPole", "Balance a pole on a cart; Gymnasium's physics, step for step."),
+    "pendulum": ("Pendulum", "Swing a pendulum up and hold it; Gymnasium's physics."),
+    "walker": ("BipedalWalker", "Walk over rough ground on two legs, in Box2D."),
+    "cheetah": ("HalfCheetah", "Run as fast as possible, in MuJoCo."),
+    "signal": ("Traffic signal", "Switch the lights of one crossing, in SUMO."),
+    "eco": ("Eco-driving", "Guide cars to a traffic light: few stops, little fuel, no jam."),
+    "ring": ("Ring road", "Advise one of 22 cars on a ring, so that the wave of stops dissolves."),
+    "ramp": ("Highway ramp", "Advise cars of a main road where another road joins."),
+}
+INTRODUCTION = """# The catalogue of CMDPs
+
+`mbtl run ID` trains on any of these. What varies between their contexts is in the tables, with the
+number of contexts N and the nominal one, on which people train without help.
+
+- *Steps* is the longest episode, in decisions.
+- *Scale* is the return that counts as performance 0, and the one that counts as 1.
+- *Engines* can simulate it; the first one is used where it is installed.
+- *Matrix* says whether a transfer matrix is shipped. Where there is one, selectors can be compared
+  in seconds: `mbtl bench --matrix ID`.
+
+`python evidence/catalogue.py --write` wrote this page from the registry.
+"""
+MOMENTS = 5
+WIDTH = 1200
+"""Pixels of a strip."""
+
+
+def page() -> str:
+    """The catalogue in Markdown."""
+    lines = [INTRODUCTION]
+    every = [get_cmdp(id) for id in cmdp_ids()]
+    shipped = set(shipped_matrices())
+    for family, (title, text) in FAMILIES.items():
+        lines += [f"## {title}", "", text, ""]
+        if (appendix.DOCS / "images" / f"film-{family}.png").exists():
+            lines += [f"![five moments of {title}](images/film-{family}.png)", ""]
+        lines += ["| id | what varies | N | nominal | steps | scale | engines | matrix |"]
+        lines += ["|---|---|---|---|---|---|---|---|"]
+        lines += [row(cmdp, shipped) for cmdp in every if _family(cmdp.id) == family] + [""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def row(cmdp: CMDP, shipped: set[str]) -> str:
+    """One line of a table."""
+    low, high = cmdp.bounds or (0.0, 1.0)
+    varies = "; ".join(_span(cmdp, axis.name) for axis in cmdp.space.axes)
+    nominal = ", ".join(f"{value:g}" for value in (cmdp.nominal or {}).values())
+    own = cmdp.settings["engine"]
+    engines = ", ".join([own, *(e for e in engines_of(cmdp.id) if e != own)])
+    seeds = load_matrix(cmdp.id).n_seeds if cmdp.id in shipped else 0
+    matrix = f"{seeds} seed{'s' * (seeds > 1)}" if seeds else "-"
+    cells = [f"`{cmdp.id}`", varies, cmdp.space.n, nominal, cmdp.horizon, f"{low:g} to {high:g}"]
+    return "| " + " | ".join(map(str, [*cells, engines, matrix])) + " |"
+
+
+def _family(id: str) -> str:
+    return id.split("-", maxsplit=1)[0]
+
+
+def _span(cmdp: CMDP, name: str) -> str:
+    values = [float(value) for value in cmdp.space.values(name)]
+    unit = next(axis.unit for axis in cmdp.space.axes if axis.name == name)
+    return f"{name} {min(values):g} to {max(values):g}{'' if unit in ('', '1') else f' {unit}'}"
+
+
+def strip(id: str) -> Any:
+    """Moments of an episode side by side."""
+    from PIL import Image
+
+    cmdp = get_cmdp(id, engine=engines_of(id)[0])
+    assert isinstance(cmdp.make_env, EnvFactory)
+    options = {**cmdp.make_env.options, "render_mode": "rgb_array"}
+    env: Any = replace(cmdp.make_env, options=options)(cmdp.nominal or {})
+    env.reset(seed=0)
+    space = env.action_space("") if callable(env.action_space) else env.action_space
+    space.seed(0)
+    alone = not hasattr(env, "agents")
+    moments = []
+    for step in range(20 * MOMENTS):
+        if step % 20 == 10:
+            picture = Image.fromarray(np.asarray(env.render()))
+            moments.append(picture)
+        action = space.sample() if alone else {name: space.sample() for name in env.agents}
+        ended = env.step(action)[2:4]
+        if alone and any(ended):
+            env.reset(seed=step)
+    env.close()
+    wide = moments[0].width > 3 * moments[0].height  # a road: one below the other
+    width = WIDTH if wide else WIDTH // MOMENTS
+    height = width * moments[0].height // moments[0].width
+    across, down = (0, height + 4) if wide else (width + 4, 0)
+    size = (width + (MOMENTS - 1) * across, height + (MOMENTS - 1) * down)
+    whole = Image.new("RGB", size, "white")
+    for place, moment in enumerate(moments):
+        whole.paste(moment.resize((width, height)), (place * across, place * down))
+    return whole.convert("P", palette=Image.Palette.ADAPTIVE, colors=64)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--write", action="store_true", help="docs/catalogue.md")
+    parser.add_argument("--films", action="store_true", help="docs/images/film-*.png")
+    args = parser.parse_args()
+    if args.films:
+        for family in FAMILIES:
+            id = next(id for id in cmdp_ids() if _family(id) == family)
+            factory = get_cmdp(id, engine=engines_of(id)[0]).make_env
+            assert isinstance(factory, EnvFactory)
+            kind: Any = resolved(factory.entry_point)
+            if "rgb_array" in kind.metadata["render_modes"]:
+                file = appendix.DOCS / "images" / f"film-{family}.png"
+                try:
+                    strip(id).save(file, optimize=True)
+                except Exception as error:  # of a machine that cannot draw this one
+                    print(f"{file} stays as it is: {error}")
+    if args.write:
+        FILE.write_text(page(), encoding="utf-8")
+    else:
+        print(page())
+
+
+if __name__ == "__main__":
+    main()

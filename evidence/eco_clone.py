@@ -1,0 +1,124 @@
+"""Fit a small network to the rule `glide, try for green`: what recipe `glide` begins with.
+
+Observations are made up, not played: any speed, place, moment of the cycle and neighbours. Where
+the rule lets a driver drive, any advice above the limit is right. Prints the mean error of advised
+speeds where the rule advises, and how often the network advises a car that should be let alone.
+
+example: python evidence/eco_clone.py --write src/mbtl/worlds/traffic/rules/glide.npz
+"""
+
+from __future__ import annotations
+
+import measure  # first: threads
+
+from functools import partial  # isort: skip
+from typing import Any
+
+import numpy as np
+from eco_causes import BEST, RULES
+from eco_play import glide_speed
+
+import jax  # isort: skip  # after eco_play, which sets the flags of jax
+import jax.numpy as jnp
+import optax
+
+from mbtl.cmdps.traffic import corridor, eco
+from mbtl.training.jax import networks
+from mbtl.worlds.environments import Box
+from mbtl.worlds.traffic.signal import Light
+
+HIDDEN = (64, 64)
+ROWS = 512
+ALONE = 1.15
+"""Advice, as a share of the limit, that is no advice."""
+LIGHT = Light(corridor.YELLOW, corridor.RED)
+
+
+def made_up(key: Any, n: int) -> Any:
+    """(n, 39) observations; four fifths before the line, a third of the greens the usual one."""
+    draw = jax.random.uniform(key, (13, n))
+    ahead = corridor.APPROACH - corridor.LENGTH * draw[1]
+    left = jnp.where(draw[0] < 0.8, corridor.APPROACH * draw[1], ahead)
+    moving = jnp.where(draw[2] < 0.35, 12.0 + 2.0 * draw[3], corridor.LIMIT * draw[3])
+    speed = jnp.where(draw[2] < 0.12, 0.0, moving)
+    green = jnp.where(draw[4] < 0.3, 35.0, jnp.ceil(50.0 * draw[5]))
+    time = jnp.floor(2.0 * draw[6] * LIGHT.cycle(green)) / 2.0
+    signal = LIGHT.seen(green, time)
+    x = corridor.APPROACH - left
+    nothing, one = jnp.zeros(n), jnp.ones(n)
+
+    def other(there: Any, speed: Any, gap: Any) -> list[Any]:
+        near = -jnp.log(1.0 - 0.999 * gap) * 30.0
+        seen = (corridor.LIMIT * speed / eco.SPEED_SCALE, near / eco.LENGTH_SCALE, 0.0, 0.0)
+        return [jnp.where(there < 0.2, a, b) for a, b in zip(eco.ABSENT, seen, strict=True)]
+
+    own = speed / eco.SPEED_SCALE
+    box = corridor.STARTS[2]
+    columns = [
+        own, left / eco.LENGTH_SCALE, *signal[:3], *(s / eco.TIME_SCALE for s in signal[3:]),
+        x <= corridor.APPROACH, (x > corridor.APPROACH) & (x <= box), x > box,
+        nothing, nothing, one, nothing, *other(*draw[7:10]), *other(*draw[10:13]),
+        *[own, nothing, nothing, nothing] * 4,
+    ]  # fmt: skip
+    return jnp.stack([jnp.asarray(column, jnp.float32) for column in columns], axis=-1)
+
+
+def wanted(obs: Any) -> tuple[Any, Any]:
+    """(n,) advice as a share of the limit, and whether there is any."""
+    numbers = jnp.asarray(RULES[BEST][None, 1:], jnp.float32)
+    wish, acts = (x[0] for x in glide_speed(obs[None], numbers))
+    acts &= wish < corridor.LIMIT
+    return jnp.where(acts, wish / corridor.LIMIT, ALONE), acts
+
+
+def loss(actor: Any, key: Any) -> Any:
+    """Mean of Huber's error; advice above what is no advice costs nothing there."""
+    obs = made_up(key, ROWS)
+    advice, acts = wanted(obs)
+    apart = networks.apply(actor, obs)[:, 0] - advice
+    apart = jnp.where(acts, apart, jnp.minimum(apart, 0.0))
+    return optax.huber_loss(apart, delta=0.1).mean()
+
+
+@partial(jax.jit, static_argnums=1)
+def fitted(actor: Any, steps: int) -> Any:
+    """The network after so many steps of Adam."""
+    optimizer = optax.adam(optax.cosine_decay_schedule(4e-3, steps))
+
+    def one(carry: Any, key: Any) -> tuple[Any, None]:
+        actor, moments = carry
+        change, moments = optimizer.update(jax.grad(loss)(actor, key), moments)
+        return (optax.apply_updates(actor, change), moments), None
+
+    keys = jax.random.split(jax.random.key(0), steps)
+    (actor, _), _ = jax.lax.scan(one, (actor, optimizer.init(actor)), keys)
+    return actor
+
+
+def main() -> None:
+    """Fit, print and write."""
+    parser = measure.parser(__doc__)
+    parser.add_argument("--steps", type=int, default=3000, help="of Adam")
+    parser.add_argument("--write", help="file for the layers")
+    args = parser.parse_args()
+    box = Box((0.0,), (1.0,))
+    fresh = networks.init_weights(0, eco.SIZE, box, HIDDEN, first_action=0.8).actor
+    actor = fitted(jax.tree.map(jnp.asarray, fresh), args.steps)
+    obs = made_up(jax.random.key(1), 20_000)
+    advice, acts = wanted(obs)
+    found = networks.apply(actor, obs)[:, 0]
+    error = float(corridor.LIMIT * jnp.abs(found - advice)[acts].mean())
+    slowed = float((found < 0.95)[~acts].mean())
+    if args.write:
+        layers = [np.asarray(x, np.float32) for x in jax.tree.leaves(actor)]
+        names = [f"{what}_{k}" for k in range(len(layers) // 2) for what in ("weight", "bias")]
+        np.savez(args.write, **dict(zip(names, layers, strict=True)))
+    measure.show(
+        {"error": error, "slowed": slowed, "machine": measure.machine("jax")},
+        [f"error {error:.2f} m/s where the rule advises; advises {100 * slowed:.1f} % of the rest"],
+        as_json=args.json,
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""The leaderboard of selectors on all shipped matrices.
+
+    .venv/bin/python evidence/leaderboard.py [--budget 30] [--selectors a,b] [--write]
+
+Nothing that was learned has seen what it is judged on: `auto` runs with the prior fitted without
+the family of each matrix. Beside the selectors stands "told", which is none: it owns the whole
+matrices of the *other seeds* of the same CMDP, smoothed over sources, and picks by their mean gain.
+What separates it from the Sequential Oracle is luck of single trainings, which nobody can foresee.
+
+Sets with several axes have a table of their own, without the selectors that need one axis (n/a).
+
+`--write` puts the tables into docs/appendix/leaderboard.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+import appendix
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from mbtl.benchmark import compare, levels
+from mbtl.benchmark.base import measured_curve
+from mbtl.benchmark.catalogue import open_matrices
+from mbtl.benchmark.compare import default_selectors
+from mbtl.benchmark.records import Estimate, Summary, Trainings
+from mbtl.benchmark.references import NAMES
+from mbtl.benchmark.shipped import load_by_id, shipped_matrices
+from mbtl.benchmark.summary import trainings_to
+
+SELECTORS = (
+    "random", "greedy", "mbtl", "mbtl-release", "gp-mbtl", "m-mbtl", "sd-mbtl", "auto", "oracle",
+)  # fmt: skip
+SMOOTH = 2.0
+"""Grid steps over which the rows of the other seeds are averaged."""
+
+
+def told(matrix_id: str, budget: int) -> np.ndarray:
+    """(levels,) mean logarithm of the trainings to each share, a level not reached as K + 1."""
+    matrix = load_by_id(matrix_id)
+    shape = matrix.space.shape or (matrix.n,)
+    every = np.arange(matrix.n)
+    rows = np.stack([matrix.rows(s, every) for s in range(matrix.n_seeds)])
+    logs = []
+    for s in range(matrix.n_seeds):
+        others = np.delete(rows, s, axis=0)
+        best, taken = np.full(matrix.n, -np.inf), []
+        for _ in range(budget):
+            base = best if taken else np.zeros(matrix.n)
+            gain = (np.maximum(others - base, 0.0) if taken else others).mean(axis=(0, 2))
+            gain = gaussian_filter(gain.reshape(shape), SMOOTH, mode="nearest").ravel()
+            gain[taken] = -np.inf
+            taken.append(int(gain.argmax()))
+            best = np.maximum(best, rows[s, taken[-1]])
+        known, curve = levels(matrix, s), measured_curve(matrix, s, taken)
+        reached = trainings_to(curve, known.grand_mean, known.oracle_transfer)
+        logs.append([np.log(budget + 1 if k is None else k) for k in reached])
+    return np.mean(logs, axis=0)
+
+
+def trainings(found: Trainings, budget: int) -> str:
+    value = found.estimate.value
+    if value is None:
+        return f"> {budget}"
+    return f"> {value:.1f}" if found.censored else f"{value:.1f}"
+
+
+def closed(found: Estimate) -> str:
+    if found.value is None:
+        return "-"
+    interval = "" if found.low is None else f" [{found.low:.2f}, {found.high:.2f}]"
+    return f"{found.value:.2f}{interval}"
+
+
+def pooled(summary: Summary, known: np.ndarray | None) -> list[str]:
+    lines = [
+        f"| selector | k90 | k95 | k99 | closed at K = {summary.budget} | closed under the curve |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, s in summary.pooled.items():
+        cells = [name, *(trainings(k, summary.budget) for k in (s.k90, s.k95, s.k99))]
+        cells += [closed(s.closed_at_K), closed(s.closed_under_curve)]
+        lines.append(f"| {' | '.join(cells)} |")
+    if known is None:
+        return lines
+    values = " | ".join(f"{v:.1f}" for v in np.exp(known))
+    return [*lines, f"| *told the other seeds* | {values} | | |"]
+
+
+def each(names: Sequence[str], summaries: Sequence[Summary]) -> list[str]:
+    """k95 of every selector on every matrix."""
+    lines = [f"| k95 | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
+    for summary in summaries:
+        for matrix, found in sorted(summary.matrices.items()):
+            by = found.selectors
+            cells = [
+                trainings(by[name].k95, summary.budget) if name in by else "n/a" for name in names
+            ]
+            lines.append(f"| {matrix} | {' | '.join(cells)} |")
+    return lines
+
+
+def beside(summaries: Sequence[Summary]) -> list[str]:
+    """V of the reference rows and the levels of every matrix; older ones are marked."""
+    heads = [*NAMES.values(), "Independent", "Oracle Transfer"]
+    lines = [f"| V | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
+    for matrix, found in sorted(item for s in summaries for item in s.matrices.items()):
+        values = [found.references.get(key) for key in NAMES]
+        values += [found.independent, found.oracle_transfer]
+        cells = ["-" if v is None else f"{v:.3f}" for v in values]
+        lines.append(f"| {matrix}{'*' if found.caveat else ''} | {' | '.join(cells)} |")
+    older = "* of the older protocol: selection and report used the same evaluation episodes."
+    return [*lines, "", older]
+
+
+def board(names: Sequence[str], ids: Sequence[str], budget: int) -> tuple[Summary, list[str]]:
+    """Summary and pooled table of matrices that all these selectors can run on."""
+    summary = compare(names, ids, budget).summary
+    several = [i for i in ids if load_by_id(i).n_seeds > 1]
+    known = np.mean([told(i, budget) for i in several], axis=0) if several else None
+    return summary, pooled(summary, known)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--budget", type=int, default=30)
+    parser.add_argument("--selectors", default=",".join(SELECTORS))
+    parser.add_argument("--write", action="store_true")
+    args = parser.parse_args()
+    names = args.selectors.split(",")
+    lines_of = open_matrices(["all"])
+    sets = {  # a set of one seed would leave the pool without intervals
+        "one axis": [i for i, matrix in lines_of.items() if matrix.n_seeds > 1],
+        "one axis and one seed": [i for i, matrix in lines_of.items() if matrix.n_seeds == 1],
+        "several axes": [i for i in shipped_matrices() if load_by_id(i).space.d > 1],
+    }
+    lines: list[str] = []
+    summaries = []
+    for axes, ids in sets.items():
+        if not ids:
+            continue
+        able = default_selectors(ids)
+        summary, table = board([n for n in names if n in able], ids, args.budget)
+        count = f"{len(ids)} set{'s' * (len(ids) > 1)}"
+        lines += [f"{count} of matrices with {axes}, K = {args.budget}", "", *table, ""]
+        summaries.append(summary)
+    lines += [*each(names, summaries), "", *beside(summaries), ""]
+    print("\n".join(lines))
+    if args.write:
+        appendix.write("leaderboard", "Leaderboard: all tables", "leaderboard.md", lines)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,148 @@
+"""Choose the prior of `auto`: once on all shipped families, and once without each of them.
+
+    .venv/bin/python evidence/learn_prior.py [--budget 25] [--write]
+
+Every candidate of mbtl.models.priors picks, without covering picks, on the shipped matrices of one
+axis (of 100 contexts every second; coarser grids are left out), on all cores. What counts is the
+mean logarithm of the trainings to 90, 95 and 99 % of the way to Oracle Transfer, K + 1 where a
+level is not reached. For each family the candidate that is best on the *other* families is kept,
+each family counting once; `mbtl bench` uses it there. Judges are CartPole and Pendulum alone:
+elsewhere rows are luck more than contexts. How much worse the runner-up is, with one standard
+error, is printed beside each choice. `--write` puts the result into src/mbtl/models/priors.py.
+
+Then, on all families: of how many picks one should cover, each number against the shipped one.
+
+The likelihood was tried first, and chose worse: it rewards calibrated rows, not good picks.
+"""
+
+from __future__ import annotations
+
+import measure  # noqa: F401  first: threads
+
+import argparse  # isort: skip
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor as Pool
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.benchmark.catalogue import open_matrices
+from mbtl.benchmark.replay import replay
+from mbtl.benchmark.shipped import family_of, load_by_id
+from mbtl.benchmark.summary import trainings_to
+from mbtl.models.priors import CANDIDATES
+from mbtl.objective import value_curve
+from mbtl.selectors import SelectionProblem
+from mbtl.selectors.auto import Auto
+
+JUDGES = ("cartpole", "pendulum")
+COVERING = (0, 2, 3, 4, 6)
+FILE = Path(__file__).parents[1] / "src/mbtl/models/priors.py"
+
+
+def halved(matrix_id: str, budget: int) -> tuple[SelectionProblem, list[Array]]:
+    """Problem on at most 50 contexts of a line, and the performance of each seed on them."""
+    matrix = load_by_id(matrix_id)
+    problem = matrix.problem(budget)
+    skip = 1 if problem.n <= 50 else 2
+    kept = np.arange(skip - 1, problem.n, skip)
+    weights = problem.weights[kept] / problem.weights[kept].sum()
+    part = SelectionProblem(
+        problem.unit[kept], problem.steps[kept] / skip, weights, budget, problem.theta * skip
+    )
+    return part, [matrix.rows(seed, kept)[:, kept] for seed in range(matrix.n_seeds)]
+
+
+def small(matrix_id: str, budget: int) -> Iterator[tuple[SelectionProblem, Array]]:
+    """Problem and performance, seed by seed, on at most 50 contexts."""
+    part, seeds = halved(matrix_id, budget)
+    for rows in seeds:
+        yield part, rows
+
+
+def trainings(selector: Auto, problem: SelectionProblem, rows: Array) -> Array:
+    """(levels,) their logarithms."""
+    history = replay(selector, problem, lambda source: rows[source]).history
+    curve = value_curve(history.rows, problem.weights)
+    low, high = rows.mean(axis=0) @ problem.weights, rows.max(axis=0) @ problem.weights
+    reached = trainings_to(curve, low, high)
+    return np.log([problem.budget + 1 if k is None else k for k in reached])
+
+
+Stock = Mapping[str, Sequence[tuple[SelectionProblem, Array]]]
+Found = Mapping[str, Mapping[str, Array]]
+
+
+def table(pool: Pool, stock: Stock, entrants: Mapping[str, Auto]) -> Found:
+    """By label and family the logarithms (seeds of matrices, levels); means printed at once."""
+    found: dict[str, dict[str, Array]] = {}
+    print(f"{'':22s}" + "".join(f"{f:>24s}" for f in stock))
+    for label, selector in entrants.items():
+        unseen = {f: selector.without(f) for f in stock}
+        runs = {f: [pool.submit(trainings, unseen[f], *one) for one in stock[f]] for f in stock}
+        found[label] = {f: np.array([run.result() for run in runs[f]]) for f in stock}
+        means = (np.exp(found[label][f].mean(axis=0)) for f in stock)
+        cells = (" ".join(f"{v:6.2f}" for v in mean) for mean in means)
+        print(f"{label:22s}" + "".join(f"{c:>24s}" for c in cells), flush=True)
+    return found
+
+
+def cost(found: Found, label: str, judges: Sequence[str]) -> float:
+    """Mean logarithm over families and levels, each family counting once."""
+    return float(np.mean([found[label][f].mean() for f in judges]))
+
+
+def against(found: Found, label: str, best: str, judges: Sequence[str]) -> str:
+    """How many more trainings than the best one, with one standard error."""
+    more = [(found[label][f] - found[best][f]).mean(axis=1) for f in judges]
+    error = np.sqrt(sum(d.var(ddof=1) / len(d) for d in more)) / len(judges)
+    percent = 100 * np.expm1(np.mean([d.mean() for d in more]))
+    return f"{label!r} needs {percent:+.1f} % (± {100 * error:.1f})"
+
+
+def choices(found: Found, families: Sequence[str]) -> list[str]:
+    """Lines of the mapping CHOSEN, what they rest on printed."""
+    lines = []
+    for left_out in [None, *families]:
+        judges = [f for f in JUDGES if f != left_out]
+        best, second = sorted(found, key=lambda label: cost(found, label, judges))[:2]
+        print(f"without {left_out}: {best!r}; {against(found, second, best, judges)}", flush=True)
+        lines.append(f'    "{left_out or "all"}": "{best}",')
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--budget", type=int, default=25)
+    parser.add_argument("--write", action="store_true")
+    args = parser.parse_args()
+    ids = [
+        i for i, matrix in open_matrices(["all"]).items()
+        if not i.endswith("-final") and matrix.n > args.budget  # twins of the defaults
+    ]  # fmt: skip
+    families = sorted({family_of(i) for i in ids})
+    stock = {
+        f: [p for i in ids if family_of(i) == f for p in small(i, args.budget)] for f in families
+    }
+    with Pool(mp_context=get_context("spawn")) as pool:
+        judging = {f: stock[f] for f in JUDGES}
+        priors = {label: Auto(prior=prior, cover=0) for label, prior in CANDIDATES.items()}
+        lines = choices(table(pool, judging, priors), families)
+        print("covering picks, with the shipped priors that have not seen the family")
+        found = table(pool, stock, {str(n): Auto(cover=n) for n in COVERING})
+    shipped = str(Auto().cover)
+    for label in found:
+        print(against(found, label, shipped, families))
+    if args.write:
+        marks = ("# begin: evidence/learn_prior.py --write\n", "# end\n")
+        head, rest = FILE.read_text(encoding="utf-8").split(marks[0])
+        tail = rest.split(marks[1])[1]
+        rows = "\n".join(lines)
+        body = f"CHOSEN: Mapping[str, str] = {{\n{rows}\n}}\n"
+        FILE.write_text(f"{head}{marks[0]}{body}{marks[1]}{tail}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""Do policies of a twin transfer in SUMO as they do in the twin? One sub-matrix in both engines.
+
+    .venv/bin/python evidence/twin_transfer.py [--cmdp ring-acc] [--sources 6] [--targets 8]
+        [--episodes 5] [--train 300] [--train-in jax|sumo] [--out FILE.npz]
+
+Trains each source in the twin, or in SUMO (preset `quick`, with as many training episodes as
+`--train`), then evaluates every policy on every target in the twin, and twice in SUMO with other
+seeds. Printed: the mean score of each source, the correlation of all entries, and Spearman's rank
+correlation of the source means, of the twin against SUMO and of SUMO against itself. `--out` keeps
+the sub-matrices, arrays "twin", "sumo", "sumo_again" (source, target) and "sources", "targets".
+"""
+
+from __future__ import annotations
+
+import measure  # noqa: F401  first: threads
+
+import argparse  # isort: skip
+import time
+
+import numpy as np
+from scipy import stats
+
+from mbtl.cmdps import get_cmdp
+from mbtl.seeds import Purpose, evaluation_seed, training_seed
+from mbtl.training import export_mlp
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cmdp", default="ring-acc")
+    parser.add_argument("--sources", type=int, default=6)
+    parser.add_argument("--targets", type=int, default=8)
+    parser.add_argument("--episodes", type=int, default=5)
+    parser.add_argument("--train", type=int, default=300)
+    parser.add_argument("--train-in", choices=["jax", "sumo"], default="jax")
+    parser.add_argument("--out")
+    args = parser.parse_args()
+    twin, sumo = (get_cmdp(args.cmdp, engine=engine) for engine in ("jax", "sumo"))
+    n = twin.space.n
+    sources, targets = (
+        np.unique(np.linspace(0, n - 1, count).round().astype(int))
+        for count in (args.sources, args.targets)
+    )
+    there = [twin.space.contexts[i] for i in targets]
+    trainer = twin.trainer_for("quick", episodes=args.train, eval_episodes=10 * args.episodes)
+    school = trainer if args.train_in == "jax" else sumo.trainer_for("quick", episodes=args.train)
+    begin = time.perf_counter()
+    policies = [school.train(twin.space.contexts[i], training_seed(0, 0, int(i))) for i in sources]
+    print(
+        f"{len(policies)} trainings in {args.train_in}: {time.perf_counter() - begin:.0f} s",
+        flush=True,
+    )
+    if args.train_in == "sumo":
+        policies = [export_mlp(policy) for policy in policies]
+    judge = sumo.trainer_for("quick", eval_episodes=args.episodes, acting=trainer.acting)
+    seeds = evaluation_seed(0, 0), evaluation_seed(0, 0, Purpose.REPORT)
+    found = {"twin": _means(trainer, policies, there, seeds[0])}
+    for name, seed in zip(("SUMO", "SUMO again"), seeds, strict=True):
+        begin = time.perf_counter()
+        found[name] = _means(judge, policies, there, seed)
+        print(f"{name}: {time.perf_counter() - begin:.0f} s", flush=True)
+        if args.out:  # what was simulated so far is not lost
+            stored = {key.lower().replace(" ", "_"): matrix for key, matrix in found.items()}
+            np.savez(args.out, sources=sources, targets=targets, **stored)
+    axis = next(iter(twin.nominal or {}))
+    print(f"\n{args.cmdp}, mean score over {len(targets)} targets by source ({axis})")
+    print("source     " + " ".join(f"{twin.space.contexts[i][axis]:8g}" for i in sources))
+    for name, matrix in found.items():
+        print(f"{name:10} " + " ".join(f"{mean:8.3f}" for mean in matrix.mean(axis=1)))
+    for one, other in (("twin", "SUMO"), ("twin", "SUMO again"), ("SUMO", "SUMO again")):
+        a, b = found[one], found[other]
+        ranks = stats.spearmanr(a.mean(axis=1), b.mean(axis=1)).statistic
+        entries = np.corrcoef(a.ravel(), b.ravel())[0, 1]
+        print(
+            f"{one} against {other}: Spearman of source means {ranks:.2f}, correlation of entries "
+            f"{entries:.3f}, mean difference {np.mean(a - b):+.3f}"
+        )
+
+
+def _means(trainer, policies, contexts, seed):  # type: ignore[no-untyped-def]
+    """(sources, targets) mean scores."""
+    return np.array([trainer.evaluate(p, contexts, seed).mean(axis=1) for p in policies])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,311 @@
+"""`mbtl worker`: trains what a study picks, beside as many others, until the study is finished."""
+
+from __future__ import annotations
+
+import logging
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from functools import partial
+from typing import Annotated, Any
+
+import typer
+
+from mbtl.cli.common import (
+    JsonFlag,
+    console,
+    interrupts,
+    plain_warnings,
+    print_json,
+)
+from mbtl.cli.interrupts import interrupt_main
+from mbtl.cli.progress import LiveProgress
+from mbtl.cmdps import CMDP, resolve_cmdp
+from mbtl.errors import InvalidInput, StudyError, TrainingFailed, Unreachable
+from mbtl.study import Callback, Pick, Study, load_study
+from mbtl.study.patience import PATIENCE, Patience
+from mbtl.study.runner import LEASE, check_options, run
+from mbtl.study.walltime import WallTime
+from mbtl.trainer import Trainer, recipe_of
+
+_LENGTHS = ("timesteps", "episodes", "eval_episodes")
+"""What `mbtl run` may change of a recipe: a worker takes it from the study."""
+_RESERVE = 30.0
+"""Seconds of the wall time that are kept for giving back; at most a tenth of it."""
+
+
+def worker(
+    study: Annotated[
+        str,
+        typer.Argument(
+            metavar="STUDY_URL", help="Database of the study: a URL, or its folder or file."
+        ),
+    ],
+    problem: Annotated[
+        str,
+        typer.Argument(metavar="CMDP", help="What it is a study of: an id, or module:problem."),
+    ],
+    name: Annotated[
+        str | None, typer.Option(help="Name of the study, where its database holds several.")
+    ] = None,
+    artifacts: Annotated[
+        str | None,
+        typer.Option(help="Folder or URL of the policies, the same for all workers."),
+    ] = None,
+    engine: Annotated[
+        str | None, typer.Option(help="jax, gymnasium or sumo; default: the fastest there is.")
+    ] = None,
+    selector: Annotated[
+        str | None, typer.Option(help="Only for a rule of your own: as the study was made with.")
+    ] = None,
+    wall_time: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="End within this time: 90m, 2h, 1:30:00 or seconds."),
+    ] = None,
+    until: Annotated[
+        str | None,
+        typer.Option(metavar="MOMENT", help="End before: 2030-01-31T18:00, or seconds of 1970."),
+    ] = None,
+    no_wait: Annotated[
+        bool,
+        typer.Option(
+            "--no-wait", help="End when nothing is left to begin; others may be training."
+        ),
+    ] = False,
+    lease: Annotated[
+        float, typer.Option(help="Seconds of silence after which others take a training over.")
+    ] = LEASE,
+    retries: Annotated[
+        int, typer.Option(help="Times a failed training is begun again before it counts.")
+    ] = 0,
+    timeout: Annotated[
+        float | None, typer.Option(help="Seconds that a training may take, where it reports.")
+    ] = None,
+    stop_after_failures: Annotated[
+        int, typer.Option(help="End after so many failed trainings in a row.")
+    ] = 3,
+    no_rehearsal: Annotated[
+        bool,
+        typer.Option("--no-rehearsal", help="Skip the trial evaluation before the first training."),
+    ] = False,
+    patience: Annotated[
+        float, typer.Option(help="Seconds for which a database that does not answer is waited for.")
+    ] = PATIENCE,
+    as_json: JsonFlag = False,
+) -> None:
+    """Train what a study picks, beside other workers, until it is finished.
+
+    Start as many as you like, on any host that reaches the database: nothing is trained twice, and
+    a worker that dies is succeeded. Ctrl-C, SIGTERM and the wall time give a training back at once.
+
+    Example: mbtl worker postgresql+psycopg://me@db/studies my_problem.py:problem --wall-time 4h
+    """
+    check_options(1, "continue", stop_after_failures, lease, retries, timeout)
+    end = _end(wall_time, until)
+    cmdp = resolve_cmdp(problem, engine=engine)
+    tally, over = _Tally(), threading.Event()
+    opened: Study | None = None
+    with plain_warnings(), _spoken(), _alarm(end, over):
+        try:
+            opened = _opened(study, name, cmdp, artifacts, selector, patience)
+            trainer = _as_recorded(cmdp, opened)
+            has_room = _always if end is None else partial(end.has_room, opened, trainer)
+            with LiveProgress(opened, console) as live:
+                run(
+                    opened,
+                    trainer,
+                    stop_after_failures=stop_after_failures,
+                    rehearse=not no_rehearsal,
+                    callbacks=[live, tally],
+                    report=False,
+                    lease=lease,
+                    retries=retries,
+                    timeout=timeout,
+                    may_begin=has_room,
+                    wait=not no_wait,
+                )
+        except KeyboardInterrupt:
+            if not over.is_set():
+                raise
+            interrupts.append("worker")  # in the middle of something: see `program`
+    if opened is None:
+        raise StudyError("the wall time is over, and nothing was begun: the study was not open yet")
+    why = "the wall time is over"
+    if not over.is_set():
+        check_evaluated(opened)
+        why = "others are at the last trainings"
+        if not has_room():
+            why = "no further training would end within the wall time"
+    _report(opened, tally, why, as_json=as_json)
+
+
+def _always() -> bool:
+    return True
+
+
+class _Tally(Callback):
+    """What became of the trainings of this worker."""
+
+    def __init__(self) -> None:
+        self.counts = {"told": 0, "failed": 0, "lost": 0}
+
+    def on_told(self, study: Study, pick: Pick) -> None:
+        self.counts["told"] += 1
+
+    def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
+        self.counts["failed"] += 1
+
+    def on_lost(self, study: Study, pick: Pick) -> None:
+        self.counts["lost"] += 1
+
+
+def check_evaluated(study: Study) -> None:
+    """Refuse to call that done where policies are trained and could not be evaluated.
+
+    Raises:
+        TrainingFailed: so it is.
+    """
+    if study.state.deferred:
+        count = len(study.state.deferred)
+        raise TrainingFailed(
+            f"{count} {'policy is' if count == 1 else 'policies are'} trained and could not be "
+            "evaluated (`mbtl study show` says why); mend the cause, then run the same command "
+            "again: nothing is trained twice"
+        )
+
+
+def _end(wall_time: str | None, until: str | None) -> WallTime | None:
+    """When to be over, a little early; None: whenever the study is."""
+    if wall_time is not None and until is not None:
+        raise InvalidInput("an end is given as --wall-time or as --until, got both; leave one out")
+    if wall_time is None and until is None:
+        return None
+    seconds = _seconds(wall_time) if wall_time is not None else _moment(str(until)) - time.time()
+    if seconds <= 0.0:
+        raise InvalidInput(f"the time of a worker ends in the future, got {wall_time or until!r}")
+    return WallTime(time.monotonic() + seconds - min(_RESERVE, seconds / 10.0))
+
+
+def _seconds(text: str) -> float:
+    units = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+    if found := re.fullmatch(r"(\d+(?:\.\d+)?)([smhd]?)", text.strip()):
+        return float(found[1]) * units[found[2]]
+    if re.fullmatch(r"(\d+-)?\d+(:\d\d){1,2}", text.strip()):  # as batch systems write it
+        days, _, clock = text.strip().rpartition("-")
+        parts = [int(part) for part in clock.split(":")]
+        hours, minutes, seconds = parts if len(parts) == 3 else (0, *parts)
+        return float(int(days or 0) * 86400 + hours * 3600 + minutes * 60 + seconds)
+    raise InvalidInput(f"--wall-time is written 90m, 2h, 1:30:00 or in seconds, got {text!r}")
+
+
+def _moment(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    try:
+        return datetime.fromisoformat(text).timestamp()
+    except ValueError:
+        raise InvalidInput(
+            f"--until is a moment as 2030-01-31T18:00, or seconds since 1970, got {text!r}"
+        ) from None
+
+
+@contextmanager
+def _alarm(end: WallTime | None, over: threading.Event) -> Iterator[None]:
+    """An interrupt of the block at the end, whatever it is at."""
+    if end is None:
+        yield
+        return
+
+    def ring() -> None:
+        over.set()
+        interrupt_main()
+
+    timer = threading.Timer(max(end.left, 0.0), ring)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+@contextmanager
+def _spoken() -> Iterator[None]:
+    """In the block, what the storage has to say is said, such as that a server does not answer."""
+    handler = logging.Handler()
+    handler.emit = lambda record: console.print(  # type: ignore[method-assign]
+        record.getMessage(), style="yellow", markup=False, highlight=False, soft_wrap=True
+    )
+    logger = logging.getLogger("mbtl.study.patience")
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+
+
+def _opened(
+    study: str,
+    name: str | None,
+    cmdp: CMDP,
+    artifacts: str | None,
+    selector: str | None,
+    seconds: float,
+) -> Study:
+    """The study, as soon as its database answers."""
+    patience = Patience(seconds)
+
+    def opened() -> Study:
+        return load_study(study, name, problem=cmdp, artifacts=artifacts, selector=selector)
+
+    found = _patiently(opened, patience)
+    log: Any = found.log
+    log.patience = patience
+    return found
+
+
+def _patiently(work: Callable[[], Study], patience: Patience) -> Study:
+    while True:
+        try:
+            done = work()
+        except Unreachable as error:
+            patience.wait(error)
+        else:
+            patience.answered()
+            return done
+
+
+def _as_recorded(cmdp: CMDP, study: Study) -> Trainer:
+    """The trainer of the study's preset, with lengths that were given to `mbtl run`."""
+    trainer = study.trainer
+    assert trainer is not None  # a problem of the command line has one
+    recorded, own = study.spec.settings.get("recipe", {}), recipe_of(trainer)
+    changed = {
+        key: recorded[key]
+        for key in _LENGTHS
+        if key in own and recorded.get(key, own[key]) != own[key]
+    }
+    return cmdp.trainer_for(study.spec.settings.get("preset"), **changed) if changed else trainer
+
+
+def _report(study: Study, tally: _Tally, why: str, *, as_json: bool) -> None:
+    told, budget = len(study.refresh().rows), study.spec.budget
+    why = str(study.stop_reason) if study.is_finished else why
+    if as_json:
+        facts = {"study": study.name, "worker": study.worker, **tally.counts, "ended": why}
+        facts |= {"finished": study.is_finished, "rows": told, "budget": budget}
+        print_json(facts)
+        return
+    mine = tally.counts["told"]
+    console.print(
+        f"{study.worker} ends: {why}; it told {mine} of the {told} rows so far, of "
+        f"{budget} at most",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )

@@ -1,0 +1,1 @@
+"""One module per item; `mbtl.reproduction.registry` lists them."""

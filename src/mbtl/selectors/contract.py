@@ -1,0 +1,138 @@
+"""The selector contract: a problem (frozen data) and a history in, the next source out.
+
+A selector never sees a study, a storage or a matrix. It keeps no state between calls: what it needs
+is in the history, so a resumed study proposes what an undisturbed one would have. One method is
+enough (`Proposes`); what else a selector has, it says by a protocol of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.errors import InvalidInput
+from mbtl.history import History
+from mbtl.selectors.base import Outlook, Proposal, SelectionProblem
+
+
+@dataclass(frozen=True)
+class Traits:
+    """What a selector is and can, beside proposing.
+
+    Attributes:
+        deterministic: it ignores its generator, so one run of it says all.
+        retrains: it may propose a context again, where the problem allows for repeats.
+        predicts_chances: its proposals say how probable a gain is, where the problem asks.
+    """
+
+    deterministic: bool = False
+    retrains: bool = False
+    predicts_chances: bool = False
+
+
+@runtime_checkable
+class Proposes(Protocol):
+    """All that a selector must have; `adopted` gives it the rest."""
+
+    def propose(
+        self, problem: SelectionProblem, history: History, rng: np.random.Generator
+    ) -> Proposal:
+        """Choose one source that is neither trained, pending nor failed.
+
+        Raises:
+            Exhausted: every context is taken.
+        """
+        ...
+
+
+@runtime_checkable
+class Selector(Proposes, Protocol):
+    """Proposes the next source to train on."""
+
+    @property
+    def name(self) -> str:
+        """The registered name, e.g. "mbtl-ei"."""
+        ...
+
+
+@runtime_checkable
+class DescribedSelector(Selector, Protocol):
+    """A selector that says what it can; `traits_of` says it of any."""
+
+    @property
+    def traits(self) -> Traits:
+        """The same at every time."""
+        ...
+
+
+@runtime_checkable
+class OutlookSelector(Selector, Protocol):
+    """A selector with a model that people may look at."""
+
+    def outlook(
+        self, problem: SelectionProblem, history: History, candidates: NDArray[np.intp]
+    ) -> Outlook:
+        """What the model believes, and the gain it expects of `candidates`.
+
+        Raises:
+            InvalidInput: nothing was evaluated so far.
+            numpy.linalg.LinAlgError: the model cannot be fitted.
+        """
+        ...
+
+
+@runtime_checkable
+class LearnedSelector(Selector, Protocol):
+    """A selector that has learned from matrices, and can forget some of them."""
+
+    def without(self, family: str) -> Selector:
+        """The same, had it never seen a family of matrices; for honest benchmarks."""
+        ...
+
+
+def traits_of(selector: Selector) -> Traits:
+    """What a selector says of itself; one that says nothing can only propose."""
+    return selector.traits if isinstance(selector, DescribedSelector) else Traits()
+
+
+@dataclass(frozen=True)
+class Unnamed:
+    """A selector without a name, which goes by that of its class."""
+
+    selector: Proposes
+
+    @property
+    def name(self) -> str:
+        """Of the class."""
+        return type(self.selector).__name__
+
+    def propose(
+        self, problem: SelectionProblem, history: History, rng: np.random.Generator
+    ) -> Proposal:
+        """As the selector does."""
+        return self.selector.propose(problem, history, rng)
+
+
+def adopted(given: Any) -> Selector:
+    """A user's own object as a selector.
+
+    Raises:
+        InvalidInput: it has no method `propose`, or is a class that was not called.
+    """
+    if isinstance(given, type):
+        raise InvalidInput(
+            f"a selector is an object, got the class {given.__name__}; give {given.__name__}()"
+        )
+    if isinstance(given, Selector):
+        if not isinstance(given.name, str):
+            raise InvalidInput(f"a selector's name is a text, got {given.name!r}")
+        return given
+    if isinstance(given, Proposes):
+        return Unnamed(given)
+    raise InvalidInput(
+        "a selector has a method propose(problem, history, rng), got "
+        f"{type(given).__name__} {given!r:.60}; `mbtl.selectors.selector_names()` lists ours"
+    )

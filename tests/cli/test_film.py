@@ -1,0 +1,68 @@
+"""Films say clock, speed and score, and stand beside unguided traffic."""
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("PIL")
+
+from PIL import Image
+
+from mbtl.cli.film import Watched, caption, save_film
+
+
+class Road:
+    """Three decisions of 5 s on a road that gets faster; `render` is a picture of one grey."""
+
+    SCORE = "m/s"
+
+    def __init__(self, shape=(40, 50), seen=True):
+        self.shape, self.seen = shape, seen
+
+    def reset(self, seed=None):
+        self.steps = 0
+        return self._look(), {}
+
+    def step(self, action):
+        self.steps += 1
+        return self._look(), 2.0, False, self.steps == 3, {"final_score": 7.0}
+
+    def render(self):
+        return np.full((*self.shape, 3), 40 * self.steps, np.uint8)
+
+    def _look(self):
+        self.sight = (100.0 + 5.0 * self.steps, 1.0 * self.steps) if self.seen else None
+        return 0.0
+
+
+def watched(**kwargs):
+    take = Watched(Road(**kwargs), filming=True)
+    take.reset(seed=0)
+    for _ in range(3):
+        assert "final_score" not in take.step(0)[-1]
+    take.scores = [3.25]
+    return take
+
+
+def test_words_say_the_clock_the_speed_and_at_the_end_the_score_with_its_unit():
+    take = watched()
+    assert caption(take, 0).split("    ") == ["0 s", "mean speed now 0.0 m/s"]
+    assert caption(take, 3).split("    ") == ["15 s", "mean speed now 3.0 m/s", "score 3.25 m/s"]
+
+
+def test_a_simulator_without_cars_says_the_return_so_far():
+    take = watched(seen=False)
+    assert math.isnan(take.pictures[1].clock)
+    assert caption(take, 2) == "return so far 4"
+
+
+@pytest.mark.parametrize(("shape", "across"), [((400, 420), True), ((50, 500), False)])
+def test_two_takes_stand_beside_each_other_or_if_they_are_wide_below(tmp_path, shape, across):
+    longer, shorter = watched(shape=shape), watched(shape=shape)
+    del shorter.pictures[2:]
+    assert save_film(tmp_path / "road.gif", "road", {"guided": longer, "unguided": shorter}) == 4
+    with Image.open(tmp_path / "road.gif") as film:
+        assert film.n_frames == 4
+        assert (film.width > 2 * shape[1]) == across
+        assert (film.height > 2 * shape[0]) != across

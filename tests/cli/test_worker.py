@@ -1,0 +1,221 @@
+"""`mbtl worker` and `mbtl run --workers`, as a user and a batch system start them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+import mbtl
+from mbtl.cli import worker
+from mbtl.study.walltime import WallTime
+
+PROGRAM = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from mbtl.cli import program; program()
+"""
+QUICK = """
+import pathlib, time, mbtl
+def train(context, seed):
+    while context['x'] == pathlib.Path('slow').exists() * 0.5 and pathlib.Path('slow').exists():
+        pathlib.Path('training').touch()
+        time.sleep(0.02)
+    return context['x']
+def evaluate(p, contexts, seed): return [1 - abs(c['x'] - p) for c in contexts]
+def save(p, folder): (folder / 'x').write_text(str(p))
+def load(folder): return float((folder / 'x').read_text())
+space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 5})
+problem = mbtl.CMDP.from_functions(
+    'quick', space, train=train, evaluate=evaluate, save=save, load=load, budget=3,
+    bounds=(0.0, 1.0))
+other = mbtl.CMDP.from_functions('other', space, train=train, evaluate=evaluate, budget=3)
+"""
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A working folder with a problem; `slow` in it makes the training in the centre endless."""
+    (tmp_path / "quick.py").write_text(QUICK)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    yield tmp_path
+    sys.modules.pop("quick", None)
+
+
+def made(place, **settings):
+    problem = mbtl.loading.load_object("quick.py:problem")
+    return problem.study(
+        storage=place / "s" / "study.db", selector="mbtl", **{"budget": 3, **settings}
+    )
+
+
+def begun(*arguments):
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *map(str, arguments)],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        env={**os.environ, "COLUMNS": "100"},
+    )  # fmt: skip
+
+
+def until(happened, process):
+    while not happened():
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
+
+
+def test_a_worker_trains_what_is_left_of_a_study_and_says_so(place, mbtl_command):
+    made(place)
+    code, out, err = mbtl_command("worker", "s", "quick.py:problem", "--json")
+    assert code == 0, err
+    said = json.loads(out)
+    assert (said["told"], said["rows"], said["finished"]) == (3, 3, True)
+    assert "budget of 3 trainings is spent" in said["ended"]
+    code, out, err = mbtl_command("worker", "s", "quick.py:problem")  # nothing is left
+    assert (code, out) == (0, "")
+    assert "it told 0 of the 3 rows" in err
+
+
+def test_a_master_makes_the_study_waits_for_its_workers_and_sums_up(place, mbtl_command):
+    helped = []
+
+    def help_out():
+        while not (place / "shared.db").exists():
+            time.sleep(0.02)
+        process = begun("worker", "shared.db", "quick.py:problem", "--json", "--patience", "5")
+        helped.append((process.communicate()[0], process.returncode))
+
+    helper = threading.Thread(target=help_out)
+    helper.start()
+    code, _, err = mbtl_command(
+        "run", "quick.py:problem", "--workers", "shared.db", "--study", "mine", "--json"
+    )
+    helper.join()
+    assert code == 0, err
+    assert helped[0][1] == 0, helped
+    assert "mbtl worker shared.db quick.py:problem --name mine" in err
+    assert [f"pick {k}/3  x" in err for k in (1, 2, 3)] == [True] * 3  # however quick they were
+    assert (place / "mine" / "portfolio").is_dir()
+    assert mbtl.load_study(place / "shared.db").state.fresh is not None
+    code, _, err = mbtl_command(
+        "run", "quick.py:problem", "--workers", "shared.db", "--study", "mine", "--parallel", 2
+    )
+    assert code == 2
+    assert "mbtl worker" in err
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_worker_that_is_told_to_end_gives_its_training_back_at_once(place, number):
+    study = made(place)
+    (place / "slow").touch()
+    process = begun("worker", "s", "quick.py:problem")
+    until((place / "training").exists, process)
+    assert study.refresh().open_picks[0].lease is not None
+    process.send_signal(number)
+    out, _ = process.communicate()
+    assert process.returncode == 1, out
+    assert "run the same command again" in out
+    assert "Traceback" not in out
+    assert study.refresh().open_picks[0].lease is None  # by itself: nobody had to miss it
+    assert study.ask().number == 0
+
+
+def test_a_worker_whose_time_is_over_ends_by_itself_and_another_takes_its_training(
+    place, mbtl_command
+):
+    study = made(place)
+    (place / "slow").touch()
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # deaf in the background
+    try:
+        code, out, err = mbtl_command(
+            "worker", "s", "quick.py:problem", "--wall-time", "3", "--json"
+        )
+    finally:
+        signal.signal(signal.SIGINT, usual)
+    assert code == 0, err
+    assert json.loads(out)["ended"] == "the wall time is over"
+    assert not json.loads(out)["finished"]
+    assert study.refresh().open_picks[0].lease is None
+    (place / "slow").unlink()
+    assert mbtl_command("worker", "s", "quick.py:problem")[0] == 0
+    assert [row.pick for row in study.refresh().rows] == [0, 1, 2]
+
+
+def test_no_training_is_begun_that_would_not_end_in_time(place, mbtl_command):
+    study = made(place)
+    study.tell(study.ask(), [1.0] * 5, seconds=3600.0)
+    code, out, _ = mbtl_command("worker", "s", "quick.py:problem", "--wall-time", "30m", "--json")
+    assert code == 0
+    assert json.loads(out)["told"] == 0
+    assert "no further training would end" in json.loads(out)["ended"]
+    assert len(study.refresh().picks) == 1
+    trainer = study.trainer
+    assert WallTime(time.monotonic() + 4000.0).has_room(study, trainer)
+    assert not WallTime(time.monotonic() + 3000.0).has_room(study, trainer)
+
+
+def test_a_training_that_goes_on_from_its_checkpoint_is_begun_in_any_case(place):
+    study = made(place)
+    study.tell(study.ask(), [1.0] * 5, seconds=3600.0)
+
+    class Resuming:
+        resumes = True
+        policy_format = "custom"
+
+        def train(self):
+            raise AssertionError
+
+        evaluate = save = load = train
+
+    assert WallTime(time.monotonic() + 10.0).has_room(study, Resuming())
+    assert not WallTime(time.monotonic() - 1.0).has_room(study, Resuming())
+
+
+def test_a_worker_that_need_not_wait_leaves_the_last_training_to_others(place, mbtl_command):
+    study = made(place, budget=1)
+    study.ask(lease=600.0)
+    code, out, _ = mbtl_command("worker", "s", "quick.py:problem", "--no-wait", "--json")
+    assert code == 0
+    assert json.loads(out)["ended"] == "others are at the last trainings"
+    assert not json.loads(out)["finished"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("nowhere", "quick.py:problem"), 1, "there is none at"),
+        (("s", "quick.py:problem", "--name", "theirs"), 1, "no study is called 'theirs'"),
+        (("s", "quick.py:other"), 2, "the problem it was made for"),
+        (("s", "quick.py:nothing"), 2, "no attribute"),
+        (("s", "quick.py:problem", "--wall-time", "soon"), 2, "90m, 2h"),
+        (("s", "quick.py:problem", "--until", "2001-01-01"), 2, "in the future"),
+        (("s", "quick.py:problem", "--until", "9", "--wall-time", "9"), 2, "leave one out"),
+        (("s", "quick.py:problem", "--lease", "0"), 2, "seconds > 0"),
+        (
+            ("postgresql+psycopg://me:pw9@127.0.0.1:1/db", "quick.py:problem", "--patience", "0.2"),
+            1,
+            "does not answer",
+        ),
+    ],
+)
+def test_what_a_worker_cannot_do_it_says_in_a_sentence(place, mbtl_command, arguments, code, words):
+    pytest.importorskip("psycopg")
+    made(place)
+    found, out, err = mbtl_command("worker", *arguments)
+    assert (found, out) == (code, "")
+    assert words in err
+    assert "pw9" not in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("90", 90), ("90m", 5400), ("1.5h", 5400), ("1:30:00", 5400), ("30:00", 1800),
+     ("1-00:00:00", 86400)],
+)  # fmt: skip
+def test_wall_times_are_written_as_people_and_batch_systems_write_them(text, seconds):
+    assert worker._seconds(text) == seconds

@@ -1,0 +1,91 @@
+"""Engines of others, run for real: Dask with a worker that is killed, and submitit's executor."""
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import quick_problem
+
+import mbtl
+from mbtl.trainer import FunctionTrainer
+
+PROGRAM = "from mbtl.cli import program; program()"
+
+
+def killing_once(marks, context, seed):
+    """The first three trainings begin together; one of them takes its process with it."""
+    first = not Path(marks).exists()
+    if first:
+        Path(marks).write_text(str(os.getpid()))
+        os.kill(os.getpid(), signal.SIGKILL)
+    return quick_problem.train(context, seed)
+
+
+class Deadly:
+    """As `killing_once` of one folder; importable, so that it travels."""
+
+    def __init__(self, marks):
+        self.marks = str(marks)
+
+    def __call__(self, context, seed):
+        return killing_once(self.marks, context, seed)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+def test_a_study_on_dask_loses_nothing_when_a_worker_process_is_killed(tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    folders = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(folders))
+    trainer = FunctionTrainer(
+        Deadly(tmp_path / "killed"), quick_problem.evaluate, quick_problem.save, quick_problem.load
+    )
+    study = mbtl.create_study(
+        quick_problem.SPACE, budget=6, bounds=(-20.0, 0.0), storage=tmp_path / "study.db"
+    )
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None,
+            worker_dashboard_address=None, silence_logs=50, local_directory=str(tmp_path),
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):  # fmt: skip
+        study.run(trainer=trainer, parallel=2, executor=client.get_executor(pure=False))
+    assert (tmp_path / "killed").exists()
+    assert study.is_finished
+    rows = mbtl.load_study(tmp_path).state.rows
+    assert sorted(row.pick for row in rows) == list(range(6))
+    assert not study.state.failures
+    assert study.portfolio(trainer).policy_for({"mass": 1.0}).shape == (2,)
+
+
+PROBLEM = """
+import mbtl, quick_problem as quick
+problem = mbtl.CMDP.from_functions('quick', quick.SPACE, train=quick.train, budget=6,
+    evaluate=quick.evaluate, save=quick.save, load=quick.load, bounds=(-20.0, 0.0))
+"""
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+def test_submitit_starts_workers_and_they_end_the_study(tmp_path, monkeypatch):
+    submitit = pytest.importorskip("submitit")
+    (tmp_path / "mine.py").write_text(PROBLEM)
+    monkeypatch.chdir(tmp_path)
+    folders = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(folders))
+    study = mbtl.create_study(
+        quick_problem.SPACE, budget=6, bounds=(-20.0, 0.0), storage=tmp_path / "study.db",
+        problem="quick", settings={"switches": {}},
+    )  # fmt: skip
+    command = ["worker", "study.db", "mine.py:problem", "--json"]
+    work = submitit.helpers.CommandFunction([sys.executable, "-c", PROGRAM, *command])
+    executor = submitit.LocalExecutor(folder=tmp_path / "logs")
+    jobs = [executor.submit(work) for _ in range(2)]
+    while not all(job.done() for job in jobs):
+        time.sleep(0.05)
+    assert all('"finished": true' in job.result() for job in jobs)
+    rows = study.refresh().rows
+    assert sorted(row.pick for row in rows) == list(range(6))
+    assert study.is_finished

@@ -1,0 +1,351 @@
+"""Whatever is given to loaders, commands and functions: a sentence of ours, never a traceback.
+
+`MBTL_EXAMPLES=10000` generates so many inputs over all tests of this file; without it 200.
+"""
+
+import contextlib
+import copy
+import io
+import json
+import os
+import shutil
+import sqlite3
+import sys
+from unittest import mock
+
+import numpy as np
+import pytest
+import quick_problem
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import mbtl
+from mbtl.benchmark import TransferMatrix
+from mbtl.cli import main
+from mbtl.loading import load_object
+from mbtl.selectors import SelectionProblem
+
+from damage import places  # isort: skip
+
+TESTS = 10
+EXAMPLES = int(os.environ.get("MBTL_EXAMPLES", "200"))
+
+generated = settings(
+    max_examples=max(EXAMPLES // TESTS, 1),
+    deadline=None,
+    derandomize="MBTL_EXAMPLES" not in os.environ,
+    suppress_health_check=list(HealthCheck),
+    database=None,
+)
+
+NUMBERS = st.one_of(
+    st.integers(-3, 12), st.sampled_from([2**31, -(2**63), 10**400]), st.floats(width=64)
+)
+TEXTS = st.one_of(
+    st.sampled_from(["", "auto", "mbtl", "max", "..", "/etc/passwd", "a\0b", "\ud800", "x.py:y"]),
+    st.text(max_size=8),
+)
+SCALARS = st.one_of(st.none(), st.booleans(), NUMBERS, TEXTS)
+JSONS = st.recursive(
+    SCALARS,
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=4), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+ARRAYS = st.one_of(
+    st.sampled_from(
+        [
+            np.array([]), np.zeros(()), np.full(5, np.nan), np.zeros((2, 3, 3)), np.array(["a"]),
+            np.array([None]), np.array([1j]), np.zeros((1, 4, 4)) + np.inf, np.array([b"x"]),
+            np.array([True]), np.array(["2020"], dtype="M8[s]"), np.eye(3, dtype=np.int8)[None],
+        ]
+    ),
+    st.lists(st.floats(), max_size=5).map(np.array),
+)  # fmt: skip
+ANY = st.one_of(
+    JSONS, ARRAYS, st.sampled_from([object(), 1j, b"x", int, len, range(3), np.float32(2), {1, 2}])
+)
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
+
+
+@contextlib.contextmanager
+def ours():
+    """Errors of ours are what is wanted, each with a message; any other is a failure."""
+    said = "nothing was refused"
+    try:
+        yield
+    except mbtl.MbtlError as error:
+        said = str(error)
+    assert said.strip()
+    assert "Traceback" not in said
+
+
+@st.composite
+def changed(draw, record):
+    """A JSON-like record with one or two entries lost or replaced."""
+    record = copy.deepcopy(record)
+    for _ in range(draw(st.integers(1, 2))):
+        known = list(places(record))
+        if not known:
+            break
+        *way, last = draw(st.sampled_from(known))
+        there = record
+        for key in way:
+            there = there[key]
+        if draw(st.booleans()) and draw(st.booleans()):
+            del there[last]
+        else:
+            there[last] = draw(JSONS)
+    return record
+
+
+@st.composite
+def broken(draw, content):
+    """A file cut short, or with some bytes replaced."""
+    if draw(st.booleans()):
+        return content[: draw(st.integers(0, len(content)))]
+    at = draw(st.integers(0, max(len(content) - 1, 0)))
+    some = draw(st.binary(min_size=1, max_size=6))
+    return content[:at] + some + content[at + len(some) :]
+
+
+def text_of(record):
+    return json.dumps(record)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A study with its policies, a portfolio and a matrix, to be copied and damaged."""
+    folder = tmp_path_factory.mktemp("made")
+    study = mbtl.create_study(
+        quick_problem.SPACE, budget=2, bounds=(-40.0, 0.0), selector="mbtl",
+        storage=folder / "study.db",
+    )  # fmt: skip
+    study.run(trainer=quick_problem.TRAINER, progress=False)
+    study.portfolio(quick_problem.TRAINER).save(folder / "portfolio")
+    TransferMatrix.of(np.random.default_rng(0).random((2, 5, 5)), bounds=(0, 1)).save(
+        folder / "matrix.npz"
+    )
+    return folder
+
+
+@generated
+@given(data=st.data())
+def test_matrix_files(made, tmp_path_factory, data):
+    file = tmp_path_factory.mktemp("matrix") / "m.npz"
+    if data.draw(st.booleans()):
+        file.write_bytes(data.draw(broken((made / "matrix.npz").read_bytes())))
+    else:
+        names = ["returns", "contexts", "axes", "bounds", "theta", "direction", "sources", "more"]
+        found = st.dictionaries(st.sampled_from(names), ARRAYS | NUMBERS | TEXTS, max_size=5)
+        entries = {"returns": np.zeros((1, 4, 4)), **data.draw(found)}
+        entries = {name: np.asarray(value) for name, value in entries.items()}
+        np.savez(file, **entries)
+    with ours():
+        TransferMatrix.load(file).problem(1)
+    shutil.rmtree(file.parent)
+
+
+@generated
+@given(data=st.data())
+def test_study_files(made, tmp_path_factory, data):
+    file = tmp_path_factory.mktemp("study") / "study.db"
+    shutil.copyfile(made / "study.db", file)
+    if data.draw(st.booleans()):
+        file.write_bytes(data.draw(broken(file.read_bytes())))
+    else:
+        with contextlib.closing(sqlite3.connect(file)) as base:
+            rows = base.execute("select seq, data from mbtl_events order by seq").fetchall()
+            seq, text = data.draw(st.sampled_from(rows))
+            record = data.draw(changed(json.loads(text)))
+            base.execute("update mbtl_events set data=? where seq=?", (text_of(record), seq))
+            base.commit()
+    with ours():
+        study = mbtl.load_study(file)
+        study.trainings.html("")
+        study.ask()
+    with ours():
+        mbtl.list_studies(file)
+    with ours():
+        mbtl.load_study(file).portfolio(quick_problem.TRAINER).policy(0)
+    shutil.rmtree(file.parent)
+
+
+@generated
+@given(data=st.data())
+def test_portfolios(made, tmp_path_factory, data):
+    folder = tmp_path_factory.mktemp("portfolio") / "p"
+    shutil.copytree(made / "portfolio", folder)
+    manifest = folder / "portfolio.json"
+    if data.draw(st.booleans()):
+        record = data.draw(changed(json.loads(manifest.read_text())))
+        manifest.write_text(text_of(record))
+    else:
+        file = data.draw(st.sampled_from(sorted(p for p in folder.rglob("*") if p.is_file())))
+        file.write_bytes(data.draw(broken(file.read_bytes())))
+    with ours():
+        portfolio = mbtl.load_portfolio(folder, load=quick_problem.load)
+        portfolio.policy_for({"mass": 1.0})
+        portfolio._repr_html_()
+    shutil.rmtree(folder.parent)
+
+
+MANY = mbtl.ContextSpace.grid(
+    {
+        mbtl.Log("mass", 0.1, 10.0, unit="kg"): 3,
+        mbtl.Integer("n", 1, 3): 3,
+        mbtl.Categorical("kind", ("a", "b")): 2,
+    }
+)
+
+
+@generated
+@given(record=changed(MANY.to_json()), context=st.dictionaries(TEXTS, SCALARS, max_size=3))
+def test_context_spaces(record, context):
+    with ours():
+        space = mbtl.ContextSpace.from_json(json.loads(text_of(record)))
+        space.index(context)
+    with ours():
+        MANY.index({"mass": 1.0, "n": 1, "kind": "a", **context})
+
+
+NAMES = st.one_of(
+    TEXTS,
+    st.tuples(TEXTS | st.sampled_from(["json", "mbtl", "os.path", "."]), TEXTS).map(":".join),
+    st.sampled_from(["json:", ":x", "json:loads.x", "..:x", "a b:c", "x.py:", "json.nope:x", "::"]),
+)
+
+
+@generated
+@given(name=NAMES)
+def test_names_of_own_objects(name):
+    with ours(), mock.patch.object(sys, "path", list(sys.path)):
+        load_object(name)
+    with ours(), mock.patch.object(sys, "path", list(sys.path)):
+        mbtl.selectors.get_selector(name)
+
+
+SETTINGS = (
+    "budget", "preset", "trainer", "selector", "bounds", "direction", "objective", "stopping",
+    "theta", "seed", "trial", "stop_value", "cost_budget", "costs", "repeats", "risk",
+    "eval_targets", "stop_gain", "stop_confidence", "stop_left", "best_return", "problem",
+    "settings",
+)  # fmt: skip
+LIKELY = {
+    "budget": st.integers(1, 5),
+    "bounds": st.sampled_from([(0.0, 1.0), (1, 0), (0, np.inf), mbtl.Bounds(0, 1, floor=0.5)]),
+    "selector": st.sampled_from(["random", "greedy", "auto"]),
+}
+
+
+@generated
+@given(data=st.data())
+def test_settings_of_a_study(data):
+    chosen = data.draw(st.lists(st.sampled_from(SETTINGS), max_size=3, unique=True))
+    wishes = {"budget": 3, "selector": "random"}
+    wishes |= {name: data.draw(LIKELY.get(name, ANY) | ANY) for name in chosen}
+    if callable(wishes.get("costs")) or isinstance(wishes.get("trainer"), str):
+        wishes.pop("costs", None)  # a user's own function may raise what it likes
+    with ours():
+        study = mbtl.create_study(SPACE, **wishes)
+        study.tell(study.ask(), np.linspace(0.0, 1.0, 5), targets=None)
+        study.ask()
+
+
+@generated
+@given(pick=ANY, returns=ANY, targets=st.none() | ANY, cost=st.none() | ANY, seconds=ANY, n=ANY)
+def test_asking_and_telling(pick, returns, targets, cost, seconds, n):
+    study = mbtl.create_study(SPACE, budget=3, selector="random")
+    with ours():
+        study.ask(n)
+    with ours():
+        study.ask(lease=cost)
+    with ours():
+        study.tell(pick, returns, targets=targets, cost=cost)
+    with ours():
+        study.tell(1, np.zeros(5), cost=cost, seconds=seconds, steps=n)
+    for attempt in (study.release, study.pick, study.retry, study.extend):
+        with ours():
+            attempt(pick)
+    with ours():
+        study.void(pick, "wrong")
+    with ours():
+        study.fail(study.ask(), targets)
+    study.trainings.html("")
+
+
+@generated
+@given(data=st.data())
+def test_axes_spaces_and_problems(data):
+    low, high, count = (data.draw(ANY) for _ in range(3))
+    for kind in (mbtl.Linear, mbtl.Log, mbtl.Integer):
+        with ours():
+            mbtl.ContextSpace.grid({kind(data.draw(TEXTS), low, high): count})
+        with ours():
+            mbtl.ContextSpace.grid({kind("x", 1, 3): count})
+    with ours():
+        mbtl.Categorical("kind", low)
+    with ours():
+        mbtl.Bounds(low, high, count)
+    with ours():
+        mbtl.Bounds(0.0, 1.0).normalise(0.5)
+    with ours():
+        SelectionProblem.of(SPACE, budget=low, theta=high, risk=count)
+
+
+@generated
+@given(data=st.data())
+def test_matrices_and_comparisons(data):
+    with ours():
+        TransferMatrix.of(data.draw(ARRAYS | ANY), bounds=data.draw(st.none() | ANY))
+    with ours():
+        mbtl.load_matrix(data.draw(TEXTS), data.draw(TEXTS))
+    matrix = TransferMatrix.of(np.eye(4)[None], bounds=(0, 1))
+    with ours():
+        mbtl.compare(data.draw(st.lists(TEXTS, max_size=2)), [matrix], budget=2, seeds=1)
+    with ours():
+        mbtl.compare(["random"], [matrix], budget=data.draw(ANY), seeds=1)
+
+
+OPTIONS = (
+    "--json", "--help", "--name", "--budget", "--seeds", "--matrix", "--selectors", "--bounds",
+    "--seed", "--study", "--repeats", "--risk", "--costs", "--out", "--variant", "--nope", "-x",
+)  # fmt: skip
+COMMANDS = (
+    ("study", "list"), ("study", "show"), ("study", "export"), ("cmdps",), ("matrix", "show"),
+    ("bench",), ("report",), ("run", "no-such-cmdp"), ("check", "nope.py:x"), ("play",),
+    ("matrix",), (), ("study",), ("watch",), ("matrix", "import"),
+)  # fmt: skip
+WORDS = st.one_of(
+    st.sampled_from(OPTIONS),
+    st.sampled_from(
+        ["study.db", "matrix.npz", "portfolio", ".", "out.json", "out.csv", "random", "0,1", "3"]
+    ),
+    TEXTS.map(lambda text: text.encode("utf-8", "replace").decode().replace("\0", "")),
+    st.integers(-2, 4).map(str),
+)
+
+
+@generated
+@given(command=st.sampled_from(COMMANDS), words=st.lists(WORDS, max_size=5))
+def test_commands(made, tmp_path_factory, command, words):
+    folder = tmp_path_factory.mktemp("command")
+    for name in ("study.db", "matrix.npz"):
+        shutil.copyfile(made / name, folder / name)
+    arguments = ["mbtl", *command, *words]
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.chdir(folder))
+        out = stack.enter_context(contextlib.redirect_stdout(io.StringIO()))
+        stack.enter_context(contextlib.redirect_stderr(io.StringIO()))
+        stack.enter_context(mock.patch.object(sys, "argv", arguments))
+        stack.enter_context(mock.patch.object(sys, "path", list(sys.path)))
+        try:
+            main()
+            code = 0
+        except SystemExit as stop:
+            code = stop.code or 0
+    assert code in (0, 1, 2)
+    if code == 0 and "--json" in words and "--help" not in words:
+        json.loads(out.getvalue())
+    shutil.rmtree(folder)

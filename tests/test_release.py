@@ -1,0 +1,89 @@
+"""What a release may hold: all that is committed, no path of a machine, and at most 20 MB."""
+
+import importlib.util
+import io
+import tomllib
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mbtl
+
+TOOL = Path(__file__).parents[1] / "tools" / "release_check.py"
+
+
+@pytest.fixture(scope="module")
+def release():
+    spec = importlib.util.spec_from_file_location("release_check", TOOL)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def wheel(release, tmp_path):
+    def write(**files):
+        path = tmp_path / "mbtl.whl"
+        with zipfile.ZipFile(path, "w") as content:
+            for name in {*release.NEEDED} - {*files}:
+                content.writestr(name, b"")
+            for name, data in files.items():
+                if data is not None:
+                    content.writestr(name, data)
+        return path
+
+    return write
+
+
+def arrays(**values):
+    file = io.BytesIO()
+    np.savez_compressed(file, **values)
+    return file.getvalue()
+
+
+def test_the_package_leaves_room_below_the_limit(release):
+    files = [f for f in Path(mbtl.__file__).parent.rglob("*") if f.suffix in {".npz", ".csv"}]
+    size = sum(f.stat().st_size for f in files)
+    assert size < release.LIMIT - 2_000_000, "keep the largest matrices out of the package"
+
+
+def test_a_whole_wheel_passes(release, wheel):
+    release.check_wheel(wheel(), {*release.NEEDED})
+
+
+def test_a_wheel_that_lacks_data_is_refused(release, wheel):
+    with pytest.raises(release.Refused, match=r"does not have 1 files: mbtl/py\.typed"):
+        release.check_wheel(wheel(**{"mbtl/py.typed": None}), {*release.NEEDED})
+
+
+def test_leftovers_are_refused(release, wheel):
+    with pytest.raises(release.Refused, match=r"not committed, 1 files: mbtl/old\.py"):
+        release.check_wheel(wheel(**{"mbtl/old.py": b""}), {*release.NEEDED})
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b'{"command": "/home/somebody/.venv/bin/mbtl matrix build"}',
+        arrays(provenance=np.array('{"command": "/tmp/build/mbtl matrix build"}')),
+    ],
+)
+def test_a_path_of_a_machine_is_found_in_text_and_in_arrays(release, wheel, data):
+    name = "mbtl/benchmark/data/LICENSE.md" if data[:1] == b"{" else "mbtl/seed0.npz"
+    with pytest.raises(release.Refused, match="names a path of a machine"):
+        release.check_wheel(wheel(**{name: data}), {*release.NEEDED, name})
+
+
+def test_a_large_wheel_is_refused(release, wheel, monkeypatch):
+    monkeypatch.setattr(release, "LIMIT", 100)
+    with pytest.raises(release.Refused, match="keep the largest matrices out"):
+        release.check_wheel(wheel(), {*release.NEEDED})
+
+
+def test_citation_and_changelog_are_of_this_version():
+    root = TOOL.parents[1]
+    version = tomllib.loads((root / "pyproject.toml").read_text())["project"]["version"]
+    assert f"\nversion: {version}\n" in (root / "CITATION.cff").read_text()
+    assert f"## {version} " in (root / "CHANGELOG.md").read_text()
