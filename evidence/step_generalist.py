@@ -16,7 +16,6 @@ import numpy as np
 from step_tables import Play, Plays, Sets
 
 from mbtl.benchmark.multitask import load_multitask
-from mbtl.benchmark.step_measure import StepScale
 from mbtl.benchmark.steps import ONE_PER_STEP, StepWorld
 
 METHODS = ("ppo", "trpo", "ppo-x10", "trpo-x10")
@@ -91,69 +90,73 @@ def beside(sets: Sets, plays: Plays, strategies: Sequence[str]) -> list[str]:
     return lines
 
 
-@dataclass(frozen=True)
-class Found:
-    """What looking for one policy for all did to a study of a budget.
+def alone(sets: Sets, *, checked: bool) -> dict[str, list[Play]]:
+    """The one policy as a play: its lengths one after the other, each trained afresh."""
+    found = {}
+    for name, seeds in sets.items():
+        found[name] = []
+        for s, (world, _) in enumerate(seeds):
+            tries = points(name, world, s)
+            steps = np.array([p.checked if checked else p.steps for p in tries])
+            best = np.maximum.accumulate([p.value for p in tries])
+            times = np.array([float(p.times) for p in tries])
+            found[name].append(Play(steps, best, times))
+    return found
 
-    Attributes:
-        enough: one policy was not worse than the portfolio when both had cost as much.
-        steps: when that was known; infinite: never.
-        alone: what the policy that won cost by itself.
-        value: V at the end of the budget.
-        without: V there of the same study that never looks.
+
+def race(sets: Sets, plays: Plays, strategy: str) -> dict[str, list[Play]]:
+    """A portfolio and one policy for all that take turns: whoever has cost less goes on.
+
+    So whichever wins needs about twice its own steps. V is that of the better one: what both are
+    worth together is at least as much. The checks of the one policy are charged.
     """
-
-    enough: bool
-    steps: float
-    alone: float
-    value: float
-    without: float
-
-
-def look(play: Play, tries: Sequence[Point], scale: StepScale) -> Found:
-    """Whenever the portfolio has cost what one policy of the next length would, train that.
-
-    Where its V is no less than the portfolio's it is kept, and nothing else is trained; else the
-    portfolio goes on. So what wins is found within about twice its own steps, and what loses has
-    cost no more than the portfolio before it.
-    """
-    looked, best = 0.0, -np.inf
-    for point in tries:
-        if 2.0 * point.steps + looked > scale.budget:
-            break
-        looked += point.steps
-        best = max(best, point.value)
-        if point.value >= play.at(point.steps):
-            return Found(
-                True, point.steps + looked, point.steps, point.value, play.at(scale.budget)
-            )
-    value = max(best, play.at(scale.budget - looked))
-    return Found(False, np.inf, looked, value, play.at(scale.budget))
+    found = {}
+    for name, seeds in sets.items():
+        found[name] = []
+        for s, (world, scale) in enumerate(seeds):
+            mine, tries = plays[strategy][name][s], points(name, world, s)
+            spent, there, looked, best = mine.spent.copy(), [], 0.0, -np.inf
+            for point in tries:
+                spent[mine.spent > point.checked] += point.checked
+                looked += point.checked
+                best = max(best, point.value)
+                there.append((point.checked + looked, best))
+            other = Play(*(np.array(column) for column in zip(*there, strict=True)), mine.lengths)
+            moved = Play(spent, mine.value, mine.lengths)
+            at = np.sort(np.append(spent, other.spent))
+            at = at[at <= scale.budget]
+            value = np.array([max(moved.at(steps), other.at(steps)) for steps in at])
+            found[name].append(Play(at, value, mine.lengths))
+    return found
 
 
-def committee(sets: Sets, plays: Plays, strategy: str) -> list[str]:
-    """The rule on every set: how often it says so, when, and what it costs or brings."""
+def verdicts(sets: Sets, plays: Plays, strategy: str) -> list[str]:
+    """What the race says and costs, set by set; of seeds, means."""
     lines = [
-        "| set | one policy is enough | found after, units | it alone costs | V of 30 units | "
-        "V without looking | that is the better end |",
+        "| set | says that one policy is enough | after units | which cost alone | "
+        "V of 30 units, both | the portfolio alone | the one policy alone |",
         "|---" * 7 + "|",
     ]
+    both, single = race(sets, plays, strategy), alone(sets, checked=True)
     for name, seeds in sets.items():
-        both = list(zip(seeds, plays[strategy][name], strict=True))
-        every = [
-            (look(play, points(name, world, s), scale), scale)
-            for s, ((world, scale), play) in enumerate(both)
-        ]
-        won = [(found, scale) for found, scale in every if found.enough]
-        right = sum(found.value >= found.without - 1e-9 for found, _ in every)
-        cells = [f"{len(won)} of {len(every)}"]
-        for what in ("steps", "alone"):
-            mean = (
-                np.mean([getattr(found, what) / scale.unit for found, scale in won]) if won else 0
-            )
-            cells.append(f"{mean:.1f}" if won else "-")
-        cells += [f"{np.mean([getattr(f, what) for f, _ in every]):.3f}"
-                  for what in ("value", "without")]  # fmt: skip
-        cells.append(f"{right} of {len(every)}")
+        said, after, own, ends = 0, [], [], []
+        for s, (world, scale) in enumerate(seeds):
+            mine = plays[strategy][name][s]
+            able = [p for p in points(name, world, s) if _until(p, name, world, s) <= scale.budget]
+            if able and able[-1].value >= mine.at(able[-1].checked):
+                said += 1
+                after.append(_until(able[-1], name, world, s) / scale.unit)
+                own.append(able[-1].checked / scale.unit)
+            every = (both[name][s], mine, single[name][s])
+            ends.append([play.at(scale.budget) for play in every])
+        cells = [f"{said} of {len(seeds)}"]
+        cells += [f"{np.mean(units):.1f}" if units else "-" for units in (after, own)]
+        cells += [f"{v:.3f}" for v in np.mean(ends, axis=0)]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return lines
+
+
+def _until(point: Point, name: str, world: StepWorld, seed: int) -> float:
+    """Steps of a race until this try is known: as many for the portfolio, and all tries so far."""
+    before = [p.checked for p in points(name, world, seed) if p.times <= point.times]
+    return point.checked + float(sum(before))

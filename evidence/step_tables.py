@@ -23,6 +23,7 @@ Sets = Mapping[str, Seeds]
 
 PAPER = "mbtl, whole, everywhere"
 ORACLE = "Sequential Oracle, whole"
+CHOSEN = "the best one of the other families"
 PICKS = 15
 
 
@@ -81,6 +82,25 @@ def with_oracle(sets: Sets, plays: Plays) -> Plays:
             whole = np.ones(len(scale.oracle))
             found[name].append(Play(scale.oracle_spent, scale.oracle, whole, share))
     return {**plays, ORACLE: found}
+
+
+def with_chosen(sets: Sets, plays: Plays) -> Plays:
+    """With the strategy that is best by area on the other families, for each family."""
+    families = {family_of(name) for name in sets}
+    if len(families) < 2:
+        return plays
+    found = {}
+    for family in families:
+        others = {n: seeds for n, seeds in sets.items() if family_of(n) != family}
+        best = max(plays, key=lambda k, some=others: mean_area(some, plays, k))
+        found |= {n: plays[best][n] for n in sets if family_of(n) == family}
+    return {**plays, CHOSEN: found}
+
+
+def mean_area(sets: Sets, plays: Plays, strategy: str) -> float:
+    """Over all sets, families alike."""
+    areas = {name: area(sets, plays, strategy, name) for name in sets}
+    return evenly(sets, lambda n, s: float(areas[n][s]))
 
 
 def pooled(sets: Sets, of: Callable[[str, int], float]) -> float:
@@ -222,15 +242,18 @@ def against_oracle(sets: Sets, plays: Plays, strategies: Sequence[str]) -> list[
     return lines
 
 
-def ladder(sets: Sets, plays: Plays, rungs: Sequence[str]) -> list[str]:
-    """What one saving after the other makes of the steps to the goal, by family."""
+def ladder(sets: Sets, plays: Plays, rungs: Mapping[str, str]) -> list[str]:
+    """What one saving after the other makes of the steps to the goal, by family.
+
+    After three prices of fifteen picks of the paper's MBTL come `rungs`, title -> strategy.
+    """
     families = sorted({family_of(name) for name in sets})
     priced = {
-        "the paper's protocol: 100 episodes on every context": lambda n, s: (
+        "fifteen picks by the paper's protocol: 100 episodes on every context": lambda n, s: (
             PICKS * sets[n][s][1].paper
         ),
         "ten episodes": lambda n, s: PICKS * _ten(sets[n][s]),
-        "early ends": lambda n, s: plays[PAPER][n][s].spent[PICKS - 1],
+        "trainings end early": lambda n, s: plays[PAPER][n][s].spent[PICKS - 1],
     }
     lines = [
         "| one after the other | " + " | ".join(f"{f}: units | times" for f in families) + " |",
@@ -246,7 +269,7 @@ def ladder(sets: Sets, plays: Plays, rungs: Sequence[str]) -> list[str]:
                 scale = sets[n][s][1]
                 steps = (
                     priced[title](n, s) if title in priced
-                    else min(to_goal(sets, plays, title, n, s), scale.budget)
+                    else min(to_goal(sets, plays, rungs[title], n, s), scale.budget)
                 )  # fmt: skip
                 return float(steps / scale.unit)
 

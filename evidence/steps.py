@@ -1,11 +1,14 @@
 """The leaderboard over environment steps, all in, on the shipped transfer curves.
 
     .venv/bin/python evidence/steps.py [--auto] [--write]
+    .venv/bin/python evidence/steps.py --constants [--write]
 
 Every set of curves that is shipped with all its seeds takes part. `--auto` adds the strategies that
 ask `auto` (they need most of the time). `--write` puts all tables into docs/appendix/steps.md, and
-the sentence and tables of the page into docs/steps.md. What was played is kept in `--keep`, so that
-it is not played again when a set is added; empty that folder when a strategy changes.
+the sentence and tables of the page into docs/steps.md. `--constants` is about other numbers of the
+evaluation and of the pilot instead, and which the other families would have chosen. What was played
+is kept in `--keep`, so that it is not played again when a set is added; empty that folder when a
+strategy changes.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from pathlib import Path
 
 import appendix
 import numpy as np
+import step_generalist as generalist
 import step_page as page
 import step_tables as tables
 from step_tables import Play, Seeds, Sets
@@ -51,6 +55,8 @@ STRATEGIES: tuple[Strategy, ...] = (
     FixedLength("mbtl", -5, WHERE_IT_MATTERS, "mbtl, 1/16"),
     Halving("own", name="ASHA by own return", **HALVING),
     Halving("mean", name="ASHA by mean", **HALVING),
+    Halving("own", first=-5, name="ASHA from 1/16 by own return", **HALVING),
+    Halving("mean", first=-5, name="ASHA from 1/16 by mean", **HALVING),
     Halving("own", cohort=16, name="successive halving, 16 by own return", **HALVING),
     Halving("own", brackets=3, name="Hyperband by own return", **HALVING),
     Halving("mean", brackets=3, name="Hyperband by mean", **HALVING),
@@ -127,16 +133,30 @@ def all_played(strategies: Sequence[Strategy], sets: Sets, keep: Path) -> tables
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--auto", action="store_true")
+    parser.add_argument("--constants", action="store_true")
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--keep", type=Path, default=Path("runs/steps"))
     args = parser.parse_args()
     args.keep.mkdir(parents=True, exist_ok=True)
     sets = worlds()
+    if args.constants:
+        lines = []
+        for title, grid in CONSTANTS.items():
+            lines += tables.constants(title, sets, all_played(grid, sets, args.keep))
+        print("\n".join(lines))
+        if args.write:
+            page.fill("constants", lines)
+        return
     strategies = STRATEGIES + (WITH_AUTO if args.auto else ())
-    plays = tables.with_oracle(sets, all_played(strategies, sets, args.keep))
+    plays = tables.with_chosen(sets, all_played(strategies, sets, args.keep))
+    plays = {
+        **plays,
+        page.ALONE: generalist.alone(sets, checked=False),
+        page.CHECKED: generalist.alone(sets, checked=True),
+        page.RACE: generalist.race(sets, plays, page.OURS),
+    }
+    plays = tables.with_oracle(sets, plays)
     lines = page.everything(sets, plays)
-    for title, grid in CONSTANTS.items():
-        lines += tables.constants(title, sets, all_played(grid, sets, args.keep))
     print("\n".join(lines))
     if args.write:
         appendix.write("steps", "Count steps: all tables", "steps.md", lines)

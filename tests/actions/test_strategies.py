@@ -76,6 +76,7 @@ def test_halving_promotes_the_best_half_of_a_rung_the_highest_first():
     assert strategy.decide(PROBLEM, trail((4, 0.5), (0, 0.7)), RNG) == Extend(1, 1)
     there = trail((4, 0.5), (0, 0.7), (8, 0.6), (2, 0.4), lengths=(1, 1, 0, 0))
     assert strategy.decide(PROBLEM, there, RNG) == Extend(1, 2)
+    assert Halving("own", every=1, first=-2).decide(PROBLEM, Trail(STEPS), RNG).length == 1
     done = trail((4, 0.5), (0, 0.7), lengths=(0, 1), ended=(1,))
     assert isinstance(strategy.decide(PROBLEM, done, RNG), Start)
 

@@ -31,7 +31,7 @@ class Halving:
             would lose without it.
         every: marks from one rung to the next; lengths double from mark to mark, so eta = 2**every.
         selector: where to begin new trainings; "random" is the rule of all three.
-        first: mark of the lowest rung.
+        first: mark of the lowest rung; -1 is that of whole trainings.
         cohort: promote only when so many began together, and fewer on each rung; None: at once.
         brackets: so many, each beginning a rung above the one before.
         evaluation: where each policy is evaluated.
@@ -53,7 +53,8 @@ class Halving:
         if due is not None:
             return due
         last = len(problem.lengths) - 1
-        rungs = sorted({*range(self.first, last, self.every), last})
+        first = range(len(problem.lengths))[self.first]
+        rungs = sorted({*range(first, last, self.every), last})
         scores, own = self._scores(problem, trail), _brackets(trail, rungs[: self.brackets])
         for bracket in rungs[: self.brackets]:
             mine = [j for j in range(len(trail.trainings)) if own[j] == bracket]
