@@ -50,9 +50,10 @@ class LeasingStudy(StudyView):
         folder: Path | ArtifactStore | None,
         name: str = "study",
         trainer: Trainer | None = None,
+        state: StudyState | None = None,
     ) -> None:
         """Use `create_study` or `load_study`; the log must hold a `created` event."""
-        super().__init__(log, folder=folder, name=name, trainer=trainer)
+        super().__init__(log, folder=folder, name=name, trainer=trainer, state=state)
         self.selector = selector
         self.proposes_ahead = True
 
