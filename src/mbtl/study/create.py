@@ -32,7 +32,7 @@ from mbtl.study.listing import chosen_name, database_at
 from mbtl.study.places import fixed_url, policy_store
 from mbtl.study.problem import Problem, ProblemFacts, check_problem, facts_of
 from mbtl.study.spec import StudySpec
-from mbtl.study.state import replay
+from mbtl.study.state import StudyState, replay
 from mbtl.study.steps.create import create_step_study
 from mbtl.study.steps.strategies import DEFAULT
 from mbtl.study.steps.study import StepStudy
@@ -196,9 +196,7 @@ def create_study(
             a `StepStudy`, which takes what follows, and no selector, objective, stopping rule,
             costs, repeats, risk or targets.
         strategy: decides what to train on, how long, and where to evaluate: a name or an object.
-        lengths: see `mbtl.study.steps.create.create_step_study`, as for all that follows.
-        episodes: of a policy on a target.
-        horizon: most steps of an episode.
+        lengths, episodes, horizon: see `mbtl.study.steps.create.create_step_study`.
 
     Raises:
         InvalidInput: budget out of range, bounds reversed, unknown selector, ...
@@ -298,7 +296,7 @@ def create_study(
                 f"a study named {name!r} exists in {storage}; pass load_if_exists=True to go on "
                 "with it, or choose another name"
             ) from None
-        _check_same(log, study.spec, spec)
+        _check_same(study.state, spec)
         if spec.budget > study.spec.budget:
             study.extend(spec.budget)
         return study
@@ -339,10 +337,11 @@ def load_study(
     place = database_at(storage)
     name = chosen_name(place, name)
     log = SqlLog(place, name)
-    created = next(iter(log.read()), None)
-    if created is None:
+    events = log.read()
+    if not events or events[0].kind != "created":
         raise StudyError(f"there is no study {name!r} in {place}; it holds {study_names(place)}")
-    spec = replay([created]).spec
+    state = replay(events)
+    spec = state.spec
     assert spec is not None
     if problem is not None:
         facts = _facts_then(problem, spec, trainer)
@@ -350,7 +349,7 @@ def load_study(
         trainer = facts.trainer
     chosen = _selector_then(spec, selector)
     folder = policy_store(place, artifacts)
-    return Study(log, chosen, folder=folder, name=name, trainer=trainer)
+    return Study(log, chosen, folder=folder, name=name, trainer=trainer, state=state)
 
 
 def _facts_then(problem: Problem, spec: StudySpec, trainer: Trainer | None) -> ProblemFacts:
@@ -381,12 +380,13 @@ def _selector_then(spec: StudySpec, given: str | Selector | None) -> Selector:
     return chosen
 
 
-def _check_same(log: EventLog, stored: StudySpec, given: StudySpec) -> None:
+def _check_same(state: StudyState, given: StudySpec) -> None:
     """Refuse other settings; the budget may be larger, and settings that came later are free."""
-    records = []
+    records, stored = [], state.spec
+    assert stored is not None
     for spec in (stored, given):
         record = {**spec.to_json(), "selector": without_origin(spec.selector)}
-        records.append({name: record[name] for name in next(iter(log.read())).data["spec"]})
+        records.append({name: record[name] for name in state.settings_named})
     was, now = records
     was["budget"] = max(stored.budget, given.budget)  # less is refused, more extends the study
     difference = first_difference(was, now)

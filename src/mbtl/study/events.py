@@ -4,7 +4,8 @@ created   the problem and the settings; always the first
 extended  the budget was raised
 equipped  a run brought its trainer: recipe and format of the policies
 claimed   a worker holds a pick from now on: one that is open, or the next, whose source it proposes
-asked     the selector proposed the source of the pick that was claimed
+asked     the selector proposed the source of the pick that was claimed, and perhaps some ahead; or
+          a worker holds the first of those from now on
 released  a pick was given back untrained
 told      a transfer row arrived
 late      a result came of a pick that is somebody else's by now, or answered; it changes nothing

@@ -34,6 +34,10 @@ class StudyState:
     open_picks: dict[int, PickRecord] = field(default_factory=dict)
     proposing: Lease | None = None
     """Of the worker that finds the source of the next pick; None: nobody does."""
+    settings_named: tuple[str, ...] = ()
+    """Those that the log names: an older version knew fewer."""
+    ahead: list[Mapping[str, Any]] = field(default_factory=list)
+    """Facts of picks to come, proposed together with one before them, in order."""
     rows: list[ToldRow] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     deferred: dict[int, Failure] = field(default_factory=dict)
@@ -48,6 +52,8 @@ class StudyState:
     _routing_seq: int = field(default=-1, repr=False)
     _rows_seq: int = field(default=0, repr=False)
     """Number of the last event that changed the rows, or how they count."""
+    _ahead_age: int = field(default=0, repr=False)
+    """How many more answers the picks ahead may miss."""
     _performance: Array | None = field(default=None, repr=False)
     _room: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     """Its memory, with place for rows to come."""
@@ -206,6 +212,7 @@ class StudyState:
 
     def _created(self, event: Event) -> None:
         self.spec = StudySpec.from_json(event.data["spec"])
+        self.settings_named = tuple(event.data["spec"])
         self.version = event.data["version"]
         self.uid = event.data["uid"]
         self.created_at = event.time
@@ -224,6 +231,12 @@ class StudyState:
     def _asked(self, event: Event) -> None:
         data = event.data
         self.proposing = None
+        if data.get("ahead"):
+            self.ahead, self._ahead_age = list(data["ahead"]), len(data["ahead"])
+        elif self.ahead and self.ahead[0]["source"] == data["source"]:
+            self.ahead = self.ahead[1:]
+        else:  # proposed with newer rows
+            self.ahead = []
         pick = PickRecord(
             data["pick"],
             data["source"],
@@ -285,6 +298,7 @@ class StudyState:
     def _voided(self, event: Event) -> None:
         place = self.place_of(event.data["told"])
         row = self.rows.pop(place)
+        self.ahead = []
         self.fresh = self.stopped = self._routing = None
         if row.pick is not None:  # as a training that gave nothing: it may be tried again
             self.failures.append(Failure(row.source, row.pick, event.data["reason"]))
@@ -307,6 +321,9 @@ class StudyState:
         self._give(number, None)
 
     def _close(self, number: int | None, token: str) -> None:
+        self._ahead_age -= 1
+        if self._ahead_age < 0:
+            self.ahead = []
         if number is not None:
             self.open_picks.pop(number, None)
             self.deferred.pop(number, None)
@@ -314,6 +331,7 @@ class StudyState:
 
     def _stopped(self, event: Event) -> None:
         self.stopped = event.data["reason"]
+        self.ahead = []
         self.proposing = None
 
     def _reported(self, event: Event) -> None:
