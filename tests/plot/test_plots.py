@@ -157,7 +157,7 @@ def test_a_comparison_is_its_table_a_frame_and_a_picture(mbtl_table):
     assert repr(comparison) == printed.rstrip("\n")
     frame = comparison.to_frame()
     assert list(frame.columns) == ["matrix", "matrix_seed", "selector", "seed", "k", "source", "V"]
-    run = comparison.results[0]
+    run = next(r for r in comparison.results if r.selector == "greedy")
     mine = frame[(frame.selector == run.selector) & (frame.seed == run.seed)]
     assert mine.V.tolist() == pytest.approx(run.performance.tolist())
     assert mine.source.tolist() == list(run.sources)
@@ -167,7 +167,10 @@ def test_a_comparison_is_its_table_a_frame_and_a_picture(mbtl_table):
     assert lines["greedy"] == pytest.approx(
         next(r for r in comparison.results if r.selector == "greedy").performance
     )
-    with pytest.raises(mbtl.MbtlError, match="matrix must be one of"):
+    chance = frame[frame.selector == "random"]  # as in the table: exact, of no one order
+    assert chance.V.tolist() == pytest.approx(one.random)
+    assert chance.source.isna().all()
+    with pytest.raises(mbtl.MbtlError, match=r"matrix must be one of .* plot\('synthetic"):
         comparison.plot("other")
 
 
@@ -178,7 +181,7 @@ def mbtl_table(monkeypatch, capsys):
     names = ["random", "greedy", "oracle"]
     arguments = ["bench", "--matrix", "synthetic:linear-gap", "--budget", "3", "--seeds", "1"]
     monkeypatch.setattr("sys.argv", ["mbtl", *arguments, "--selectors", ",".join(names)])
-    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("COLUMNS", "90")
     with contextlib.suppress(SystemExit):
         main()
     printed = "\n".join(line.rstrip() for line in capsys.readouterr().out.splitlines())

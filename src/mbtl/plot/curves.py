@@ -77,7 +77,10 @@ def comparison(comparison: Comparison, matrix: str | None = None, *, ax: Any = N
     if matrix is None and len(known) == 1:
         matrix = next(iter(known))
     if matrix is None or matrix not in known:
-        raise InvalidInput(f"matrix must be one of {sorted(known)}, got {matrix!r}")
+        raise InvalidInput(
+            f"matrix must be one of {sorted(known)}, got {matrix!r}; name one, as in "
+            f"plot({min(known)!r})"
+        )
     ax, one = axes_for(ax, height=3.6), known[matrix]
     names = [name for name in one.selectors if name not in ("random", "oracle")]
     _seeds(ax, one.random[None], "Random", 0)
