@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,9 +32,25 @@ def load_object(reference: str) -> Any:
         try:
             found = getattr(found, name)
         except AttributeError:
-            public = [known for known in dir(found) if not known.startswith("_")]
+            public = _own_names(found)
             raise unknown_name(f"attribute of {source!r}", name, public) from None
     return found
+
+
+def _own_names(found: Any) -> list[str]:
+    """Public names that were defined there, not imported; all public ones where there is none."""
+    public = [name for name in dir(found) if not name.startswith("_")]
+    home = getattr(found, "__name__", None)
+    if not isinstance(found, ModuleType):
+        return public
+    values = {name: getattr(found, name) for name in public}
+    own = [
+        name
+        for name, value in values.items()
+        if not isinstance(value, ModuleType)
+        and (getattr(value, "__module__", None) == home or not isinstance(value, type | Callable))
+    ]
+    return own or public
 
 
 def _load_file(path: Path) -> ModuleType:

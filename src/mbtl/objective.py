@@ -70,7 +70,8 @@ class Bounds:
         if not (proper and self.low < self.high and is_finite(float(self.high) - float(self.low))):
             raise InvalidInput(
                 "bounds must be finite with low < high, got "
-                f"({short(self.low)}, {short(self.high)})"
+                f"({short(self.low)}, {short(self.high)}); where small returns are good, say so by "
+                "direction='minimize' and keep this order"
             )
         if self.floor is not None and not is_finite(self.floor):
             raise InvalidInput(f"a floor must be a finite return, got {short(self.floor)}")

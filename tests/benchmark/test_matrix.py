@@ -211,3 +211,15 @@ def test_a_failed_write_leaves_no_file_and_keeps_the_old_one(tmp_path):
     with pytest.raises(StorageError, match="cannot be written"):
         matrix.save(tmp_path / "m.npz")
     assert [path.name for path in tmp_path.iterdir()] == ["m.npz"]
+
+
+def test_a_name_is_kept_on_saving_and_older_files_are_called_by_their_path(tmp_path):
+    path = tmp_path / "m.npz"
+    TransferMatrix.of(np.eye(3)[None], bounds=(0, 1), name="load").save(path)
+    assert TransferMatrix.load(path).name == "load"
+    assert TransferMatrix.load(path, name="other").name == "other"
+    np.savez(path, returns=np.eye(3)[None])
+    assert TransferMatrix.load(path).name == str(path)
+    np.savez(path, returns=np.eye(3)[None], name=np.zeros(2))
+    with pytest.raises(InvalidInput, match="name must be one text"):
+        TransferMatrix.load(path)

@@ -132,7 +132,9 @@ def test_the_summary_says_what_a_person_wants_to_know(mbtl_command, own):
         "fresh episodes",
         "policy would",
         "One more training, at mass =",
-        "no other methods are drawn",
+        "per context, which chose nothing",
+        "on the fresh ones",
+        "other selectors are not drawn",
     ):
         assert words in out.replace("\n", " ")
     assert max(map(len, out.splitlines())) <= 100

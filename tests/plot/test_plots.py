@@ -41,7 +41,7 @@ def test_the_curve_is_v_of_fresh_episodes_beside_named_baselines_on_axes_of_the_
     )
     assert ax is given
     lines = {line.get_label(): line.get_ydata() for line in ax.get_lines()}
-    assert lines["mbtl, fresh episodes"] == pytest.approx(study.curve - 0.1)
+    assert lines["mbtl, on fresh episodes"] == pytest.approx(study.curve - 0.1)
     assert lines["Random"] == pytest.approx([0.5] * 6)
     assert {"unguided"} <= set(lines)
     assert mbtl.plot.curve([0.1, 0.2]).get_lines()[0].get_ydata().tolist() == [0.1, 0.2]
@@ -146,6 +146,30 @@ def test_pictures_are_written_in_the_format_of_their_ending(tmp_path, ending):
     assert path.read_bytes().startswith(begin)
 
 
+def test_a_curve_has_the_intervals_of_the_episodes_it_is_of():
+    study = mbtl.create_study(LINE, budget=3, bounds=(0.0, 1.0))
+    for pick, base in zip(study.ask(3), (0.2, 0.5, 0.6), strict=True):
+        study.tell(pick, base + 0.1 * np.random.default_rng(0).standard_normal((LINE.n, 4)))
+    ax = mbtl.plot.curve(study)
+    (bars,) = ax.collections[0].get_segments()[-1:]
+    assert np.ptp(bars[:, 1]) / 2 == pytest.approx(study.routing.value.margin)
+    assert "on the episodes that chose" in ax.get_legend_handles_labels()[1][0]
+    means = np.full((3, LINE.n), 0.6)
+    study.record_fresh_returns(means, value_errors=np.array([0.1, 0.1, 0.05]), episodes=3)
+    fresh = mbtl.plot.curve(study).collections[0].get_segments()[-1]
+    assert np.ptp(fresh[:, 1]) / 2 == pytest.approx(0.05 * 4.303, rel=1e-3)
+    assert "by the episodes that chose" in mbtl.plot.policy_map(study).get_title("left")
+
+
+def test_a_matrix_is_drawn_from_its_file(tmp_path):
+    matrix = TransferMatrix.of(np.eye(N)[None], space=LINE, bounds=(0, 1), name="toy")
+    matrix.save(tmp_path / "toy.npz")
+    ax = mbtl.plot.matrix(str(tmp_path / "toy.npz"))
+    assert ax.get_title("left") == "toy, seed 0"
+    with pytest.raises(mbtl.MbtlError, match="one matrix of returns"):
+        mbtl.plot.matrix("all")
+
+
 def test_a_picture_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(mbtl.MbtlError, match="choose another place"):
@@ -157,7 +181,7 @@ def test_a_comparison_is_its_table_a_frame_and_a_picture(mbtl_table):
     assert repr(comparison) == printed.rstrip("\n")
     frame = comparison.to_frame()
     assert list(frame.columns) == ["matrix", "matrix_seed", "selector", "seed", "k", "source", "V"]
-    run = comparison.results[0]
+    run = next(r for r in comparison.results if r.selector == "greedy")
     mine = frame[(frame.selector == run.selector) & (frame.seed == run.seed)]
     assert mine.V.tolist() == pytest.approx(run.performance.tolist())
     assert mine.source.tolist() == list(run.sources)
@@ -167,7 +191,10 @@ def test_a_comparison_is_its_table_a_frame_and_a_picture(mbtl_table):
     assert lines["greedy"] == pytest.approx(
         next(r for r in comparison.results if r.selector == "greedy").performance
     )
-    with pytest.raises(mbtl.MbtlError, match="matrix must be one of"):
+    chance = frame[frame.selector == "random"]  # as in the table: exact, of no one order
+    assert chance.V.tolist() == pytest.approx(one.random)
+    assert chance.source.isna().all()
+    with pytest.raises(mbtl.MbtlError, match=r"matrix must be one of .* plot\('synthetic"):
         comparison.plot("other")
 
 
@@ -178,7 +205,7 @@ def mbtl_table(monkeypatch, capsys):
     names = ["random", "greedy", "oracle"]
     arguments = ["bench", "--matrix", "synthetic:linear-gap", "--budget", "3", "--seeds", "1"]
     monkeypatch.setattr("sys.argv", ["mbtl", *arguments, "--selectors", ",".join(names)])
-    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("COLUMNS", "90")
     with contextlib.suppress(SystemExit):
         main()
     printed = "\n".join(line.rstrip() for line in capsys.readouterr().out.splitlines())

@@ -110,7 +110,7 @@ def test_fewest_policies_for_nearly_all_the_gain():
 def test_reference_curves_are_omitted_and_said():
     curves, note = reference_curves(study_of(1))
     assert curves is None
-    assert "no transfer matrix of 'toy'" in note
+    assert "needs a transfer matrix of 'toy'" in note
 
 
 def test_reference_curves_need_the_same_recipe(tmp_path, monkeypatch):

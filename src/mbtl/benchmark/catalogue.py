@@ -128,7 +128,7 @@ def open_matrix(name: str | Path) -> RowSource:
     if text.startswith(PREFIX):
         return synthetic_world(text)
     if isinstance(name, Path) or text.endswith(".npz"):
-        return TransferMatrix.load(text)
+        return TransferMatrix.load(text, name=text)
     return load_by_id(text)
 
 

@@ -64,8 +64,9 @@ def compare(
         selectors: registered names or selector objects; "oracle" is the Sequential Oracle.
         matrices: paths ending in .npz, ids of shipped matrices, "all", synthetic ids, or matrices.
         budget: K, from 1 to the smallest N.
-        seeds: selector seeds 0..seeds-1 for each matrix seed; deterministic selectors run once. A
-            selector of your own says that it is with `traits = Traits(deterministic=True)`.
+        seeds: how often a selector that draws at random runs on each matrix seed (there are as many
+            of those as the matrix has; all are used). One that always picks the same runs once; one
+            of your own says that it does with `traits = Traits(deterministic=True)`.
         on_step: called before each piece of work, for a progress display.
 
     Raises:
@@ -106,7 +107,7 @@ def compare(
     steps.next("")
     stacked = {m: {e: np.array(v) for e, v in by.items()} for m, by in curves.items()}
     caveats = {name: getattr(source, "caveat", None) for name, source in sources.items()}
-    return Comparison(tuple(runs), summarise(stacked, references, caveats))
+    return Comparison(tuple(runs), summarise(stacked, references, caveats), stacked, references)
 
 
 def held_out(selector: Selector, cmdp: str) -> Selector:

@@ -207,6 +207,10 @@ def keywords(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
             words[key] = float(number.reshape(-1)[0])
     if "space" in arrays:
         words["space"] = _stored_space(arrays["space"])
+    if "name" in arrays:
+        if arrays["name"].dtype.kind != "U" or arrays["name"].size != 1:
+            raise InvalidInput(f"name must be one text, got {arrays['name']!r:.60}")
+        words["name"] = str(arrays["name"].reshape(-1)[0])
     if "provenance" in arrays:
         words["provenance"] = read_text(arrays["provenance"], "provenance")
     return words

@@ -215,6 +215,10 @@ class TransferMatrix:
     def load(cls, path: str | Path, *, name: str | None = None) -> TransferMatrix:
         """Read a `.npz` file: `returns`, and optionally the keywords of `of`.
 
+        Args:
+            path: of the file.
+            name: what results call it; None: the name it was saved with, else its path.
+
         Raises:
             InvalidInput: the file cannot be read or breaks a rule; the message names file and rule.
         """
@@ -225,7 +229,9 @@ class TransferMatrix:
                 f"{file}: needs `returns` of shape (seed, source, target), got {sorted(arrays)}"
             )
         try:
-            return cls.of(name=name or str(path), **keywords(arrays))
+            words = keywords(arrays)
+            stored = words.pop("name", str(path))
+            return cls.of(name=name or stored, **words)
         except InvalidInput as error:
             raise InvalidInput(f"{file}: {error}") from error
 
@@ -248,6 +254,7 @@ class TransferMatrix:
             "theta": np.array(self.theta),
             "space": text_array(self.space.to_json()),
             "provenance": text_array(self.provenance),
+            "name": np.array(self.name),
         }
         if not any(isinstance(axis, Categorical) for axis in self.space.axes):
             entries["contexts"] = self.contexts
@@ -352,7 +359,8 @@ class TransferMatrix:
             return None
         return (
             "selection and report used the same evaluation episodes, so V is too high where "
-            "episodes differ by luck"
+            "episodes differ by luck (`fresh_returns`, or TransferMatrix.of_episodes, keeps them "
+            "apart)"
         )
 
     def performance(self, seed: int) -> Array:

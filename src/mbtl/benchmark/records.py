@@ -5,12 +5,15 @@ What each number means is in `mbtl.benchmark.summary`; `to_json` gives the docum
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mbtl.arrays import Array
 from mbtl.errors import missing_extra
+
+if TYPE_CHECKING:
+    from mbtl.benchmark.oracle import Reference
 
 CONFIDENCE = 0.95
 RESAMPLES = 10_000
@@ -54,32 +57,46 @@ class Run:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Estimate:
-    """A number and its interval; None where it does not exist."""
+    """A number and its 95 % interval, `low` to `high`; None where it does not exist."""
 
     value: float | None
     low: float | None
     high: float | None
+
+    def __repr__(self) -> str:
+        if self.value is None:
+            return "none"
+        interval = "" if self.low is None else f" [{self.low:.4g}, {self.high:.4g}]"
+        return f"{self.value:.4g}{interval}"
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
         return {"value": self.value, "low": self.low, "high": self.high}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trainings:
     """Number of trainings until a level is reached.
 
     Attributes:
-        estimate: geometric mean, censored seeds as K + 1.
+        estimate: geometric mean, censored seeds as K + 1; so a lower bound where any is censored.
         censored: number of seeds that did not reach the level within K.
-        per_seed: each seed's number; None when censored.
+        per_seed: each matrix seed's number; None when censored.
     """
 
     estimate: Estimate
     censored: int
     per_seed: tuple[int | None, ...]
+
+    def __repr__(self) -> str:
+        seeds = ", ".join("never" if k is None else str(k) for k in self.per_seed)
+        if self.censored == 0:
+            return f"{self.estimate!r} (by seed: {seeds})"
+        least = "" if self.estimate.value is None else f">{self.estimate.value:.4g} "
+        missing = f"{self.censored} of {len(self.per_seed)} seeds"
+        return f"{least}({missing} did not get there; by seed: {seeds})"
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
@@ -122,6 +139,77 @@ class SelectorSummary:
                 "at_K": self.closed_at_K.to_json(),
                 "under_curve": self.closed_under_curve.to_json(),
             },
+        }
+
+
+@dataclass(frozen=True)
+class Lead:
+    """How far one selector is ahead of another, > 0 where it is better.
+
+    Attributes:
+        V_K: in V after the last training.
+        V_mean: in V, mean over k = 1..K.
+        closed_at_K: in the closed fraction, after the last training.
+        closed_under_curve: in the closed fraction, over all trainings.
+        per_seed: in mean V, of each matrix seed.
+    """
+
+    V_K: Estimate
+    V_mean: Estimate
+    closed_at_K: Estimate
+    closed_under_curve: Estimate
+    per_seed: tuple[float, ...]
+
+    @property
+    def ahead(self) -> int:
+        """Number of matrix seeds where it is ahead."""
+        return sum(lead > 0.0 for lead in self.per_seed)
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return {
+            "V_K": self.V_K.to_json(),
+            "V_mean": self.V_mean.to_json(),
+            "closed_fraction": {
+                "at_K": self.closed_at_K.to_json(),
+                "under_curve": self.closed_under_curve.to_json(),
+            },
+            "per_seed": list(self.per_seed),
+        }
+
+
+@dataclass(frozen=True, repr=False)
+class Difference:
+    """One selector less another, paired: both saw the same matrix seeds.
+
+    Attributes:
+        selector: the one.
+        against: the other.
+        matrices: by matrix; intervals over its seeds, drawn anew with replacement.
+        pooled: mean over the matrices; intervals over the seeds of these matrices.
+        over_matrices: the same means; intervals over the matrices, which are drawn anew, too: what
+            to expect on another problem of this kind. No interval with fewer than three.
+    """
+
+    selector: str
+    against: str
+    matrices: Mapping[str, Lead]
+    pooled: Lead
+    over_matrices: Lead
+
+    def __repr__(self) -> str:
+        from mbtl.benchmark.tables import difference_text  # draws these records
+
+        return difference_text(self)
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return {
+            "selector": self.selector,
+            "against": self.against,
+            "matrices": {name: lead.to_json() for name, lead in self.matrices.items()},
+            "pooled": self.pooled.to_json(),
+            "over_matrices": self.over_matrices.to_json(),
         }
 
 
@@ -189,10 +277,20 @@ class Summary:
 
 @dataclass(frozen=True, repr=False)
 class Comparison:
-    """Every run of a comparison, and its summary; shown, it is the table of `mbtl bench`."""
+    """Every run of a comparison, and its summary; shown, it is the table of `mbtl bench`.
+
+    Attributes:
+        results: every run; one of `random` is one order of many.
+        summary: what the table shows.
+        curves: matrix -> selector -> (S, K) V of each matrix seed: the mean over selector seeds,
+            and Random's exact expectation over all orders.
+        references: matrix -> levels and reference curves of each matrix seed.
+    """
 
     results: tuple[Run, ...]
     summary: Summary
+    curves: Mapping[str, Mapping[str, Array]]
+    references: Mapping[str, Sequence[Reference]]
 
     def __repr__(self) -> str:
         from mbtl.benchmark.tables import comparison_text  # draws these records
@@ -206,10 +304,25 @@ class Comparison:
             "summary": self.summary.to_json(),
         }
 
+    def difference(self, selector: str, against: str) -> Difference:
+        """How far one selector is ahead of another on the same matrix seeds, with intervals.
+
+        Args:
+            selector: name of one that was compared.
+            against: name of another.
+
+        Raises:
+            UnknownName: one of them was not compared.
+        """
+        from mbtl.benchmark.difference import difference  # computed from these records
+
+        return difference(self, selector, against)
+
     def to_frame(self) -> Any:
         """A pandas table, a line per run and training: k, the source, and V after it.
 
-        A run of `random` is one order; the tables show Random's exact expectation.
+        Random is exact, as in the table: its V is the mean over all orders, and it has no source.
+        The orders that were drawn are in `results`.
 
         Raises:
             MissingExtra: pandas is not installed.
@@ -218,13 +331,22 @@ class Comparison:
             import pandas
         except ModuleNotFoundError as error:
             raise missing_extra("pandas", "frames") from error
-        lines = [
-            (run.matrix, run.matrix_seed, run.selector, run.seed, k, source, float(value))
-            for run in self.results
-            for k, (source, value) in enumerate(zip(run.sources, run.performance, strict=True), 1)
-        ]
+        lines: list[tuple[Any, ...]] = []
+        for run in self.results:
+            sources: Sequence[int | None] = run.sources
+            values = run.performance
+            if run.selector == "random":
+                if run.seed > 0:
+                    continue
+                sources = [None] * len(sources)
+                values = self.curves[run.matrix]["random"][run.matrix_seed]
+            head = (run.matrix, run.matrix_seed, run.selector, run.seed)
+            lines += [
+                (*head, k, source, float(value))
+                for k, (source, value) in enumerate(zip(sources, values, strict=True), 1)
+            ]
         heads = ["matrix", "matrix_seed", "selector", "seed", "k", "source", "V"]
-        return pandas.DataFrame(lines, columns=heads)
+        return pandas.DataFrame(lines, columns=heads).astype({"source": "Int64"})
 
     def plot(self, matrix: str | None = None, *, ax: Any = None) -> Any:
         """V against k of every selector on one matrix; see `mbtl.plot.comparison`."""

@@ -48,11 +48,11 @@ from mbtl.benchmark.records import (
 from mbtl.objective import k_star
 
 SHARES = (0.90, 0.95, 0.99)
-_SEED = 20240604
+DRAWS_SEED = 20240604
 _TIE = 1e-12
 
 # Columns of the per-seed table; every statistic is a function of their means.
-_V_K, _V_MEAN, _LOG_K, _GAIN, _ROOM = 0, 1, slice(2, 6), slice(6, 8), slice(8, 10)
+V_K, V_MEAN, LOG_K, GAIN, ROOM = 0, 1, slice(2, 6), slice(6, 8), slice(8, 10)
 
 
 def summarise(
@@ -67,14 +67,14 @@ def summarise(
         references: matrix name -> one reference per matrix seed.
         caveats: matrix name -> what must be said beside its numbers.
     """
-    rng = np.random.default_rng(_SEED)
-    draws = {name: _draws(len(refs), rng) for name, refs in references.items()}
-    tables: dict[str, list[_Table]] = {}
+    rng = np.random.default_rng(DRAWS_SEED)
+    draws = {name: seed_draws(len(refs), rng) for name, refs in references.items()}
+    tables: dict[str, list[SeedTable]] = {}
     matrices = {}
     for name, refs in references.items():
         selectors = {}
         for selector, values in curves[name].items():
-            table = _Table.of(values, refs, draws[name])
+            table = SeedTable.of(values, refs, draws[name])
             tables.setdefault(selector, []).append(table)
             selectors[selector] = _summary([table])
         matrices[name] = _matrix_summary(refs, selectors, (caveats or {}).get(name))
@@ -83,7 +83,7 @@ def summarise(
 
 
 @dataclass(frozen=True)
-class _Table:
+class SeedTable:
     """Per-seed columns of one selector on one matrix, and the shared bootstrap draws."""
 
     columns: Array  # (S, F)
@@ -91,7 +91,8 @@ class _Table:
     draws: Array | None  # (B, S) shares of each seed, rows sum to 1
 
     @classmethod
-    def of(cls, values: Array, refs: Sequence[Reference], draws: Array | None) -> _Table:
+    def of(cls, values: Array, refs: Sequence[Reference], draws: Array | None) -> SeedTable:
+        """The columns of (S, K) V."""
         budget = values.shape[1]
         by_seed = [_reached(curve, ref) for curve, ref in zip(values, refs, strict=True)]
         reached = tuple(zip(*by_seed, strict=True))
@@ -123,51 +124,57 @@ def _reached(curve: Array, ref: Reference) -> list[int | None]:
     return [k_star(curve, ref.levels.independent - _TIE), *trainings_to(curve, low, high)]
 
 
-def _draws(n_seeds: int, rng: np.random.Generator) -> Array | None:
+def seed_draws(n_seeds: int, rng: np.random.Generator) -> Array | None:
+    """(B, S) shares of each seed in B draws with replacement; None of a single seed."""
     if n_seeds == 1:
         return None
     counts = rng.multinomial(n_seeds, np.full(n_seeds, 1.0 / n_seeds), size=RESAMPLES)
     return np.asarray(counts / n_seeds)
 
 
-def _summary(tables: Sequence[_Table]) -> SelectorSummary:
+def _summary(tables: Sequence[SeedTable]) -> SelectorSummary:
     """The statistics of one selector over one or more matrices."""
     means = np.mean([table.columns.mean(axis=0) for table in tables], axis=0)
-    resampled = _resampled_means(tables)
+    resampled = resampled_means(tables)
 
     def estimate(statistic: Any) -> Estimate:
-        value = float(statistic(means))
-        low = high = None
-        if resampled is not None:
-            spread = np.asarray(statistic(resampled))
-            spread = spread[np.isfinite(spread)]
-            if spread.size:
-                tail = (1.0 - CONFIDENCE) / 2.0
-                low, high = (float(q) for q in np.quantile(spread, [tail, 1.0 - tail]))
-        return Estimate(value, low, high) if np.isfinite(value) else Estimate(None, None, None)
+        return estimated(statistic, means, resampled)
 
     def trainings(q: int) -> Trainings:
         per_seed = tuple(k for table in tables for k in table.reached[q])
         censored = sum(k is None for k in per_seed)
         if censored == len(per_seed):
             return Trainings(Estimate(None, None, None), censored, per_seed)
-        return Trainings(estimate(lambda m: np.exp(m[..., _LOG_K][..., q])), censored, per_seed)
+        return Trainings(estimate(lambda m: np.exp(m[..., LOG_K][..., q])), censored, per_seed)
 
     return SelectorSummary(
-        V_K=estimate(lambda m: m[..., _V_K]),
-        V_mean=estimate(lambda m: m[..., _V_MEAN]),
+        V_K=estimate(lambda m: m[..., V_K]),
+        V_mean=estimate(lambda m: m[..., V_MEAN]),
         k_star=trainings(0),
         k90=trainings(1),
         k95=trainings(2),
         k99=trainings(3),
-        minus_random_at_K=estimate(lambda m: m[..., _GAIN][..., 0]),
-        minus_random_mean=estimate(lambda m: m[..., _GAIN][..., 1]),
-        closed_at_K=estimate(lambda m: _ratio(m[..., _GAIN][..., 0], m[..., _ROOM][..., 0])),
-        closed_under_curve=estimate(lambda m: _ratio(m[..., _GAIN][..., 1], m[..., _ROOM][..., 1])),
+        minus_random_at_K=estimate(lambda m: m[..., GAIN][..., 0]),
+        minus_random_mean=estimate(lambda m: m[..., GAIN][..., 1]),
+        closed_at_K=estimate(lambda m: ratio(m[..., GAIN][..., 0], m[..., ROOM][..., 0])),
+        closed_under_curve=estimate(lambda m: ratio(m[..., GAIN][..., 1], m[..., ROOM][..., 1])),
     )
 
 
-def _resampled_means(tables: Sequence[_Table]) -> Array | None:
+def estimated(statistic: Any, means: Array, resampled: Array | None) -> Estimate:
+    """A function of the (F,) means, with its interval by the (B, F) resampled ones."""
+    value = float(statistic(means))
+    low = high = None
+    if resampled is not None:
+        spread = np.asarray(statistic(resampled))
+        spread = spread[np.isfinite(spread)]
+        if spread.size:
+            tail = (1.0 - CONFIDENCE) / 2.0
+            low, high = (float(q) for q in np.quantile(spread, [tail, 1.0 - tail]))
+    return Estimate(value, low, high) if np.isfinite(value) else Estimate(None, None, None)
+
+
+def resampled_means(tables: Sequence[SeedTable]) -> Array | None:
     """(B, F) means under the bootstrap; None if a matrix has one seed, whose scatter is unknown."""
     parts = []
     for table in tables:
@@ -177,7 +184,7 @@ def _resampled_means(tables: Sequence[_Table]) -> Array | None:
     return np.asarray(np.mean(parts, axis=0))
 
 
-def _ratio(gain: Array, room: Array) -> Array:
+def ratio(gain: Array, room: Array) -> Array:
     """Gain / room; NaN where there is no room."""
     some = np.abs(room) > _TIE
     return np.where(some, gain / np.where(some, room, 1.0), np.nan)

@@ -6,7 +6,7 @@ import json
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -19,6 +19,7 @@ from mbtl.benchmark.records import Comparison
 from mbtl.benchmark.tables import show_comparison
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.errors import InvalidInput, cannot_write
+from mbtl.selectors.registry import get_selector
 
 
 def bench(
@@ -40,8 +41,18 @@ def bench(
     budget: Annotated[int, typer.Option(help="Number of trainings K.")] = 15,
     seeds: Annotated[
         int,
-        typer.Option(help="Selector seeds per matrix seed; a deterministic selector runs once."),
+        typer.Option(
+            help="How often a selector that draws at random runs on each matrix seed; all seeds of "
+            "a matrix are used in any case."
+        ),
     ] = 3,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            help="A selector: also show how far each other one is ahead of it on the same matrix "
+            "seeds, with intervals."
+        ),
+    ] = None,
     bounds: Annotated[
         str | None,
         typer.Option(
@@ -67,6 +78,8 @@ def bench(
         names = default_selectors(sources)
     else:
         names = [name.strip() for name in selectors.split(",") if name.strip()]
+    if against is not None and against not in names:
+        names.append(against)
     with Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -81,12 +94,23 @@ def bench(
             progress.update(task, description=step.doing, completed=step.done, total=step.total)
 
         comparison = compare(names, sources, budget, seeds, on_step=show)
+    rival = None if against is None else _named(comparison, against)
+    document = comparison.to_json()
+    if rival is not None:
+        leads = [comparison.difference(name, rival) for name in comparison.summary.pooled]
+        document["differences"] = [lead.to_json() for lead in leads if lead.selector != rival]
     if out is not None:
-        _write(comparison, out)
+        _write(document, out)
     if as_json:
-        print_json(comparison.to_json())
+        print_json(document)
     else:
-        show_comparison(printer(), comparison)
+        show_comparison(printer(), comparison, rival)
+
+
+def _named(comparison: Comparison, given: str) -> str:
+    """The name under which a selector ran: one of a file has its own."""
+    known = list(comparison.summary.pooled)
+    return given if given in known else get_selector(given).name
 
 
 def scaled(source: RowSource, bounds: str | None) -> RowSource:
@@ -109,8 +133,8 @@ def _writable(folder: Path) -> bool:
     return folder.is_dir() and os.access(folder, os.W_OK)
 
 
-def _write(comparison: Comparison, path: Path) -> None:
-    text = json.dumps(comparison.to_json(), indent=2, allow_nan=False)
+def _write(document: dict[str, Any], path: Path) -> None:
+    text = json.dumps(document, indent=2, allow_nan=False)
     try:
         path.write_text(text + "\n", encoding="utf-8")
     except OSError as error:

@@ -124,5 +124,4 @@ def _print(report: Any) -> None:
         table.add_row(Text(found.outcome, style), Text(found.name), Text(found.detail))
     out = printer()
     out.print(table)
-    n = len(report.checks)
-    out.print(Text(f"{report.subject}: {n - len(report.failures)} of {n} checks hold"))
+    out.print(Text(f"{report.subject}: {report.said}"))

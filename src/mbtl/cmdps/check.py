@@ -79,11 +79,14 @@ def _declared(cmdp: CMDP) -> Iterator[Check]:
     """Finite bounds and a nominal context on the axes are enforced by `CMDP` itself."""
     yield _units(cmdp.space)
     if cmdp.bounds is None:
-        yield Check("bounds", "warning", "none given; performance will be relative to returns seen")
+        yield Check("bounds", "warning", "none given; the scale will be that of the returns seen")
     else:
-        yield Check("bounds", "passed", f"finite, {cmdp.bounds[0]:g} to {cmdp.bounds[1]:g}")
+        yield Check("bounds", "passed", f"{cmdp.bounds[0]:g} to {cmdp.bounds[1]:g}, as given")
     if cmdp.nominal is None:
-        yield Check("nominal context", "warning", "none given; the middle of the space is used")
+        unsaid = (
+            "none given (nominal=, what one would train on unasked); the check starts mid-space"
+        )
+        yield Check("nominal context", "warning", unsaid)
     else:
         yield Check("nominal context", "passed", f"{dict(cmdp.nominal)} lies within the axes")
 

@@ -52,6 +52,16 @@ class CheckReport:
         """The checks that failed."""
         return [check for check in self.checks if not check.ok]
 
+    @property
+    def said(self) -> str:
+        """How many hold, failed, and could not be decided or may be meant."""
+        outcomes = [check.outcome for check in self.checks]
+        warnings = outcomes.count("warning")
+        parts = [f"{outcomes.count('passed')} of {len(outcomes)} checks hold"]
+        parts += [f"{len(self.failures)} failed"] if self.failures else []
+        parts += [f"{warnings} warning{'s' * (warnings > 1)}"] if warnings else []
+        return ", ".join(parts)
+
     def raise_if_failed(self) -> None:
         """Do nothing when all is well.
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 V_LABEL = "generalisation performance V"
 _DASHES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
+_BLUE = "#0072B2"
 _MARKS = "osD^vPX*"
 
 
@@ -31,7 +32,7 @@ def curve(
     label: str | None = None,
     ax: Any = None,
 ) -> Any:
-    """V after each training of a study, beside named baselines.
+    """V after each training of a study with its 95 % interval, beside named baselines.
 
     Args:
         study: whose V is drawn, on fresh episodes where they were played; or (K,) values of V.
@@ -48,16 +49,18 @@ def curve(
     """
     ax = axes_for(ax)
     if isinstance(study, Study):
-        values, said = _measured(study)
+        values, margins, said = _measured(study)
         ax.set_title(f"{study.spec.problem or study.name}: {study.space.n} contexts")
     else:
-        values, said = np.asarray(study, dtype=np.float64), "V"
+        values, margins, said = np.asarray(study, dtype=np.float64), None, "V"
     for i, (name, level) in enumerate((levels or {}).items()):
         ax.axhline(level, color=GREY, lw=0.9, ls=_DASHES[3 - i % 2], label=name, zorder=1)
     for i, (name, rows) in enumerate((baselines or {}).items()):
         _seeds(ax, np.atleast_2d(np.asarray(rows, dtype=np.float64)), name, i)
     k = np.arange(1, len(values) + 1)
-    ax.plot(k, values, "o-", ms=4, color="#0072B2", label=label or said, zorder=4)
+    ax.plot(k, values, "o-", ms=4, color=_BLUE, label=label or said, zorder=4)
+    if margins is not None:
+        ax.errorbar(k, values, margins, fmt="none", ecolor=_BLUE, elinewidth=0.8, capsize=2)
     return _finish(ax)
 
 
@@ -77,7 +80,10 @@ def comparison(comparison: Comparison, matrix: str | None = None, *, ax: Any = N
     if matrix is None and len(known) == 1:
         matrix = next(iter(known))
     if matrix is None or matrix not in known:
-        raise InvalidInput(f"matrix must be one of {sorted(known)}, got {matrix!r}")
+        raise InvalidInput(
+            f"matrix must be one of {sorted(known)}, got {matrix!r}; name one, as in "
+            f"plot({min(known)!r})"
+        )
     ax, one = axes_for(ax, height=3.6), known[matrix]
     names = [name for name in one.selectors if name not in ("random", "oracle")]
     _seeds(ax, one.random[None], "Random", 0)
@@ -100,12 +106,18 @@ def comparison(comparison: Comparison, matrix: str | None = None, *, ax: Any = N
     return _finish(ax)
 
 
-def _measured(study: Study) -> tuple[Array, str]:
-    """V after each training and what it is called; fresh episodes only where all k have them."""
+def _measured(study: Study) -> tuple[Array, Array | None, str]:
+    """V after each training, half its 95 % interval where known, and what it is called.
+
+    On fresh episodes only where all k have them.
+    """
     selector, fresh = study.spec.selector["name"], fresh_value(study) if study.state.rows else None
     if fresh is not None and np.isfinite(fresh.values).all():
-        return fresh.values, f"{selector}, fresh episodes"
-    return study.curve, f"{selector}, selecting episodes"
+        return fresh.values, fresh.margins(), f"{selector}, on fresh episodes"
+    margins = None
+    if study.state.rows and study.routing.noise_is_known:
+        margins = np.array([now.margin for now in study.routing.curve])
+    return study.curve, margins, f"{selector}, on the episodes that chose"
 
 
 def _seeds(ax: Any, rows: Array, name: str, number: int) -> None:

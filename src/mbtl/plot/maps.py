@@ -27,6 +27,7 @@ from mbtl.portfolio import Portfolio
 from mbtl.study import Study
 
 _MOST_BARS = 12
+_BY = "by the episodes that chose"
 
 
 @styled
@@ -105,6 +106,7 @@ def policy_map(
             ax.plot(x[mine], served[mine], "s", ms=3.5, color=palette[i], zorder=2)
         dress(ax, axis)
         ax.set_ylabel("performance")
+        ax.set_title(f"which policy serves; performance {_BY}", fontsize=8)
         number(ax, x[list(sources)], palette)
         return ax
     ax = axes_for(ax, height=3.8)
@@ -128,7 +130,7 @@ def policy_map(
     if min(table.shape) > 1 and np.ptp(served) > 0 and np.isfinite(table).all():
         lines = ax.contour(across, up, table, 4, colors="black", linewidths=0.6, alpha=0.7)
         ax.clabel(lines, fontsize=6)
-        ax.set_title("which policy serves; lines: performance", fontsize=8)
+        ax.set_title(f"which policy serves; lines: performance {_BY}", fontsize=8)
     _mark(ax, x, y, sources)
     return ax
 
@@ -162,6 +164,7 @@ def policy_shares(result: Study | Portfolio) -> NDArray[Any]:
     for dots in every:
         dots.set_ylim(min(0.0, limits.min()), max(1.0, limits.max()))
     figure.supylabel("share of contexts; dots, right: performance", fontsize=9)
+    figure.suptitle(f"which policy serves; performance {_BY}", fontsize=9)
     figure.legend(
         handles=[Patch(color=c, label=space.describe(space.context(i))) for i, c in coloured],
         loc="outside lower center", ncols=columns,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mbtl.arrays import Array
+from mbtl.errors import InvalidInput
 from mbtl.plot.style import axes_for, dress, edges, number, positions, styled
 
 if TYPE_CHECKING:
@@ -16,7 +18,11 @@ if TYPE_CHECKING:
 
 @styled
 def matrix(
-    matrix: TransferMatrix, seed: int | None = None, *, picks: Sequence[int] = (), ax: Any = None
+    matrix: TransferMatrix | str | Path,
+    seed: int | None = None,
+    *,
+    picks: Sequence[int] = (),
+    ax: Any = None,
 ) -> Any:
     """Performance of every policy (down the side) on every target (along the bottom).
 
@@ -25,11 +31,13 @@ def matrix(
     belong to the nearest one.
 
     Args:
-        matrix: (S, M, N) returns; M sources, N targets.
+        matrix: (S, M, N) returns, M sources, N targets; or its file, or the id of a shipped one.
         seed: matrix seed; None: the mean over all.
         picks: sources to mark, in the order they were trained.
         ax: axes to draw on; None: new ones.
     """
+    if isinstance(matrix, (str, Path)):
+        matrix = _opened(matrix)
     ax = axes_for(ax, 4.6, 3.9)
     sources = np.arange(matrix.n) if matrix.sources is None else matrix.sources
     line = matrix.space.d == 1 and matrix.space.unit.shape[1] == 1
@@ -52,6 +60,18 @@ def matrix(
     ax.set_title(f"{matrix.name}, {which}")
     number(ax, x[list(picks)], side="right", line="white")
     return ax
+
+
+def _opened(given: str | Path) -> TransferMatrix:
+    from mbtl.benchmark.catalogue import open_matrices
+    from mbtl.benchmark.matrix import TransferMatrix
+
+    if str(given).endswith(".npz"):
+        return TransferMatrix.load(given)
+    sources = list(open_matrices([given]).values())
+    if len(sources) == 1 and isinstance(sources[0], TransferMatrix):
+        return sources[0]
+    raise InvalidInput(f"a picture is of one matrix of returns, got {str(given)!r}")
 
 
 def shown_performance(matrix: TransferMatrix, seed: int | None = None) -> Array:

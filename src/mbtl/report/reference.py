@@ -55,23 +55,16 @@ def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
     """Curves of a shipped matrix whose recipe is this study's, and a sentence on what was found."""
     name, settings = study.spec.problem, study.spec.settings
     if name not in shipped_matrices():
-        return (
-            None,
-            f"no other methods are drawn beside V: no transfer matrix of {name!r} is shipped",
-        )
+        return None, f"other selectors are not drawn: that needs a transfer matrix of {name!r}"
     matrix = load_matrix(name)
     same = [
         all(record.get(key) == settings.get(key) for key in _SAME)
         for record in matrix.provenance["seeds"]
     ]
     if not all(same) or matrix.space != study.space:
-        return (
-            None,
-            f"no other methods are drawn beside V: the shipped matrix of {name!r} was trained with "
-            "another recipe",
-        )
+        return None, f"other selectors are not drawn: {name!r} has a matrix of another recipe only"
     if study.spec.risk < 1.0:
-        return None, "no other methods are drawn beside V: theirs is a mean, this study's is not"
+        return None, "other selectors are not drawn: their V is a mean over all contexts"
     budget, seeds = min(study.spec.budget, matrix.n), range(matrix.n_seeds)
     known = [reference(matrix, seed, budget) for seed in seeds]
     greedy: Array = np.empty((0, budget))

@@ -75,6 +75,7 @@ class StudySummary:
         measured: share of the weight whose serving policy was evaluated right there.
         fresh_value: V on fresh episodes; None where not measured.
         fresh_margin: half its 95 % interval; None where unknown.
+        fresh_episodes: how many fresh episodes each context was played; None where unknown.
         worst_tenth: mean performance of the tenth of the contexts, by weight, served worst;
             on fresh episodes where there are any.
         best_single: source of the best single policy.
@@ -102,6 +103,7 @@ class StudySummary:
     measured: float | None
     fresh_value: float | None
     fresh_margin: float | None
+    fresh_episodes: int | None
     worst_tenth: float | None
     best_single: int | None
     best_single_value: float | None
@@ -147,8 +149,8 @@ class StudySummary:
             )
         return (
             f"One policy would not do: the best alone reaches {self.best_single_value:.4f}, all "
-            f"{len(self.told)} reach {self.value:.4f}{bar}. You need {self.policies_enough} "
-            f"policies for {ENOUGH:.0%} of that gain."
+            f"{len(self.told)} add {gain:.4f}{bar} to it. You need {self.policies_enough} policies "
+            f"for {ENOUGH:.0%} of that gain."
         )
 
 
@@ -185,6 +187,7 @@ def summarise_study(study: Study) -> StudySummary:
         measured=now.measured,
         fresh_value=None if fresh is None else float(fresh.values[-1]),
         fresh_margin=None if fresh is None else fresh.margin(),
+        fresh_episodes=None if fresh is None else fresh.episodes,
         worst_tenth=float(worst_share_mean(served, weights, TENTH)),
         best_single=history.sources[best_single],
         best_single_value=float(routing.singles[best_single]),

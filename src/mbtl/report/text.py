@@ -65,7 +65,7 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
         )
     if summary.fresh_value is not None:
         out.append(
-            f"V = {_with_margin(summary.fresh_value, summary.fresh_margin)} on fresh episodes."
+            f"V = {_with_margin(summary.fresh_value, summary.fresh_margin)} on {_fresh(summary)}."
         )
     if summary.value is not None and summary.measured is not None:
         out.append(
@@ -73,7 +73,10 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
             f"the policies{_extrapolated(summary.measured)}."
         )
     if summary.worst_tenth is not None:
-        out.append(f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}.")
+        by = "those that chose" if summary.fresh_value is None else "the fresh ones"
+        out.append(
+            f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}, on {by}."
+        )
     out.append(summary.verdict)
     if summary.next_source is not None and summary.next_gain is not None:
         where = space.describe(space.context(summary.next_source))
@@ -89,6 +92,13 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
 
 def _episodes(count: int) -> str:
     return "one episode" if count == 1 else f"{count} episodes"
+
+
+def _fresh(summary: StudySummary) -> str:
+    if summary.fresh_episodes is None:
+        return "fresh episodes, which chose nothing"
+    count = summary.fresh_episodes
+    return f"{count} fresh episode{'s' * (count > 1)} per context, which chose nothing"
 
 
 def _with_margin(value: float, margin: float | None) -> str:

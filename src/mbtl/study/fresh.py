@@ -42,13 +42,18 @@ class FreshValue:
     episodes: int | None
     served: Array
 
-    def margin(self, confidence: float = 0.95) -> float | None:
-        """Half the width of the interval of the last V, by Student's t; None where unknown."""
+    def margins(self, confidence: float = 0.95) -> Array | None:
+        """(k,) half the widths of the intervals, by Student's t; None where unknown."""
         if self.errors is None or self.episodes is None or self.episodes < 2:
             return None
         from scipy.special import stdtrit  # kept out of `import mbtl`
 
-        return float(stdtrit(self.episodes - 1, 0.5 + confidence / 2.0) * self.errors[-1])
+        return np.asarray(stdtrit(self.episodes - 1, 0.5 + confidence / 2.0) * self.errors)
+
+    def margin(self, confidence: float = 0.95) -> float | None:
+        """The last of `margins`."""
+        margins = self.margins(confidence)
+        return None if margins is None else float(margins[-1])
 
 
 def can_report(study: Study) -> bool:
