@@ -175,8 +175,8 @@ def _promise(coming: dict[str, Any]) -> str:
     return (
         f"The most promising training is at {coming['context']}. It is predicted to add "
         f"{coming['gain']:.4f} to V; the model gives 80 % to a gain between {coming['low']:.4f} "
-        f"and {coming['high']:.4f}, and {100 * coming['chance']:.0f} % to a gain of {coming['enough']:g} "
-        "or more."
+        f"and {coming['high']:.4f}, and {100 * coming['chance']:.0f} % to a gain of "
+        f"{coming['enough']:g} or more."
     )
 
 
