@@ -11,6 +11,7 @@ from mbtl.actions import Policy
 from mbtl.arrays import Array
 from mbtl.errors import StorageError
 from mbtl.seeds import Purpose, evaluation_seed
+from mbtl.study.steps.state import Fresh
 from mbtl.trainer import SteppingTrainer, Trainer, checked_returns
 
 if TYPE_CHECKING:
@@ -46,7 +47,14 @@ def evaluated(
 
 
 def report_fresh(study: StepStudy, trainer: Trainer) -> None:
-    """V on fresh episodes, which chose nothing, of the policies that serve."""
+    """Record V on fresh episodes."""
+    fresh = fresh_returns(study, trainer)
+    data = {"error": fresh.error, "episodes": fresh.episodes, "steps": fresh.steps}
+    study.append("reported", data, {"returns": fresh.returns})
+
+
+def fresh_returns(study: StepStudy, trainer: Trainer) -> Fresh:
+    """What the policies that serve return in fresh episodes, which chose nothing."""
     portfolio, state, spec = study.portfolio(trainer), study.state, study.spec
     route = portfolio.assignment
     seed = evaluation_seed(spec.seed, spec.trial, Purpose.REPORT)
@@ -61,8 +69,4 @@ def report_fresh(study: StepStudy, trainer: Trainer) -> None:
     by_episode = study.space.weights @ rows
     count = rows.shape[1]
     error = float(by_episode.std(ddof=1) / np.sqrt(count)) if count > 1 else None
-    study.append(
-        "reported",
-        {"error": error, "episodes": count, "steps": total},
-        {"returns": rows.mean(axis=1)},
-    )
+    return Fresh(rows.mean(axis=1), error, count, total)

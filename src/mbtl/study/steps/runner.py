@@ -71,7 +71,7 @@ def run(
         if report and study.state.policies and study.state.fresh is None:
             for callback in callbacks:
                 callback.on_report(study)
-            report_fresh(study, trainer)
+            report_fresh(study, worker.evaluator)
     finally:
         for callback in callbacks:
             callback.on_end(study)

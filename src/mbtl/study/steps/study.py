@@ -287,7 +287,7 @@ class StepStudy:
             trainer: instead of these functions; None: the one that the study was made with.
             progress: print a line per piece of work to standard error.
             callbacks: told what happens.
-            report: evaluate the routed policies on fresh episodes at the end; not charged.
+            report: evaluate the routed policies on as many fresh episodes at the end; not charged.
             stop_after_failures: so many trainings or evaluations that fail in a row end the run.
 
         Raises:
