@@ -19,6 +19,8 @@ from mbtl.benchmark.multitask import load_multitask
 from mbtl.benchmark.steps import ONE_PER_STEP, StepWorld
 
 METHODS = ("ppo", "trpo", "ppo-x10", "trpo-x10")
+LEAST = 0.001
+"""Of V: less is no lead."""
 CHECKS, CHECK_EPISODES, CHECKS_OF_EPISODES = 50, 2, 20
 
 
@@ -102,6 +104,16 @@ def alone(sets: Sets, *, checked: bool) -> dict[str, list[Play]]:
             times = np.array([float(p.times) for p in tries])
             found[name].append(Play(steps, best, times))
     return found
+
+
+def ahead(sets: Sets, plays: Plays, strategy: str, name: str, length: int) -> bool:
+    """Whether the one policy of a length is ahead of a strategy at equal steps, mean of seeds."""
+    less = []
+    for s, (world, scale) in enumerate(sets[name]):
+        able = [p for p in points(name, world, s) if p.checked <= scale.budget]
+        point = able[length]
+        less.append(point.value - plays[strategy][name][s].at(point.checked))
+    return bool(np.mean(less) > LEAST)
 
 
 def race(sets: Sets, plays: Plays, strategy: str) -> dict[str, list[Play]]:
