@@ -152,8 +152,7 @@ def main() -> None:
     plays = tables.with_chosen(sets, all_played(strategies, sets, args.keep))
     plays = {
         **plays,
-        page.ALONE: generalist.alone(sets, checked=False),
-        page.CHECKED: generalist.alone(sets, checked=True),
+        page.ALONE: generalist.alone(sets),
         page.RACE: generalist.race(sets, plays, page.OURS),
     }
     plays = tables.with_oracle(sets, plays)
