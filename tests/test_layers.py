@@ -18,6 +18,7 @@ CORE = [
     "notebook",
     "settings",
     "processes",
+    "threads",
     "elsewhere",
     "provenance",
     "untrusted",

@@ -29,6 +29,8 @@ Indices = NDArray[np.intp]
 
 TIE_DECIMALS = 12
 """Performances that are equal to so many decimals are a tie."""
+SURE = 1.96
+"""Standard errors on either side of an interval of 95 %."""
 _SAMPLE = 1000
 """Contexts that stand for all where more would have to be predicted, to say what V is."""
 _DRAWS = 1000
@@ -100,11 +102,14 @@ class Valuation:
         value: V, performance.
         error: its standard error: of noise, of what was predicted, of what was sampled.
         measured: share of the weight whose serving policy was evaluated right there.
+        margin: half its 95 % interval. Few episodes say little of their own scatter, so what all
+            policies share of it counts by Student's t.
     """
 
     value: float
     error: float
     measured: float
+    margin: float
 
     def at_least(self, confidence: float) -> float:
         """What V is at least, with this probability."""
@@ -184,7 +189,8 @@ class Routing:
         if k not in self._after:
             errors = standard_errors(self.deviations[:k], self.episodes[:k])
             beliefs = Beliefs(self.space, self.sources[:k], self.rows[:k], errors)
-            self._after[k] = _After(self.space, self.sources[:k], beliefs, self.risk)
+            tails = _tails(self.episodes[:k])
+            self._after[k] = _After(self.space, self.sources[:k], beliefs, self.risk, tails)
         return self._after[k]
 
     @property
@@ -202,9 +208,15 @@ class Routing:
         return self.after().gain_over(policy)
 
     @property
+    def tails(self) -> float:
+        """Student's factor over 1.96, by the fewest episodes from which scatter was told."""
+        return _tails(self.episodes)
+
+    @property
     def noise_is_known(self) -> bool:
-        """False where every entry is of one episode: how much chance there is nobody can say."""
-        return max(self.episodes) > 1
+        """False where no scatter of episodes was told: how much chance there is nobody can say."""
+        several = np.asarray(self.episodes) > 1
+        return bool(np.isfinite(self.deviations[several]).any())
 
     @cached_property
     def singles(self) -> Array:
@@ -223,14 +235,27 @@ class Routing:
         )
 
 
+def _tails(episodes: Sequence[int]) -> float:
+    """How much wider an interval of 95 % is by Student's t than by the Gaussian."""
+    from scipy.special import stdtrit  # kept out of `import mbtl`
+
+    told = [count for count in episodes if count > 1]
+    return float(stdtrit(min(told) - 1, 0.975)) / SURE if told else 1.0
+
+
 class _After:
     """What holds after some trainings; made by `Routing.after`."""
 
     def __init__(
-        self, space: ContextSpace, sources: Sequence[int], beliefs: Beliefs, risk: float
+        self,
+        space: ContextSpace,
+        sources: Sequence[int],
+        beliefs: Beliefs,
+        risk: float,
+        tails: float,
     ) -> None:
         self._space, self._sources, self._risk = space, sources, risk
-        self.beliefs = beliefs
+        self.beliefs, self._tails = beliefs, tails
 
     @cached_property
     def route(self) -> Indices:
@@ -248,11 +273,11 @@ class _After:
         measured = float(weights @ self.beliefs.measured[route, targets])
         counted = worst_share_weights(mean, weights, self._risk)
         found = float(counted @ mean)
-        error = self.beliefs.error(route, targets, counted)
-        if self._risk < 1.0 and error > 0.0:
-            found, own = self._worst_share(route, targets, weights)
-            error = max(error, own)
-        return Valuation(found, float(np.hypot(error, self._sampling(mean, weights))), measured)
+        own, shared = self.beliefs.doubts(route, targets, counted)
+        if self._risk < 1.0 and (own > 0.0 or shared > 0.0):
+            found, worst = self._worst_share(route, targets, weights)
+            own = max(own, float(np.sqrt(max(worst**2 - shared**2, 0.0))))
+        return self._valued(found, own, shared, self._sampling(mean, weights), measured)
 
     def gain_over(self, policy: int) -> Valuation:
         """V less that of one policy alone."""
@@ -262,14 +287,21 @@ class _After:
         served, alone = means[route, np.arange(len(targets))], means[policy]
         ours, its = (worst_share_weights(m, weights, self._risk) for m in (served, alone))
         differs = (route != policy) | (ours != its)
-        error = self.beliefs.error(
+        own, shared = self.beliefs.doubts(
             np.concatenate([route[differs], np.full(differs.sum(), policy)]),
             np.tile(targets[differs], 2),
             np.concatenate([ours[differs], -its[differs]]),
         )
         sampling = self._sampling(served - alone, weights)
         gain = float(ours @ served - its @ alone)
-        return Valuation(gain, float(np.hypot(error, sampling)), self.value.measured)
+        return self._valued(gain, own, shared, sampling, self.value.measured)
+
+    def _valued(
+        self, value: float, own: float, shared: float, sampling: float, measured: float
+    ) -> Valuation:
+        alone = float(np.hypot(own, sampling))
+        margin = SURE * float(np.hypot(alone, self._tails * shared))
+        return Valuation(value, float(np.hypot(alone, shared)), measured, margin)
 
     @cached_property
     def targets(self) -> tuple[Indices, Array]:

@@ -60,8 +60,8 @@ def test_choice_on_the_list_explains_itself():
     assert (choice.runner_up, choice.margin) == (1, 300.0)
     assert (choice.error, choice.margin_error) == (None, None)  # nobody knows, from one episode
     assert choice.explanation == (
-        "Policy 1, trained on length = 0.5 m, returned 400 when it was evaluated here; policy 2 "
-        "was 300 behind, in one episode: that may be chance."
+        "Policy 1, trained on length = 0.5 m, returned 400 (its error is unknown) when it was "
+        "evaluated here; policy 2 is 300 behind, which may be chance."
     )
 
 
@@ -75,6 +75,71 @@ def test_explanations_have_error_bars_and_say_where_noise_decides():
     assert choice.margin < 1.96 * choice.margin_error
     assert choice.explanation.endswith("may do as well: the difference is within the noise.")
     assert portfolio.routing.value.error > 0
+
+
+@pytest.mark.parametrize("shared", [(), ("policies",), ("policies", "contexts")])
+def test_nine_of_ten_returns_lie_where_explain_says_whoever_shares_the_episodes(shared):
+    """Three episodes of scatter 300: of every entry, of every context, or the same everywhere."""
+    n, sources = 20, (2, 7, 12, 17)
+    space = ContextSpace.grid({Linear("x", 0.0, 1.0): n})
+    x = np.linspace(0.0, 1.0, n)
+    truth = np.array([-200.0 - 1000.0 * np.abs(x[s] - x) - 200.0 * x for s in sources])
+    size = (1 if "policies" in shared else 4, 1 if "contexts" in shared else n, 3)
+    held, lead_held = [], []
+    for seed in range(40):
+        noise = 300.0 * np.random.default_rng(seed).standard_normal(size)
+        episodes = truth[:, :, None] + noise
+        portfolio = Portfolio(
+            space,
+            sources,
+            episodes.mean(axis=2),
+            Bounds(-1600.0, 0.0),
+            theta=0.01,
+            deviations=episodes.std(axis=2, ddof=1),
+            episodes=(3,) * 4,
+        )
+        for target in range(seed % 4, n, 4):
+            choice = portfolio.explain(space.context(target))
+            true = truth[choice.policy, target]
+            off = abs(choice.predicted_return - true)
+            held.append(off <= 1.96 * choice.error)
+            lead = true - truth[choice.runner_up, target]
+            lead_held.append(abs(choice.margin - lead) <= 1.96 * choice.margin_error + 1e-6)
+    assert np.mean(held) > 0.88
+    assert np.mean(lead_held) > 0.88
+
+
+def test_what_all_policies_share_is_in_a_return_and_not_in_a_lead():
+    n = 12  # rows without any scatter of their own, of nine episodes with much
+    space = ContextSpace.grid({Linear("x", 0.0, 1.0): n})
+    returns = np.array([450.0 - 25.0 * abs(source - np.arange(n)) for source in (2, 9)])
+    portfolio = Portfolio(
+        space,
+        (2, 9),
+        returns,
+        Bounds(0.0, 500.0),
+        theta=0.05,
+        deviations=np.full((2, n), 90.0),
+        episodes=(9, 9),
+    )
+    choice = portfolio.explain(space.context(2))
+    assert choice.error == pytest.approx(90.0 / 3.0 * 2.306 / 1.96, rel=1e-3)  # Student's t, 8
+    assert choice.margin_error == pytest.approx(0.0, abs=1e-9)
+    assert "returned 450 +- 69.2 when it was evaluated here" in choice.explanation
+    assert portfolio.routing.value.margin == pytest.approx(69.2 / 500.0, rel=1e-3)
+
+
+def test_exact_returns_are_exact_on_the_list_and_nothing_is_known_between():
+    portfolio = make(deviations=np.zeros((2, 5)), episodes=(9, 9))
+    listed, between = portfolio.explain({"length": 1.0}), portfolio.explain({"length": 1.25})
+    assert (listed.error, listed.margin_error) == (0.0, 0.0)
+    assert (between.error, between.margin_error) == (None, None)
+    assert "should return about 300 (its error is unknown)" in between.explanation
+
+
+def test_episodes_without_a_scatter_say_nothing_of_noise():
+    choice = make(episodes=(9, 9)).explain({"length": 1.0})
+    assert (choice.error, choice.margin_error) == (None, None)
 
 
 def test_value_heeds_risk():

@@ -42,7 +42,8 @@ def test_a_policy_that_was_not_evaluated_here_is_predicted_not_borrowed_from_nex
     _, seen = best(LINE, [0, 4], rows, {"x": 3.0})
     assert seen.basis == ("predicted", "observed")
     assert 0.2 < seen.performance[0] < 0.6
-    assert seen.error[0] > 0.0 == seen.error[1]
+    assert seen.judged_on.tolist() == [[3], [3]]
+    assert [part.tolist() for part in seen.parts(1)] == [[1], [3], [1.0]]
 
 
 def test_between_grid_points_returns_are_interpolated_linearly():

@@ -12,6 +12,7 @@ from mbtl.history import History
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import Proposal, SelectionProblem
 from mbtl.selectors.contract import Selector
+from mbtl.threads import threads_for
 
 
 class Replay(NamedTuple):
@@ -52,7 +53,8 @@ def replay(
     for pick in range(problem.budget):
         rng = selection_rng(seed, trial, pick)
         start = time.perf_counter()
-        proposal = selector.propose(problem, history, rng)
+        with threads_for(problem.n):
+            proposal = selector.propose(problem, history, rng)
         seconds += time.perf_counter() - start
         source = proposal.source
         _check(selector, problem, history, source)

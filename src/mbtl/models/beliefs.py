@@ -76,7 +76,10 @@ class Beliefs:
         return bool(self.measured.all()) and not self._luck[1]
 
     def on(self, targets: Indices) -> tuple[Array, Array]:
-        """Mean and standard deviation of every policy on some targets; (k, T) each."""
+        """Mean and standard deviation of every policy on some targets; (k, T) each.
+
+        The deviation compares policies: noise that all share is not in it, but in `error`.
+        """
         mean, std = self._rows[:, targets].copy(), np.zeros((len(self._rows), len(targets)))
         share = self._luck[1]
         here = self.measured[:, targets]
@@ -94,6 +97,10 @@ class Beliefs:
             target: (m,) contexts.
             weights: (m,) of the sum; of any sign.
         """
+        return float(np.hypot(*self.doubts(row, target, weights)))
+
+    def doubts(self, row: Indices, target: Indices, weights: Array) -> tuple[float, float]:
+        """The two parts of `error`: of what pairs have for themselves, and of shared episodes."""
         share = self._luck[1]
         common = np.zeros(self._space.n)
         np.add.at(common, target, weights * np.sqrt(self._variances[row, target]))
@@ -103,7 +110,7 @@ class Beliefs:
         if unsure.any():
             covariance = self.joint(row[unsure], target[unsure])[1]
             own = float(weights[unsure] @ covariance @ weights[unsure])
-        return float(np.sqrt(max(own, 0.0) + shared**2))
+        return float(np.sqrt(max(own, 0.0))), shared
 
     def joint(self, row: Indices, target: Indices) -> tuple[Array, Array]:
         """Mean (m,) and covariance (m, m) of true returns, without noise that all share."""

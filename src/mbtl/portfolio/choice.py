@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 from mbtl.contexts import Context, ContextSpace
 from mbtl.portfolio.router import Basis
-
-SURE = 1.96
-"""Standard errors beyond which a difference is none of chance."""
+from mbtl.routing import SURE
 
 
 @dataclass(frozen=True)
@@ -20,13 +18,16 @@ class Choice:
         source: index of the context it was trained on.
         source_context: that context.
         predicted_return: what it should return on the asked context, raw units.
-        error: standard error of that, raw units; None: unknown, from one episode.
+        error: standard error of that, raw units: 1.96 of it are half a 95 % interval, for which few
+            shared episodes count by Student's t. None: unknown, because returns are of one episode
+            each, or exact on the listed contexts around and nobody knows what is between.
         basis: "observed" (measured there), "predicted" (by the transfer model, from what was
             measured elsewhere), "interpolated" (between the nearest listed contexts) or "gap model"
             (training return less theta per grid step).
         runner_up: position of the second best policy; None when there is none to compare.
         margin: how much better than the runner-up, >= 0, raw units; None without one.
-        margin_error: standard error of the margin, raw units; None: unknown.
+        margin_error: standard error of the margin, raw units, in which noise that all policies
+            share cancels; None: unknown.
         explanation: the same in one sentence.
     """
 
@@ -51,8 +52,7 @@ def explanation(space: ContextSpace, choice: Choice, steps: float, alike: bool) 
         steps: distance from the source, in grid steps.
         alike: the runner-up was trained at the same distance.
     """
-    bar = "" if not choice.error else f" +- {SURE * choice.error:.3g}"
-    said = f"{choice.predicted_return:.6g}{bar}"
+    said = f"{choice.predicted_return:.6g}{_bar(choice.error)}"
     how = {
         "observed": f"returned {said} when it was evaluated here",
         "predicted": f"should return about {said}: it was not evaluated here, the transfer model "
@@ -65,14 +65,20 @@ def explanation(space: ContextSpace, choice: Choice, steps: float, alike: bool) 
     return f"Policy {choice.policy + 1}, trained on {where}, {how}; {_rest(choice, alike)}."
 
 
+def _bar(error: float | None) -> str:
+    if error is None:
+        return " (its error is unknown)"
+    return f" +- {SURE * error:.3g}" if error else ""
+
+
 def _rest(choice: Choice, alike: bool) -> str:
     if choice.runner_up is None or choice.margin is None:
         return "no other policy can be compared"
     other = f"policy {choice.runner_up + 1}"
     if choice.margin_error is None:
         if choice.margin == 0.0:
-            return f"{other} did as well in the one episode there was"
-        return f"{other} was {choice.margin:.3g} behind, in one episode: that may be chance"
+            return f"{other} does as well, as far as is known"
+        return f"{other} is {choice.margin:.3g} behind, which may be chance"
     if choice.margin == 0.0:
         nearer = "as near" if alike else "not trained nearer"
         return f"{other} does as well and was {'trained ' if alike else ''}{nearer}"

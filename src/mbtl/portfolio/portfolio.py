@@ -168,23 +168,21 @@ class Portfolio:
         seen = router.forecast(self.space, self.sources, beliefs, self.theta, context)
         ranking = seen.ranking(self.sources)
         best, runner_up = ranking[0], ranking[1] if len(ranking) > 1 else None
-        returns, errors = self.bounds.denormalise(seen.performance), self._errors(seen.error)
-        if seen.target is not None:  # the number itself where it is exact, free of rounding
-            measured = self.returns[:, seen.target]
-            exact = np.isfinite(measured) & (seen.error == 0.0)
-            returns = np.where(exact, measured, returns)
+        returns = self.bounds.denormalise(seen.performance)
+        if seen.target is not None:  # the number itself where it is believed, free of rounding
+            as_measured = seen.performance == self.performance[:, seen.target]
+            returns = np.where(as_measured, self.returns[:, seen.target], returns)
         predicted, margin, margin_error = float(returns[best]), None, None
         if runner_up is not None:
             margin = abs(predicted - float(returns[runner_up]))
-            if errors is not None:
-                margin_error = float(np.hypot(errors[best], errors[runner_up]))
+            margin_error = self._error(seen, best, runner_up)
         source = self.sources[best]
         choice = Choice(
             policy=best,
             source=source,
             source_context=self.space.context(source),
             predicted_return=predicted,
-            error=None if errors is None else float(errors[best]),
+            error=self._error(seen, best),
             basis=seen.basis[best],
             runner_up=runner_up,
             margin=margin,
@@ -195,11 +193,24 @@ class Portfolio:
         sentence = explanation(self.space, choice, float(seen.distance[best]), bool(alike))
         return replace(choice, explanation=sentence)
 
-    def _errors(self, performance: Array) -> Array | None:
-        """Raw units; None where nobody can say: all from one episode, and nothing predicted."""
-        if not self.routing.noise_is_known and not performance.any():
+    def _error(self, seen: router.Forecast, policy: int, less: int | None = None) -> float | None:
+        """Error of a policy's number, or of its lead over another; raw units, None: unknown.
+
+        Noise that all policies share is in a return and cancels in a difference between two.
+        """
+        row, target, weights = seen.parts(policy)
+        if less is not None:
+            other, there, against = seen.parts(less)
+            row, target = np.append(row, other), np.append(target, there)
+            weights = np.append(weights, -against)
+        beliefs = self.routing.beliefs
+        if not self.routing.noise_is_known and beliefs.measured[row, target].any():
             return None
-        return performance * (self.bounds.high - self.bounds.low)
+        own, shared = beliefs.doubts(row, target, weights)
+        error = float(np.hypot(own, self.routing.tails * shared))
+        if error == 0.0 and seen.target is None:
+            return None  # between the listed contexts nothing is exact
+        return error * (self.bounds.high - self.bounds.low)
 
     def policy_for(self, context: Mapping[str, Value]) -> Any:
         """The policy that serves a context; `explain` gives the reason."""

@@ -41,17 +41,23 @@ class Forecast:
 
     Attributes:
         performance: (k,) expected.
-        error: (k,) standard deviations, of noise and of what was predicted.
         basis: (k,) where each number comes from.
         distance: (k,) grid steps from each source.
         target: index of the context, None off the list.
+        judged_on: (k, m) listed contexts whose beliefs make each number.
+        weights: (m,) theirs, sum 1.
     """
 
     performance: Array
-    error: Array
     basis: Bases
     distance: Array
     target: int | None
+    judged_on: Indices
+    weights: Array
+
+    def parts(self, policy: int) -> tuple[Indices, Indices, Array]:
+        """(m,) rows, contexts and weights of which one policy's number is the weighted sum."""
+        return np.full(len(self.weights), policy), self.judged_on[policy], self.weights
 
     def ranking(self, sources: Sequence[int]) -> list[int]:
         """Policies from best to worst, as `mbtl.routing` ranks them."""
@@ -75,18 +81,20 @@ def forecast(
     distance = np.linalg.norm(space.steps[list(sources)] - here, axis=1)
     target = _listed(space, context)
     if target is not None:
-        mean, std = (column[:, 0] for column in beliefs.on(np.array([target])))
-        return Forecast(mean, std, _seen(beliefs, target), distance, target)
+        here_alone = np.full((len(sources), 1), target)
+        mean = beliefs.on(np.array([target]))[0][:, 0]
+        seen = _seen(beliefs, target)
+        return Forecast(mean, seen, distance, target, here_alone, np.ones(1))
     nearby, weights = _neighbours(space, here)
     if len(nearby):
-        mean, std = beliefs.on(nearby)
+        mean = beliefs.on(nearby)[0] @ weights
         between: list[Basis] = ["interpolated"] * len(sources)
-        return Forecast(mean @ weights, std @ weights, tuple(between), distance, None)
-    mean, std = beliefs.on(np.asarray(sources, dtype=np.intp))
-    own = np.arange(len(sources))
+        around = np.tile(nearby, (len(sources), 1))
+        return Forecast(mean, tuple(between), distance, None, around, weights)
+    trained_on = np.asarray(sources, dtype=np.intp)
+    expected = np.diagonal(beliefs.on(trained_on)[0]) - theta * distance
     guessed: list[Basis] = ["gap model"] * len(sources)
-    expected = mean[own, own] - theta * distance
-    return Forecast(expected, std[own, own], tuple(guessed), distance, None)
+    return Forecast(expected, tuple(guessed), distance, None, trained_on[:, None], np.ones(1))
 
 
 def _seen(beliefs: Beliefs, target: int) -> Bases:

@@ -20,8 +20,6 @@ from mbtl.selectors import Auto, Exhausted, Proposal, SelectionProblem
 from mbtl.study import Study
 from mbtl.study.fresh import fresh_value
 
-SURE = 1.96
-"""Standard errors on either side of an interval of 95 %."""
 TENTH = 0.1
 ENOUGH_GAIN = 0.01
 """Gain in V below which more policies are not worth their trouble."""
@@ -203,7 +201,7 @@ def _margin(found: Valuation, routing: Routing) -> float | None:
     """Half a 95 % interval; None where nobody can say."""
     if found.error == 0.0 and not routing.noise_is_known:
         return None
-    return SURE * found.error
+    return found.margin
 
 
 def one_more(problem: SelectionProblem, history: History) -> Proposal | None:

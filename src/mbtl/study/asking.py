@@ -16,6 +16,7 @@ from mbtl.study.leases import PROPOSING, Watch, new_token
 from mbtl.study.pick import StudyFinished
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
+from mbtl.threads import threads_for
 
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
@@ -144,7 +145,8 @@ def propose(state: StudyState, selector: Selector) -> dict[str, Any] | str:
     rng = selection_rng(spec.seed, spec.trial, number)
     problem, history = spec.selection_problem(), state.history()
     try:
-        proposal = selector.propose(problem, history, rng)
+        with threads_for(problem.n):
+            proposal = selector.propose(problem, history, rng)
     except Exhausted as error:
         raise StudyFinished(f"the study is finished: {error}") from error
     _check_proposal(state, selector, proposal)

@@ -14,6 +14,13 @@ failed    a training gave nothing that can be used
 reopened  a failed pick is to be tried again
 stopped   the selector predicts too little gain from one more training
 reported  returns on fresh evaluation seeds, for the V that people are told
+
+A study that counts steps (`mbtl.study.steps`) has `opened` in place of `created`, and
+
+decided   its strategy chose an action
+trained   a training passed a mark, and its policy is kept
+evaluated a policy was evaluated on some targets
+halted    a training stops short of where it was sent, since no more steps are left
 """
 
 from __future__ import annotations
@@ -39,8 +46,14 @@ Kind = Literal[
     "reopened",
     "stopped",
     "reported",
+    "opened",
+    "decided",
+    "trained",
+    "evaluated",
+    "halted",
 ]
 KINDS: tuple[str, ...] = get_args(Kind)
+OPENED: Kind = "opened"
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,10 @@ class LeasingStudy(StudyView):
             number = claim.data["pick"]
             if number == len(state.picks) and not self._propose(claim.data["token"], lease):
                 continue
-            return self._pick(self._state.picks[number])
+            given = self._pick(self._state.picks[number])
+            if given.token == claim.data["token"]:
+                return given
+            # the database was away until the lease had ended: it is somebody else's by now
 
     def _propose(self, token: str, lease: float | None) -> bool:
         """Find and record the source of the next pick; False where somebody else has done so.

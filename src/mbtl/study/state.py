@@ -14,7 +14,7 @@ from mbtl.history import History, standard_errors
 from mbtl.objective import Bounds
 from mbtl.routing import Routing
 from mbtl.study.checks import check_event
-from mbtl.study.events import Event
+from mbtl.study.events import OPENED, Event
 from mbtl.study.leases import Lease, worker_words
 from mbtl.study.records import Failure, FreshReturns, LateResult, PickRecord, ToldRow
 from mbtl.study.spec import StudySpec
@@ -57,6 +57,10 @@ class StudyState:
         """Advance by one event."""
         if event.seq != self.seq + 1:
             raise StorageError(f"event {self.seq + 1} is missing from the log, got {event.seq}")
+        if self.spec is None and event.kind == OPENED:
+            raise StudyError(
+                "this study is paid in steps, not in trainings; open it with mbtl.StepStudy.load"
+            )
         if (self.spec is None) != (event.kind == "created"):
             raise StorageError(
                 f"event {event.seq} ({event.kind}) is out of place; the log is damaged"
