@@ -1,16 +1,21 @@
 """Tables of `steps.py`: one policy that sees the context and is trained on all, on the same axis.
 
-Such policies are shipped at two lengths at most, once and ten times a whole training, as the best
-of fifty checks. Two prices: training and an evaluation with ten episodes everywhere, which flatters
-them; and the checks besides, two episodes on every context each, which is what was done.
+Each length is a training of its own (`step_policies.py`), whose last weights count. Where there is
+none, as of traffic, it is the shipped one, the best of its checks, which are charged. An evaluation
+with ten episodes on every context is charged besides, since somebody has to know how good it is.
 
 Notation (shapes): S seeds, K lengths.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from step_tables import Play, Plays, Sets
@@ -18,8 +23,12 @@ from step_tables import Play, Plays, Sets
 from mbtl.benchmark.multitask import load_multitask
 from mbtl.benchmark.steps import ONE_PER_STEP, StepWorld
 
-METHODS = ("ppo", "trpo", "ppo-x10", "trpo-x10")
-CHECKS, CHECK_EPISODES, CHECKS_OF_EPISODES = 50, 2, 20
+FILE = Path(__file__).parents[1] / "docs/data/one-policy.json"
+LEAST = 0.001
+"""Of V: less is no lead."""
+SHIPPED = {"ppo": 1.0, "ppo-x10": 10.0, "trpo": 1.0, "trpo-x10": 10.0}
+CHECKS, CHECK_EPISODES = 20, 2
+"""Of traffic, per context."""
 
 
 @dataclass(frozen=True)
@@ -29,58 +38,64 @@ class Point:
     Attributes:
         times: length, in whole trainings.
         steps: of training and one evaluation everywhere.
-        checked: with the checks during training.
         value: mean performance over contexts.
     """
 
-    times: int
+    times: float
     steps: float
-    checked: float
     value: float
+
+
+@cache
+def _trained() -> Any:
+    return json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else {}
 
 
 def points(name: str, world: StepWorld, seed: int) -> list[Point]:
     """Those of a set and a seed, the shortest first."""
     family, axis = name.split("-")[:2]
     found = []
+    for one in _trained().get(f"{family}-{axis}", []):
+        value = one["V"][seed]
+        steps = one["steps"] + _evaluation(family, world, value)
+        found.append(Point(one["share"], steps, value))
     for method, rows in load_multitask(f"{family}-{axis}").items():
-        if method not in METHODS or len(rows.returns) <= seed:
+        known = {point.times for point in found}
+        if SHIPPED.get(method, 1.0) in known or method not in SHIPPED:
             continue
         record = rows.provenance[seed]
-        trained = float(record.get("steps") or record["recipe"]["episodes"] * world.horizon)
-        lasts = np.full(world.selection.n, float(world.horizon))
-        if family in ONE_PER_STEP:
-            lasts = np.clip(rows.returns[seed], 1.0, world.horizon)
-        checks = CHECKS if "steps" in record else CHECKS_OF_EPISODES
-        steps = trained + float(lasts.sum()) * world.curves.episodes[0]
-        performance = world.curves.bounds.normalise(rows.returns[seed])
-        found.append(
-            Point(
-                10 if method.endswith("-x10") else 1,
-                steps,
-                steps + checks * CHECK_EPISODES * float(lasts.sum()),
-                float(performance @ world.selection.weights),
-            )
-        )
+        normalise = world.curves.bounds.normalise
+        if "final_mean_return" in record:
+            value, trained = float(normalise(record["final_mean_return"])), float(record["steps"])
+        else:
+            value = float(normalise(rows.returns[seed]).mean())
+            episodes = record["recipe"]["episodes"] + CHECKS * CHECK_EPISODES * world.selection.n
+            trained = float(episodes * world.horizon)
+        steps = trained + _evaluation(family, world, value)
+        found.append(Point(SHIPPED[method], steps, value))
     return sorted(found, key=lambda point: point.times)
+
+
+def _evaluation(family: str, world: StepWorld, value: float) -> float:
+    """Steps of ten episodes on every context."""
+    episode = world.horizon * (min(value, 1.0) if family in ONE_PER_STEP else 1.0)
+    return episode * world.selection.n * world.curves.episodes[0]
 
 
 def beside(sets: Sets, plays: Plays, strategies: Sequence[str]) -> list[str]:
     """V of these policies and of strategies that have spent as much; of seeds, means."""
     lines = [
-        "| set | trained for | units | with checks | V, one policy for all | "
+        "| set | trained for | units | V, one policy for all | "
         + " | ".join(f"V, {k}" for k in strategies)
         + " | Oracle Transfer |",
-        "|---" * (6 + len(strategies)) + "|",
+        "|---" * (5 + len(strategies)) + "|",
     ]
     for name, seeds in sets.items():
         every = [points(name, world, s) for s, (world, _) in enumerate(seeds)]
         for k in range(min(len(found) for found in every)):
             some = [found[k] for found in every]
-            units = [np.mean([getattr(p, what) / scale.unit
-                              for p, (_, scale) in zip(some, seeds, strict=True)])
-                     for what in ("steps", "checked")]  # fmt: skip
-            cells = [f"{some[0].times} whole", *(f"{u:.1f}" for u in units)]
+            units = np.mean([p.steps / sc.unit for p, (_, sc) in zip(some, seeds, strict=True)])
+            cells = [f"{Fraction(some[0].times)} whole", f"{units:.1f}"]
             cells.append(f"{np.mean([p.value for p in some]):.3f}")
             for strategy in strategies:
                 mine = [plays[strategy][name][s].at(p.steps) for s, p in enumerate(some)]
@@ -90,25 +105,35 @@ def beside(sets: Sets, plays: Plays, strategies: Sequence[str]) -> list[str]:
     return lines
 
 
-def alone(sets: Sets, *, checked: bool) -> dict[str, list[Play]]:
+def alone(sets: Sets) -> dict[str, list[Play]]:
     """The one policy as a play: its lengths one after the other, each trained afresh."""
     found = {}
     for name, seeds in sets.items():
         found[name] = []
         for s, (world, _) in enumerate(seeds):
             tries = points(name, world, s)
-            steps = np.array([p.checked if checked else p.steps for p in tries])
+            steps = np.array([p.steps for p in tries])
             best = np.maximum.accumulate([p.value for p in tries])
-            times = np.array([float(p.times) for p in tries])
+            times = np.array([p.times for p in tries])
             found[name].append(Play(steps, best, times))
     return found
+
+
+def ahead(sets: Sets, plays: Plays, strategy: str, name: str, units: float) -> bool:
+    """Whether the last such policy within some units is ahead of a strategy at equal steps."""
+    less = []
+    for s, (world, scale) in enumerate(sets[name]):
+        able = [p for p in points(name, world, s) if p.steps <= units * scale.unit]
+        if able:
+            less.append(able[-1].value - plays[strategy][name][s].at(able[-1].steps))
+    return bool(less and np.mean(less) > LEAST)
 
 
 def race(sets: Sets, plays: Plays, strategy: str) -> dict[str, list[Play]]:
     """A portfolio and one policy for all that take turns: whoever has cost less goes on.
 
-    So whichever wins needs about twice its own steps. V is that of the better one: what both are
-    worth together is at least as much. The checks of the one policy are charged.
+    The next length is trained once the portfolio has cost as much. V is that of the better one:
+    what both are worth together is at least as much.
     """
     found = {}
     for name, seeds in sets.items():
@@ -117,10 +142,10 @@ def race(sets: Sets, plays: Plays, strategy: str) -> dict[str, list[Play]]:
             mine, tries = plays[strategy][name][s], points(name, world, s)
             spent, there, looked, best = mine.spent.copy(), [], 0.0, -np.inf
             for point in tries:
-                spent[mine.spent > point.checked] += point.checked
-                looked += point.checked
+                spent[mine.spent > point.steps] += point.steps
+                looked += point.steps
                 best = max(best, point.value)
-                there.append((point.checked + looked, best))
+                there.append((point.steps + looked, best))
             other = Play(*(np.array(column) for column in zip(*there, strict=True)), mine.lengths)
             moved = Play(spent, mine.value, mine.lengths)
             at = np.sort(np.append(spent, other.spent))
@@ -137,16 +162,16 @@ def verdicts(sets: Sets, plays: Plays, strategy: str) -> list[str]:
         "V of 30 units, both | the portfolio alone | the one policy alone |",
         "|---" * 7 + "|",
     ]
-    both, single = race(sets, plays, strategy), alone(sets, checked=True)
+    both, single = race(sets, plays, strategy), alone(sets)
     for name, seeds in sets.items():
         said, after, own, ends = 0, [], [], []
         for s, (world, scale) in enumerate(seeds):
             mine = plays[strategy][name][s]
             able = [p for p in points(name, world, s) if _until(p, name, world, s) <= scale.budget]
-            if able and able[-1].value >= mine.at(able[-1].checked):
+            if able and able[-1].value >= mine.at(able[-1].steps):
                 said += 1
                 after.append(_until(able[-1], name, world, s) / scale.unit)
-                own.append(able[-1].checked / scale.unit)
+                own.append(able[-1].steps / scale.unit)
             every = (both[name][s], mine, single[name][s])
             ends.append([play.at(scale.budget) for play in every])
         cells = [f"{said} of {len(seeds)}"]
@@ -158,5 +183,5 @@ def verdicts(sets: Sets, plays: Plays, strategy: str) -> list[str]:
 
 def _until(point: Point, name: str, world: StepWorld, seed: int) -> float:
     """Steps of a race until this try is known: as many for the portfolio, and all tries so far."""
-    before = [p.checked for p in points(name, world, seed) if p.times <= point.times]
-    return point.checked + float(sum(before))
+    before = [p.steps for p in points(name, world, seed) if p.times <= point.times]
+    return point.steps + float(sum(before))

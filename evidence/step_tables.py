@@ -34,14 +34,14 @@ class Play:
     Attributes:
         spent, value: (E,) environment steps, all in, and V.
         lengths: of its trainings, as shares of a whole one.
-        evaluation: share of all steps.
+        evaluation: share of all steps; nan: not known.
         seconds, decisions: of deciding.
     """
 
     spent: Array
     value: Array
     lengths: Array
-    evaluation: float = 0.0
+    evaluation: float = np.nan
     seconds: float = 0.0
     decisions: float = 1.0
 
@@ -183,10 +183,11 @@ def board(sets: Sets, plays: Plays) -> list[str]:
             cells.append(f"{'< ' if missed else ''}{times:.1f}")
         every = [play for name in sets for play in plays[strategy][name]]
         cells.append(f"{np.mean([np.median(p.lengths) for p in every]):.2f}")
-        cells.append(f"{np.mean([p.evaluation for p in every]):.0%}")
+        evaluation = np.mean([p.evaluation for p in every])
+        cells.append(f"{evaluation:.0%}" if np.isfinite(evaluation) else "-")
         decisions = sum(p.decisions for p in every)
         ms = 1e3 * sum(p.seconds for p in every) / decisions
-        cells.append("-" if strategy == ORACLE else f"{ms:.1f}")
+        cells.append(f"{ms:.1f}" if ms else "-")
         lines.append(f"| {' | '.join(cells)} |")
     return lines
 
@@ -204,6 +205,27 @@ def each(sets: Sets, plays: Plays, strategies: Sequence[str], what: str) -> list
             missed = "< " if both[0][1] else ""
             cells.append(" / ".join(f"{missed}{times:.1f}" for times, _ in both))
         lines.append(f"| {name} | {' | '.join(cells)} |")
+    return lines
+
+
+def along(sets: Sets, plays: Plays, strategies: Sequence[str]) -> list[str]:
+    """Mean share of the way, by family, when so many units are spent."""
+    units = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, BUDGET)
+    lines = [
+        f"| share of the way after so many units | {' | '.join(f'{u:g}' for u in units)} |",
+        "|---" * (1 + len(units)) + "|",
+    ]
+    for family in sorted({family_of(name) for name in sets}):
+        some = {n: seeds for n, seeds in sets.items() if family_of(n) == family}
+        for strategy in strategies:
+
+            def share(n: str, s: int, u: float, strategy: str = strategy) -> float:
+                scale = sets[n][s][1]
+                value = plays[strategy][n][s].at(u * scale.unit)
+                return float(np.maximum(scale.share(np.array(value)), 0.0))
+
+            cells = [f"{evenly(some, lambda n, s, u=u, f=share: f(n, s, u)):.2f}" for u in units]
+            lines.append(f"| {family}: {strategy} | {' | '.join(cells)} |")
     return lines
 
 

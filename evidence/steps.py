@@ -26,7 +26,7 @@ import step_tables as tables
 from step_tables import Play, Seeds, Sets
 
 from mbtl.actions import Evaluation, FixedLength, Halving, Pilot, Strategy
-from mbtl.actions.evaluation import WHERE_IT_MATTERS
+from mbtl.actions.evaluation import A_TENTH, WHERE_IT_MATTERS
 from mbtl.benchmark import load_curves
 from mbtl.benchmark.curves import FOLDER
 from mbtl.benchmark.shipped import data_folder, family_of, seed_files
@@ -45,6 +45,7 @@ STRATEGIES: tuple[Strategy, ...] = (
     FixedLength("random", evaluation=WHERE_IT_MATTERS, name="random, whole"),
     FixedLength(None, evaluation=WHERE_IT_MATTERS, name="spread, whole"),
     FixedLength("mbtl", evaluation=WHERE_IT_MATTERS, name="mbtl, whole"),
+    FixedLength("mbtl", evaluation=A_TENTH, name="mbtl, whole, evaluation a tenth"),
     FixedLength("mbtl", -2, WHERE_IT_MATTERS, "mbtl, 1/2"),
     FixedLength("random", -3, WHERE_IT_MATTERS, "random, 1/4"),
     FixedLength("equidistant", -3, WHERE_IT_MATTERS, "equidistant, 1/4"),
@@ -64,10 +65,10 @@ STRATEGIES: tuple[Strategy, ...] = (
     Pilot(selector="random", name="pilot, random"),
     Pilot(selector=None, name="pilot, spread"),
     Pilot(selector="mbtl", name="pilot, mbtl"),
+    Pilot(selector="mbtl", evaluation=A_TENTH, name="pilot, mbtl, evaluation a tenth"),
 )  # fmt: skip
 WITH_AUTO: tuple[Strategy, ...] = (
-    FixedLength("auto", evaluation=WHERE_IT_MATTERS, name="auto, whole"),
-    FixedLength("auto", -3, WHERE_IT_MATTERS, "auto, 1/4"),
+    FixedLength("auto", evaluation=A_TENTH, name="auto, whole, evaluation a tenth"),
     Pilot(selector="auto", name="pilot, auto"),
 )
 CONSTANTS: Mapping[str, Sequence[Strategy]] = {
@@ -151,8 +152,7 @@ def main() -> None:
     plays = tables.with_chosen(sets, all_played(strategies, sets, args.keep))
     plays = {
         **plays,
-        page.ALONE: generalist.alone(sets, checked=False),
-        page.CHECKED: generalist.alone(sets, checked=True),
+        page.ALONE: generalist.alone(sets),
         page.RACE: generalist.race(sets, plays, page.OURS),
     }
     plays = tables.with_oracle(sets, plays)
