@@ -188,15 +188,15 @@ def create_study(
             again to `load_study`.
         name: name of the study within its storage.
         problem: id of the problem, to refuse a study of another one.
-        settings: JSON-able record of the training recipe, to refuse a study of another one; added
-            to the CMDP's.
-        load_if_exists: go on with an existing study of the same name and the same settings; a
-            larger budget extends it.
+        settings: JSON-able record of the recipe, to refuse a study of another; added to the CMDP's.
+        load_if_exists: go on with a study of this name and settings; a larger budget extends it.
         cost: what the budget counts: "trainings", or environment "steps", all in. The latter makes
             a `StepStudy`, which takes what follows, and no selector, objective, stopping rule,
             costs, repeats, risk or targets.
         strategy: decides what to train on, how long, and where to evaluate: a name or an object.
-        lengths, episodes, horizon: see `mbtl.study.steps.create.create_step_study`.
+        lengths: see `mbtl.study.steps.create.create_step_study`, as for all that follows.
+        episodes: of a policy on a target.
+        horizon: most steps of an episode.
 
     Raises:
         InvalidInput: budget out of range, bounds reversed, unknown selector, ...
