@@ -2,6 +2,9 @@
 
 import re
 
+from docutils import nodes
+from latex2mathml.converter import convert
+
 from mbtl.version import __version__
 
 project = "mbtl"
@@ -15,6 +18,9 @@ myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
 html_theme = "furo"
 html_title = f"mbtl {release}"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_math_renderer = "mathml"
 
 default_role = "code"  # docstrings mark code by single backticks
 autodoc_member_order = "bysource"
@@ -25,6 +31,12 @@ python_use_unqualified_type_names = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 napoleon_attr_annotations = False  # types stand in the signature
+
+PHRASE, SENTENCES = 30, 80
+"""A cell with more characters than these holds a phrase, or sentences."""
+
+PRIME = re.compile("<msup>(<mi>.</mi>)<mi>&#x02032;</mi></msup>")
+"""Written small and high it is hardly seen: fonts have it so already."""
 
 SECTIONS = "Args|Attributes|Example|Examples|Note|Raises|Returns|Yields"
 
@@ -74,8 +86,27 @@ def add_helps(app, page, source):
         source[0] += helps(get_command(program), "mbtl")
 
 
+def formula(page, node):
+    """MathML, which browsers draw by themselves: no script, and nothing to be fetched."""
+    block = isinstance(node, nodes.math_block)
+    text = convert(node.astext(), display="block" if block else "inline")
+    text = PRIME.sub(r'\1<mo lspace="0" rspace="0">&#x2032;</mo>', text)
+    page.body.append(f'<div class="formula">{text}</div>' if block else text)
+    raise nodes.SkipNode
+
+
+def widen(app, tree, name):
+    """Cells of tables that hold sentences get room, however many columns stand beside them."""
+    for cell in tree.findall(nodes.entry):
+        length = len(cell.astext())
+        if length > PHRASE:
+            cell["classes"].append("phrase" if length <= SENTENCES else "sentences")
+
+
 def setup(app):
     """`plain` comes before napoleon, which reads the sections."""
+    app.add_html_math_renderer("mathml", (formula, None), (formula, None))
+    app.connect("doctree-resolved", widen)
     app.connect("autodoc-process-docstring", plain, priority=1)
     app.connect("autodoc-process-signature", short)
     app.connect("source-read", add_helps)

@@ -1,8 +1,8 @@
 """The catalogue of CMDPs, docs/catalogue.md, written from the registry; a strip of film per family.
 
-`--films` also plays the first CMDP of each family that can be drawn, with random choices at its
-nominal context, and keeps five moments of the episode in one picture. Half a minute, needs
-mbtl[traffic,envs]; without a screen HalfCheetah needs MUJOCO_GL=egl or osmesa.
+`--films` also plays the first CMDP of each family and keeps five moments of the episode in one
+picture: a kept policy of `--policies` (see films.py) where the family is in TRAINED, choices at
+random in traffic, both at the nominal context. Half a minute, needs mbtl[traffic,envs].
 
 example: python evidence/catalogue.py --write
 """
@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import appendix
+import films
 import numpy as np
 
 from mbtl.benchmark import load_matrix, shipped_matrices
 from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp
-from mbtl.cmdps.engines import EnvFactory, resolved
+from mbtl.cmdps.engines import EnvFactory
 from mbtl.cmdps.registry import engines_of
 
 FILE = appendix.DOCS / "catalogue.md"
@@ -43,8 +45,18 @@ number of contexts N and the nominal one, on which people train without help.
 - *Matrix* says whether a transfer matrix is shipped. Where there is one, selectors can be compared
   in seconds: `mbtl bench --matrix ID`.
 
+The pictures show five moments of an episode at the nominal context: of a trained policy in the
+first four families, of choices at random in traffic.
+
 `python evidence/catalogue.py --write` wrote this page from the registry.
 """
+TRAINED = {
+    "cartpole": "cartpole-length",
+    "pendulum": "pendulum-length",
+    "walker": "walker-gravity",
+    "cheetah": "cheetah-gravity",
+}
+"""Family -> the CMDP whose policy is seen."""
 MOMENTS = 5
 WIDTH = 1200
 """Pixels of a strip."""
@@ -88,11 +100,16 @@ def _span(cmdp: CMDP, name: str) -> str:
     return f"{name} {min(values):g} to {max(values):g}{'' if unit in ('', '1') else f' {unit}'}"
 
 
-def strip(id: str) -> Any:
-    """Moments of an episode side by side."""
-    from PIL import Image
+def of_policy(id: str, folder: Path) -> list[Any]:
+    """Moments of an episode of a kept policy."""
+    cmdp = films.simulated(id)
+    take, _ = films.played(cmdp, cmdp.nominal or {}, folder, 20 * MOMENTS)
+    return [picture.image for picture in take.pictures[:: len(take.pictures) // MOMENTS][:MOMENTS]]
 
-    cmdp = get_cmdp(id, engine=engines_of(id)[0])
+
+def at_random(id: str) -> list[Any]:
+    """Moments of an episode of traffic."""
+    cmdp = films.simulated(id)
     assert isinstance(cmdp.make_env, EnvFactory)
     options = {**cmdp.make_env.options, "render_mode": "rgb_array"}
     env: Any = replace(cmdp.make_env, options=options)(cmdp.nominal or {})
@@ -103,14 +120,18 @@ def strip(id: str) -> Any:
     moments = []
     for step in range(20 * MOMENTS):
         if step % 20 == 10:
-            picture = Image.fromarray(np.asarray(env.render()))
-            moments.append(picture)
-        action = space.sample() if alone else {name: space.sample() for name in env.agents}
-        ended = env.step(action)[2:4]
-        if alone and any(ended):
-            env.reset(seed=step)
+            moments.append(np.asarray(env.render()))
+        env.step(space.sample() if alone else {name: space.sample() for name in env.agents})
     env.close()
-    wide = moments[0].width > 3 * moments[0].height  # a road: one below the other
+    return moments
+
+
+def strip(pictures: list[Any]) -> Any:
+    """Moments side by side; roads one below the other."""
+    from PIL import Image
+
+    moments = [Image.fromarray(picture) for picture in pictures]
+    wide = moments[0].width > 3 * moments[0].height
     width = WIDTH if wide else WIDTH // MOMENTS
     height = width * moments[0].height // moments[0].width
     across, down = (0, height + 4) if wide else (width + 4, 0)
@@ -126,20 +147,13 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--write", action="store_true", help="docs/catalogue.md")
-    parser.add_argument("--films", action="store_true", help="docs/images/film-*.png")
+    parser.add_argument("--films", nargs="*", choices=FAMILIES, help="docs/images/film-*.png")
+    parser.add_argument("--policies", type=Path, default=Path("runs"), help="see films.py")
     args = parser.parse_args()
-    if args.films:
-        for family in FAMILIES:
-            id = next(id for id in cmdp_ids() if _family(id) == family)
-            factory = get_cmdp(id, engine=engines_of(id)[0]).make_env
-            assert isinstance(factory, EnvFactory)
-            kind: Any = resolved(factory.entry_point)
-            if "rgb_array" in kind.metadata["render_modes"]:
-                file = appendix.DOCS / "images" / f"film-{family}.png"
-                try:
-                    strip(id).save(file, optimize=True)
-                except Exception as error:  # of a machine that cannot draw this one
-                    print(f"{file} stays as it is: {error}")
+    for family in FAMILIES if args.films == [] else args.films or ():
+        id = TRAINED.get(family) or next(id for id in cmdp_ids() if _family(id) == family)
+        moments = of_policy(id, args.policies) if family in TRAINED else at_random(id)
+        strip(moments).save(appendix.DOCS / "images" / f"film-{family}.png", optimize=True)
     if args.write:
         FILE.write_text(page(), encoding="utf-8")
     else:

@@ -70,7 +70,7 @@ def gap(ax: Any = None) -> Any:
         dress(ax, matrix.axes[0])
         ax.set_ylabel("performance lost")
         ax.set_title(f"the policy trained at {x[source]:g} m")
-        ax.legend(loc="upper left")
+        ax.legend(loc="center right")
     return ax
 
 

@@ -1,13 +1,15 @@
 """Do policies of a twin transfer in SUMO as they do in the twin? One sub-matrix in both engines.
 
     .venv/bin/python evidence/twin_transfer.py [--cmdp ring-acc] [--sources 6] [--targets 8]
-        [--episodes 5] [--train 300] [--train-in jax|sumo] [--out FILE.npz]
+        [--episodes 5] [--train 300] [--train-in jax|sumo] [--policies FOLDER] [--out FILE.npz]
 
 Trains each source in the twin, or in SUMO (preset `quick`, with as many training episodes as
-`--train`), then evaluates every policy on every target in the twin, and twice in SUMO with other
-seeds. Printed: the mean score of each source, the correlation of all entries, and Spearman's rank
-correlation of the source means, of the twin against SUMO and of SUMO against itself. `--out` keeps
-the sub-matrices, arrays "twin", "sumo", "sumo_again" (source, target) and "sources", "targets".
+`--train`), or takes the policies that the build of a matrix kept (`--policies
+runs/matrix-.../policies/best`: the sources nearest to evenly spread ones). Then evaluates every
+policy on every target in the twin, and twice in SUMO with other seeds. Printed: the mean score of
+each source, the correlation of all entries, and Spearman's rank correlation of the source means, of
+the twin against SUMO and of SUMO against itself. `--out` keeps the sub-matrices, arrays "twin",
+"sumo", "sumo_again" (source, target) and "sources", "targets".
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import measure  # noqa: F401  first: threads
 
 import argparse  # isort: skip
 import time
+from pathlib import Path
 
 import numpy as np
 from scipy import stats
@@ -33,6 +36,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=5)
     parser.add_argument("--train", type=int, default=300)
     parser.add_argument("--train-in", choices=["jax", "sumo"], default="jax")
+    parser.add_argument("--policies", type=Path)
     parser.add_argument("--out")
     args = parser.parse_args()
     twin, sumo = (get_cmdp(args.cmdp, engine=engine) for engine in ("jax", "sumo"))
@@ -41,21 +45,30 @@ def main() -> None:
         np.unique(np.linspace(0, n - 1, count).round().astype(int))
         for count in (args.sources, args.targets)
     )
+    if args.policies:
+        kept = np.array(sorted(int(one.name.split("-")[1]) for one in args.policies.iterdir()))
+        sources = np.unique([kept[np.abs(kept - source).argmin()] for source in sources])
     there = [twin.space.contexts[i] for i in targets]
     trainer = twin.trainer_for("quick", episodes=args.train, eval_episodes=10 * args.episodes)
-    school = trainer if args.train_in == "jax" else sumo.trainer_for("quick", episodes=args.train)
+    school = sumo.trainer_for("quick", episodes=args.train)
     begin = time.perf_counter()
-    policies = [school.train(twin.space.contexts[i], training_seed(0, 0, int(i))) for i in sources]
-    print(
-        f"{len(policies)} trainings in {args.train_in}: {time.perf_counter() - begin:.0f} s",
-        flush=True,
-    )
+    seeds = [training_seed(0, 0, int(i)) for i in sources]
+    lessons = [twin.space.contexts[i] for i in sources]
+    if args.policies:
+        policies = [trainer.load(args.policies / f"source-{i:05d}") for i in sources]
+    elif args.train_in == "jax":
+        kept = trainer.checkpoint
+        policies = trainer.train_many(lessons, seeds, keep=(kept,))[kept]
+    else:
+        policies = [school.train(one, seed) for one, seed in zip(lessons, seeds, strict=True)]
+    where = args.policies or args.train_in
+    print(f"{len(policies)} policies of {where}: {time.perf_counter() - begin:.0f} s", flush=True)
     if args.train_in == "sumo":
         policies = [export_mlp(policy) for policy in policies]
     judge = sumo.trainer_for("quick", eval_episodes=args.episodes, acting=trainer.acting)
-    seeds = evaluation_seed(0, 0), evaluation_seed(0, 0, Purpose.REPORT)
-    found = {"twin": _means(trainer, policies, there, seeds[0])}
-    for name, seed in zip(("SUMO", "SUMO again"), seeds, strict=True):
+    draws = evaluation_seed(0, 0), evaluation_seed(0, 0, Purpose.REPORT)
+    found = {"twin": _means(trainer, policies, there, draws[0])}
+    for name, seed in zip(("SUMO", "SUMO again"), draws, strict=True):
         begin = time.perf_counter()
         found[name] = _means(judge, policies, there, seed)
         print(f"{name}: {time.perf_counter() - begin:.0f} s", flush=True)

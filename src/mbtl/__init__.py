@@ -44,6 +44,7 @@ from mbtl.study import (
     list_studies,
     load_study,
 )
+from mbtl.study.steps.study import StepStudy
 from mbtl.version import __version__
 
 if TYPE_CHECKING:
@@ -82,6 +83,7 @@ __all__ = [
     "Portfolio",
     "RunResult",
     "SimulationFailed",
+    "StepStudy",
     "Stopping",
     "StorageError",
     "Study",

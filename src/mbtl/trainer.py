@@ -104,6 +104,67 @@ class ResumingTrainer(Trainer, Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Reached:
+    """Where a training has come to.
+
+    Attributes:
+        policy: its latest weights.
+        steps: environment steps of the training so far.
+        checks: environment steps of the evaluations that it made of itself so far.
+        ended: nothing is left to gain on its own context; longer would be the same policy.
+    """
+
+    policy: Any
+    steps: int
+    checks: int = 0
+    ended: bool = False
+
+
+@runtime_checkable
+class SteppingTrainer(Trainer, Protocol):
+    """A trainer whose trainings pause at any number of steps, and go on later from there.
+
+    Extending is exact where the trainer says so: a training that was extended is then the same as
+    one of the whole length. So schedules (learning rate, exploration) follow `whole_steps`, never
+    the length that a training happens to have so far.
+    """
+
+    @property
+    def whole_steps(self) -> int | None:
+        """Environment steps of a whole training; None: this one does not count steps."""
+        ...
+
+    def train_steps(
+        self,
+        context: Context,
+        seed: int,
+        steps: int,
+        *,
+        start: Any = None,
+        saved: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Reached:
+        """Train until `steps` are done in all, rounded up to what the algorithm learns from.
+
+        Args:
+            context: to train on.
+            seed: of the training.
+            steps: in all, 1..`whole_steps`.
+            start: a policy of this trainer to begin from; None: from scratch.
+            saved: file of the training's state. Where it is there, the training goes on from it;
+                when this returns it holds the new one. None: the training cannot go on later.
+            on_progress: told now and then.
+        """
+        ...
+
+    def evaluate_steps(
+        self, policy: Any, contexts: Sequence[Context], seed: int
+    ) -> tuple[Array, Array]:
+        """As `evaluate`, and how many steps each episode had, both (n_targets, n_episodes)."""
+        ...
+
+
 @runtime_checkable
 class ManyTrainer(Protocol):
     """A trainer that trains and evaluates many policies at once, e.g. in one compiled program."""

@@ -76,6 +76,7 @@ def test_halving_promotes_the_best_half_of_a_rung_the_highest_first():
     assert strategy.decide(PROBLEM, trail((4, 0.5), (0, 0.7)), RNG) == Extend(1, 1)
     there = trail((4, 0.5), (0, 0.7), (8, 0.6), (2, 0.4), lengths=(1, 1, 0, 0))
     assert strategy.decide(PROBLEM, there, RNG) == Extend(1, 2)
+    assert Halving("own", every=1, first=-2).decide(PROBLEM, Trail(STEPS), RNG).length == 1
     done = trail((4, 0.5), (0, 0.7), lengths=(0, 1), ended=(1,))
     assert isinstance(strategy.decide(PROBLEM, done, RNG), Start)
 
@@ -159,3 +160,32 @@ def test_one_of_two_short_trainings_goes_on_the_one_that_v_would_miss_most():
         there = there.with_evaluation(Policy(i, 1), np.arange(N), row, 90.0)
     assert Pilot(promote=2, evaluation=Evaluation()).decide(PROBLEM, there, RNG) == Extend(2, 2)
     assert isinstance(Pilot(promote=0, evaluation=Evaluation()).decide(PROBLEM, there, RNG), Start)
+
+
+def test_a_cohort_is_promoted_only_when_all_of_it_is_there():
+    waiting = Halving("own", every=1, cohort=4)
+    policies = (4, 0.5), (0, 0.7), (8, 0.6), (2, 0.4)
+    assert isinstance(waiting.decide(PROBLEM, trail(*policies[:3]), RNG), Start)
+    assert waiting.decide(PROBLEM, trail(*policies), RNG) == Extend(1, 1)
+    there = trail(*policies).with_training(1, Training(0, 1, 200), 100.0)
+    there = there.with_evaluation(Policy(1, 1), np.arange(N), np.full(N, 0.7), 90.0)
+    assert waiting.decide(PROBLEM, there, RNG) == Extend(2, 1)  # the other of the best half
+    another = trail(*policies, (6, 0.9), lengths=(2, 2, 2, 2, 0))
+    assert isinstance(Halving("own", 1, cohort=2).decide(PROBLEM, another, RNG), Start)
+
+
+def test_brackets_get_as_many_steps_each():
+    strategy = Halving("own", every=1, brackets=2)
+    assert strategy.decide(PROBLEM, Trail(STEPS), RNG).length == 0
+    assert strategy.decide(PROBLEM, trail((4, 0.5)), RNG).length == 1
+    there = trail((4, 0.5)).with_training(1, Training(0, 1, 200), 200.0)
+    there = there.with_evaluation(Policy(1, 1), np.arange(N), np.full(N, 0.3), 90.0)
+    assert strategy.decide(PROBLEM, there, RNG).length == 0
+
+
+def test_rows_filled_one_after_the_other_are_those_filled_at_once():
+    there = watched((2, 0.9))
+    for target, value in ((1, 0.2), (7, 0.6), (4, 0.1)):
+        there = there.with_evaluation(Policy(0, 0), np.array([target]), np.array([value]), 10.0)
+    there = there.with_training(1, Training(0, 0, 100), 100.0)
+    assert np.array_equal(there.filled, filled_rows(there.rows, STEPS))

@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from mbtl.benchmark import TransferMatrix, compare
+from mbtl.benchmark import TransferMatrix, compare, nominal_source, reference_levels
 from mbtl.benchmark.base import levels
 from mbtl.benchmark.oracle import random_curve, sequential_oracle
 from mbtl.benchmark.replay import replay
@@ -31,6 +31,18 @@ def test_rows_are_found_by_context(matrix):
     np.testing.assert_array_equal(matrix.fresh_rows(0, [5]), matrix.fresh_returns[0, [2]])
     with pytest.raises(InvalidInput, match="no training on context 3"):
         matrix.rows(0, [2, 3])
+
+
+@pytest.mark.parametrize(("nominal", "source"), [(3.1, 2), (3.9, 5), (5.0, 5), (0.9, 0)])
+def test_the_nominal_policy_is_of_the_nearest_context_trained_on(nominal, source):
+    known = {"sources": SOURCES, "contexts": np.arange(8.0)[:, None], "axes": ["x"]}
+    returns = np.random.default_rng(0).uniform(0.1, 0.9, (1, 4, 8))
+    matrix = TransferMatrix.of(
+        returns, **known, bounds=(0, 1), provenance={"nominal": {"x": nominal}}
+    )
+    assert nominal_source(matrix) == source
+    shown = reference_levels(matrix, 0)["nominal_policy"]
+    assert shown == pytest.approx(returns[0, SOURCES.index(source)].mean())
 
 
 def test_levels_are_of_the_sources(matrix):

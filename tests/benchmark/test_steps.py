@@ -124,7 +124,7 @@ def test_routes_are_those_of_portfolios():
 
 
 def test_units_levels_and_area_have_closed_forms():
-    made = StepScale(1000.0, 5000.0, 0.2, 0.7, np.empty(0), np.empty(0))
+    made = StepScale(1000.0, 5000.0, 0.2, 0.7, *np.empty((3, 0)))
     spent, value = np.array([500.0, 3000.0]), np.array([0.45, 0.7])
     assert made.to_levels(spent, value).tolist() == [3.0, 3.0, 3.0]
     assert made.to(spent, value, 0.5) == 0.5
@@ -137,6 +137,8 @@ def test_units_levels_and_area_have_closed_forms():
 def test_a_unit_is_a_whole_training_with_its_evaluation():
     scale = StepScale.of(StepWorld(curves(), 0))
     assert scale.unit == 400 + 3 * 2 * 200
+    assert scale.oracle_trained[:2].tolist() == [400, 800]
+    assert scale.oracle_spent[:2].tolist() == [scale.unit, 2 * scale.unit]
     assert scale.paper == 400 + 3 * 100 * 200  # a hundred episodes per target
     assert scale.high == pytest.approx(0.59)
     assert scale.low == pytest.approx((59 * 3 + 49 * 4 + 39 * 2) / 900)

@@ -291,6 +291,26 @@ def test_show_and_list_say_of_what_the_numbers_are(mbtl_command, problem):
     )
 
 
+def test_show_knows_the_scale_of_the_paper_and_shows_any(mbtl_command, tmp_path):
+    matrix = TransferMatrix.of(
+        [[[-90.0, 10.0, 60.0]]], sources=[0], bounds=(-150, 300), contexts=[[8.0], [9.0], [10.0]],
+        axes=["gravity"], provenance={"problem": "walker-gravity", "nominal": {"gravity": 10.0}},
+    )  # fmt: skip
+    matrix.save(tmp_path / "walker.npz")
+    out = " ".join(mbtl_command("matrix", "show", "walker.npz")[1].split())
+    assert "Performance 0 is a return of -150, 1 of 300" in out
+    assert "In the paper 0 is -200 and 1 is 10; returns here are -90 to 60." in out
+    assert "its policy is that of the nearest, gravity 8." in out
+    for bounds, value in (("-200,10", 193.33 / 210), ("seen", 83.33 / 150)):
+        shown = json.loads(
+            mbtl_command("matrix", "show", "walker.npz", "--bounds", bounds, "--json")[1]
+        )
+        assert shown["seeds"][0]["nominal_policy"] == pytest.approx(value, rel=1e-3)
+    code, _, err = mbtl_command("matrix", "show", "walker.npz", "--bounds", "high")
+    assert (code, "--bounds is LOW,HIGH or seen, got 'high'" in err) == (2, True)
+    assert "-200..10" in mbtl_command("cmdps", "walker-gravity")[1]
+
+
 def test_reference_rows_are_added_to_a_file_that_has_none(mbtl_command, problem):
     (problem / "guided.py").write_text(GUIDED)
     assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0

@@ -118,7 +118,15 @@ def test_texts_can_be_read_without_scripts_and_names_are_no_markup():
 def test_a_study_without_rows_has_a_page():
     text = page([of_study(study_on(picks=0))])
     assert "No policy was trained yet." in text
+    assert "0 episodes" not in text
     assert 'data-chart="' not in re.sub(r"<script.*?</script>", "", text, flags=re.S)
+
+
+def test_costs_are_said_of_a_study_that_counts_them():
+    assert "in the unit of the study" not in page([of_study(study_on())])
+    study = study_on(picks=0)
+    study.tell(study.ask(), np.zeros(N), cost=2.5)
+    assert "The trainings cost 2.5 in the unit of the study." in page([of_study(study)])
 
 
 def test_a_live_page_loads_itself_again_and_a_final_one_does_not():

@@ -67,6 +67,7 @@ def test_a_study_loads_and_the_slider_moves_through_the_steps(probe):
         found.second = believed();
         found.said = document.querySelector("output").textContent;
         found.dots = named("trained").x.length;
+        found.sides = seen("policies").data.find((t) => t.name === "trained").textposition;
         const key = new KeyboardEvent("keydown", { key: "ArrowRight", bubbles: true });
         document.body.dispatchEvent(key);
         found.after = document.querySelector("output").textContent;
@@ -86,6 +87,8 @@ def test_a_study_loads_and_the_slider_moves_through_the_steps(probe):
     assert found["said"].startswith("after 2 of 5; next pick: mass = ")
     assert third.split()[2][:4] in found["said"]
     assert found["dots"] == 2
+    above = [side == "top center" for side in found["sides"]]
+    assert [above[i] for i in np.argsort(study.history.sources)] == [True, False] * 2 + [True]
     assert found["after"].startswith("after 3 of 5")
     assert found["axis"] == "log"
     assert found["rows"] == study.space.n
@@ -109,6 +112,7 @@ def test_three_axes_are_maps_that_can_be_sliced_and_pairs_and_a_phone_needs_no_s
         const box = seen("policies"), selects = [...box.parentElement.querySelectorAll("select")];
         found.type = box.data[0].type;
         found.shape = [box.data[0].z.length, box.data[0].z[0].length];
+        found.policies = [...new Set(box.data[0].z.flat())].sort();
         const text = (s) => s.parentElement.firstChild.textContent;
         choose(selects[0], "performance");
         const averaged = box.data[0].z[0][0], slice = selects.find((s) => text(s) === "road");
@@ -126,6 +130,7 @@ def test_three_axes_are_maps_that_can_be_sliced_and_pairs_and_a_phone_needs_no_s
         width=390,
     )
     assert (found["type"], found["shape"]) == ("heatmap", [3, 4])
+    assert set(found["policies"]) <= {1, 2, 3}  # people count from 1
     assert found["changed"]
     assert found["turned"] == ["wet", "dry"]
     assert found["pairs"] == 3

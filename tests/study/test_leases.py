@@ -110,6 +110,30 @@ def test_a_proposer_that_died_is_succeeded_when_its_time_is_over(place, clock):
     assert not dead._propose("0", None)
 
 
+@pytest.mark.parametrize("again", [False, True])
+def test_a_pick_that_was_taken_over_before_its_asker_heard_of_it_has_one_holder(
+    place, clock, again
+):
+    """A server that restarts may write a claim and answer when its lease has ended."""
+    first, second, taken = mbtl.load_study(place), mbtl.load_study(place), []
+    if again:
+        first.release(first.ask(lease=30.0))
+    append = first.log.append
+
+    def append_and_hear_late(event, *, after):
+        number = append(event, after=after)
+        if event.data.get("seconds") == 30.0 and not taken:
+            clock.now += 31.0
+            taken.append(second.ask(lease=60.0))
+        return number
+
+    first.log.append = append_and_hear_late
+    mine = first.ask(lease=30.0)
+    assert [taken[0].number, mine.number] == [0, 1]
+    assert first.tell(mine, row(mine.source))
+    assert second.tell(taken[0], row(taken[0].source))
+
+
 def test_a_silent_worker_is_succeeded_and_its_row_comes_late(place, clock):
     first, second = mbtl.load_study(place), mbtl.load_study(place)
     slow = first.ask(lease=30.0)

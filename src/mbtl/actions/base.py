@@ -197,7 +197,7 @@ class Trail:
         """After a training was begun or continued."""
         before = self.trainings
         after = (*before[:training], now, *before[training + 1 :])
-        return replace(self, trainings=after, spent=self.spent + cost)
+        return replace(self, trainings=after, spent=self.spent + cost)._filled_as(self.filled)
 
     def with_evaluation(
         self, policy: Policy, targets: NDArray[np.intp], values: Array, cost: float
@@ -211,9 +211,17 @@ class Trail:
         i = policies.index(policy)
         rows[i, targets] = values
         paid = (*paid[:i], paid[i] + cost, *paid[i + 1 :])
-        return replace(
+        after = replace(
             self, policies=policies, rows=rows, evaluation_steps=paid, spent=self.spent + cost
         )
+        # one row is new: the others are filled as before
+        filled = np.vstack([self.filled, rows[len(self.policies) :]])
+        filled[i] = filled_rows(rows[i : i + 1], self.steps)[0]
+        return after._filled_as(filled)
+
+    def _filled_as(self, filled: Array) -> Trail:
+        self.__dict__["filled"] = filled
+        return self
 
 
 class Strategy(Protocol):

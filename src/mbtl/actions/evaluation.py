@@ -74,6 +74,8 @@ class Evaluation:
 
 EVERYWHERE = Evaluation()
 WHERE_IT_MATTERS = Evaluation(LEAST, margin=0.0)
+A_TENTH = Evaluation(share=0.1, margin=0.0)
+"""At first as many targets as a tenth of the training pays for, then those that routes hang on."""
 
 
 def target_price(problem: StepProblem, trail: Trail) -> float:

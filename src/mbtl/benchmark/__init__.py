@@ -14,7 +14,7 @@ from mbtl.benchmark.oracle import (
     sequential_oracle,
 )
 from mbtl.benchmark.records import Comparison, Run, Summary
-from mbtl.benchmark.references import reference_levels
+from mbtl.benchmark.references import nominal_source, reference_levels
 from mbtl.benchmark.shipped import load_matrix, save_shipped, shipped_matrices
 from mbtl.benchmark.summary import summarise
 from mbtl.benchmark.synthetic import SyntheticWorld, linear_gap_world
@@ -36,6 +36,7 @@ __all__ = [
     "linear_gap_world",
     "load_curves",
     "load_matrix",
+    "nominal_source",
     "open_matrix",
     "random_curve",
     "reference",

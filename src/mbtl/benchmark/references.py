@@ -2,7 +2,8 @@
 
     random actions   a policy that looks at nothing
     unguided         the system without a controller, where there is such a thing
-    nominal policy   the policy of the context on which a user would train without help
+    nominal policy   the policy of the context on which a user would train without help, or of the
+                     nearest that was trained on
     random policy    the policy of a random context; the exact mean over all of them
 
 The first two are played when a matrix is built, in the episodes of its policies; the others are
@@ -49,9 +50,11 @@ def reference_levels(source: RowSource, seed: int) -> dict[str, float]:
 
 
 def nominal_source(matrix: TransferMatrix) -> int | None:
-    """Index of the context nearest to the nominal one, in unit coordinates; None if unknown."""
+    """Index of the source nearest to the nominal context, in unit coordinates; None if unknown."""
     nominal = matrix.records[0].get("nominal")
     if nominal is None or set(nominal) != {axis.name for axis in matrix.axes}:
         return None
     away = np.linalg.norm(matrix.space.unit - matrix.space.encode(nominal), axis=1)
-    return int(away.argmin())
+    if matrix.sources is None:
+        return int(away.argmin())
+    return int(matrix.sources[away[matrix.sources].argmin()])

@@ -40,7 +40,8 @@ class StepScale:
         low: V of one random policy of a whole training.
         high: Oracle Transfer of whole trainings.
         oracle: (K,) V of the Sequential Oracle of whole trainings.
-        oracle_spent: (K,) what its trainings cost.
+        oracle_spent: (K,) what its trainings cost, with their evaluations.
+        oracle_trained: (K,) what they cost without.
     """
 
     unit: float
@@ -49,6 +50,7 @@ class StepScale:
     high: float
     oracle: Array
     oracle_spent: Array
+    oracle_trained: Array
 
     @classmethod
     def of(cls, world: StepWorld) -> StepScale:
@@ -60,9 +62,15 @@ class StepScale:
         paper = float(world.lengths[-1] + rows.mean() * PAPER_EPISODES)
         picks = min(int(BUDGET), len(whole))
         oracle = sequential_oracle(matrix, world.seed, picks)
-        spent = np.cumsum(whole[[world.row(s) for s in oracle.sources]])
+        taken = [world.row(s) for s in oracle.sources]
         return cls(
-            float(whole.mean()), paper, known.grand_mean, known.oracle_transfer, oracle.curve, spent
+            unit=float(whole.mean()),
+            paper=paper,
+            low=known.grand_mean,
+            high=known.oracle_transfer,
+            oracle=oracle.curve,
+            oracle_spent=np.cumsum(whole[taken]),
+            oracle_trained=np.cumsum(world.training_price[-1, taken]),
         )
 
     @property

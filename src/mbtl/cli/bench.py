@@ -73,7 +73,7 @@ def bench(
         raise InvalidInput(
             f"--out must be a file in a folder that can be written, got {str(out)!r}"
         )
-    sources = [_scaled(source, bounds) for source in open_matrices(matrix).values()]
+    sources = [scaled(source, bounds) for source in open_matrices(matrix).values()]
     if selectors is None:
         names = default_selectors(sources)
     else:
@@ -113,8 +113,8 @@ def _named(comparison: Comparison, given: str) -> str:
     return given if given in known else get_selector(given).name
 
 
-def _scaled(source: RowSource, bounds: str | None) -> RowSource:
-    """With other bounds; the direction and the floor stay."""
+def scaled(source: RowSource, bounds: str | None) -> RowSource:
+    """With other bounds, LOW,HIGH or `seen`; the direction and the floor stay."""
     if bounds is None:
         return source
     if not isinstance(source, TransferMatrix):

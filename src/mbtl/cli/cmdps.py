@@ -54,6 +54,9 @@ def cmdps(
 
 def _record(cmdp: Any) -> dict[str, Any]:
     """What is fixed about a CMDP, as data; the table and the JSON are made from it."""
+    from mbtl.cmdps import cmdp_ids
+    from mbtl.cmdps.registry import paper_bounds
+
     space = cmdp.space
     return {
         "id": cmdp.id,
@@ -66,6 +69,7 @@ def _record(cmdp: Any) -> dict[str, Any]:
         "unit": cmdp.unit,
         "horizon": cmdp.horizon,
         "bounds": cmdp.bounds,
+        "paper_bounds": paper_bounds(cmdp.id) if cmdp.id in cmdp_ids() else None,
         "direction": cmdp.direction,
         "floor": cmdp.floor,
         "theta": cmdp.theta,
@@ -125,6 +129,7 @@ def _show(record: dict[str, Any]) -> None:
         ("nominal", _values(record["nominal"])),
         ("horizon", _or_dash(record["horizon"])),
         ("returns for performance 0..1", _bounds(record)),
+        *_in_the_paper(record["paper_bounds"]),
         ("no return counts as worse than", _or_dash(record["floor"])),
         ("theta, performance per grid step", _or_dash(record["theta"])),
         ("settings", _values(record["settings"])),
@@ -169,6 +174,13 @@ def _bounds(record: dict[str, Any]) -> str:
         return "from the returns seen"
     low, high = record["bounds"]
     return f"{low:g}..{high:g}" if record["direction"] == "maximize" else f"{high:g}..{low:g}"
+
+
+def _in_the_paper(bounds: Any) -> list[tuple[str, str]]:
+    if bounds is None:
+        return []
+    low, high = bounds
+    return [("in the paper", f"{low:g}..{high:g}; in tables by --bounds {low:g},{high:g} or seen")]
 
 
 def _or_dash(value: Any) -> str:

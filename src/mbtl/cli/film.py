@@ -14,6 +14,8 @@ _RATE = 10
 """Pictures per second."""
 _BAND, _GAP = 56, 8
 """Pixels of the words above a picture, and between two pictures."""
+_COLOURS = 64
+"""Of a film."""
 _NARROW = 560
 """Pixels that words need at least."""
 
@@ -156,4 +158,4 @@ def _beside(images: list[Any]) -> Any:
     for one in images:
         whole.paste(one, (at, 0) if across else (0, at))
         at += (one.width if across else one.height) + _GAP
-    return whole.convert("P", palette=Image.Palette.ADAPTIVE)
+    return whole.convert("P", palette=Image.Palette.ADAPTIVE, colors=_COLOURS)

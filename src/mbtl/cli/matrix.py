@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich import box
 from rich.table import Table
@@ -14,17 +15,21 @@ from mbtl.benchmark import (
     RowSource,
     TransferMatrix,
     levels,
+    nominal_source,
     open_matrix,
     reference_levels,
     shipped_matrices,
 )
 from mbtl.benchmark.references import NAMES
 from mbtl.benchmark.shipped import load_by_id
+from mbtl.cli.bench import scaled
 from mbtl.cli.build import build
 from mbtl.cli.common import JsonFlag, interruptible, print_json, printer
 from mbtl.cli.foreign import import_matrix
 from mbtl.cli.multitask import multitask
 from mbtl.cli.references import references
+from mbtl.cmdps import cmdp_ids
+from mbtl.cmdps.registry import paper_bounds
 
 matrix_app = typer.Typer(help="Build transfer matrices and look at them.", no_args_is_help=True)
 matrix_app.command("build")(interruptible(build))
@@ -41,13 +46,20 @@ def show(
             help="A path ending in .npz, the id of a shipped matrix, or synthetic:NAME."
         ),
     ],
+    bounds: Annotated[
+        str | None,
+        typer.Option(
+            help="LOW,HIGH: returns of performance 0 and 1 instead of the matrix's own; or `seen`: "
+            "its smallest and largest."
+        ),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Show the size and the reference levels of a transfer matrix, per seed.
 
     Example: mbtl matrix show mine.npz
     """
-    source = open_matrix(matrix)
+    source = scaled(open_matrix(matrix), bounds)
     rows = []
     for seed in range(source.n_seeds):
         known = levels(source, seed)
@@ -140,12 +152,30 @@ def _facts(source: RowSource) -> dict[str, Any]:
         "direction": bounds.direction,
         "floor": bounds.floor,
         "scale": str(bounds),
+        "paper_bounds": _paper_bounds(source),
+        "seen": [float(source.returns.min()), float(source.returns.max())],
         "sources": len(source.problem(1).sources),
         "targets": source.n,
         "episodes": None if source.episodes is None else list(source.episodes),
         "measures_apart": source.measures_apart,
+        "nominal_policy": _nominal(source),
         "caveat": source.caveat,
     }
+
+
+def _paper_bounds(source: TransferMatrix) -> tuple[float, float] | None:
+    id = source.records[0].get("problem")
+    return paper_bounds(str(id)) if id in cmdp_ids() else None
+
+
+def _nominal(source: TransferMatrix) -> dict[str, Any] | None:
+    """The context of the nominal policy, where that is not the nominal context."""
+    nominal, trained = source.records[0].get("nominal"), nominal_source(source)
+    if nominal is None or trained is None:
+        return None
+    context, unit = source.space.contexts[trained], source.space.unit[trained]
+    same = np.allclose(unit, source.space.encode(nominal), rtol=0.0, atol=1e-9)
+    return None if same else dict(context)
 
 
 def _sentences(facts: dict[str, Any]) -> list[str]:
@@ -153,10 +183,22 @@ def _sentences(facts: dict[str, Any]) -> list[str]:
     if not facts:
         return []
     lines = [f"{facts['scale'][0].upper()}{facts['scale'][1:]}."]
+    if facts["paper_bounds"] is not None:
+        low, high = facts["paper_bounds"]
+        seen = "{:.0f} to {:.0f}".format(*facts["seen"])
+        lines.append(
+            f"In the paper 0 is {low:g} and 1 is {high:g}; returns here are {seen}. Scale by "
+            f"either with --bounds {low:g},{high:g} or --bounds seen."
+        )
     if facts["sources"] < facts["targets"]:
         lines.append(
             f"Trained on {facts['sources']} of the {facts['targets']} contexts; Independent is the "
             "mean over those."
+        )
+    if facts["nominal_policy"] is not None:
+        values = ", ".join(f"{name} {value:g}" for name, value in facts["nominal_policy"].items())
+        lines.append(
+            f"The nominal context was not trained on: its policy is that of the nearest, {values}."
         )
     if facts["measures_apart"] and facts["episodes"]:
         chose, shown = facts["episodes"]

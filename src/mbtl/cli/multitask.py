@@ -14,7 +14,7 @@ from mbtl.benchmark.multitask import multitask_file, read_multitask, save_multit
 from mbtl.benchmark.on_all import InSimulator
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json
 from mbtl.cmdps import CMDP, get_cmdp
-from mbtl.cmdps.registry import visibility_on_all
+from mbtl.cmdps.registry import preset_on_all, visibility_on_all
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.provenance import check_made_by, here
 from mbtl.training import SB3Trainer, WorldTrainer
@@ -40,9 +40,12 @@ def multitask(
     seeds: Annotated[int, typer.Option(help="Number of policies, one per seed.")] = 3,
     first_seed: Annotated[int, typer.Option(help="Seed of the first.")] = 0,
     preset: Annotated[
-        str,
-        typer.Option(help="Recipe of one source."),
-    ] = "paper",
+        str | None,
+        typer.Option(
+            help="Recipe of one source; default: paper, of walkers and cheetahs standard.",
+            show_default=False,
+        ),
+    ] = None,
     engine: Annotated[
         str | None,
         typer.Option(help="jax, gymnasium or sumo; default: that of the CMDP.", show_default=False),
@@ -84,11 +87,12 @@ def multitask(
     usual = visibility_on_all(cmdp_id)
     other = None if visibility in (None, usual) else visibility
     cmdp = get_cmdp(cmdp_id, visibility=visibility or usual, engine=engine)
-    job = _job(cmdp, method, factor, preset, timesteps, episodes, eval_episodes)
+    usual_preset = preset_on_all(cmdp_id)
+    job = _job(cmdp, method, factor, preset or usual_preset, timesteps, episodes, eval_episodes)
     if engine == get_cmdp(cmdp_id).settings["engine"]:
         engine = None
     given = {"method": method, "factor": factor if factor > 1 else None,
-             "preset": preset if preset != "paper" else None, "engine": engine,
+             "preset": None if preset == usual_preset else preset, "engine": engine,
              "visibility": other,
              "timesteps": timesteps, "episodes": episodes,
              "eval-episodes": eval_episodes}  # fmt: skip
@@ -130,12 +134,14 @@ def _job(
         if episodes is not None:
             raise InvalidInput(f"{cmdp.id!r} counts steps, got --episodes; use --timesteps")
         steps = (cmdp.preset(preset).timesteps or 0) if timesteps is None else timesteps
+        one = cmdp.trainer_for(preset)
+        assert isinstance(one, WorldTrainer)
         return InJax(
-            cmdp.trainer,
+            one,
             cmdp.space.contexts,
             method or "ppo",
             steps * factor,
-            eval_episodes or 100,
+            eval_episodes,
         )
     trainer = cmdp.trainer_for(preset)
     assert isinstance(trainer, SB3Trainer | WorldTrainer)

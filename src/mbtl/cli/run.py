@@ -14,8 +14,10 @@ import typer
 
 from mbtl.arrays import Array
 from mbtl.cli.common import JsonFlag, console, plain_warnings, print_json, printer
+from mbtl.cli.folders import check_folder, set_aside
 from mbtl.cli.master import artifacts_for, check_master, command, follow
 from mbtl.cli.progress import LiveProgress
+from mbtl.cli.run_steps import StepWish, check_steps, run_steps, steps_of
 from mbtl.cli.worker import check_evaluated
 from mbtl.cmdps import resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
@@ -135,6 +137,17 @@ def run(
         str | None,
         typer.Option(help="Folder or URL of the policies; default: the folder of the study."),
     ] = None,
+    steps: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NUMBER",
+            help="Pay in environment steps, all in, e.g. 20M; how long trainings are, is decided.",
+        ),
+    ] = None,
+    strategy: Annotated[
+        str | None,
+        typer.Option(help="With --steps: pilot, fixed, halving or asha; default: pilot."),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Train policies on the contexts that pay most, and serve all contexts with the best of them.
@@ -143,12 +156,27 @@ def run(
 
     Example: mbtl run cartpole-length --budget 6 --seed 1
 
+    Paid in steps: mbtl run cartpole-length --steps 2M
+
     On a cluster: mbtl run cartpole-length --workers postgresql+psycopg://me@db/studies, and as many
     `mbtl worker` as you like on the hosts.
 
     The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million
     steps each, 100 episodes per context). The paper's rule: --selector mbtl.
     """
+    if steps is not None or strategy is not None:
+        meant_for_trainings = {
+            "--budget": budget, "--selector": selector != "auto", "--parallel": parallel != 1,
+            "--stop-value": stop_value, "--stop-gain": stop_gain, "--repeats": repeats != 1,
+            "--eval-targets": eval_targets, "--costs": costs, "--cost-budget": cost_budget,
+            "--risk": risk != 1.0, "--stop-on-failure": stop_on_failure, "--workers": workers,
+            "--retry-failed": retry_failed, "--episodes": episodes, "--all": whole_budget,
+        }  # fmt: skip
+        check_steps(steps, [k for k, given in meant_for_trainings.items() if given])
+        wish = StepWish(problem, steps_of(str(steps)), strategy, preset, seed, engine, timesteps,
+                        eval_episodes, tensorboard, artifacts)  # fmt: skip
+        run_steps(wish, study, new=new, failures=stop_after_failures, as_json=as_json)
+        return
     check_options(parallel, stop_after_failures=stop_after_failures)
     cmdp = resolve_cmdp(problem, engine=engine)
     get_selector(selector)  # a mistyped name must not set a study aside
@@ -174,9 +202,9 @@ def run(
     elif former and study is None and not folder.exists() and _is_there(begun, settings, former):
         folder, settings = begun, {**settings, "preset": former}  # before the preset was renamed
     if new:
-        _set_aside(folder)
+        set_aside(folder)
     if workers is None:
-        _check_folder(folder)
+        check_folder(folder)
     running = cmdp.study(
         preset,
         trainer=trainer,
@@ -227,13 +255,6 @@ def run(
     if ended is not None:
         raise ended
     check_evaluated(running)
-
-
-def _check_folder(folder: Path) -> None:
-    if folder.exists() and not (folder / "study.db").exists() and any(folder.iterdir()):
-        raise InvalidInput(
-            f"{folder} holds something that is not a study; choose another with --study"
-        )
 
 
 def _numbers(file: Path) -> Array:
@@ -313,18 +334,3 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
     show_summary(screen, summary, study.space)
     for line in [*notes, *(f"{what}: {path}" for what, path in files.items())]:
         screen.print(line, style="dim", markup=False, highlight=False, soft_wrap=True)
-
-
-def _set_aside(folder: Path) -> None:
-    """Rename an existing study folder; nothing is ever deleted."""
-    if not folder.exists():
-        return
-    if folder.resolve() == Path.cwd():
-        raise InvalidInput(
-            "--new renames the study's folder, so that cannot be the folder you are in; go one up"
-        )
-    number = 1
-    while (aside := folder.with_name(f"{folder.name}.{number}")).exists():
-        number += 1
-    folder.rename(aside)
-    console.print(f"set aside: {folder} is now {aside}", markup=False, highlight=False)

@@ -14,11 +14,15 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, console, print_json, printer
+from mbtl.cli.run_steps import show as show_steps
 from mbtl.errors import InvalidInput, MbtlError, cannot_write, unknown_name
 from mbtl.report import summarise_study
 from mbtl.report.text import show_causes, show_summary
 from mbtl.selectors import get_selector
 from mbtl.study import SqlLog, Study, study_names
+from mbtl.study.listing import is_paid_in_steps
+from mbtl.study.steps.study import StepStudy
+from mbtl.study.steps.summary import counted
 
 study_app = typer.Typer(help="List, show and export studies.", no_args_is_help=True)
 
@@ -76,6 +80,13 @@ def show(study: _Study, name: _Name = None, as_json: JsonFlag = False) -> None:
 
     Example: mbtl study show runs/cartpole-length-quick-seed0
     """
+    if (paid_in_steps := step_study(study, name)) is not None:
+        found = paid_in_steps.summary()
+        if as_json:
+            print_json(found.to_json())
+        else:
+            show_steps(printer(), found, paid_in_steps.space)
+        return
     opened = open_study(study, name)
     summary = summarise_study(opened)
     if as_json:
@@ -153,6 +164,8 @@ def _reported(database: Path) -> Iterator[None]:
 
 
 def _row(database: Path, name: str) -> dict[str, Any]:
+    if (paid_in_steps := step_study(database, name)) is not None:
+        return _step_row(paid_in_steps, database)
     study = open_study(database, name)
     state = study.state
     return {
@@ -169,8 +182,40 @@ def _row(database: Path, name: str) -> dict[str, Any]:
     }
 
 
+def _step_row(study: StepStudy, database: Path) -> dict[str, Any]:
+    summary = study.summary()
+    return {
+        "study": str(database.parent if database.name == "study.db" else database),
+        "name": study.name,
+        "problem": summary.problem,
+        "selector": summary.strategy,
+        "told": counted(summary.spent),
+        "failed": sum(one.state == "failed" for one in summary.trainings),
+        "open": sum(one.state == "running" for one in summary.trainings),
+        "budget": counted(summary.budget),
+        "value": summary.value,
+        "finished": study.is_finished,
+    }
+
+
+def step_study(path: str | Path, name: str | None) -> StepStudy | None:
+    """A study that is paid in steps; None: it is paid in trainings."""
+    place, chosen = _place_of(path, name)
+    log = SqlLog(place, chosen)
+    if not is_paid_in_steps(log.read()):
+        return None
+    return StepStudy.load(place, chosen)
+
+
 def open_study(path: str | Path, name: str | None) -> Study:
     """A study for reading only: with any selector, so that one of the user's own opens too."""
+    place, chosen = _place_of(path, name)
+    folder = None if isinstance(place, str) else place.parent
+    return Study(SqlLog(place, chosen), get_selector("random"), folder=folder, name=chosen)
+
+
+def _place_of(path: str | Path, name: str | None) -> tuple[str | Path, str]:
+    """Database and name of a study."""
     place: str | Path = path
     if "://" not in str(path):
         place = Path(path) / "study.db" if Path(path).is_dir() else Path(path)
@@ -181,6 +226,4 @@ def open_study(path: str | Path, name: str | None) -> Study:
         )
     if name is not None and name not in names:
         raise unknown_name("study", name, names)
-    chosen = name or next(iter(names), "study")
-    folder = None if isinstance(place, str) else place.parent
-    return Study(SqlLog(place, chosen), get_selector("random"), folder=folder, name=chosen)
+    return place, name or next(iter(names), "study")

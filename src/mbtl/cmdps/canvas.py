@@ -25,6 +25,11 @@ _BEND = 0.2
 """Pieces of a line overlap by this share of half their width: no gaps in bends up to 22 degrees."""
 
 
+_TURNS = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+_ROUND = np.stack([np.cos(_TURNS), -np.sin(_TURNS)], axis=1)
+"""A circle, clockwise."""
+
+
 class Window(NamedTuple):
     """A rectangle [m]."""
 
@@ -83,6 +88,16 @@ class Canvas:
         for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
             turn = (a - middle)[0] * (b - middle)[1] - (a - middle)[1] * (b - middle)[0]
             self._fill(np.array([middle, b, a] if turn > 0.0 else [middle, a, b]), colour)
+
+    def disc(self, middle: Array, radius: float, colour: tuple[float, ...]) -> None:
+        """A disc around `middle` (2,) [m]."""
+        self._fill(middle + radius * _ROUND, colour)
+
+    def capsule(self, start: Array, end: Array, radius: float, colour: tuple[float, ...]) -> None:
+        """A line with round ends, from (2,) to (2,) [m]."""
+        self.line(np.array([start, end]), 2.0 * radius, colour)
+        self.disc(start, radius, colour)
+        self.disc(end, radius, colour)
 
     def _fill(self, corners: Array, colour: tuple[float, ...]) -> None:
         """A convex polygon, corners (n, 2) clockwise [m]: the pixels whose middles it holds."""

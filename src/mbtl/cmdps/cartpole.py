@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from gymnasium.spaces import Discrete
 
+from mbtl.cmdps.classic_drawing import draw_cart
 from mbtl.cmdps.contextual import ContextualEnv, Observation, TimeLimit, Visibility
 from mbtl.contexts import Value
 from mbtl.errors import InvalidInput, unknown_name
@@ -75,6 +76,8 @@ class CartPole(ContextualEnv):
     |x| > 2.4 m or |t| > 12 degrees, and after `horizon` steps.
     """
 
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 50}
+
     FEATURES: ClassVar[Mapping[str, float]] = {
         "gravity": 9.8,  # m/s^2
         "masscart": 1.0,  # kg
@@ -93,6 +96,7 @@ class CartPole(ContextualEnv):
         physics: Physics = "intended",
         time_limit: TimeLimit = "truncation",
         horizon: int = 500,
+        render_mode: str | None = None,
     ) -> None:
         """Derive the physics of one context.
 
@@ -105,10 +109,12 @@ class CartPole(ContextualEnv):
             time_limit: whether the horizon is reported as truncation or as a terminal state (the
                 reference).
             horizon: steps.
+            render_mode: "rgb_array": `render` gives pictures.
         """
         super().__init__(
             context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
         )
+        self.render_mode = render_mode
         self.constants = derive(self.features, physics)
         self._state = (0.0, 0.0, 0.0, 0.0)
         # where several features vary, a light short pole on a light cart swings far in one step
@@ -167,4 +173,14 @@ class CartPole(ContextualEnv):
             failed or (out_of_time and self._terminal),
             out_of_time and not self._terminal,
             {},
+        )
+
+    def render(self) -> Any:
+        """A picture, (height, width, 3); None without the render mode."""
+        if self.render_mode is None:
+            return None
+        x, _, t, _ = self._state
+        f = self.features
+        return draw_cart(
+            x, t, length=f["length"], cart=f["masscart"], pole=f["masspole"], reach=X_LIMIT
         )

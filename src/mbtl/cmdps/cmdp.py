@@ -325,6 +325,7 @@ class CMDP:
             self.id,
             settings,
             trainer,
+            self.horizon,
         )
 
     def study(self, preset: str | None = None, **settings: Any) -> Study:
@@ -338,7 +339,8 @@ class CMDP:
             UnknownName: no such recipe.
             StudyError: as of `mbtl.create_study`, for a study that exists.
         """
-        return create_study(self, preset=preset, **settings)
+        made: Study = create_study(self, preset=preset, **settings)
+        return made
 
     def every(self, step: int) -> CMDP:
         """The same on a coarser grid: each `step`-th value per axis (`ContextSpace.every`)."""

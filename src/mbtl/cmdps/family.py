@@ -49,6 +49,7 @@ class Family:
         entry_point: "module:Class" of the environment.
         horizon: longest episode, environment steps.
         bounds: returns at which performance is 0 and 1 (spec, 2.2).
+        paper_bounds: those of the paper, where policies of ours need to be seen by both.
         theta: slope of the linear gap, performance per grid step (spec, 2.2).
         presets: recipes of Stable-Baselines3 by name, the first is the default.
         jax: the same in the jax engine, if it is there.
@@ -58,6 +59,7 @@ class Family:
         simulator: the engine of `entry_point`, "gymnasium" or "sumo".
         visibility: what of the context the policy sees unless told otherwise.
         visibility_on_all: likewise, of one policy for all contexts.
+        preset_on_all: whose steps one policy for all contexts has, unless told otherwise.
         check_steps: environment steps of a rollout of `mbtl check`; fewer where steps are long.
         floor: return below which none is worse in performance.
         best_return: the largest return there is; None: not known.
@@ -74,6 +76,8 @@ class Family:
     simulator: str = "gymnasium"
     visibility: str = "multiplier"
     visibility_on_all: str = "multiplier"
+    preset_on_all: str = "paper"
+    paper_bounds: tuple[float, float] | None = None
     check_steps: int | None = None
     floor: float | None = None
     best_return: float | None = None

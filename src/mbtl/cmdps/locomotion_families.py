@@ -105,8 +105,10 @@ LOCOMOTION_FAMILIES: Mapping[str, Family] = {
         entry_point="mbtl.cmdps.locomotion.walker:BipedalWalker",
         horizon=1000,
         bounds=(-150.0, 300.0),
+        paper_bounds=(-200.0, 10.0),
         theta=0.005,
         presets=_SB3,
+        preset_on_all="standard",
         jax=JaxFamily(
             "mbtl.cmdps.locomotion.walker_batch:BipedalWalkers", _ours(_WALKER), on_host=True
         ),
@@ -115,8 +117,10 @@ LOCOMOTION_FAMILIES: Mapping[str, Family] = {
         entry_point="mbtl.cmdps.locomotion.cheetah:HalfCheetah",
         horizon=1000,
         bounds=(0.0, 6000.0),
+        paper_bounds=(0.0, 6000.0),
         theta=0.005,
         presets=_SB3,
+        preset_on_all="standard",
         jax=JaxFamily(
             "mbtl.cmdps.locomotion.cheetah_batch:HalfCheetahs", _ours(_CHEETAH), on_host=True
         ),

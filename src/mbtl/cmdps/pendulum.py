@@ -17,6 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from gymnasium.spaces import Box
 
+from mbtl.cmdps.classic_drawing import draw_pendulum
 from mbtl.cmdps.contextual import ContextualEnv, Observation, TimeLimit, Visibility
 from mbtl.contexts import Value
 
@@ -57,6 +58,8 @@ class Pendulum(ContextualEnv):
     the time step, so 1 s to 100 s on the paper's grid.
     """
 
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}
+
     FEATURES: ClassVar[Mapping[str, float]] = {
         "max_speed": 8.0,  # rad/s
         "timestep": 0.05,  # s
@@ -73,6 +76,7 @@ class Pendulum(ContextualEnv):
         visibility: Visibility = "multiplier",
         time_limit: TimeLimit = "truncation",
         horizon: int = 200,
+        render_mode: str | None = None,
     ) -> None:
         """Derive the physics of one context.
 
@@ -84,10 +88,12 @@ class Pendulum(ContextualEnv):
             time_limit: whether the horizon is reported as truncation or as a terminal state (the
                 reference).
             horizon: steps.
+            render_mode: "rgb_array": `render` gives pictures.
         """
         super().__init__(
             context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
         )
+        self.render_mode = render_mode
         self.constants = derive(self.features)
         self._state = (0.0, 0.0)
         # The space must not depend on the context, so a varied speed limit is not in its bounds.
@@ -145,3 +151,9 @@ class Pendulum(ContextualEnv):
             out_of_time and not self._terminal,
             {},
         )
+
+    def render(self) -> Any:
+        """A picture, (height, width, 3); None without the render mode."""
+        if self.render_mode is None:
+            return None
+        return draw_pendulum(self._state[0], mass=self.features["mass"])

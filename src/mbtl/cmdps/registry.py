@@ -53,6 +53,16 @@ def visibility_on_all(id: str) -> str:
     return _entry(id)[1].visibility_on_all
 
 
+def paper_bounds(id: str) -> tuple[float, float] | None:
+    """Returns of performance 0 and 1 in the paper, where ours are not enough to say."""
+    return _entry(id)[1].paper_bounds
+
+
+def preset_on_all(id: str) -> str:
+    """Whose steps one policy for all contexts has: those of the matrix to compare it with."""
+    return _entry(id)[1].preset_on_all
+
+
 def env_factory(
     id: str,
     *,

@@ -79,6 +79,8 @@ class _Place:
     env: Any
     seeds: Iterator[tuple[int, float, dict[str, Any] | None]]  # and share and options of a stratum
     returns: list[float]
+    lasted: list[int]  # steps of the episodes that are over, all their strata together
+    played: int = 0  # steps of the strata of this episode that are over
     share: float = 1.0
     worth: float = 0.0
     left: int = 0  # strata of this episode that are still to be played
@@ -109,21 +111,25 @@ class _Place:
         return False
 
     @classmethod
-    def of(cls, job: int, env: Any, seeds: Sequence[int], returns: list[float]) -> _Place:
+    def of(
+        cls, job: int, env: Any, seeds: Sequence[int], returns: list[float], lasted: list[int]
+    ) -> _Place:
         """Before its first episode."""
         parts: list[tuple[float, dict[str, Any] | None]] = [
             (share, {"stratum": k}) for k, share in enumerate(strata_of(env))
         ] or [(1.0, None)]
         coming = ((seed, share, options) for seed in seeds for share, options in parts)
-        return cls(job, env, coming, returns, left=len(parts))
+        return cls(job, env, coming, returns, lasted, left=len(parts))
 
     def _book(self, score: float) -> None:
         """What an episode is worth, once all of its strata were played."""
         self.worth += self.share * score
+        self.played += self.steps
         self.left -= 1
         if self.left == 0:
             self.returns.append(self.worth)
-            self.worth, self.left = 0.0, len(strata_of(self.env)) or 1
+            self.lasted.append(self.played)
+            self.worth, self.played, self.left = 0.0, 0, len(strata_of(self.env)) or 1
 
     def step(self, actions: Sequence[Any]) -> bool:
         """Take one step with one action per decision maker; True when the episode is over."""
@@ -224,14 +230,24 @@ def play(
     Returns:
         Per job what each episode is worth, in the order of its seeds.
     """
+    return play_counted(jobs, actor, max_envs=max_envs, keep_open=keep_open)[0]
+
+
+def play_counted(
+    jobs: Sequence[Job], actor: Actor, *, max_envs: int, keep_open: bool = False
+) -> tuple[list[Array], list[Array]]:
+    """As `play`, and how many steps each episode had."""
     waiting = deque(enumerate(jobs))
     returns: list[list[float]] = [[] for _ in jobs]
+    lasted: list[list[int]] = [[] for _ in jobs]
     places: list[_Place] = []
     try:
         while waiting or places:
             while waiting and len(places) < max_envs:
                 number, job = waiting.popleft()
-                place = _Place.of(number, job.open_env(), job.seeds, returns[number])
+                place = _Place.of(
+                    number, job.open_env(), job.seeds, returns[number], lasted[number]
+                )
                 places.append(place)
                 if not place.start_episode():
                     places.remove(place)
@@ -249,7 +265,8 @@ def play(
         if not keep_open:
             for place in places:
                 place.env.close()
-    return [np.asarray(r, dtype=np.float64) for r in returns]
+    worth = [np.asarray(r, dtype=np.float64) for r in returns]
+    return worth, [np.asarray(steps, dtype=np.float64) for steps in lasted]
 
 
 def strata_of(env: Any) -> tuple[float, ...]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @styled
 def matrix(
-    matrix: TransferMatrix | str | Path,
+    matrix: TransferMatrix,
     seed: int | None = None,
     *,
     picks: Sequence[int] = (),
@@ -31,13 +31,19 @@ def matrix(
     belong to the nearest one.
 
     Args:
-        matrix: (S, M, N) returns, M sources, N targets; or its file, or the id of a shipped one.
+        matrix: (S, M, N) returns, M sources, N targets.
         seed: matrix seed; None: the mean over all.
         picks: sources to mark, in the order they were trained.
         ax: axes to draw on; None: new ones.
+
+    Raises:
+        InvalidInput: it is the name of a file or of a matrix.
     """
     if isinstance(matrix, (str, Path)):
-        matrix = _opened(matrix)
+        raise InvalidInput(
+            f"matrix must be a TransferMatrix, got {str(matrix)!r}; open it first: "
+            f"mbtl.plot.matrix(mbtl.load_matrix({str(matrix)!r}))"
+        )
     ax = axes_for(ax, 4.6, 3.9)
     sources = np.arange(matrix.n) if matrix.sources is None else matrix.sources
     line = matrix.space.d == 1 and matrix.space.unit.shape[1] == 1
@@ -60,18 +66,6 @@ def matrix(
     ax.set_title(f"{matrix.name}, {which}")
     number(ax, x[list(picks)], side="right", line="white")
     return ax
-
-
-def _opened(given: str | Path) -> TransferMatrix:
-    from mbtl.benchmark.catalogue import open_matrices
-    from mbtl.benchmark.matrix import TransferMatrix
-
-    if str(given).endswith(".npz"):
-        return TransferMatrix.load(given)
-    sources = list(open_matrices([given]).values())
-    if len(sources) == 1 and isinstance(sources[0], TransferMatrix):
-        return sources[0]
-    raise InvalidInput(f"a picture is of one matrix of returns, got {str(given)!r}")
 
 
 def shown_performance(matrix: TransferMatrix, seed: int | None = None) -> Array:

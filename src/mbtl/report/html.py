@@ -175,8 +175,8 @@ def _promise(coming: dict[str, Any]) -> str:
     return (
         f"The most promising training is at {coming['context']}. It is predicted to add "
         f"{coming['gain']:.4f} to V; the model gives 80 % to a gain between {coming['low']:.4f} "
-        f"and {coming['high']:.4f}, and {coming['chance']:.0%} to a gain of {coming['enough']:g} "
-        "or more."
+        f"and {coming['high']:.4f}, and {100 * coming['chance']:.0f} % to a gain of "
+        f"{coming['enough']:g} or more."
     )
 
 
@@ -191,7 +191,7 @@ def _costs(item: dict[str, Any]) -> str:
             f"{len(seconds)} trainings with their evaluations took {sum(seconds) / 60:.1f} "
             f"minutes, the longest {max(seconds) / 60:.1f}."
         )
-    if costs:
+    if any(cost != 1.0 for cost in costs):  # 1 is what a study counts that knows no costs
         lines.append(f"The trainings cost {sum(costs):g} in the unit of the study.")
     count = f"{len(failed)} training{'s' * (len(failed) != 1)} failed."
     lines.append(count if failed else "No training failed." if item["kind"] == "study" else "")

@@ -56,10 +56,9 @@ def show_causes(screen: Console, summary: StudySummary, space: ContextSpace) -> 
 def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     """The sentences under the table."""
     worst, best = summary.bounds
-    out = [
-        f"Scores are scaled: a return of {worst:g} counts as 0, one of {best:g} as 1. Every "
-        f"context was evaluated in {_episodes(summary.episodes)}."
-    ]
+    out = [f"Scores are scaled: a return of {worst:g} counts as 0, one of {best:g} as 1."]
+    if summary.episodes:
+        out[0] += f" Every context was evaluated in {_episodes(summary.episodes)}."
     if summary.automatic_bounds:
         out.append(
             "You gave no bounds, so the scale changes as results arrive; set bounds=(low, high)."

@@ -143,7 +143,8 @@ def _claims(claims: Sequence[Claim], pictures: str) -> str:
 
 
 def _rows(table: Numbers) -> str:
-    rows = []
+    """A table, and below it the reason of each line."""
+    rows, reasons = [], []
     for row in table["rows"]:
         judged = row_verdict(row)
         checks = ", ".join(name for name, passed in judged.checks.items() if passed)
@@ -152,10 +153,12 @@ def _rows(table: Numbers) -> str:
             "" if row["ours"] is None else f"{row['ours']['mbtl']['mean']:.3f}",
             "" if row["published"] is None else f"{row['published']['mbtl']['mean']:.3f}",
         )
-        rows.append((row["cmdp"], judged.verdict, checks, *both, *values, judged.reason))
+        rows.append((row["cmdp"], judged.verdict, checks, *both, *values))
+        reasons.append(f"- *{row['cmdp']}*: {judged.reason}")
     head = ("CMDP", "verdict", "checks passed", "MBTL", "MBTL (paper)", NAMES["unguided"],
-            NAMES["nominal_policy"], "reason")  # fmt: skip
-    return Table("", head, tuple(rows)).markdown()
+            NAMES["nominal_policy"])  # fmt: skip
+    said = "\n".join(reasons)
+    return f"{Table('', head, tuple(rows)).markdown()}\nThe reasons:\n\n{said}\n"
 
 
 def _short(row: dict[str, object], name: str) -> str:

@@ -7,7 +7,8 @@ enough (`Proposes`); what else a selector has, it says by a protocol of its own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, fields
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -59,7 +60,7 @@ class Selector(Proposes, Protocol):
 
 
 @runtime_checkable
-class DescribedSelector(Selector, Protocol):
+class DescribedSelector(Proposes, Protocol):
     """A selector that says what it can; `traits_of` says it of any."""
 
     @property
@@ -93,9 +94,21 @@ class LearnedSelector(Selector, Protocol):
         ...
 
 
-def traits_of(selector: Selector) -> Traits:
+def traits_of(selector: Proposes) -> Traits:
     """What a selector says of itself; one that says nothing can only propose."""
-    return selector.traits if isinstance(selector, DescribedSelector) else Traits()
+    if isinstance(selector, DescribedSelector):
+        return selector.traits
+    names = [field.name for field in fields(Traits)]
+    single = {name: bool(getattr(selector, name)) for name in names if hasattr(selector, name)}
+    if single:  # as version 0.1 had them
+        words = ", ".join(f"{name}={value}" for name, value in single.items())
+        warnings.warn(
+            f"the attributes {', '.join(single)} of a selector are read until mbtl 0.3 only; write "
+            f"traits = mbtl.selectors.Traits({words}) in {type(selector).__name__}",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+    return Traits(**single)
 
 
 @dataclass(frozen=True)
@@ -108,6 +121,11 @@ class Unnamed:
     def name(self) -> str:
         """Of the class."""
         return type(self.selector).__name__
+
+    @property
+    def traits(self) -> Traits:
+        """What the selector says of itself."""
+        return traits_of(self.selector)
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator

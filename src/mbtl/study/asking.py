@@ -2,33 +2,53 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from mbtl.errors import InvalidInput
+from mbtl.history import History
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import Exhausted, Proposal, open_candidates
 from mbtl.selectors.contract import Selector
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
-from mbtl.study.leases import PROPOSING, Watch, new_token
+from mbtl.study.leases import PROPOSING, Watch, asker, new_token
 from mbtl.study.pick import StudyFinished
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
 from mbtl.threads import threads_for
 
+_LONGEST = 5.0
+"""Seconds after which no more is proposed ahead: others wait for what is."""
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
 
 
-def claim(state: StudyState, watch: Watch, seconds: float | None, worker: str) -> Event | None:
+def claim(
+    state: StudyState,
+    watch: Watch,
+    seconds: float | None,
+    worker: str,
+    *,
+    proposed: bool = True,
+) -> Event | None:
     """The event that gives a worker a pick: one that nobody works on, or the next one.
 
     Where nothing more is trained it is the release of a pick whose worker is silent.
 
-    The source of the next one is proposed after that (`propose`), so that nobody else looks for it
-    meanwhile. None: somebody else does; ask again in a moment.
+    The source of the next one may have been proposed ahead. Else it is proposed after that
+    (`propose`), so that nobody else looks for it meanwhile. None: somebody else does; ask again in
+    a moment.
+
+    Args:
+        state: of the study.
+        watch: knows whose lease is stale.
+        seconds: that the lease is to last; None: for ever.
+        worker: who asks.
+        proposed: take what was proposed ahead.
 
     Raises:
         StudyFinished: nothing can be asked.
@@ -46,6 +66,9 @@ def claim(state: StudyState, watch: Watch, seconds: float | None, worker: str) -
         held = len(state.open_picks)
         waiting = f"; {held} picks are still under way" if held else ""
         raise StudyFinished(f"the study is finished: {reason}{waiting}")
+    if proposed and state.ahead and _is_affordable(state, state.ahead[0]["source"]):
+        facts = {"pick": len(state.picks), **state.ahead[0]}
+        return Event("asked", {**facts, "seconds": seconds, **holder})
     if state.proposing is not None and not watch.is_stale(state.proposing):
         return None
     return Event("claimed", {"pick": len(state.picks), "seconds": PROPOSING, **holder})
@@ -82,6 +105,28 @@ def is_open(state: StudyState, source: int) -> bool:
     """True where one more training on this source is allowed."""
     assert state.spec is not None
     return bool(state.history().open_mask(state.spec.space.n, state.spec.repeats)[source])
+
+
+def _is_affordable(state: StudyState, source: int) -> bool:
+    """True where a source may be proposed at this moment."""
+    assert state.spec is not None
+    problem, repeats = state.spec.selection_problem(), state.spec.repeats
+    return bool(open_candidates(problem, state.history(), repeats=repeats)[source])
+
+
+def ahead(state: StudyState, watch: Watch, worker: str) -> int:
+    """How many picks to propose beside the next one: one for each other worker that waits for it.
+
+    They know then what they would have known at best. Where a prediction may end the study there
+    is none, since that looks at the newest rows.
+    """
+    spec = state.spec
+    assert spec is not None
+    if spec.stop_gain is not None or spec.stop_left is not None:
+        return 0
+    busy = [pick.worker for pick in state.open_picks.values() if pick.worker is not None]
+    waiting = watch.askers() - {asker(one) for one in (worker, *busy)}
+    return min(len(waiting), spec.budget - len(state.picks) - 1)
 
 
 def left_alone(state: StudyState, watch: Watch) -> list[int]:
@@ -133,29 +178,57 @@ def _nothing_left(state: StudyState, spec: StudySpec) -> str | None:
     return f"V = {now.value:.4f} is within {spec.stop_left:g} of the largest there can be, {most:g}"
 
 
-def propose(state: StudyState, selector: Selector) -> dict[str, Any] | str:
+def propose(state: StudyState, selector: Selector, more: int = 0) -> dict[str, Any] | str:
     """The facts of the next pick, or why one more training is not worth it.
+
+    Args:
+        state: of the study.
+        selector: proposes.
+        more: picks to propose ahead, each as if those before it were under way.
 
     Raises:
         StudyFinished: nothing is left to propose.
         InvalidInput: the selector breaks its contract.
     """
-    spec, number = state.spec, len(state.picks)
+    spec, number, history = state.spec, len(state.picks), state.history()
     assert spec is not None
-    rng = selection_rng(spec.seed, spec.trial, number)
-    problem, history = spec.selection_problem(), state.history()
     try:
-        with threads_for(problem.n):
-            proposal = selector.propose(problem, history, rng)
+        data = _proposed(spec, history, selector, number)
     except Exhausted as error:
         raise StudyFinished(f"the study is finished: {error}") from error
-    _check_proposal(state, selector, proposal)
+    if isinstance(data, str):
+        return data
+    facts, following, began = data, [], time.monotonic()
+    for later in range(number + 1, number + 1 + more):
+        if time.monotonic() - began > _LONGEST:
+            break
+        cost = 0.0 if spec.costs is None else spec.costs[facts["source"]]
+        history = replace(history.with_pending(facts["source"]), spent=history.spent + cost)
+        try:
+            found = _proposed(spec, history, selector, later)
+        except Exhausted:
+            break
+        if isinstance(found, str):
+            break
+        facts = found
+        following.append(facts)
+    return {"pick": number, **data, **({"ahead": following} if following else {})}
+
+
+def _proposed(
+    spec: StudySpec, history: History, selector: Selector, number: int
+) -> dict[str, Any] | str:
+    """Facts of one pick, or why it is not worth a training."""
+    problem = spec.selection_problem()
+    rng = selection_rng(spec.seed, spec.trial, number)
+    with threads_for(problem.n):
+        proposal = selector.propose(problem, history, rng)
+    _check_proposal(spec, history, selector, proposal)
     enough = _enough(spec, proposal)
     if enough is not None and len(history) >= LEAST_ROWS:
         return enough
     source = int(proposal.source)
     data: dict[str, Any] = {
-        "pick": number,
         "source": source,
         "reason": proposal.reason,
         "acquisition": proposal.acquisition,
@@ -166,7 +239,7 @@ def propose(state: StudyState, selector: Selector) -> dict[str, Any] | str:
     return data
 
 
-def _check_proposal(state: StudyState, selector: Selector, proposal: Any) -> None:
+def _check_proposal(spec: StudySpec, history: History, selector: Selector, proposal: Any) -> None:
     """A user's own selector may give anything."""
     if not isinstance(proposal, Proposal):
         raise InvalidInput(
@@ -174,12 +247,12 @@ def _check_proposal(state: StudyState, selector: Selector, proposal: Any) -> Non
             f"{type(proposal).__name__} {proposal!r:.60} from {selector.name!r}"
         )
     source = proposal.source
-    if not isinstance(source, (int, np.integer)) or not 0 <= source < state.history().n_targets:
+    if not isinstance(source, (int, np.integer)) or not 0 <= source < history.n_targets:
         raise InvalidInput(
-            f"a selector proposes a context index from 0 to {state.history().n_targets - 1}, got "
+            f"a selector proposes a context index from 0 to {history.n_targets - 1}, got "
             f"{source!r} from {selector.name!r}"
         )
-    if not is_open(state, int(source)):
+    if not history.open_mask(spec.space.n, spec.repeats)[source]:
         raise InvalidInput(
             f"a selector proposes contexts that are neither trained, under way nor failed, got "
             f"{source} from {selector.name!r}; `history.open_mask` says which are open"

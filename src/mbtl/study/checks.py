@@ -114,6 +114,12 @@ def _each(rule: Callable[[Any], bool]) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, (list, tuple)) and all(map(rule, value))
 
 
+def _has(rules: Mapping[str, Rule]) -> Callable[[Any], bool]:
+    return lambda value: (
+        _is_record(value) and all(holds(value.get(name)) for name, (holds, _) in rules.items())
+    )
+
+
 def _is_record(value: Any) -> bool:
     return isinstance(value, Mapping)
 
@@ -183,6 +189,13 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
     n, asked, most = state.spec.space.n, len(state.picks), state.spec.space.n * state.spec.repeats
     index: Callable[[Any], bool] = lambda i: _is_whole(i) and i < n  # noqa: E731
     source: Rule = (index, f"a context index from 0 to {n - 1}")
+    proposed: dict[str, Rule] = {
+        "source": source,
+        "reason": _TEXT,
+        "acquisition": _NUMBER,
+        "notes": (_each(_is_text), "a list of texts"),
+        "targets": (_maybe(_each(index)), f"context indices from 0 to {n - 1}, or null"),
+    }
     one_open: Rule = (
         lambda i: _is_whole(i) and i in state.open_picks,
         "the number of an open pick",
@@ -203,14 +216,11 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
         "extended": {"budget": (lambda b: _COUNT[0](b) and b <= most, f"from 1 to {most}")},
         "asked": {
             "pick": (lambda i: _is_whole(i) and i == asked, f"the number {asked} of the next pick"),
-            "source": source,
-            "reason": _TEXT,
-            "acquisition": _NUMBER,
-            "notes": (_each(_is_text), "a list of texts"),
+            **proposed,
             "worker": _WORKER,
             "token": _TOKEN,
             "seconds": _SECONDS,
-            "targets": (_maybe(_each(index)), f"context indices from 0 to {n - 1}, or null"),
+            "ahead": (_maybe(_each(_has(proposed))), "a list of proposals, or null"),
         },
         "claimed": {
             "pick": next_or_open,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, overload
 
 from numpy.typing import ArrayLike
 
+from mbtl.actions import Strategy
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.objective import Bounds, Direction, Objective, direction_named
@@ -19,6 +20,9 @@ from mbtl.study.checks import check_spec
 from mbtl.study.described import FROM, describe_selector, without_origin
 from mbtl.study.events import Event
 from mbtl.study.given import (
+    any_given,
+    check_paid_in_steps,
+    check_paid_in_trainings,
     check_wishes,
     costs_of,
     pair_of,
@@ -28,7 +32,10 @@ from mbtl.study.listing import chosen_name, database_at
 from mbtl.study.places import fixed_url, policy_store
 from mbtl.study.problem import Problem, ProblemFacts, check_problem, facts_of
 from mbtl.study.spec import StudySpec
-from mbtl.study.state import replay
+from mbtl.study.state import StudyState, replay
+from mbtl.study.steps.create import create_step_study
+from mbtl.study.steps.strategies import DEFAULT
+from mbtl.study.steps.study import StepStudy
 from mbtl.study.storage import (
     Conflict,
     EventLog,
@@ -40,6 +47,67 @@ from mbtl.study.study import Study
 from mbtl.study.wishes import Stopping, objective_of, stopping_of
 from mbtl.trainer import Trainer
 from mbtl.version import __version__
+
+
+@overload
+def create_study(
+    space: ContextSpace | Problem,
+    *,
+    cost: Literal["steps"],
+    budget: int | None = None,
+    preset: str | None = None,
+    trainer: Trainer | None = None,
+    strategy: str | Strategy | None = None,
+    lengths: Sequence[int] | None = None,
+    episodes: int | None = None,
+    horizon: int | None = None,
+    bounds: tuple[float, float] | Bounds | None = None,
+    direction: Direction | str | None = None,
+    theta: float | None = None,
+    seed: int = 0,
+    trial: int = 0,
+    storage: str | Path | None = None,
+    artifacts: str | Path | None = None,
+    name: str = "study",
+    problem: str = "",
+    settings: Mapping[str, Any] | None = None,
+    load_if_exists: bool = False,
+) -> StepStudy: ...
+
+
+@overload
+def create_study(
+    space: ContextSpace | Problem,
+    *,
+    budget: int | None = None,
+    preset: str | None = None,
+    trainer: Trainer | None = None,
+    selector: str | Selector = "auto",
+    bounds: tuple[float, float] | Bounds | None = None,
+    direction: Direction | str | None = None,
+    objective: Objective | None = None,
+    stopping: Stopping | None = None,
+    theta: float | None = None,
+    seed: int = 0,
+    trial: int = 0,
+    stop_value: float | None = None,
+    cost_budget: float | None = None,
+    costs: ArrayLike | Callable[[Context], float] | None = None,
+    repeats: int = 1,
+    risk: float | None = None,
+    eval_targets: int | None = None,
+    stop_gain: float | None = None,
+    stop_confidence: float | None = None,
+    stop_left: float | None = None,
+    best_return: float | None = None,
+    storage: str | Path | None = None,
+    artifacts: str | Path | None = None,
+    name: str = "study",
+    problem: str = "",
+    settings: Mapping[str, Any] | None = None,
+    load_if_exists: bool = False,
+    cost: Literal["trainings"] = "trainings",
+) -> Study: ...
 
 
 def create_study(
@@ -72,7 +140,12 @@ def create_study(
     problem: str = "",
     settings: Mapping[str, Any] | None = None,
     load_if_exists: bool = False,
-) -> Study:
+    cost: Literal["trainings", "steps"] = "trainings",
+    strategy: str | Strategy | None = None,
+    lengths: Sequence[int] | None = None,
+    episodes: int | None = None,
+    horizon: int | None = None,
+) -> Study | StepStudy:
     """Start a study.
 
     Args:
@@ -115,10 +188,15 @@ def create_study(
             again to `load_study`.
         name: name of the study within its storage.
         problem: id of the problem, to refuse a study of another one.
-        settings: JSON-able record of the training recipe, to refuse a study of another one; added
-            to the CMDP's.
-        load_if_exists: go on with an existing study of the same name and the same settings; a
-            larger budget extends it.
+        settings: JSON-able record of the recipe, to refuse a study of another; added to the CMDP's.
+        load_if_exists: go on with a study of this name and settings; a larger budget extends it.
+        cost: what the budget counts: "trainings", or environment "steps", all in. The latter makes
+            a `StepStudy`, which takes what follows, and no selector, objective, stopping rule,
+            costs, repeats, risk or targets.
+        strategy: decides what to train on, how long, and where to evaluate: a name or an object.
+        lengths: see `mbtl.study.steps.create.create_step_study`, as for all that follows.
+        episodes: of a policy on a target.
+        horizon: most steps of an episode.
 
     Raises:
         InvalidInput: budget out of range, bounds reversed, unknown selector, ...
@@ -126,6 +204,19 @@ def create_study(
         StudyMismatch: it exists with other settings.
         StorageError: the storage cannot be written.
     """
+    of_steps = {"strategy": strategy, "lengths": lengths, "episodes": episodes, "horizon": horizon}
+    if cost == "steps":
+        others = (objective, stopping, stop_value, cost_budget, costs, risk, eval_targets,
+                  stop_gain, stop_confidence, stop_left, best_return)  # fmt: skip
+        check_paid_in_steps(selector == "auto" and repeats == 1 and not any_given(others))
+        return create_step_study(
+            space, budget=budget, preset=preset, trainer=trainer, strategy=strategy or DEFAULT,
+            lengths=lengths, episodes=episodes, horizon=horizon, bounds=bounds,
+            direction=direction, theta=theta, seed=seed, trial=trial, storage=storage,
+            artifacts=artifacts, name=name, problem=problem, settings=settings,
+            load_if_exists=load_if_exists,
+        )  # fmt: skip
+    check_paid_in_trainings(cost, of_steps)
     chosen = get_selector(selector)
     aim = objective_of(
         objective, bounds=bounds, direction=direction, risk=risk, best_return=best_return
@@ -205,7 +296,7 @@ def create_study(
                 f"a study named {name!r} exists in {storage}; pass load_if_exists=True to go on "
                 "with it, or choose another name"
             ) from None
-        _check_same(log, study.spec, spec)
+        _check_same(study.state, spec)
         if spec.budget > study.spec.budget:
             study.extend(spec.budget)
         return study
@@ -246,10 +337,11 @@ def load_study(
     place = database_at(storage)
     name = chosen_name(place, name)
     log = SqlLog(place, name)
-    created = next(iter(log.read()), None)
-    if created is None or created.kind != "created":
+    events = log.read()
+    if not events or events[0].kind != "created":
         raise StudyError(f"there is no study {name!r} in {place}; it holds {study_names(place)}")
-    spec = replay([created]).spec
+    state = replay(events)
+    spec = state.spec
     assert spec is not None
     if problem is not None:
         facts = _facts_then(problem, spec, trainer)
@@ -257,7 +349,7 @@ def load_study(
         trainer = facts.trainer
     chosen = _selector_then(spec, selector)
     folder = policy_store(place, artifacts)
-    return Study(log, chosen, folder=folder, name=name, trainer=trainer)
+    return Study(log, chosen, folder=folder, name=name, trainer=trainer, state=state)
 
 
 def _facts_then(problem: Problem, spec: StudySpec, trainer: Trainer | None) -> ProblemFacts:
@@ -288,12 +380,13 @@ def _selector_then(spec: StudySpec, given: str | Selector | None) -> Selector:
     return chosen
 
 
-def _check_same(log: EventLog, stored: StudySpec, given: StudySpec) -> None:
+def _check_same(state: StudyState, given: StudySpec) -> None:
     """Refuse other settings; the budget may be larger, and settings that came later are free."""
-    records = []
+    records, stored = [], state.spec
+    assert stored is not None
     for spec in (stored, given):
         record = {**spec.to_json(), "selector": without_origin(spec.selector)}
-        records.append({name: record[name] for name in next(iter(log.read())).data["spec"]})
+        records.append({name: record[name] for name in state.settings_named})
     was, now = records
     was["budget"] = max(stored.budget, given.budget)  # less is refused, more extends the study
     difference = first_difference(was, now)

@@ -4,7 +4,8 @@ created   the problem and the settings; always the first
 extended  the budget was raised
 equipped  a run brought its trainer: recipe and format of the policies
 claimed   a worker holds a pick from now on: one that is open, or the next, whose source it proposes
-asked     the selector proposed the source of the pick that was claimed
+asked     the selector proposed the source of the pick that was claimed, and perhaps some ahead; or
+          a worker holds the first of those from now on
 released  a pick was given back untrained
 told      a transfer row arrived
 late      a result came of a pick that is somebody else's by now, or answered; it changes nothing
@@ -14,6 +15,13 @@ failed    a training gave nothing that can be used
 reopened  a failed pick is to be tried again
 stopped   the selector predicts too little gain from one more training
 reported  returns on fresh evaluation seeds, for the V that people are told
+
+A study that counts steps (`mbtl.study.steps`) has `opened` in place of `created`, and
+
+decided   its strategy chose an action
+trained   a training passed a mark, and its policy is kept
+evaluated a policy was evaluated on some targets
+halted    a training stops short of where it was sent, since no more steps are left
 """
 
 from __future__ import annotations
@@ -39,8 +47,14 @@ Kind = Literal[
     "reopened",
     "stopped",
     "reported",
+    "opened",
+    "decided",
+    "trained",
+    "evaluated",
+    "halted",
 ]
 KINDS: tuple[str, ...] = get_args(Kind)
+OPENED: Kind = "opened"
 
 
 @dataclass(frozen=True)

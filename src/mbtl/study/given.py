@@ -5,7 +5,7 @@ Each function raises `InvalidInput`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +32,32 @@ def costs_of(
     if array.shape != (space.n,):
         raise InvalidInput(f"costs must be {space.n} numbers, one per context, got {array.shape}")
     return tuple(array.tolist())
+
+
+def any_given(settings: Iterable[object]) -> bool:
+    """Whether one of them is not None."""
+    return any(setting is not None for setting in settings)
+
+
+def check_paid_in_steps(alone: bool) -> None:
+    """Settings of studies that are paid in trainings mean nothing to a strategy."""
+    if not alone:
+        raise InvalidInput(
+            "with cost='steps' a strategy decides, so selector, objective, stopping rules, costs, "
+            "repeats, risk and eval_targets mean nothing; leave them out, and give strategy="
+        )
+
+
+def check_paid_in_trainings(cost: str, of_steps: Mapping[str, object]) -> None:
+    """What is counted, and settings that need another count."""
+    if cost != "trainings":
+        raise InvalidInput(f"a budget counts 'trainings' or 'steps', got cost={cost!r}")
+    for name, setting in of_steps.items():
+        if setting is not None:
+            raise InvalidInput(
+                f"{name} belongs to a study that is paid in steps, got {short(setting)}; add "
+                "cost='steps', or leave it out"
+            )
 
 
 def check_wishes(

@@ -7,6 +7,7 @@ and no clocks of workers are compared.
 
 from __future__ import annotations
 
+import hashlib
 import socket
 import uuid
 from collections.abc import Callable, Mapping
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mbtl.study.storage import EventLog
 
+_ASKER = "asker-"
 PROPOSING = 60.0
 """Seconds in which a selector answers, or the next asker takes the proposal over."""
 
@@ -73,12 +75,22 @@ class Watch:
             return False
         if self._is_gone(lease.worker):
             return True
+        if self._now <= lease.since + lease.seconds:
+            return False
         beat = self._beats.get(lease.token)
-        return self._now > max(lease.since + lease.seconds, beat.expires if beat else 0.0)
+        return beat is None or self._now > beat.expires
 
     def beat(self, token: str) -> Beat | None:
         """The last heartbeat of a lease; None: it gave none."""
         return self._beats.get(token)
+
+    def askers(self) -> set[str]:
+        """Tokens of the workers that wait for a pick (`asker`)."""
+        return {
+            token
+            for token, beat in self._beats.items()
+            if token.startswith(_ASKER) and beat.expires > self._now
+        }
 
     @cached_property
     def _beats(self) -> Mapping[str, Beat]:
@@ -92,6 +104,11 @@ class Watch:
 def new_token() -> str:
     """Never given out before."""
     return uuid.uuid4().hex[:12]
+
+
+def asker(worker: str) -> str:
+    """In place of the token of a lease, for heartbeats while a worker waits for one."""
+    return _ASKER + hashlib.sha256(worker.encode()).hexdigest()[:12]
 
 
 def new_worker() -> str:

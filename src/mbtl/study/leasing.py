@@ -18,6 +18,7 @@ from mbtl.study import asking, telling
 from mbtl.study.artifacts import ArtifactStore
 from mbtl.study.checks import check_event
 from mbtl.study.events import Event
+from mbtl.study.leases import asker
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.records import PickRecord
 from mbtl.study.state import StudyState
@@ -25,14 +26,21 @@ from mbtl.study.storage import Conflict, EventLog
 from mbtl.study.view import StudyView
 from mbtl.trainer import Trainer
 
-_PAUSE, _LONGEST_PAUSE = 0.01, 2.0
-"""Seconds between looks while somebody else proposes."""
+_PAUSE, _LONGEST_PAUSE, _LONGEST_COMMIT = 0.01, 2.0, 0.1
+"""Seconds between looks while somebody else proposes, or writes: few at first, since most wait for
+a moment, then ever more, since many who look at once only disturb each other."""
 _WATCH = 1.0
 """Seconds for which an asker believes what it knows of heartbeats: many wait at the same time."""
 
 
 class LeasingStudy(StudyView):
-    """What of `mbtl.study.Study` is about picks that are not answered so far."""
+    """What of `mbtl.study.Study` is about picks that are not answered so far.
+
+    Attributes:
+        selector: proposes sources.
+        proposes_ahead: propose picks for other workers that wait, too; False: each pick knows all
+            rows that were told before it.
+    """
 
     def __init__(
         self,
@@ -42,10 +50,12 @@ class LeasingStudy(StudyView):
         folder: Path | ArtifactStore | None,
         name: str = "study",
         trainer: Trainer | None = None,
+        state: StudyState | None = None,
     ) -> None:
         """Use `create_study` or `load_study`; the log must hold a `created` event."""
-        super().__init__(log, folder=folder, name=name, trainer=trainer)
+        super().__init__(log, folder=folder, name=name, trainer=trainer, state=state)
         self.selector = selector
+        self.proposes_ahead = True
 
     @overload
     def ask(
@@ -151,26 +161,33 @@ class LeasingStudy(StudyView):
     # ---- inside ------------------------------------------------------------------------------
 
     def _ask(self, lease: float | None) -> Pick:
-        pause, watch, watched = _PAUSE, self.watch(), time.monotonic()
+        turn, watch, watched, heard = _Turn(_LONGEST_PAUSE), self.watch(), time.monotonic(), 0.0
         while True:
             state = self.refresh()
             if time.monotonic() - watched > _WATCH:
                 watch, watched = self.watch(), time.monotonic()
-            claim = asking.claim(state, watch, lease, self.worker)
-            if claim is None:  # somebody proposes just now
-                time.sleep(pause * random.uniform(0.5, 1.0))
-                pause = min(2 * pause, _LONGEST_PAUSE)
+            claim = asking.claim(state, watch, lease, self.worker, proposed=self.proposes_ahead)
+            if claim is None:  # somebody proposes just now, and the next one for us, too
+                if self.proposes_ahead and time.monotonic() > heard:
+                    self._log.beat(asker(self.worker), 3.0 * _WATCH)
+                    heard = time.monotonic() + _WATCH
+                turn.wait()
                 continue
             try:
                 self._append(claim, state)
             except Conflict:
+                turn.wait()
                 continue
             if claim.kind == "released":
                 continue
             number = claim.data["pick"]
-            if number == len(state.picks) and not self._propose(claim.data["token"], lease):
+            is_next = claim.kind == "claimed" and number == len(state.picks)
+            if is_next and not self._propose(claim.data["token"], lease):
                 continue
-            return self._pick(self._state.picks[number])
+            given = self._pick(self._state.picks[number])
+            if given.token == claim.data["token"]:
+                return given
+            # the database was away until the lease had ended: it is somebody else's by now
 
     def _propose(self, token: str, lease: float | None) -> bool:
         """Find and record the source of the next pick; False where somebody else has done so.
@@ -185,7 +202,8 @@ class LeasingStudy(StudyView):
                 if state.proposing is None or state.proposing.token != token:
                     return False
                 known = len(state.rows), len(state.failures)
-                found = asking.propose(state, self.selector)
+                more = asking.ahead(state, self.watch(), self.worker) if self.proposes_ahead else 0
+                found = asking.propose(state, self.selector, more)
                 holder = {"worker": self.worker, "token": token, "seconds": lease}
 
                 def settled(
@@ -240,12 +258,14 @@ class LeasingStudy(StudyView):
 
     def _commit(self, decide: Callable[[StudyState], Event]) -> Event:
         """Append what `decide` makes of the newest state; decide anew if somebody was faster."""
+        turn = _Turn(_LONGEST_COMMIT)
         while True:
             state = self.refresh()
             event = decide(state)
             try:
                 self._append(event, state)
             except Conflict:
+                turn.wait()
                 continue
             return event
 
@@ -253,6 +273,17 @@ class LeasingStudy(StudyView):
         check_event(event, state)
         self._log.append(event, after=state.seq)
         self.refresh()
+
+
+class _Turn:
+    """Waits for a moment, and for longer each time."""
+
+    def __init__(self, longest: float) -> None:
+        self._pause, self._longest = _PAUSE, longest
+
+    def wait(self) -> None:
+        time.sleep(self._pause * random.random())
+        self._pause = min(2 * self._pause, self._longest)
 
 
 class _Superseded(Exception):

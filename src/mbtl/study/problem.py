@@ -28,6 +28,7 @@ class ProblemFacts:
         id: short name; empty for none.
         settings: JSON-able record of version, switches and recipe.
         trainer: trains where no other is given; None: there is none.
+        horizon: longest episode in environment steps; None: not known.
     """
 
     space: ContextSpace
@@ -39,6 +40,7 @@ class ProblemFacts:
     id: str = ""
     settings: Mapping[str, Any] = field(default_factory=dict)
     trainer: Trainer | None = None
+    horizon: int | None = None
 
 
 @runtime_checkable

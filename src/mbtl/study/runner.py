@@ -105,6 +105,7 @@ def run(
     """
     check_options(parallel, on_failure, stop_after_failures, lease, retries, timeout)
     started, study.stopping = time.monotonic(), None
+    study.proposes_ahead = not deterministic
     try:
         with Keeper(study, lease) as keeper, _workers(parallel, executor) as pooled:
             if pooled is not None:

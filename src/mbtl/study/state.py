@@ -14,7 +14,7 @@ from mbtl.history import History, standard_errors
 from mbtl.objective import Bounds
 from mbtl.routing import Routing
 from mbtl.study.checks import check_event
-from mbtl.study.events import Event
+from mbtl.study.events import OPENED, Event
 from mbtl.study.leases import Lease, worker_words
 from mbtl.study.records import Failure, FreshReturns, LateResult, PickRecord, ToldRow
 from mbtl.study.spec import StudySpec
@@ -34,6 +34,10 @@ class StudyState:
     open_picks: dict[int, PickRecord] = field(default_factory=dict)
     proposing: Lease | None = None
     """Of the worker that finds the source of the next pick; None: nobody does."""
+    settings_named: tuple[str, ...] = ()
+    """Those that the log names: an older version knew fewer."""
+    ahead: list[Mapping[str, Any]] = field(default_factory=list)
+    """Facts of picks to come, proposed together with one before them, in order."""
     rows: list[ToldRow] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     deferred: dict[int, Failure] = field(default_factory=dict)
@@ -48,6 +52,8 @@ class StudyState:
     _routing_seq: int = field(default=-1, repr=False)
     _rows_seq: int = field(default=0, repr=False)
     """Number of the last event that changed the rows, or how they count."""
+    _ahead_age: int = field(default=0, repr=False)
+    """How many more answers the picks ahead may miss."""
     _performance: Array | None = field(default=None, repr=False)
     _room: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     """Its memory, with place for rows to come."""
@@ -57,6 +63,10 @@ class StudyState:
         """Advance by one event."""
         if event.seq != self.seq + 1:
             raise StorageError(f"event {self.seq + 1} is missing from the log, got {event.seq}")
+        if self.spec is None and event.kind == OPENED:
+            raise StudyError(
+                "this study is paid in steps, not in trainings; open it with mbtl.StepStudy.load"
+            )
         if (self.spec is None) != (event.kind == "created"):
             raise StorageError(
                 f"event {event.seq} ({event.kind}) is out of place; the log is damaged"
@@ -202,6 +212,7 @@ class StudyState:
 
     def _created(self, event: Event) -> None:
         self.spec = StudySpec.from_json(event.data["spec"])
+        self.settings_named = tuple(event.data["spec"])
         self.version = event.data["version"]
         self.uid = event.data["uid"]
         self.created_at = event.time
@@ -220,6 +231,12 @@ class StudyState:
     def _asked(self, event: Event) -> None:
         data = event.data
         self.proposing = None
+        if data.get("ahead"):
+            self.ahead, self._ahead_age = list(data["ahead"]), len(data["ahead"])
+        elif self.ahead and self.ahead[0]["source"] == data["source"]:
+            self.ahead = self.ahead[1:]
+        else:  # proposed with newer rows
+            self.ahead = []
         pick = PickRecord(
             data["pick"],
             data["source"],
@@ -281,6 +298,7 @@ class StudyState:
     def _voided(self, event: Event) -> None:
         place = self.place_of(event.data["told"])
         row = self.rows.pop(place)
+        self.ahead = []
         self.fresh = self.stopped = self._routing = None
         if row.pick is not None:  # as a training that gave nothing: it may be tried again
             self.failures.append(Failure(row.source, row.pick, event.data["reason"]))
@@ -303,6 +321,9 @@ class StudyState:
         self._give(number, None)
 
     def _close(self, number: int | None, token: str) -> None:
+        self._ahead_age -= 1
+        if self._ahead_age < 0:
+            self.ahead = []
         if number is not None:
             self.open_picks.pop(number, None)
             self.deferred.pop(number, None)
@@ -310,6 +331,7 @@ class StudyState:
 
     def _stopped(self, event: Event) -> None:
         self.stopped = event.data["reason"]
+        self.ahead = []
         self.proposing = None
 
     def _reported(self, event: Event) -> None:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 import numpy as np
 
-from mbtl.arrays import python_value
+from mbtl.arrays import Array, python_value
 from mbtl.errors import InvalidInput, StorageError, Unreachable
 from mbtl.study.database import WRITES, as_url, clock, database_errors, open_database, shown
 from mbtl.study.events import KINDS, Event, Kind
@@ -211,11 +211,13 @@ class SqlLog:
         mine = (t.c.study == self.study) & (t.c.token == token)
 
         def write(connection: Connection) -> None:
-            t.create(connection, checkfirst=True)  # version 0.1 had none
+            if not self._has_beats:  # version 0.1 had none
+                t.create(connection, checkfirst=True)
             if not connection.execute(update(t).where(mine).values(**facts)).rowcount:
                 connection.execute(insert(t).values(study=self.study, token=token, **facts))
 
         self._do(write, writes=True)
+        self._has_beats = True
 
     def beats(self) -> Mapping[str, Beat]:
         """The rows of this study; see `EventLog`."""
@@ -319,7 +321,17 @@ def _unpack(seq: int, when: float, kind: str, data: str, arrays: bytes) -> Event
             f"event {seq} ({kind}) of the study is damaged or not ours: {error}; restore a copy of "
             "the study"
         ) from error
-    return Event(cast(Kind, kind), facts, packed, seq, when)
+    lean = {name: _lean(array) for name, array in packed.items()}
+    return Event(cast(Kind, kind), facts, lean, seq, when)
+
+
+def _lean(array: Array) -> Array:
+    """One number in place of a million that are the same, as where no deviation is known."""
+    if array.dtype.kind != "f" or array.size < 2:
+        return array
+    first = array.flat[0]
+    same = array == first if first == first else np.isnan(array)
+    return np.broadcast_to(first, array.shape) if same.all() else array
 
 
 def _text(event: Event) -> str:

@@ -86,8 +86,10 @@ class Study(LeasingStudy):
         if price is not None and price < 0:
             raise InvalidInput(f"cost must be finite and >= 0, got {cost!r}")
         usual = 1.0 if self.spec.costs is None else self.spec.costs[source]
-        if targets is None:
-            targets = telling.asked_targets(self.refresh(), pick, source)
+        if targets is None and isinstance(pick, Pick):
+            targets = pick.targets
+        elif targets is None:
+            targets = telling.asked_targets(self.refresh(), source)
         evaluated = checked_targets(targets, self.space.n)
         rows = checked_returns(returns, len(evaluated))
         arrays = {name: np.full(self.space.n, np.nan) for name in ("returns", "std")}

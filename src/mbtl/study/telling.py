@@ -103,10 +103,8 @@ def source_of(space: ContextSpace, pick: Pick | int | Mapping[str, Any]) -> int:
     return int(pick)
 
 
-def asked_targets(state: StudyState, pick: Any, source: int) -> tuple[int, ...] | None:
-    """Targets of the pick, or of the open pick with this source."""
-    if isinstance(pick, Pick):
-        return pick.targets
+def asked_targets(state: StudyState, source: int) -> tuple[int, ...] | None:
+    """Targets of the open pick with this source."""
     return next((p.targets for p in state.open_picks.values() if p.source == source), None)
 
 

@@ -50,8 +50,9 @@ class StudyView:
         folder: Path | ArtifactStore | None,
         name: str,
         trainer: Trainer | None,
+        state: StudyState | None = None,
     ) -> None:
-        """The log must hold a `created` event."""
+        """The log must hold a `created` event; `state` is what was read of it before."""
         self.name = name
         self.artifacts = FolderStore(folder.absolute()) if isinstance(folder, Path) else folder
         self.trainer = trainer
@@ -61,7 +62,7 @@ class StudyView:
         self.worker = new_worker()
         self.presence = Presence(database_file(getattr(log, "url", "")))
         self._log = log
-        self._state = StudyState()
+        self._state = StudyState() if state is None else state
         self.refresh()
 
     def __repr__(self) -> str:

@@ -1,7 +1,4 @@
-"""Stable-Baselines3: a trainer from an environment factory and an algorithm.
-
-Nothing of the library is imported before a training, evaluation or load.
-"""
+"""Stable-Baselines3: a trainer from environments and an algorithm, imported when it is needed."""
 
 from __future__ import annotations
 
@@ -28,7 +25,8 @@ from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperp
 from mbtl.training.isolation import isolated
 from mbtl.training.sb3_files import load_sb3, save_sb3
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
-from mbtl.training.watch import BestCheckpoint, Watch, actor_for
+from mbtl.training.sb3_steps import SB3Steps
+from mbtl.training.watch import EVALUATION_ENVS, BestCheckpoint, Watch, actor_for
 
 _COUNTS = ("eval_episodes", "checkpoint_episodes", "n_envs", "threads")
 _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every", "n_eval_envs")
@@ -38,12 +36,9 @@ EPISODE = "episode"
 
 _FOREVER = 1 << 62
 
-EVALUATION_ENVS = 128
-"""Environments alive at once in an evaluation, when `n_eval_envs` does not say otherwise."""
-
 
 @dataclass(frozen=True)
-class SB3Trainer:
+class SB3Trainer(SB3Steps):
     """Trains one policy per context with Stable-Baselines3 or sb3-contrib (`mbtl.trainer.Trainer`).
 
         trainer = SB3Trainer(make_env, algorithm="PPO", timesteps=100_000)

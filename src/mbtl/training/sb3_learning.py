@@ -27,10 +27,10 @@ def run_name(context: Context, seed: int) -> str:
     return "".join(c if c.isalnum() or c in "=.,_-" else "_" for c in name)
 
 
-def learn(model: Any, timesteps: int, watch: Watch, name: str) -> None:
-    """Learn, and turn a divergence into an error that names it."""
+def learn(model: Any, timesteps: int, watch: Watch, name: str, *, anew: bool = True) -> None:
+    """Learn, and turn a divergence into an error that names it; not `anew`: go on."""
     try:
-        model.learn(timesteps, callback=watch, tb_log_name=name)
+        model.learn(timesteps, callback=watch, tb_log_name=name, reset_num_timesteps=anew)
     except _GONE as error:
         raise SimulationFailed(
             f"a training needs its simulators, got the end of a process ({type(error).__name__}) "

@@ -16,6 +16,9 @@ from mbtl.training.export import export_mlp
 REPORTS = 100
 """Progress reports per training."""
 
+EVALUATION_ENVS = 128
+"""Environments alive at once in an evaluation, when `n_eval_envs` does not say otherwise."""
+
 _RECENT = 100
 """Episodes whose mean is reported, as in Stable-Baselines3."""
 

@@ -21,6 +21,7 @@ from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
 from mbtl.trainer import OnProgress, Progress, check_settings, checked_returns
+from mbtl.training.world_steps import WorldSteps
 
 BY_STEPS = ("PPO", "A2C", "DQN")
 """Algorithms that learn every few steps; a training is as many `timesteps`."""
@@ -40,7 +41,7 @@ Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
 
 
 @dataclass(frozen=True)
-class WorldTrainer:
+class WorldTrainer(WorldSteps):
     """Trains policies in a world (`mbtl.trainer.Trainer`), one or many at once.
 
         trainer = get_cmdp("cartpole-length", engine="jax").trainer_for("full")

@@ -90,6 +90,9 @@ class Described(Protocol):
         n_noise: uniform random numbers that start an episode.
         max_return: no episode can return more; None where that is not known.
         params: class of the parameters; its last field is `visible`.
+
+    It may say how many steps an episode has, so that nobody need count them: `lasts = "horizon"`,
+    or "return" where that is the number of its steps.
     """
 
     @property

@@ -13,6 +13,7 @@ simulation, and made a world by `Solo`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -386,4 +387,5 @@ def in_a_row(params: Tree) -> Any:
     """Parameters with one leading axis, (P x N, ...), where they have two, (P, N, ...)."""
     if params.visible.ndim < 3:
         return params
-    return jax.tree.map(lambda x: x.reshape(-1, *np.shape(x)[2:]), params)
+    rows = math.prod(params.visible.shape[:2])  # where nothing is visible, it cannot be inferred
+    return jax.tree.map(lambda x: x.reshape(rows, *np.shape(x)[2:]), params)

@@ -22,9 +22,9 @@ from scipy.special import ndtri
 
 from mbtl.arrays import Array
 from mbtl.cmdps.contextual import ContextualEnv, Observation, TimeLimit, Visibility
+from mbtl.cmdps.locomotion.cheetah_drawing import draw
 from mbtl.cmdps.locomotion.cheetah_model import MOTORS, SUBSTEPS, new_model
 from mbtl.contexts import Value
-from mbtl.errors import SimulationFailed
 
 STEP = 0.05
 """Seconds between two actions."""
@@ -35,7 +35,6 @@ N_FEATURES = 17
 """Of an observation: all positions but the way run, and all speeds."""
 N_NOISE = 2 * N_POSITIONS
 """Uniform random numbers that start an episode."""
-_PICTURE = (240, 320)
 _SPREAD = 0.1
 _LEAST = 2.0**-24  # of uniform numbers: normal ones must be finite
 
@@ -102,13 +101,12 @@ class HalfCheetah(ContextualEnv):
             time_limit: whether the horizon is reported as truncation or as a terminal state (the
                 reference).
             horizon: steps.
-            render_mode: "rgb_array": `render` gives images, drawn with OpenGL.
+            render_mode: "rgb_array": `render` gives pictures.
         """
         super().__init__(
             context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
         )
         self.render_mode = render_mode
-        self._renderer: Any = None
         self.constants = derive(self.features)
         self.model = new_model()
         self.model.opt.gravity[2] = -self.constants.gravity
@@ -166,28 +164,8 @@ class HalfCheetah(ContextualEnv):
         )
 
     def render(self) -> Any:
-        """(240, 320, 3) uint8, seen from the side.
-
-        Raises:
-            SimulationFailed: MuJoCo finds no OpenGL.
-        """
-        if self._renderer is None:
-            try:
-                self._renderer = mujoco.Renderer(self.model, *_PICTURE)
-            except Exception as error:  # each of its platforms has errors of its own
-                raise SimulationFailed(
-                    "MuJoCo draws with OpenGL and found none that works "
-                    f"({type(error).__name__}); without a screen set MUJOCO_GL=egl or "
-                    "MUJOCO_GL=osmesa in the environment"
-                ) from error
-        self._renderer.update_scene(self.data, camera="track")
-        return self._renderer.render()
-
-    def close(self) -> None:
-        """Give back what drew the pictures."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        """A picture from the side, (height, width, 3); None without the render mode."""
+        return None if self.render_mode is None else draw(self.model, self.data)
 
     def _seen(self) -> Observation:
         data = self.data

@@ -79,19 +79,21 @@
     if (axis.choices) Object.assign(look, { tickvals: axis.choices.map((_, i) => i), ticktext: axis.choices });
     return { ...look, ...more };
   }
-  const plain = (text, more = {}) => ({ title: { text }, gridcolor: css("--line"), zeroline: false, ...more });
+  const plain = (text, more = {}) => ({ title: { text }, gridcolor: css("--line"), zeroline: false, exponentformat: "none", ...more });
 
   function layout(more) {
     return {
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: css("--ink"), size: 12 },
-      margin: { l: 60, r: 16, t: 30, b: 48 }, modebar: { bgcolor: "rgba(0,0,0,0)", color: css("--soft"), activecolor: css("--accent") }, hovermode: "closest", legend: { orientation: "h", y: -0.28 },
+      margin: { l: 60, r: 16, t: 30, b: 48 }, modebar: { bgcolor: "rgba(0,0,0,0)", color: css("--soft"), activecolor: css("--accent") }, hovermode: "closest", legend: { orientation: "h" },
       colorway: ["#0072b2", ...LINES], ...more,
     };
   }
 
   function draw(box, traces, look) {
     const config = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
-    return Plotly.react(box, traces, layout(look), config);
+    const whole = layout(look), below = 64 / (box.clientHeight - 170); // clear of the axis and its title
+    whole.legend.y = -below;
+    return Plotly.react(box, traces, whole, config);
   }
 
   /* ---- maps over two axes ---------------------------------------------------------------- */
@@ -138,9 +140,10 @@
   function mapTraces(item, view, values, { kind, label, range, taken }) {
     const { x, y, fixed: held } = view, policies = kind === "policy", colours = policyColours(item);
     const scale = policies ? colours.flatMap((c, p) => [[p / colours.length, c], [(p + 1) / colours.length, c]]) : SCALE;
-    const bar = policies ? { tickvals: colours.map((_, p) => p), ticktext: colours.map((_, p) => p + 1), title: { text: "policy" } }
+    if (policies) values = Array.from(values, (p) => p + 1); // people count from 1
+    const bar = policies ? { tickvals: colours.map((_, p) => p + 1), title: { text: "policy" } }
       : { title: { text: label, side: "right" } };
-    const [low, high] = policies ? [-0.5, colours.length - 0.5] : range;
+    const [low, high] = policies ? [0.5, colours.length + 0.5] : range;
     const traces = [];
     if (item.isGrid) {
       const { across, up, members } = cells(item, x, y, held);
@@ -247,7 +250,7 @@
         text: told.map((p) => `${p.context}<br>${p.gained === null ? "" : "gained " + fixed(p.gained) + "<br>"}${p.reason}`),
         hovertemplate: "k = %{x}: V = %{y:.4f}<br>%{text}<extra></extra>",
       });
-      return draw(box, traces, { xaxis: plain("trainings k", { dtick: k.length > 20 ? undefined : 1 }), yaxis: plain("V") });
+      return draw(box, traces, { xaxis: plain("trainings k", { dtick: Math.ceil((26 * k.length) / box.clientWidth) }), yaxis: plain("V") });
     },
 
     policies(i, box) {
@@ -256,7 +259,7 @@
       if (item.axes.length > 1) {
         mapControls(i, "policies", [["policy", "policy"], ["performance", "performance"], ["margin", "lead over the runner-up"]]);
         const view = mapOf(i), show = view.show.policies, values = { policy, performance, margin }[show];
-        const label = { policy: "policy (counted from 0)", performance: "performance", margin: "lead" }[show];
+        const label = { policy: "policy", performance: "performance", margin: "lead" }[show];
         return draw(box, mapTraces(item, view, values, { kind: show, label, range: range([values]), taken: item.sources }), mapLook(item, view));
       }
       const axis = item.axes[0], order = sorted(axis.values), x = order.map((j) => axis.values[j]);
@@ -271,11 +274,11 @@
         },
         {
           x: item.sources.map((s) => axis.values[s]), y: item.sources.map((s) => performance[s]), mode: "markers+text", name: "trained",
-          text: item.sources.map((_, p) => p + 1), textposition: "top center", hovertext: item.sources.map((s) => "trained on " + describe(item, s)), hoverinfo: "text",
+          text: item.sources.map((_, p) => p + 1), textposition: sides(item.sources.map((s) => axis.values[s])), cliponaxis: false, hovertext: item.sources.map((s) => "trained on " + describe(item, s)), hoverinfo: "text",
           marker: { size: 12, color: item.sources.map((_, p) => colours[p]), line: { color: css("--ink"), width: 1.5 } },
         },
       ];
-      return draw(box, traces, { xaxis: axisOf(axis), yaxis: plain("performance") });
+      return draw(box, traces, { xaxis: axisOf(axis), yaxis: plain("performance", { range: wider(range([performance, second])) }) });
     },
 
     model(i, box) {
@@ -290,21 +293,21 @@
       }
       const axis = item.axes[0], order = sorted(axis.values), x = order.map((c) => axis.values[c]);
       const of = (rows) => order.map((c) => rows[j][c]), middle = of(steps.mean), wide = of(steps.std);
-      const gain = of(steps.gain), accent = css("--accent"), ends = modelRange(item);
+      const gain = of(steps.gain), accent = css("--accent"), ends = modelRange(item, j);
       const traces = [
         { x, y: middle.map((m, c) => m - 1.96 * wide[c]), mode: "lines", line: { width: 0 }, hoverinfo: "skip", showlegend: false },
         { x, y: middle.map((m, c) => m + 1.96 * wide[c]), mode: "lines", line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(0,114,178,0.18)", name: "95 % band", hoverinfo: "skip" },
         { x, y: middle, mode: "lines", name: "believed", line: { color: accent, width: 2 }, hovertemplate: "%{x}: %{y:.4f}<extra>believed</extra>" },
         { x, y: of(steps.served), mode: "lines", name: "best policy so far", line: { color: css("--soft"), width: 1, dash: "dot" }, hoverinfo: "skip" },
-        { x: taken.map((s) => axis.values[s]), y: taken.map((s, p) => item.rows[p][s]), mode: "markers+text", name: "trained", text: taken.map((_, p) => p + 1), textposition: "top center", marker: { color: css("--ink"), size: 8 } },
+        { x: taken.map((s) => axis.values[s]), y: taken.map((s, p) => item.rows[p][s]), mode: "markers+text", name: "trained", text: taken.map((_, p) => p + 1), textposition: sides(taken.map((s) => axis.values[s])), cliponaxis: false, marker: { color: css("--ink"), size: 8 } },
         { x, y: gain, mode: "lines", name: "expected gain", yaxis: "y2", fill: "tozeroy", line: { color: "#e69f00", width: 1 }, connectgaps: true, hovertemplate: "%{x}: %{y:.4f}<extra>gain</extra>" },
       ];
       if (coming !== undefined) {
         traces.push({ x: [axis.values[coming]], y: [gain[order.indexOf(coming)] || 0], mode: "markers", yaxis: "y2", name: j + 1 < last ? "next pick" : "most promising", marker: { symbol: "triangle-down", size: 13, color: "#d55e00" } });
       }
       return draw(box, traces, {
-        xaxis: axisOf(axis, { anchor: "y2" }), yaxis: plain("training performance", { domain: [0.34, 1], range: ends }),
-        yaxis2: plain("gain in V", { domain: [0, 0.24], range: [0, 1.08 * Math.max(1e-9, range(steps.gain)[1])] }),
+        xaxis: axisOf(axis, { anchor: "y2" }), yaxis: plain("performance", { domain: [0.38, 1], range: ends }),
+        yaxis2: plain("gain in V", { domain: [0, 0.26], range: [0, 1.08 * Math.max(1e-9, range([gain])[1])] }),
       });
     },
 
@@ -358,12 +361,18 @@
     for (const row of rows) for (const v of row) if (Number.isFinite(v)) { low = Math.min(low, v); high = Math.max(high, v); }
     return low < high ? [low, high] : [low - 0.05, high + 0.05];
   }
-  function modelRange(item) {
-    let [low, high] = range(item.steps.mean);
-    const spread = range(item.steps.std)[1], [a, b] = range(item.rows);
-    low = Math.min(a, low - Math.min(spread, 0.5 * (high - low) + 0.1));
-    high = Math.max(b, high + Math.min(spread, 0.5 * (high - low) + 0.1));
-    return [low - 0.03 * (high - low), high + 0.06 * (high - low)];
+  const wider = ([low, high]) => [low - 0.08 * (high - low), high + 0.08 * (high - low)];
+  /* Of one step: what was measured and believed, and of the band as much as leaves that readable. */
+  function modelRange(item, j) {
+    const [low, high] = range([item.steps.mean[j]]), spread = 1.96 * range([item.steps.std[j]])[1];
+    const [a, b] = range([item.steps.served[j]]), most = 0.05 + 0.5 * (Math.max(b, high) - Math.min(a, low));
+    return wider([Math.min(a, low - Math.min(spread, most)), Math.max(b, high + Math.min(spread, most))]);
+  }
+  /* Numbers of neighbours stand above and below in turn, not over each other. */
+  function sides(places) {
+    const out = [];
+    sorted(places).forEach((p, rank) => (out[p] = rank % 2 ? "bottom center" : "top center"));
+    return out;
   }
 
   /* ---- page ------------------------------------------------------------------------------ */

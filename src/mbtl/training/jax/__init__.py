@@ -16,13 +16,19 @@ from mbtl.training.jax.episodic.episodes import actor_of, import_actor
 from mbtl.training.jax.evaluation import evaluate, on_cpu, reference_returns
 from mbtl.training.jax.export import export_policies
 from mbtl.training.jax.loop import start, train
-from mbtl.training.jax.multitask.run import MultiTaskRun, multitask_settings, run_multitask
+from mbtl.training.jax.multitask.run import (
+    Judged,
+    MultiTaskRun,
+    multitask_settings,
+    run_multitask,
+)
 from mbtl.training.jax.multitask.training import (
     evaluate_multitask,
     start_multitask,
     train_multitask,
 )
 from mbtl.training.jax.recipes import (
+    MULTI_TASK,
     RECIPES,
     A2CRecipe,
     DQNRecipe,
@@ -30,6 +36,7 @@ from mbtl.training.jax.recipes import (
     PPORecipe,
     Recipe,
     multitask_recipe,
+    spread_recipe,
 )
 from mbtl.training.jax.saving import SavedTraining
 from mbtl.worlds.cartpole import CartPole
@@ -39,6 +46,7 @@ from mbtl.worlds.pendulum import Pendulum
 from mbtl.worlds.world import Solo, World, context_of, stack_params
 
 __all__ = [
+    "MULTI_TASK",
     "RECIPES",
     "A2CRecipe",
     "Block",
@@ -47,6 +55,7 @@ __all__ = [
     "DQNRecipe",
     "Discrete",
     "Environment",
+    "Judged",
     "MultiTaskRecipe",
     "MultiTaskRun",
     "PPORecipe",
@@ -71,6 +80,7 @@ __all__ = [
     "recipe_named",
     "reference_returns",
     "run_multitask",
+    "spread_recipe",
     "stack_params",
     "start",
     "start_multitask",

@@ -140,6 +140,9 @@ def in_blocks(
     advance: Callable[[Training, int], tuple[Training, ArrayLike]],
     on_block: Callable[[Block], None] | None = None,
     nothing_to_gain: Callable[[Training], bool] = lambda training: False,
+    *,
+    learn: Callable[[Training, int], tuple[Training, ArrayLike]] | None = None,
+    until: int | None = None,
 ) -> Training:
     """Learn and be judged in turns, and keep the best weights.
 
@@ -153,27 +156,31 @@ def in_blocks(
             whether all weights are finite. It may use the memory of the first again.
         on_block: told after each judgement, and once where nothing is left to do.
         nothing_to_gain: whether to end before the last update.
+        learn: as `advance`, but nobody judges; None: `advance`, and what it judges is forgotten.
+        until: updates after which to pause, to go on later as if nothing had been; None: the end.
 
     Raises:
         TrainingFailed: weights are no longer finite.
     """
     done, planned = int(training.updates), schedule.total * schedule.unit
-    over = done >= schedule.total or nothing_to_gain(training)
+    last = schedule.total if until is None else min(until, schedule.total)
+    over = done >= last or nothing_to_gain(training)
     if over and on_block is not None:  # it went on from its end
         on_block(Block(done * schedule.unit, planned, training))
     while not over:
         end = min(done - done % schedule.every + schedule.every, schedule.total)
-        for stop in schedule.between(done, end):
-            kept, along = None if stop == end else _judged(training), training.along
-            training, finite = advance(training._replace(along=None), stop - done)
+        for stop in schedule.between(done, min(end, last)):
+            kept = None if stop == end or learn is not None else _judged(training)
+            along, forward = training.along, learn if stop < end and learn else advance
+            training, finite = forward(training._replace(along=None), stop - done)
             done = stop
             check_finite(finite, done * schedule.unit)
             training = training._replace(along=along, **(kept or {}))
             training = _marked(training, schedule.marks_at(done))
-        if on_block is not None:
+        if on_block is not None and done == end:
             on_block(Block(done * schedule.unit, planned, training))
-        over = done == schedule.total or nothing_to_gain(training)
-    return _marked(training, schedule.marks_at(done, over=True))
+        over = done == last or nothing_to_gain(training)
+    return _marked(training, schedule.marks_at(done, over=done == schedule.total or last > done))
 
 
 def _judged(training: Training) -> dict[str, Any]:

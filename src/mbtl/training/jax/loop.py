@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import partial
@@ -74,6 +75,8 @@ def train(
     weights: Weights | None = None,
     marks: Sequence[Fraction] = (),
     resume: Training | None = None,
+    until: int | None = None,
+    judging: bool = True,
 ) -> Training:
     """Train one policy per (context, seed), all of them together.
 
@@ -104,6 +107,9 @@ def train(
         marks: (L,) shares of the training at which weights are kept, `along`; where it ends early,
             those of its end stand for all that were to come.
         resume: what an interrupted call had reached (given again with the same arguments).
+        until: steps or episodes after which to pause, rounded up to whole updates; `resume` goes on
+            from there, and the training is the same as without a pause: schedules follow `length`.
+        judging: evaluate on the way. Without, `best` and its returns mean nothing.
 
     Returns:
         Final and best weights.
@@ -125,8 +131,18 @@ def train(
     params = _in_jax(params)
     tests = checkpoint_seeds(seeds, checkpoint_episodes)
 
+    def updated(training: Training, count: int) -> Training:
+        after: Training = _updates(
+            world, recipe, decisions, training, params, count, schedule.total
+        )
+        return after
+
+    def learn(training: Training, count: int) -> tuple[Training, jax.Array]:
+        training = updated(training, count)
+        return training, finite_policies(training.state.weights)
+
     def advance(training: Training, count: int) -> tuple[Training, jax.Array]:
-        training = _updates(world, recipe, decisions, training, params, count, schedule.total)
+        training = updated(training, count)
         actor = actor_of(training.state.weights)
         found = own_scores(world, recipe.activation, acting, actor, tests, params)
         return judged(training, found.mean(axis=1))
@@ -135,7 +151,11 @@ def train(
         return only_best and _at_most(world, training)
 
     training = start(world, recipe, seeds, params, weights, marks) if resume is None else resume
-    return in_blocks(schedule, training, advance, on_block, nothing_to_gain)
+    pause = None if until is None else math.ceil(until / recipe.update_length)
+    forward = advance if judging else learn
+    return in_blocks(
+        schedule, training, forward, on_block, nothing_to_gain, learn=learn, until=pause
+    )
 
 
 def checkpoint_seeds(seeds: Sequence[int], episodes: int) -> Any:

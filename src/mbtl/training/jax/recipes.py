@@ -237,7 +237,8 @@ class MultiTaskRecipe:
 
     Raises:
         UnknownName: no such method.
-        InvalidInput: less than one part.
+        InvalidInput: less than one part, or standardised observations for PaCo or MOORE, whose
+            vectors are found by a number that must stay as it is.
     """
 
     unit: ClassVar[str] = "timesteps"
@@ -249,6 +250,11 @@ class MultiTaskRecipe:
         if self.method not in get_args(MultiTaskMethod):
             raise unknown_name("multi-task method", self.method, get_args(MultiTaskMethod))
         check_lengths(n_parts=self.n_parts)
+        if self.has_vectors and self.ppo.standardize:
+            raise InvalidInput(
+                f"{self.method} cannot learn from standardised observations, got standardize=True; "
+                "use the method ppo, or standardize=False"
+            )
 
     @property
     def update_length(self) -> int:
@@ -301,7 +307,13 @@ RECIPES: Mapping[str, Mapping[str, Recipe]] = {
 _SHARED = PPORecipe(
     n_envs=100, n_steps=128, batch_size=512, n_epochs=1, learning_rate=2e-3, anneal=True
 )
-_MULTI_TASK = {"CartPole": _SHARED, "Pendulum": replace(_SHARED, gamma=0.95, n_epochs=4)}
+MULTI_TASK: Mapping[str, PPORecipe] = {
+    "CartPole": _SHARED,
+    "Pendulum": replace(_SHARED, gamma=0.95, n_epochs=4),
+}
+"""How a hundred contexts are learnt from, by the class of the environment."""
+_SHORTEST = 16
+"""Steps of a copy between two updates that `spread_recipe` leaves."""
 _N_PARTS: Mapping[MultiTaskMethod, int] = {"ppo": 1, "paco": 5, "moore": 4}
 
 
@@ -310,13 +322,37 @@ def multitask_recipe(method: MultiTaskMethod, environment: str) -> MultiTaskReci
 
     Args:
         method: "ppo", "paco" or "moore".
-        environment: name of the class, "CartPole" or "Pendulum".
+        environment: name of the class, one of `MULTI_TASK`.
 
     Raises:
         UnknownName: there is none.
     """
+    if environment not in MULTI_TASK:
+        raise unknown_name("environment with multi-task recipes", environment, MULTI_TASK)
+    return _by(method, MULTI_TASK[environment])
+
+
+def spread_recipe(method: MultiTaskMethod, one: PPORecipe, n_contexts: int) -> MultiTaskRecipe:
+    """The recipe of one source for many contexts: the same update, of more and shorter copies.
+
+    As many copies as there are contexts, if that leaves 16 steps of each: then every update learns
+    from all contexts, by as many gradient steps per environment step as for one source.
+
+    Args:
+        method: "ppo", "paco" or "moore".
+        one: the recipe of one source.
+        n_contexts: N.
+
+    Raises:
+        UnknownName: no such method.
+    """
+    n_envs, n_steps = one.n_envs, one.n_steps
+    while n_envs < n_contexts and n_steps % 2 == 0 and n_steps > _SHORTEST:
+        n_envs, n_steps = 2 * n_envs, n_steps // 2
+    return _by(method, replace(one, n_envs=n_envs, n_steps=n_steps))
+
+
+def _by(method: MultiTaskMethod, ppo: PPORecipe) -> MultiTaskRecipe:
     if method not in _N_PARTS:
         raise unknown_name("multi-task method", method, _N_PARTS)
-    if environment not in _MULTI_TASK:
-        raise unknown_name("environment with multi-task recipes", environment, _MULTI_TASK)
-    return MultiTaskRecipe(method, _MULTI_TASK[environment], _N_PARTS[method])
+    return MultiTaskRecipe(method, ppo, _N_PARTS[method])

@@ -13,6 +13,7 @@ from mbtl.files import whole_file
 from mbtl.training.jax.blocks import Training, from_arrays, to_arrays
 from mbtl.untrusted import read_arrays
 
+_NOTE = "note_"
 _SECONDS = 30.0
 """Between two savings, which cost a copy of all weights from the device."""
 
@@ -22,11 +23,15 @@ class SavedTraining:
 
     Without a path nothing is saved. Whoever gave it removes the file, once what became of the
     trainings is safe.
+
+    Attributes:
+        notes: numbers that are saved along, and found again by `load`.
     """
 
     def __init__(self, path: Path | None) -> None:
         """Nothing is written yet."""
         self._path, self._at = path, time.monotonic()
+        self.notes: dict[str, int] = {}
 
     def save(self, training: Training, *, done: bool = False) -> None:
         """Save it, if it is done or that is due.
@@ -37,7 +42,8 @@ class SavedTraining:
         if self._path is None or not (done or time.monotonic() - self._at >= _SECONDS):
             return
         with whole_file(self._path) as file:
-            np.savez(file, **to_arrays(training))  # type: ignore[arg-type]
+            notes = {_NOTE + name: np.int64(number) for name, number in self.notes.items()}
+            np.savez(file, **to_arrays(training), **notes)  # type: ignore[arg-type]
         self._at = time.monotonic()
 
     def load(self, template: Callable[[], Training]) -> Training | None:
@@ -51,6 +57,9 @@ class SavedTraining:
         try:
             with self._path.open("rb") as file:
                 arrays = read_arrays(file)
-            return from_arrays(template(), arrays)
+            found = from_arrays(template(), arrays)
+            noted = (name for name in arrays if name.startswith(_NOTE))
+            self.notes = {name.removeprefix(_NOTE): int(arrays[name]) for name in noted}
+            return found
         except (MbtlError, ValueError, OSError):
             return None

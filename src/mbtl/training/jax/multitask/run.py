@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -36,6 +36,21 @@ from mbtl.worlds.world import World
 
 CHECKPOINTS = ("best", "final")
 
+
+class Judged(NamedTuple):
+    """When a policy is judged on all contexts; the best one is kept.
+
+    Attributes:
+        episodes: of each context.
+        every: environment steps between two times; None: 50 times in all.
+    """
+
+    episodes: int = CHECKPOINT_EPISODES
+    every: int | None = None
+
+
+USUAL = Judged()
+
 OnProgress = Callable[[int, int, int, float], None]
 """Called with (seed, steps done, steps planned, mean return over all contexts)."""
 
@@ -56,7 +71,12 @@ class MultiTaskRun:
 
 
 def multitask_settings(
-    world: World, recipe: MultiTaskRecipe, params: Tree, timesteps: int, episodes: int
+    world: World,
+    recipe: MultiTaskRecipe,
+    params: Tree,
+    timesteps: int,
+    episodes: int,
+    judged: Judged = USUAL,
 ) -> dict[str, Any]:
     """What decides the numbers of `run_multitask`, apart from its seeds; JSON-able."""
     return {
@@ -65,7 +85,8 @@ def multitask_settings(
         "contexts": _digest(params),
         "timesteps": timesteps,
         "episodes": episodes,
-        "checkpoint_episodes": CHECKPOINT_EPISODES,
+        "checkpoint_episodes": judged.episodes,
+        **({} if judged.every is None else {"checkpoint_every": judged.every}),
     }
 
 
@@ -78,6 +99,7 @@ def run_multitask(
     folder: str | Path,
     *,
     episodes: int = 100,
+    judged: Judged = USUAL,
     on_progress: OnProgress | None = None,
 ) -> MultiTaskRun:
     """Train one policy per seed on all contexts and evaluate it on each.
@@ -93,6 +115,7 @@ def run_multitask(
         timesteps: environment steps per policy, over all contexts together.
         folder: where it grows; made when missing. Nothing in it is removed.
         episodes: per context.
+        judged: when, on the way.
         on_progress: told after each block of a training.
 
     Raises:
@@ -105,13 +128,13 @@ def run_multitask(
             f"a run needs at least one seed and episode, got {len(seeds)} and {episodes}"
         )
     place = Path(folder)
-    settings = multitask_settings(world, recipe, params, timesteps, episodes)
+    settings = multitask_settings(world, recipe, params, timesteps, episodes, judged)
     rows: dict[str, list[tuple[Array, Array]]] = {name: [] for name in CHECKPOINTS}
     records = []
     with claimed_folder(place, settings, "a multi-task run"):
         for seed in seeds:
             begin = time.monotonic()
-            training = _trained(world, recipe, params, seed, timesteps, place, on_progress)
+            training = _trained(world, recipe, params, seed, timesteps, place, judged, on_progress)
             seconds = round(time.monotonic() - begin, 1)
             play = evaluation_seed(seed, MATRIX_TRIAL)
             numbers = [episode_seed(play, e) for e in range(episodes)]
@@ -144,15 +167,18 @@ def _trained(
     seed: int,
     timesteps: int,
     folder: Path,
+    judged: Judged,
     on_progress: OnProgress | None,
 ) -> Training:
-    """The training of one seed, from where it was."""
+    """The training of one seed, from where it was; from its end, where that alone can be stored."""
     saved, seeds = SavedTraining(folder / f"seed{seed}.npz"), [_seed_of(params, seed)]
+    storable = getattr(world, "storable", True)
 
     def on_block(block: Block) -> None:
         if on_progress is not None:
             on_progress(seed, block.steps, block.total, float(block.training.latest_return[0]))
-        saved.save(block.training, done=block.steps == block.total)
+        if storable or block.steps == block.total:
+            saved.save(block.training, done=block.steps == block.total)
 
     return train_multitask(
         world,
@@ -160,6 +186,8 @@ def _trained(
         seeds,
         params,
         timesteps,
+        checkpoint_every=judged.every,
+        checkpoint_episodes=judged.episodes,
         on_block=on_block,
         resume=saved.load(lambda: start_multitask(world, recipe, seeds, params)),
     )

@@ -1,0 +1,108 @@
+"""Walkers and cheetahs: what K trainings reach, by three scales, beside what the paper printed.
+
+    python evidence/locomotion_at_k.py FILE.npz ... [--multitask FOLDER] [--budget 5 15]
+
+Selectors pick by the scale of the CMDP. What they reach is the mean return over all targets, on
+episodes that chose nothing, by three scales: of the CMDP, of the paper, and from the CMDP's 0 to
+the best entry of the file. Random is its exact expectation. Independent is the mean over the
+contexts that were trained on, each with its own policy. The last column has what the paper printed
+for K = 15, of its own policies and by its own scale.
+
+example: python evidence/locomotion_at_k.py matrices/cheetah-gravity-seed0.npz
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from mbtl.benchmark import TransferMatrix, compare
+from mbtl.benchmark.multitask import load_multitask
+from mbtl.benchmark.references import NAMES
+from mbtl.cmdps.registry import paper_bounds
+from mbtl.reproduction.paper import HEADS, published
+
+SELECTORS = {"random": "Random", "mbtl": "MBTL", "auto": "auto", "oracle": "Sequential Oracle"}
+ALL_AT_ONCE = "one policy for all"
+PRINTED_K = 15
+"""Trainings behind the paper's table."""
+
+
+def problem_of(matrix: TransferMatrix) -> str:
+    """Id of its CMDP."""
+    return str(matrix.records[0].get("problem", matrix.name))
+
+
+def levels_of(
+    matrix: TransferMatrix, budgets: Sequence[int], folder: Path | None
+) -> dict[str, float]:
+    """V by the scale of the matrix, by the head of its row; mean over seeds."""
+    known = {
+        k: compare(list(SELECTORS), [matrix], k).summary.matrices[matrix.name] for k in budgets
+    }
+    some = known[budgets[0]]
+    found = {NAMES.get(name, name): value for name, value in some.references.items()}
+    for name, one in load_multitask(problem_of(matrix), folder=folder).items():
+        which = name.removeprefix("ppo").strip("-").replace("-", ", ")
+        head = f"{ALL_AT_ONCE} ({which})" if which else ALL_AT_ONCE
+        found[head] = float(matrix.bounds.normalise(one.returns).mean())
+    found[HEADS["independent"]] = some.independent
+    for k, summary in known.items():
+        for name, head in SELECTORS.items():
+            value = summary.selectors[name].V_K.value
+            assert value is not None
+            found[f"{head}, K = {k}"] = value
+    found[HEADS["oracle_transfer"]] = some.oracle_transfer
+    return found
+
+
+def printed_of(id: str) -> dict[str, float]:
+    """The paper's values by the heads of `levels_of`."""
+    if id not in published():
+        return {}
+    values = published()[id].values
+    heads = {HEADS[name]: value.mean for name, value in values.items()}
+    own = {HEADS["independent"]: HEADS["independent"], HEADS["multitask"]: ALL_AT_ONCE}
+    return {own.get(head, f"{head}, K = {PRINTED_K}"): value for head, value in heads.items()}
+
+
+def table(matrix: TransferMatrix, known: Mapping[str, float]) -> list[str]:
+    """Lines of Markdown."""
+    id, low, high = problem_of(matrix), matrix.bounds.low, matrix.bounds.high
+    best = max(float(x.max()) for x in (matrix.returns, matrix.fresh_returns) if x is not None)
+    scales = {"ours": (low, high), "paper's": paper_bounds(id) or (low, high),
+              "best seen": (low, best)}  # fmt: skip
+    heads = " | ".join(f"{name}: {a:g}..{b:.0f}" for name, (a, b) in scales.items())
+    trained = matrix.n if matrix.sources is None else len(matrix.sources)
+    seeds = "one seed" if matrix.n_seeds == 1 else f"{matrix.n_seeds} seeds"
+    printed = printed_of(id)
+    lines = [
+        f"**{id}**, {seeds}, {trained} of {matrix.n} contexts trained on",
+        "",
+        f"| | return | {heads} | printed by the paper |",
+        "|---|---|---|---|---|---|",
+    ]
+    for head, value in known.items():
+        mean = low + (high - low) * value
+        cells = " | ".join(f"{(mean - a) / (b - a):.3f}" for a, b in scales.values())
+        there = f"{printed[head]:.3f}" if head in printed else ""
+        lines.append(f"| {head} | {mean:.0f} | {cells} | {there} |")
+    return lines
+
+
+def main() -> None:
+    """Print a table per file."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("files", nargs="+", type=Path, help="matrices, .npz")
+    parser.add_argument("--multitask", type=Path, help="folder; default: what is shipped")
+    parser.add_argument("--budget", nargs="+", type=int, default=[5, PRINTED_K], help="K")
+    args = parser.parse_args()
+    for file in args.files:
+        matrix = TransferMatrix.load(file)
+        print("\n".join(table(matrix, levels_of(matrix, sorted(args.budget), args.multitask))))
+        print()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,206 @@
+"""`mbtl run --steps`: pay in environment steps, all in."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from mbtl.cli.common import console, plain_warnings, print_json, printer
+from mbtl.cli.folders import check_folder, set_aside
+from mbtl.cli.step_progress import StepProgress
+from mbtl.cmdps import resolve_cmdp
+from mbtl.contexts import ContextSpace
+from mbtl.errors import InvalidInput, MissingExtra, StorageError
+from mbtl.plot import policy_map, policy_shares, save
+from mbtl.study.steps.create import create_step_study
+from mbtl.study.steps.strategies import DEFAULT, strategy_named
+from mbtl.study.steps.study import StepStudy
+from mbtl.study.steps.summary import StepSummary, counted
+from mbtl.trainer import Trainer
+
+_NUMBER = re.compile(r"(\d+(?:\.\d+)?(?:e\d+)?)\s*([kmg]?)", re.IGNORECASE)
+_SIZES = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9}
+_WORDS = {
+    "training": "new trainings",
+    "extension": "trainings that went on",
+    "checks": "checks of trainings on their own context",
+    "evaluation": "evaluation on targets",
+    "failed": "trainings that failed",
+}
+
+
+@dataclass(frozen=True)
+class StepWish:
+    """What was asked for on the command line.
+
+    Attributes:
+        problem: id of a CMDP, or module:problem.
+        budget: environment steps.
+        strategy: a name; None: the default.
+        preset: recipe; None: the default.
+        seed: root of all randomness.
+        engine: of the simulation; None: the fastest there is.
+        timesteps: of a whole training; None: the preset's.
+        eval_episodes: of a policy on a target; None: the default.
+        tensorboard: folder for training scalars.
+        artifacts: folder or URL of the policies.
+    """
+
+    problem: str
+    budget: int
+    strategy: str | None
+    preset: str | None
+    seed: int
+    engine: str | None
+    timesteps: int | None
+    eval_episodes: int | None
+    tensorboard: Path | None
+    artifacts: str | None
+
+
+def steps_of(text: str) -> int:
+    """Environment steps as people write them: 300K, 20M, 1.5e6.
+
+    Raises:
+        InvalidInput: it is no number of steps.
+    """
+    found = _NUMBER.fullmatch(text.strip().replace("_", "").replace(",", ""))
+    number = round(float(found[1]) * _SIZES[found[2].lower()]) if found else 0
+    if number < 1:
+        raise InvalidInput(
+            f"--steps takes a number of environment steps, such as 300K, 20M or 1500000, got "
+            f"{text!r}"
+        )
+    return number
+
+
+def check_steps(steps: str | None, others: Sequence[str]) -> None:
+    """Refuse options that belong to the other way of counting.
+
+    Raises:
+        InvalidInput: a strategy without steps, or an option that means nothing with them.
+    """
+    if steps is None:
+        raise InvalidInput("--strategy decides how steps are spent; say how many with --steps")
+    if others:
+        raise InvalidInput(
+            f"with --steps a strategy decides what is trained, so {' and '.join(others)} "
+            f"{'means' if len(others) == 1 else 'mean'} nothing; leave that out, or leave --steps "
+            "out to count trainings"
+        )
+
+
+def run_steps(
+    wish: StepWish, place: Path | None, *, new: bool, failures: int, as_json: bool
+) -> None:
+    """Make the study or go on with it, spend its steps, and sum up."""
+    cmdp = resolve_cmdp(wish.problem, engine=wish.engine)
+    strategy = strategy_named(wish.strategy or DEFAULT)  # before a study is set aside
+    given = {"timesteps": wish.timesteps, "tensorboard": wish.tensorboard}
+    overrides = {name: value for name, value in given.items() if value is not None}
+    trainer = cmdp.trainer_for(wish.preset, **overrides)
+    name = f"{cmdp.id}-{wish.preset or cmdp.default_preset}-steps-seed{wish.seed}"
+    folder = place or Path("runs") / name
+    if new:
+        set_aside(folder)
+    check_folder(folder)
+    study = create_step_study(
+        cmdp,
+        preset=wish.preset,
+        trainer=trainer,
+        budget=wish.budget,
+        strategy=strategy,
+        episodes=wish.eval_episodes,
+        seed=wish.seed,
+        storage=folder / "study.db",
+        artifacts=wish.artifacts,
+        name=folder.resolve().name,
+        load_if_exists=True,
+    )
+    _announce(study, folder)
+    with plain_warnings(), StepProgress(console) as live:
+        study.run(progress=False, callbacks=[live], stop_after_failures=failures)
+    _finish(study, trainer, folder, as_json=as_json)
+
+
+def show(screen: Console, summary: StepSummary, space: ContextSpace) -> None:
+    """Print the trainings, the price list and V."""
+    table = Table(box=box.SIMPLE, padding=(0, 1), show_edge=False)
+    table.title = (
+        f"{summary.problem or 'study'}: {summary.strategy}, {counted(summary.budget)} steps, "
+        f"N = {space.n}"
+    )
+    for head in ("training", "trained on", "steps", "policies", "serves"):
+        table.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
+    table.add_column("state")
+    for one in summary.trainings:
+        where, state = Text(space.describe(one.context, "\n")), Text(f"{one.state}: {one.why}")
+        numbers = counted(one.steps), str(one.policies), str(one.serves)
+        table.add_row(str(one.number + 1), where, *numbers, state)
+    screen.print(table)
+    for line in lines(summary):
+        screen.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def lines(summary: StepSummary) -> list[str]:
+    """The sentences under the table."""
+    total = max(summary.spent, 1.0)
+    found = [f"{counted(summary.spent)} of {counted(summary.budget)} steps were paid, all in:"]
+    found += [
+        f"  {counted(steps):>6}  {steps / total:4.0%}  {_WORDS[name]}"
+        for name, steps in summary.prices.items()
+        if steps
+    ]
+    if summary.value is not None:
+        found.append(
+            f"V = {summary.value:.4f} with {summary.policies} policies, by the episodes that chose "
+            "them, so it is optimistic"
+        )
+    if summary.fresh_value is not None and summary.fresh_steps is not None:
+        margin = "" if summary.fresh_margin is None else f" +- {summary.fresh_margin:.4f}"
+        found.append(
+            f"V = {summary.fresh_value:.4f}{margin} on fresh episodes ("
+            f"{counted(summary.fresh_steps)} steps, not charged)"
+        )
+    return [*found, f"finished: {summary.finished}" if summary.finished else "not finished"]
+
+
+def _announce(study: StepStudy, folder: Path) -> None:
+    spec, spent = study.spec, study.state.spent
+    marks = ", ".join(counted(length) for length in spec.lengths)
+    going_on = f", going on after {counted(spent)}" if spent and not study.is_finished else ""
+    console.print(
+        f"{spec.problem}: {study.space!r}, {counted(spec.budget)} steps for trainings of {marks} "
+        f"steps, study in {folder}{going_on}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _finish(study: StepStudy, trainer: Trainer, folder: Path, *, as_json: bool) -> None:
+    """Save the portfolio and a picture, then print the summary."""
+    summary, files, notes = study.summary(), {}, []
+    if study.state.policies:
+        portfolio = study.portfolio(trainer)
+        try:
+            portfolio.save(folder / "portfolio", overwrite=True, allow_missing=True)
+            files["portfolio"] = str(folder / "portfolio")
+            draw = policy_map if study.space.d < 3 else policy_shares
+            files["policy map"] = str(save(draw(portfolio), folder / "policy-map.png"))
+        except (MissingExtra, StorageError) as error:
+            notes.append(f"no portfolio or picture: {error}")
+    if as_json:
+        print_json({**summary.to_json(), "study": str(folder), "files": files, "notes": notes})
+        return
+    screen = printer()
+    show(screen, summary, study.space)
+    for line in [*notes, *(f"{what}: {path}" for what, path in files.items())]:
+        screen.print(line, style="dim", markup=False, highlight=False, soft_wrap=True)

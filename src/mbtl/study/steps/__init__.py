@@ -1,0 +1,1 @@
+"""Studies that are paid in environment steps, all in."""

@@ -1,0 +1,72 @@
+"""Evaluations of a study that is paid in steps: charged ones on targets, and the fresh one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbtl.actions import Policy
+from mbtl.arrays import Array
+from mbtl.errors import StorageError
+from mbtl.seeds import Purpose, evaluation_seed
+from mbtl.study.steps.state import Fresh
+from mbtl.trainer import SteppingTrainer, Trainer, checked_returns
+
+if TYPE_CHECKING:
+    from mbtl.study.steps.study import StepStudy
+
+
+def evaluated(
+    study: StepStudy, trainer: Trainer, policy: Policy, targets: Sequence[int], seed: int
+) -> tuple[Array, Array]:
+    """Checked returns of a policy, and the steps of its episodes, both (T, E).
+
+    Where nobody knows how long an episode was it counts as the longest.
+    """
+    key = study.key(policy)
+    mark = study.state.trainings[key[0]].marks[key[1]]
+    if key not in study.policies:
+        if study.artifacts is None or mark.place is None:
+            raise StorageError(
+                f"the policy of training {key[0] + 1} was in memory only and is gone; run the "
+                "study in one process, or give save and load functions"
+            )
+        study.policies[key] = trainer.load(study.artifacts.read(mark.place, mark.sha256))
+    contexts = [study.space.context(int(t)) for t in targets]
+    steps: Array | float = np.nan
+    if isinstance(trainer, SteppingTrainer):
+        returns, steps = trainer.evaluate_steps(study.policies[key], contexts, seed)
+    else:
+        returns = trainer.evaluate(study.policies[key], contexts, seed)
+    found = checked_returns(returns, len(contexts))
+    lasted = np.asarray(steps, dtype=np.float64)
+    lasted = np.broadcast_to(lasted.reshape(-1, 1) if lasted.ndim < 2 else lasted, found.shape)
+    return found, np.where(np.isfinite(lasted), lasted, float(study.spec.horizon))
+
+
+def report_fresh(study: StepStudy, trainer: Trainer) -> None:
+    """Record V on fresh episodes."""
+    fresh = fresh_returns(study, trainer)
+    data = {"error": fresh.error, "episodes": fresh.episodes, "steps": fresh.steps}
+    study.append("reported", data, {"returns": fresh.returns})
+
+
+def fresh_returns(study: StepStudy, trainer: Trainer) -> Fresh:
+    """What the policies that serve return in fresh episodes, which chose nothing."""
+    portfolio, state, spec = study.portfolio(trainer), study.state, study.spec
+    route = portfolio.assignment
+    seed = evaluation_seed(spec.seed, spec.trial, Purpose.REPORT)
+    each: dict[int, Array] = {}
+    total = 0.0
+    for i in np.unique(route).tolist():
+        targets = np.flatnonzero(route == i)
+        found, steps = evaluated(study, trainer, state.policies[i], targets.tolist(), seed)
+        total += float(steps.sum())
+        each |= dict(zip(targets.tolist(), found, strict=True))
+    rows = np.array([each[t] for t in range(study.space.n)])
+    by_episode = study.space.weights @ rows
+    count = rows.shape[1]
+    error = float(by_episode.std(ddof=1) / np.sqrt(count)) if count > 1 else None
+    return Fresh(rows.mean(axis=1), error, count, total)

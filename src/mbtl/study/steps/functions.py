@@ -1,0 +1,102 @@
+"""Plain functions as a trainer whose trainings go on: so many more steps, from a policy on."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.contexts import Context
+from mbtl.errors import InvalidInput
+from mbtl.trainer import FunctionTrainer, OnProgress, Reached
+
+_ROOM = "policy"
+_DONE = "done.json"
+
+
+@dataclass(frozen=True)
+class SteppedFunctions(FunctionTrainer):
+    """`train(context, seed, steps, start=None, on_progress=None)` as a `SteppingTrainer`.
+
+    The function trains for `steps` more, on from the policy `start`. So what a training keeps of
+    itself is what `save_fn` writes: extending is as exact as that is. The seed is the same each
+    time.
+
+    Attributes:
+        whole_steps: environment steps of a whole training.
+    """
+
+    whole_steps: int | None = None
+
+    @classmethod
+    def of(
+        cls,
+        train: Callable[..., Any],
+        evaluate: Callable[[Any, Sequence[Context], int], Any],
+        save: Callable[[Any, Path], None] | None,
+        load: Callable[[Path], Any] | None,
+        whole_steps: int,
+    ) -> FunctionTrainer:
+        """A trainer of functions; one of fixed length where `train` takes no `steps`."""
+        if "steps" not in inspect.signature(train).parameters:
+            return FunctionTrainer(train, evaluate, save, load)
+        return cls(train, evaluate, save, load, whole_steps=whole_steps)
+
+    def train_steps(
+        self,
+        context: Context,
+        seed: int,
+        steps: int,
+        *,
+        start: Any = None,
+        saved: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Reached:
+        """Train for what is missing to `steps`; `saved` is a folder with the policy so far.
+
+        Raises:
+            InvalidInput: it is to go on later, and there are no save and load functions.
+        """
+        done = 0
+        if saved is not None and self.save_fn is None and steps < (self.whole_steps or 0):
+            raise InvalidInput(
+                "a training goes on from its saved policy, and these functions save none; give "
+                "save and load functions, or make the study with one length"
+            )
+        if saved is not None and (saved / _DONE).is_file():
+            done = int(json.loads((saved / _DONE).read_text(encoding="utf-8"))["steps"])
+            start = self.load(saved / _ROOM)
+            if done >= steps:
+                return Reached(start, done)
+        given: dict[str, Any] = {"start": start, "on_progress": on_progress}
+        known = inspect.signature(self.train_fn).parameters
+        named = {name: value for name, value in given.items() if name in known}
+        train: Callable[..., Any] = self.train_fn
+        policy = train(context, seed, steps=steps - done, **named)
+        if saved is not None and self.save_fn is not None:
+            self._keep(policy, saved, steps)
+        return Reached(policy, steps)
+
+    def evaluate_steps(
+        self, policy: Any, contexts: Sequence[Context], seed: int
+    ) -> tuple[Array, Array]:
+        """As `evaluate`; NaN, since of plain functions nobody knows how long an episode was."""
+        returns = self.evaluate(policy, contexts, seed)
+        return returns, np.full(returns.shape, np.nan)
+
+    def _keep(self, policy: Any, saved: Path, steps: int) -> None:
+        """The folder appears whole or not at all."""
+        beside = saved.with_name(f".{saved.name}.new")
+        shutil.rmtree(beside, ignore_errors=True)
+        (beside / _ROOM).mkdir(parents=True)
+        self.save(policy, beside / _ROOM)
+        (beside / _DONE).write_text(json.dumps({"steps": steps}), encoding="utf-8")
+        shutil.rmtree(saved, ignore_errors=True)
+        beside.rename(saved)

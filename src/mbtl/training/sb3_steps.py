@@ -1,0 +1,224 @@
+"""Trainings in Stable-Baselines3 that pause and go on, and what evaluations cost in steps.
+
+A training pauses where the library is about to collect the next rollout. What is saved there is all
+that decides the future: weights, optimiser, replay, counters, environments in the middle of their
+episodes, and the generators of Python, numpy and torch. So an extended training is, bit for bit,
+the one of the whole length, with two exceptions:
+
+- Environments that cannot be copied (of MuJoCo, Box2D, SUMO, in processes of their own, teams)
+  begin a new episode where a training goes on, seeded by the training's seed and its steps.
+- Action noise with a memory (Ornstein-Uhlenbeck) forgets it, since the library resets it.
+
+Reading such a file can execute code: only go on with trainings of your own.
+"""
+
+from __future__ import annotations
+
+import pickle
+import random
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.contexts import Context
+from mbtl.envs.rollout import Job, play_counted
+from mbtl.errors import InvalidInput
+from mbtl.files import whole_file
+from mbtl.seeds import Purpose, derive_seed
+from mbtl.trainer import OnProgress, Reached, checked_returns
+from mbtl.training.isolation import isolated
+from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
+from mbtl.training.watch import EVALUATION_ENVS, Watch, actor_for
+
+if TYPE_CHECKING:
+    from mbtl.training.sb3 import SB3Trainer
+
+_SECONDS = 60.0
+"""Between two savings of a training that goes on."""
+
+
+class _Paused(Exception):
+    """So many steps are done."""
+
+
+class SB3Steps:
+    """The part of `SB3Trainer` that counts steps (`mbtl.trainer.SteppingTrainer`)."""
+
+    @property
+    def whole_steps(self) -> int | None:
+        """Environment steps of a whole training; None where episodes are counted."""
+        return cast("SB3Trainer", self).timesteps
+
+    def train_steps(
+        self,
+        context: Context,
+        seed: int,
+        steps: int,
+        *,
+        start: Any = None,
+        saved: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Reached:
+        """Train until `steps` are done in all, rounded up to whole rollouts.
+
+        The policy has the latest weights, whatever `checkpoint` says: who counts steps evaluates
+        policies on the way, and the best of them serves.
+
+        Args:
+            context: to train on.
+            seed: of the training; the same seed gives the same policy.
+            steps: in all, 1..`whole_steps`; schedules follow the latter.
+            start: a model of this algorithm whose weights to begin with.
+            saved: file of the training, to go on from; None: it cannot go on later.
+            on_progress: told steps.
+
+        Raises:
+            InvalidInput: this trainer counts episodes, or `start` has other weights.
+            TrainingFailed: the weights or the actions became NaN.
+        """
+        trainer = cast("SB3Trainer", self)
+        if trainer.timesteps is None:
+            raise InvalidInput(
+                "only trainings that are counted in steps can be paid in steps, got "
+                f"episodes={trainer.episodes}; give timesteps, or count trainings instead"
+            )
+        with ExitStack() as stack:
+            stack.enter_context(isolated(trainer.threads))
+            model = None if saved is None else _thawed(trainer, context, seed, saved, stack)
+            anew = model is None
+            if model is None:
+                model, _ = trainer._model(trainer._algorithm(), context, seed, stack)
+                if start is not None:
+                    _begin_with(model, start)
+            if trainer.tensorboard is None:
+                log_nowhere(model)
+            watch = Watch(model, trainer.timesteps, on_progress, None)
+            left = trainer.timesteps - int(model.num_timesteps)
+            if left > 0 and model.num_timesteps < steps:
+                model.collect_rollouts = _Pausing(model, steps, saved)
+                try:
+                    learn(model, left, watch, run_name(context, seed), anew=anew)
+                except _Paused:
+                    pass
+                finally:
+                    del model.collect_rollouts
+                if saved is not None:
+                    _freeze(model, saved)
+            done = int(model.num_timesteps)
+            watch.report(done)
+            return Reached(lightened(model), done)
+
+    def evaluate_steps(
+        self, policy: Any, contexts: Sequence[Context], seed: int
+    ) -> tuple[Array, Array]:
+        """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
+        trainer = cast("SB3Trainer", self)
+        jobs = [Job(partial(trainer.make_env, one), trainer._episodes(seed)) for one in contexts]
+        with isolated(trainer.threads):
+            actor = actor_for(policy, sampled=trainer.acting == "sampled")
+            most = trainer.n_eval_envs or EVALUATION_ENVS
+            returns, lasted = play_counted(jobs, actor, max_envs=most)
+        shape = (len(jobs), trainer.eval_episodes)
+        return checked_returns(np.reshape(returns, shape), len(jobs)), np.reshape(lasted, shape)
+
+
+class _Pausing:
+    """Collects rollouts until so many steps are done; then the training pauses."""
+
+    def __init__(self, model: Any, steps: int, saved: Path | None) -> None:
+        self._model, self._steps, self._saved = model, steps, saved
+        self._collect, self._at = model.collect_rollouts, time.monotonic()
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        if self._model.num_timesteps >= self._steps:
+            raise _Paused
+        if self._saved is not None and time.monotonic() - self._at >= _SECONDS:
+            del self._model.collect_rollouts
+            _freeze(self._model, self._saved)
+            self._model.collect_rollouts, self._at = self, time.monotonic()
+        return self._collect(*given, **named)
+
+
+def _freeze(model: Any, saved: Path) -> None:
+    """Write a training that is between two rollouts; it stays as it is."""
+    import cloudpickle
+    import torch
+
+    envs, normalize, logger = model.env, model._vec_normalize_env, model.__dict__.pop("_logger")
+    inner = envs if normalize is None else normalize.venv
+    content = {
+        "model": model,
+        "normalize": normalize,
+        "returns": None if normalize is None else normalize.returns,
+        "envs": inner if _can_be_copied(inner) else None,
+        "random": random.getstate(),
+        "numpy": np.random.get_state(),  # noqa: NPY002 - the library uses it
+        "torch": torch.get_rng_state(),
+    }
+    model.env = model._vec_normalize_env = None
+    try:
+        try:
+            frozen = cloudpickle.dumps(content)
+        except Exception:  # each environment has reasons of its own
+            frozen = cloudpickle.dumps({**content, "envs": None})
+    finally:
+        model.env, model._vec_normalize_env, model._logger = envs, normalize, logger
+    with whole_file(saved) as file:
+        file.write(frozen)
+
+
+def _thawed(
+    trainer: SB3Trainer, context: Context, seed: int, saved: Path, stack: ExitStack
+) -> Any | None:
+    """The training in a file; None where there is none."""
+    import torch
+
+    try:
+        content = pickle.loads(saved.read_bytes())
+    except (OSError, EOFError, pickle.UnpicklingError):
+        return None
+    model, normalize, envs = content["model"], content["normalize"], content["envs"]
+    if envs is None:
+        envs = trainer._training_envs(context, stack)
+        if normalize is not None:
+            envs = envs.venv
+        envs.seed(derive_seed(seed, Purpose.TRAINING, int(model.num_timesteps)))
+        model._last_obs = None  # its episode is lost
+    else:
+        stack.callback(close, envs)
+    if normalize is not None:
+        normalize.set_venv(envs)
+        if model._last_obs is not None:
+            normalize.returns = content["returns"]
+        envs = normalize
+    model.set_env(envs, force_reset=False)
+    random.setstate(content["random"])
+    np.random.set_state(content["numpy"])  # noqa: NPY002
+    torch.set_rng_state(content["torch"])
+    return model
+
+
+def _can_be_copied(envs: Any) -> bool:
+    """Whether a copy is in the middle of the same episodes; Gymnasium's `EzPickle` is not."""
+    from gymnasium.utils import EzPickle
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    if not isinstance(envs, DummyVecEnv):
+        return False
+    return not any(isinstance(env.unwrapped, EzPickle) for env in envs.envs)
+
+
+def _begin_with(model: Any, start: Any) -> None:
+    try:
+        model.policy.load_state_dict(start.policy.state_dict())
+    except (AttributeError, RuntimeError) as error:
+        raise InvalidInput(
+            f"a training begins from a model of its own algorithm and network, got "
+            f"{type(start).__name__} ({str(error).splitlines()[0]}); train one with this trainer"
+        ) from error

@@ -1,0 +1,110 @@
+"""A problem whose trainings take steps: the nearer the source and the longer, the better.
+
+Run as a program it does what `mbtl run --steps` does: it opens the study or goes on with it, and
+says at the end all that must not depend on interruptions; it kills itself after so much work.
+"""
+
+import json
+import os
+import signal
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+import mbtl
+from mbtl.trainer import Progress, Reached
+
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 11})
+WHOLE, HORIZON, UNIT = 64_000, 20, 1_000
+
+
+@dataclass
+class Slow:
+    """A stepping trainer that counts all it really does, unit by unit."""
+
+    eval_episodes: int = 2
+    dies_after: int | None = None
+    fails_at: float | None = None
+    ran: dict = field(default_factory=lambda: {"steps": 0, "checks": 0, "evaluation": 0})
+    policy_format = "custom"
+    whole_steps = WHOLE
+
+    def train(self, context, seed, on_progress=None):
+        return self.train_steps(context, seed, WHOLE).policy
+
+    def train_steps(self, context, seed, steps, *, start=None, saved=None, on_progress=None):
+        done, checks, skill = 0, 0, 0.0
+        if saved is not None and saved.exists():
+            done, checks, skill = json.loads(saved.read_text())
+        rng = np.random.default_rng(seed)
+        speed = rng.uniform(0.5, 1.0)
+        while done < steps and skill < 0.99:
+            done += UNIT
+            skill = 1 - (1 - skill) * np.exp(-speed * UNIT / 8_000)
+            checks += 7
+            self.ran["steps"] += UNIT
+            self.ran["checks"] += 7
+            self.work()
+            if context["x"] == self.fails_at and done >= 5_000:
+                raise RuntimeError("the simulator fell over")
+            if on_progress is not None:
+                on_progress(Progress(done, WHOLE))
+        if saved is not None:
+            saved.with_suffix(".new").write_text(json.dumps([done, checks, skill]))
+            os.replace(saved.with_suffix(".new"), saved)
+        return Reached(np.array([context["x"], skill]), done, checks, ended=bool(skill >= 0.99))
+
+    def work(self):
+        if self.dies_after is not None:
+            self.dies_after -= 1
+            if self.dies_after < 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    def evaluate_steps(self, policy, contexts, seed):
+        self.work()
+        x, skill = policy
+        returns = np.array([[skill - abs(c["x"] - x)] * self.eval_episodes for c in contexts])
+        returns = returns + 0.01 * np.random.default_rng(seed).standard_normal(returns.shape)
+        steps = np.full(returns.shape, 10 + round(5 * skill))
+        self.ran["evaluation"] += int(steps.sum())
+        return returns, steps
+
+    def evaluate(self, policy, contexts, seed):
+        return self.evaluate_steps(policy, contexts, seed)[0]
+
+    def save(self, policy, folder):
+        np.save(folder / "policy.npy", policy)
+        return True
+
+    def load(self, folder):
+        return np.load(folder / "policy.npy")
+
+
+def opened(trainer, folder=None, budget=150_000, **settings):
+    given = {"horizon": HORIZON, "bounds": (0.0, 1.0), "episodes": 2, "seed": 3, **settings}
+    storage = None if folder is None else Path(folder) / "study.db"
+    return mbtl.create_study(
+        SPACE, cost="steps", budget=budget, trainer=trainer, storage=storage,
+        load_if_exists=True, **given,
+    )  # fmt: skip
+
+
+def outcome(study):
+    """Everything that must not depend on interruptions."""
+    state = study.state
+    return {
+        "trainings": [[t.source, t.steps, t.checks, t.ended] for t in state.trainings],
+        "policies": [[p.training, p.length] for p in state.policies],
+        "returns": np.nan_to_num(np.array(state.returns), nan=-9.0).tolist(),
+        "spent": state.spent,
+        "fresh": state.fresh.returns.tolist(),
+        "stopped": state.stopped,
+    }
+
+
+if __name__ == "__main__":
+    study = opened(Slow(dies_after=int(sys.argv[2])), sys.argv[1])
+    study.run(progress=False)
+    print(json.dumps(outcome(study)))

@@ -1,0 +1,101 @@
+"""Trainings in Stable-Baselines3 that pause, go on, and begin from others."""
+
+import gymnasium
+import numpy as np
+import pytest
+from training_envs import Guess, cartpole, pendulum
+
+from mbtl.errors import InvalidInput
+from mbtl.trainer import SteppingTrainer
+from mbtl.training import SB3Trainer
+from mbtl.training.sb3_steps import _can_be_copied
+
+POLE = {"length": 0.5}
+MASS = {"mass": 1.0}
+PPO = {"n_steps": 64, "batch_size": 32, "n_epochs": 2, "learning_rate": lambda left: 1e-3 * left}
+DQN = {"buffer_size": 500, "learning_starts": 40, "batch_size": 16, "train_freq": 4}
+SAC = {"buffer_size": 300, "learning_starts": 30, "batch_size": 16}
+
+
+def trainer(make_env=cartpole, algorithm="PPO", timesteps=384, **changes):
+    own = {"PPO": PPO, "DQN": DQN, "SAC": SAC}[algorithm]
+    return SB3Trainer(
+        make_env, timesteps=timesteps, algorithm=algorithm, hyperparameters=own, eval_episodes=3,
+        **changes,
+    )  # fmt: skip
+
+
+def same(one, other):
+    pairs = zip(one.policy.parameters(), other.policy.parameters(), strict=True)
+    return all(bool((a == b).all()) for a, b in pairs)
+
+
+@pytest.mark.parametrize(
+    ("one", "context"),
+    [
+        (trainer(), POLE),
+        (trainer(n_envs=2, timesteps=512), POLE),
+        (trainer(normalize_reward=True), POLE),
+        (trainer(algorithm="DQN"), POLE),
+        (trainer(pendulum, "SAC", 120), MASS),
+    ],
+    ids=["PPO", "two environments", "rewards normalised", "DQN", "SAC"],
+)
+def test_a_training_extended_twice_is_the_whole_one(one, context, tmp_path):
+    assert isinstance(one, SteppingTrainer)
+    whole = one.train(context, seed=3)
+    file = tmp_path / "training"
+    total = one.whole_steps
+    reached = [one.train_steps(context, 3, steps, saved=file) for steps in (total // 3, 70, total)]
+    assert [r.steps for r in reached] == sorted(r.steps for r in reached)
+    assert reached[-1].steps == whole.num_timesteps
+    assert same(reached[-1].policy, whole)
+    assert not same(reached[0].policy, whole)
+
+
+class NotCopied(Guess, gymnasium.utils.EzPickle):
+    """As those of MuJoCo and Box2D: a copy of it is in no episode."""
+
+    def __init__(self, context):
+        gymnasium.utils.EzPickle.__init__(self, context)
+        super().__init__(context)
+
+
+def test_environments_that_cannot_be_copied_begin_a_new_episode(tmp_path):
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    assert not _can_be_copied(DummyVecEnv([lambda: NotCopied({})]))
+    one = trainer(NotCopied)
+    ways = []
+    for name in "ab":
+        file = tmp_path / name
+        one.train_steps({}, 0, 64, saved=file)
+        ways.append(one.train_steps({}, 0, one.whole_steps, saved=file))
+    assert same(ways[0].policy, ways[1].policy)  # the same wherever it goes on, ...
+    assert ways[0].steps == 384
+    assert not same(ways[0].policy, one.train({}, seed=0))  # ... and not the undisturbed one
+
+
+def test_a_training_begins_from_another_model():
+    first = trainer().train_steps(POLE, 0, 384).policy
+    frozen = trainer()
+    frozen.hyperparameters["learning_rate"] = 0.0
+    warm = frozen.train_steps({"length": 1.0}, 1, 64, start=first).policy
+    assert same(warm, first)
+    with pytest.raises(InvalidInput, match="model of its own algorithm and network, got DQN"):
+        trainer().train_steps(POLE, 0, 64, start=trainer(algorithm="DQN").train(POLE, 0))
+
+
+def test_episodes_of_evaluations_are_counted():
+    one = trainer()
+    policy = one.train_steps(POLE, 0, 64).policy
+    returns, steps = one.evaluate_steps(policy, [POLE, {"length": 1.0}], 5)
+    assert np.array_equal(returns, one.evaluate(policy, [POLE, {"length": 1.0}], 5))
+    assert np.array_equal(returns, steps)  # a point per step
+
+
+def test_trainings_of_episodes_are_refused():
+    one = SB3Trainer(cartpole, episodes=3)
+    assert one.whole_steps is None
+    with pytest.raises(InvalidInput, match="got episodes=3"):
+        one.train_steps(POLE, 0, 64)

@@ -1,0 +1,167 @@
+"""Trainings that pause and go on are those of the whole length; every step is counted."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+import mbtl.training.jax as engine
+from mbtl.cmdps import get_cmdp
+from mbtl.errors import InvalidInput
+from mbtl.seeds import evaluation_seed
+from mbtl.trainer import SteppingTrainer
+from mbtl.training import SB3Trainer, WorldTrainer
+
+SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
+CARTPOLE = get_cmdp("cartpole-length", engine="jax").trainer_for(
+    "quick", timesteps=2_000, hyperparameters=SMALL, eval_episodes=3, checkpoint_episodes=2,
+    checkpoint_every=200,
+)  # fmt: skip
+PENDULUM = get_cmdp("pendulum-length", engine="jax").trainer_for(
+    "quick", timesteps=2_000, hyperparameters={**SMALL, "anneal": True}, eval_episodes=2
+)
+POLE = {"length": 0.5}
+
+
+def same(one, other):
+    return all(np.array_equal(a, b) for a, b in zip(one.weights, other.weights, strict=True))
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "DQN"])
+@pytest.mark.parametrize("trainer", [CARTPOLE, PENDULUM], ids=["checked", "unchecked"])
+def test_a_training_extended_twice_is_the_whole_one(trainer, algorithm, tmp_path):
+    if algorithm == "DQN":
+        if trainer is PENDULUM:
+            return  # its actions are continuous
+        own = {"n_envs": 2, "buffer_size": 512, "batch_size": 16, "learning_starts": 64}
+        trainer = replace(trainer, algorithm="DQN", hyperparameters=own)
+    assert isinstance(trainer, SteppingTrainer)
+    whole = replace(trainer, checkpoint="final").train(POLE, seed=3)
+    file = tmp_path / "training.npz"
+    first = trainer.train_steps(POLE, 3, 300, saved=file)
+    second = trainer.train_steps(POLE, 3, 1_000, saved=file)
+    last = trainer.train_steps(POLE, 3, trainer.whole_steps, saved=file)
+    assert first.steps < second.steps < last.steps == trainer.whole_steps
+    assert not same(first.policy, second.policy)
+    assert same(last.policy, whole)
+    again = trainer.train_steps(POLE, 3, trainer.whole_steps)
+    assert (again.steps, again.checks) == (last.steps, last.checks)
+
+
+def test_a_training_goes_on_from_any_of_its_files_after_a_kill(tmp_path, monkeypatch):
+    monkeypatch.setattr("mbtl.training.jax.saving._SECONDS", 0.0)
+    undisturbed = CARTPOLE.train_steps(POLE, 1, 1_500)
+
+    class Killed(Exception):
+        pass
+
+    def kill(progress):
+        if progress.step >= 800:
+            raise Killed
+
+    file = tmp_path / "training.npz"
+    with pytest.raises(Killed):
+        CARTPOLE.train_steps(POLE, 1, 1_500, saved=file, on_progress=kill)
+    resumed = CARTPOLE.train_steps(POLE, 1, 1_500, saved=file)
+    assert same(resumed.policy, undisturbed.policy)
+    assert resumed.checks == undisturbed.checks > 0
+    twice = CARTPOLE.train_steps(POLE, 1, 1_500, saved=file)  # killed after the last saving
+    assert (twice.steps, twice.checks) == (resumed.steps, resumed.checks)
+
+
+def test_what_is_charged_is_what_ran(monkeypatch):
+    """Against a count of the updates and of the episodes that were really played."""
+    ran = {"updates": 0, "checks": 0.0}
+    from mbtl.training.jax import loop
+
+    updates, scores = loop._updates, loop.own_scores
+
+    def updating(*given):
+        ran["updates"] += int(given[5])
+        return updates(*given)
+
+    def scoring(*given):
+        found = scores(*given)
+        ran["checks"] += float(found.sum())
+        return found
+
+    monkeypatch.setattr(loop, "_updates", updating)
+    monkeypatch.setattr(loop, "own_scores", scoring)
+    reached = CARTPOLE.train_steps(POLE, 2, 1_000)
+    assert reached.steps == ran["updates"] * CARTPOLE.update_length
+    assert reached.checks == ran["checks"] > 0
+    ran["checks"] = 0.0
+    assert PENDULUM.train_steps(POLE, 2, 500).checks == ran["checks"] == 0.0
+
+
+def test_a_training_with_nothing_left_to_gain_ends():
+    easy = replace(
+        CARTPOLE, timesteps=60_000, hyperparameters={}, checkpoint_episodes=1, checkpoint_every=None
+    )
+    reached = easy.train_steps(POLE, 0, easy.whole_steps)
+    assert reached.ended
+    assert reached.steps < easy.whole_steps
+    assert reached.checks <= reached.steps / 20
+    assert np.all(easy.evaluate(reached.policy, [POLE], 3) > 100)
+
+
+def test_a_training_begins_from_another_policy():
+    policy = PENDULUM.train_steps(POLE, 0, 1_000).policy
+    warm = PENDULUM.train_steps({"length": 1.0}, 1, 128, start=policy).policy
+    cold = PENDULUM.train_steps({"length": 1.0}, 1, 128).policy
+
+    def moved(to):
+        return max(abs(a - b).max() for a, b in zip(policy.weights, to.weights, strict=True))
+
+    assert 0 < moved(warm) < 0.1 < moved(cold)
+    wide = replace(PENDULUM, hyperparameters={**PENDULUM.hyperparameters, "hidden": (32, 32)})
+    with pytest.raises(InvalidInput, match="weights to begin from must have the shapes"):
+        wide.train_steps(POLE, 0, 128, start=policy)
+
+
+@pytest.mark.parametrize("trainer", [CARTPOLE, PENDULUM], ids=["cartpole", "pendulum"])
+def test_episodes_are_counted_as_gymnasium_plays_them(trainer):
+    policy = trainer.train_steps(POLE, 0, 500).policy
+    contexts = [{"length": 0.3}, {"length": 0.9}]
+    seed = evaluation_seed(0, 0)
+    returns, steps = trainer.evaluate_steps(policy, contexts, seed)
+    peer = SB3Trainer(trainer.problem.make_env, timesteps=1, eval_episodes=trainer.eval_episodes)
+    expected, counted = peer.evaluate_steps(policy, contexts, seed)
+    np.testing.assert_allclose(returns, expected, rtol=1e-3)
+    assert np.array_equal(steps, counted)
+
+
+def test_where_an_environment_does_not_say_its_episodes_are_counted_once_more():
+    policy = CARTPOLE.train_steps(POLE, 0, 500).policy
+    silent = WorldTrainer(_Silent(CARTPOLE.problem), timesteps=2_000, eval_episodes=3)
+    returns, steps = silent.evaluate_steps(policy, [POLE], 5)
+    assert np.array_equal(returns, 2 * steps)
+
+
+@dataclass(frozen=True)
+class _Double(engine.CartPole):
+    """Two points per step, and no word of how long episodes are."""
+
+    lasts = None
+
+    def step(self, state, action, params):
+        moved = super().step(state, action, params)
+        return moved._replace(reward=2 * moved.reward)
+
+
+@dataclass(frozen=True)
+class _Silent:
+    problem: object
+
+    def __call__(self, contexts):
+        return engine.Solo(_Double()), self.problem(contexts)[1]
+
+
+def test_trainings_of_episodes_are_refused():
+    trainer = WorldTrainer(CARTPOLE.problem, episodes=10)
+    assert trainer.whole_steps is None
+    with pytest.raises(InvalidInput, match="recipe of 10 episodes"):
+        trainer.train_steps(POLE, 0, 100)
