@@ -40,9 +40,11 @@ def matrix(
         InvalidInput: it is the name of a file or of a matrix.
     """
     if isinstance(matrix, (str, Path)):
+        file = str(matrix).endswith(".npz")
+        opened = f"{'TransferMatrix.load' if file else 'load_matrix'}({str(matrix)!r})"
         raise InvalidInput(
             f"matrix must be a TransferMatrix, got {str(matrix)!r}; open it first: "
-            f"mbtl.plot.matrix(mbtl.load_matrix({str(matrix)!r}))"
+            f"mbtl.plot.matrix(mbtl.{opened})"
         )
     ax = axes_for(ax, 4.6, 3.9)
     sources = np.arange(matrix.n) if matrix.sources is None else matrix.sources
