@@ -162,7 +162,9 @@ def test_a_curve_has_the_intervals_of_the_episodes_it_is_of():
 
 
 def test_the_name_of_a_matrix_is_answered_with_the_way_to_open_it():
-    with pytest.raises(mbtl.InvalidInput, match=r"mbtl.plot.matrix\(mbtl.load_matrix\('toy"):
+    with pytest.raises(
+        mbtl.InvalidInput, match=r"mbtl.plot.matrix\(mbtl.TransferMatrix.load\('toy"
+    ):
         mbtl.plot.matrix("toy.npz")
 
 

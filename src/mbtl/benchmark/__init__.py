@@ -3,6 +3,7 @@
 from mbtl.benchmark.base import Levels, RowSource, levels
 from mbtl.benchmark.catalogue import open_matrix, synthetic_ids, synthetic_world
 from mbtl.benchmark.compare import compare
+from mbtl.benchmark.comparison import Comparison
 from mbtl.benchmark.curves import TransferCurves, load_curves
 from mbtl.benchmark.foreign import import_npy
 from mbtl.benchmark.matrix import TransferMatrix
@@ -13,7 +14,7 @@ from mbtl.benchmark.oracle import (
     reference,
     sequential_oracle,
 )
-from mbtl.benchmark.records import Comparison, Run, Summary
+from mbtl.benchmark.records import Run, Summary
 from mbtl.benchmark.references import nominal_source, reference_levels
 from mbtl.benchmark.shipped import load_matrix, save_shipped, shipped_matrices
 from mbtl.benchmark.summary import summarise

@@ -13,11 +13,12 @@ another problem? The second is wider where selectors differ from problem to prob
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.benchmark.records import RESAMPLES, Comparison, Difference, Lead
+from mbtl.benchmark.records import RESAMPLES, Difference, Lead
 from mbtl.benchmark.summary import (
     DRAWS_SEED,
     GAIN,
@@ -31,6 +32,9 @@ from mbtl.benchmark.summary import (
     seed_draws,
 )
 from mbtl.errors import unknown_name
+
+if TYPE_CHECKING:
+    from mbtl.benchmark.comparison import Comparison
 
 _FEWEST = 3
 """Matrices from which an interval over matrices says something."""

@@ -14,8 +14,8 @@ from rich.text import Text
 from mbtl.benchmark.references import NAMES
 
 if TYPE_CHECKING:
+    from mbtl.benchmark.comparison import Comparison
     from mbtl.benchmark.records import (
-        Comparison,
         Difference,
         Estimate,
         Lead,

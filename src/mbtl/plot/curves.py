@@ -15,7 +15,7 @@ from mbtl.study import Study
 from mbtl.study.fresh import fresh_value
 
 if TYPE_CHECKING:
-    from mbtl.benchmark.records import Comparison
+    from mbtl.benchmark.comparison import Comparison
 
 V_LABEL = "generalisation performance V"
 _DASHES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
