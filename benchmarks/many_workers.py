@@ -202,6 +202,7 @@ def load(contexts: int, rows: int, episodes: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--parts", default="workers,utilisation,load")
+    parser.add_argument("--workers", default="8,64")
     parser.add_argument("--selector", default="random")
     parser.add_argument("--trainings", type=int, default=10, help="of each worker, in the mean")
     parser.add_argument("--rows", type=int, default=1000)
@@ -209,7 +210,7 @@ def main() -> None:
     arguments = parser.parse_args()
     parts = arguments.parts.split(",")
     if "workers" in parts:
-        for number in (8, 64):
+        for number in map(int, arguments.workers.split(",")):
             workers(number, arguments.trainings, 1.0, arguments.selector)
     if "utilisation" in parts:
         for spread in (0.5, 1.0):

@@ -338,7 +338,7 @@ def load_study(
     name = chosen_name(place, name)
     log = SqlLog(place, name)
     events = log.read()
-    if not events or events[0].kind != "created":
+    if not events:
         raise StudyError(f"there is no study {name!r} in {place}; it holds {study_names(place)}")
     state = replay(events)
     spec = state.spec
