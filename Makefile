@@ -8,7 +8,7 @@ PIP := tools/install
 PROBLEM ?= cartpole-length
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal --durations 25
 
-.PHONY: run test test-long lint format docs bench release-check pictures clean
+.PHONY: run test test-long lint format docs bench release-check pictures films clean
 
 run: .venv/run.stamp
 	$(BIN)/mbtl run $(PROBLEM)
@@ -47,9 +47,17 @@ bench: .venv/rivals.stamp
 release-check: .venv/run.stamp
 	$(BIN)/python tools/release_check.py
 
-# the pictures of README and of the page of the reproduction, and that page, from shipped matrices
+# the pictures of README, of concepts, calibration and the reproduction, with the pages of the last two;
+# all from shipped matrices
 pictures: .venv/run.stamp
 	$(BIN)/mbtl reproduce --page docs/reproduction.md
+	$(BIN)/python evidence/pictures.py --write
+	$(BIN)/python evidence/calibration.py --write
+
+# the films and film strips of docs, of policies kept in runs/ (evidence/films.py says by which commands)
+films: .venv/dev.stamp
+	$(BIN)/python evidence/films.py --write
+	$(BIN)/python evidence/catalogue.py --films --write
 
 clean:
 	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache
