@@ -36,13 +36,7 @@ from mbtl.study.state import StudyState, replay
 from mbtl.study.steps.create import create_step_study
 from mbtl.study.steps.strategies import DEFAULT
 from mbtl.study.steps.study import StepStudy
-from mbtl.study.storage import (
-    Conflict,
-    EventLog,
-    MemoryLog,
-    SqlLog,
-    study_names,
-)
+from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog, study_names
 from mbtl.study.study import Study
 from mbtl.study.wishes import Stopping, objective_of, stopping_of
 from mbtl.trainer import Trainer
@@ -196,7 +190,9 @@ def create_study(
             a `StepStudy`, which takes what follows, and no selector, objective, stopping rule,
             costs, repeats, risk or targets.
         strategy: decides what to train on, how long, and where to evaluate: a name or an object.
-        lengths, episodes, horizon: see `mbtl.study.steps.create.create_step_study`.
+        lengths: see `mbtl.study.steps.create.create_step_study`, as for all that follows.
+        episodes: of a policy on a target.
+        horizon: most steps of an episode.
 
     Raises:
         InvalidInput: budget out of range, bounds reversed, unknown selector, ...
@@ -338,7 +334,7 @@ def load_study(
     name = chosen_name(place, name)
     log = SqlLog(place, name)
     events = log.read()
-    if not events or events[0].kind != "created":
+    if not events:
         raise StudyError(f"there is no study {name!r} in {place}; it holds {study_names(place)}")
     state = replay(events)
     spec = state.spec
