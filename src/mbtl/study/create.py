@@ -36,13 +36,7 @@ from mbtl.study.state import StudyState, replay
 from mbtl.study.steps.create import create_step_study
 from mbtl.study.steps.strategies import DEFAULT
 from mbtl.study.steps.study import StepStudy
-from mbtl.study.storage import (
-    Conflict,
-    EventLog,
-    MemoryLog,
-    SqlLog,
-    study_names,
-)
+from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog, study_names
 from mbtl.study.study import Study
 from mbtl.study.wishes import Stopping, objective_of, stopping_of
 from mbtl.trainer import Trainer

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from mbtl.actions import FixedLength, Halving, Pilot, Strategy
-from mbtl.actions.evaluation import WHERE_IT_MATTERS
+from mbtl.actions.evaluation import A_TENTH, WHERE_IT_MATTERS
 from mbtl.errors import InvalidInput, unknown_name
 
 STRATEGIES: Mapping[str, Strategy] = {
     "pilot": Pilot(),
-    "fixed": FixedLength(evaluation=WHERE_IT_MATTERS),
+    "fixed": FixedLength("mbtl", evaluation=A_TENTH),
     "halving": Halving("gain", 1, None, evaluation=WHERE_IT_MATTERS, name="halving"),
     "asha": Halving("own", 2, "random", evaluation=WHERE_IT_MATTERS),
 }
