@@ -108,7 +108,6 @@ def test_without_policies_choices_are_drawn(mbtl_command):
     ("arguments", "words"),
     [
         (["cartpole-length", "--gui"], "for traffic"),
-        (["cartpole-length", "--film", "pole.gif"], "can be drawn"),
         (["nothing"], "neither"),
         (["ring-acc", "--at", "hold"], "NAME=VALUE"),
         (["ring-acc", "--at", "hald=3"], "Did you mean 'hold'"),
