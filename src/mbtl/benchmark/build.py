@@ -79,7 +79,7 @@ class Build:
         more: dict[str, Any] = {"along": asdict(self.along)} if self.along else {}
         if self.every != 1:
             more["every"] = self.every
-        if len(set(sizes := self._sizes[:-1])) > 1 or sizes and sizes[0] != self.lanes:
+        if len(set(sizes := self._sizes[:-1])) > 1 or (sizes and sizes[0] != self.lanes):
             more["groups"] = self._sizes
         return {**self.settings, **own, **more}
 
