@@ -27,7 +27,7 @@ from mbtl.history import History
 from mbtl.models.priors import PRIORS, prior_without
 from mbtl.models.relevance import Columns, fit_relevance, stretched
 from mbtl.models.transfer_kernel import NEW, TransferPrior
-from mbtl.selectors.auto_beliefs import Beliefs, conditioned, floor_of, observed, pending_pairs
+from mbtl.selectors.auto_beliefs import Beliefs, conditioned, expect, floor_of, observed, pending_pairs
 from mbtl.selectors.base import (
     Outlook,
     Proposal,
@@ -63,7 +63,6 @@ class Auto:
         prior: of the transfer model; None: the one chosen on shipped matrices.
         most_candidates: contexts from which the search for a source begins.
         most_targets: contexts considered as targets at once.
-        most_pairs: observed pairs used; with more rows, fewer targets of each.
         finalists: candidates that are judged a second time, on more targets.
         final_targets: targets of that.
         cover: with 3, every third pick explores the largest untested region, whatever the model
@@ -74,7 +73,6 @@ class Auto:
     prior: TransferPrior | None = None
     most_candidates: int = 100
     most_targets: int = 50
-    most_pairs: int = 1000
     finalists: int = 10
     final_targets: int = 150
     cover: int = 3
@@ -117,7 +115,7 @@ class Auto:
         gain = np.full(problem.n, np.nan)
         row_gain = beliefs.row_gain(beliefs.targets)
         gain[candidates] = row_gain.expected(candidates)
-        return Outlook("auto", *beliefs.told.predict_pairs(own), gain, row_gain.drawn)
+        return Outlook("auto", *beliefs.model.predict_pairs(own), gain, row_gain.drawn)
 
     def _choose(
         self, problem: SelectionProblem, history: History, mask: Mask, beliefs: Beliefs
@@ -135,7 +133,7 @@ class Auto:
         )
         lonely = self._least_covered(problem, history, wide, search, costs)
         if lonely is not None and problem.least_gain is None and problem.least_left is None:
-            return Proposal(lonely, _LONELY, outlook.said(lonely))
+            return Proposal(lonely, _LONELY, _shown(outlook.said(lonely)))
         candidates, gain = search(first.expected)
         left = (
             None if problem.least_left is None else _chance_left(first, candidates, gain, problem)
@@ -148,7 +146,7 @@ class Auto:
         if problem.least_gain is not None:
             chance = outlook.chance(int(candidates[gain.argmax()]), problem.least_gain)
         if lonely is not None:
-            chosen = Proposal(lonely, _LONELY, outlook.said(lonely))
+            chosen = Proposal(lonely, _LONELY, _shown(outlook.said(lonely)))
         else:
             chosen = _largest(problem, history, outlook, candidates, gain, costs)
         return replace(chosen, chance=chance, chance_left=left)
@@ -182,12 +180,10 @@ class Auto:
 
     def _beliefs(self, problem: SelectionProblem, history: History) -> Beliefs:
         """Condition the model on the rows, at some of the targets."""
-        count = min(self.most_targets, max(24, self.most_pairs // len(history)))
-        targets = _spread(problem, np.flatnonzero(problem.weights > 0), count)
+        targets = _spread(problem, np.flatnonzero(problem.weights > 0), self.most_targets)
         columns = Columns.of(problem.axes, problem.unit.shape[1])
         places = columns.places(problem.unit, problem.steps)
-        sources = np.asarray(history.sources, dtype=np.intp)
-        pairs, y = observed(history, targets, self.most_pairs)
+        pairs, y = observed(history, targets)
         floor = floor_of(y)
         y = np.maximum(y, floor)
         prior, known = self.prior or PRIORS["all"], None
@@ -198,9 +194,8 @@ class Auto:
             known = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
         model = conditioned(places, prior, pairs, y, known)
         waiting = np.asarray(history.pending, dtype=np.intp)
-        extra = pending_pairs(problem, waiting, targets, len(sources))
-        expecting = model.expecting(extra) if len(waiting) else model.told
-        return Beliefs(problem, history, targets, y, floor, model.noisy, model.told, expecting)
+        expect(model, pending_pairs(problem, waiting, targets, len(history)))
+        return Beliefs(problem, history, targets, y, floor, model)
 
 
 def _largest(
@@ -226,7 +221,12 @@ def _largest(
     counted = int(np.count_nonzero(problem.weights))
     sampling = outlook.standard_error(source, counted)
     judged = f"gain +- {sampling:.2g}: {len(outlook.targets)} of {counted} targets judged"
-    return Proposal(source, reason, outlook.said(source), (judged,) if sampling else ())
+    return Proposal(source, reason, _shown(outlook.said(source)), (judged,) if sampling else ())
+
+
+def _shown(gain: float) -> float:
+    """Rounded: the last digits depend on whether the model grew or was made anew."""
+    return round(gain, 10)
 
 
 def _chance_left(
