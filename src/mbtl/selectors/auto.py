@@ -72,7 +72,7 @@ class Auto:
 
     prior: TransferPrior | None = None
     most_candidates: int = 100
-    most_targets: int = 50
+    most_targets: int = 25
     finalists: int = 10
     final_targets: int = 150
     cover: int = 3

@@ -22,7 +22,7 @@ _PENDING = 150
 """Pairs that stand for a pick under way, divided by how many it makes."""
 _MARGIN = 0.02
 """By how much `top` lies above the best seen, as a share of the range seen."""
-_STEP = np.log(1.1)
+_STEP = np.log(1.25)
 """A known noise is taken relative to a scale that is rounded to such steps, so that it stays."""
 
 
