@@ -67,6 +67,9 @@ class Growing(TransferGP):
         y: (n,) performance there, finite.
         noise: (n,) variance of each y around the true mean return, as a multiple of `scale`; None
             for none.
+
+    Attributes:
+        y: (n,) performance of the pairs told.
     """
 
     def __init__(
@@ -74,7 +77,7 @@ class Growing(TransferGP):
     ) -> None:
         own = prior.noise + (np.zeros(len(y)) if noise is None else noise)
         super().__init__(places, prior, pairs, y, relative=own)
-        self._y, self._own_noise = y, own
+        self.y, self._own_noise = y, own
         self._solved: dict[bytes, dict[int, _Solved]] = {}
         self._entries = 0
         self._told, self._telling = len(pairs), 1
@@ -120,13 +123,13 @@ class Growing(TransferGP):
         Raises:
             numpy.linalg.LinAlgError: K is singular.
         """
-        if len(pairs) == 0 and np.array_equal(y, self._y):
+        if len(pairs) == 0 and np.array_equal(y, self.y):
             return
         self.doubt()
         own = self._prior.noise + (np.zeros(len(pairs)) if noise is None else noise)
         if len(pairs):
             self._append(pairs, own)
-        self._y, self._told = y, len(self._pairs)
+        self.y, self._told = y, len(self._pairs)
         self._telling += 1
         self._own_noise = np.append(self._own_noise, own)
         fit = summed_up(self._chol, self._ones, half_solved(self._chol, y))
@@ -176,7 +179,7 @@ class Growing(TransferGP):
         weights = solve_triangular(
             self._chol[:n, :n], self._residual[:n], lower=True, trans="T", check_finite=False
         )
-        return np.asarray(self._y - self._own_noise * weights)
+        return np.asarray(self.y - self._own_noise * weights)
 
     def means(self, sources: Pairs, targets: Pairs) -> Array:
         """(M, T) means of new trainings alone, which nothing believed changes."""

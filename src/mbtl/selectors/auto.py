@@ -1,8 +1,7 @@
 """Auto: train where whole rows seen so far promise the largest expected gain.
 
 The gain is `mbtl.acquisition.RowGain` under the posterior of `mbtl.models.TransferGP`, which learns
-from every entry of every row. Nobody is expected to do better than the best performance seen
-anywhere, and a little: a Gaussian far from all data would promise more than any policy has reached.
+from every entry of every row. The gain that is shown with a pick is the one it was chosen by.
 Beyond some hundred contexts a part of the targets, spread over the space, stands for all of them,
 and candidates are searched: some spread over the space, then ever nearer to the best. With several
 axes the best few are judged again on more targets.
@@ -133,7 +132,7 @@ class Auto:
         )
         lonely = self._least_covered(problem, history, wide, search, costs)
         if lonely is not None and problem.least_gain is None and problem.least_left is None:
-            return Proposal(lonely, _LONELY, _shown(outlook.said(lonely)))
+            return _covering(lonely, outlook)
         candidates, gain = search(first.expected)
         left = (
             None if problem.least_left is None else _chance_left(first, candidates, gain, problem)
@@ -146,7 +145,7 @@ class Auto:
         if problem.least_gain is not None:
             chance = outlook.chance(int(candidates[gain.argmax()]), problem.least_gain)
         if lonely is not None:
-            chosen = Proposal(lonely, _LONELY, _shown(outlook.said(lonely)))
+            chosen = _covering(lonely, outlook)
         else:
             chosen = _largest(problem, history, outlook, candidates, gain, costs)
         return replace(chosen, chance=chance, chance_left=left)
@@ -221,12 +220,16 @@ def _largest(
     counted = int(np.count_nonzero(problem.weights))
     sampling = outlook.standard_error(source, counted)
     judged = f"gain +- {sampling:.2g}: {len(outlook.targets)} of {counted} targets judged"
-    return Proposal(source, reason, _shown(outlook.said(source)), (judged,) if sampling else ())
+    return Proposal(source, reason, _shown(gain[best]), (judged,) if sampling else ())
+
+
+def _covering(source: int, outlook: RowGain) -> Proposal:
+    return Proposal(source, _LONELY, _shown(outlook.expected(np.array([source]))[0]))
 
 
 def _shown(gain: float) -> float:
     """Rounded: the last digits depend on whether the model grew or was made anew."""
-    return round(gain, 10)
+    return round(float(gain), 10)
 
 
 def _chance_left(

@@ -20,8 +20,6 @@ Indices = NDArray[np.intp]
 
 _PENDING = 150
 """Pairs that stand for a pick under way, divided by how many it makes."""
-_MARGIN = 0.02
-"""By how much `top` lies above the best seen, as a share of the range seen."""
 _STEP = np.log(1.25)
 """A known noise is taken relative to a scale that is rounded to such steps, so that it stays."""
 
@@ -46,10 +44,10 @@ class Beliefs:
         waiting = np.asarray(self.history.pending, dtype=np.intp)
         if len(waiting):
             best = np.maximum(best, self.model.means(waiting, targets).max(axis=0))
-        highest = float(self.y.max())
-        top = np.maximum(highest + _MARGIN * float(np.ptp(self.y)), best)
         weights = self.problem.weights[targets] / self.problem.weights[targets].sum()
-        return RowGain(self.model, targets, best, top, highest, weights, self.problem.risk)
+        return RowGain(
+            self.model, targets, best, float(self.y.max()), weights, self.problem.risk
+        )
 
     def _believed(self, targets: Indices) -> Array:
         """(k, T) means of the rows told."""
