@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.models.priors import PRIORS
-from mbtl.models.relevance import Columns
+from mbtl.models.columns import Columns
 from mbtl.models.transfer_gp import TransferGP, likely_noise
 from mbtl.models.transfer_kernel import Pairs, Places, TransferPrior
 

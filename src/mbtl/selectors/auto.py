@@ -24,7 +24,7 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.priors import PRIORS, prior_without
-from mbtl.models.relevance import Columns, fit_relevance, stretched
+from mbtl.models.columns import Columns
 from mbtl.models.transfer_kernel import NEW, TransferPrior
 from mbtl.selectors.auto_beliefs import Beliefs, conditioned, expect, floor_of, observed, pending_pairs
 from mbtl.selectors.base import (
@@ -43,6 +43,8 @@ Mask = NDArray[np.bool_]
 
 _LEADERS, _AROUND = 3, 12
 """So many of the best candidates are looked around, at so many contexts each and round."""
+_ROWS = 20
+"""Rows of which all targets are used: a model grows while its targets stay, so they change once."""
 _MANY = 20_000
 """Contexts through which every round of the search may look."""
 _LONELY = "largest untested region"
@@ -61,21 +63,19 @@ class Auto:
     Attributes:
         prior: of the transfer model; None: the one chosen on shipped matrices.
         most_candidates: contexts from which the search for a source begins.
-        most_targets: contexts considered as targets at once.
+        most_targets: contexts considered as targets at once; half of them after 20 rows.
         finalists: candidates that are judged a second time, on more targets.
         final_targets: targets of that.
         cover: with 3, every third pick explores the largest untested region, whatever the model
             says; with 0 none does.
-        relevance: with several axes, learn which of them matter (predicts better, picks alike).
     """
 
     prior: TransferPrior | None = None
     most_candidates: int = 100
-    most_targets: int = 25
+    most_targets: int = 50
     finalists: int = 10
     final_targets: int = 150
     cover: int = 3
-    relevance: bool = False
     name: str = "auto"
     traits: ClassVar[Traits] = Traits(deterministic=True, retrains=True, predicts_chances=True)
 
@@ -179,16 +179,14 @@ class Auto:
 
     def _beliefs(self, problem: SelectionProblem, history: History) -> Beliefs:
         """Condition the model on the rows, at some of the targets."""
-        targets = _spread(problem, np.flatnonzero(problem.weights > 0), self.most_targets)
+        count = self.most_targets if len(history) <= _ROWS else (self.most_targets + 1) // 2
+        targets = _spread(problem, np.flatnonzero(problem.weights > 0), count)
         columns = Columns.of(problem.axes, problem.unit.shape[1])
         places = columns.places(problem.unit, problem.steps)
         pairs, y = observed(history, targets)
         floor = floor_of(y)
         y = np.maximum(y, floor)
         prior, known = self.prior or PRIORS["all"], None
-        if self.relevance:
-            weights = fit_relevance(places, columns.axis, prior, pairs, y)
-            places = stretched(places, weights[columns.axis])
         if history.errors is not None:
             known = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
         model = conditioned(places, prior, pairs, y, known)
