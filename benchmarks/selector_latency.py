@@ -1,6 +1,6 @@
 """Processor seconds and memory of every selector's picks on grids of 100 to 10,000 contexts.
 
-    .venv/bin/python benchmarks/selector_latency.py [--picks 15] [--selectors auto,mbtl] [--grids 100]
+    .venv/bin/python benchmarks/selector_latency.py [--picks 15] [--selectors auto] [--grids 100]
 
 Grids: 100 on a line, 10 x 10 x 9 (the follow-up's CartPole), 100 x 100, with a synthetic world of
 directional decay. "Last pick" is the median of the last six; "anew" is the last one again, by a

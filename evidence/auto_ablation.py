@@ -1,6 +1,6 @@
 """What each device of `auto` is worth: every one switched off alone, the same runs otherwise.
 
-    .venv/bin/python evidence/auto_ablation.py [--budget 20] [--variants "no cover,..."] [--sets ...]
+    .venv/bin/python evidence/auto_ablation.py [--set shipped] [--variants "no cover,no floor"]
 
 Sets: the shipped matrices of one axis, `auto` with the prior that has not seen their family; the
 shipped ones of several axes; SD-MBTL's eight worlds (N = 512, K = 50); our seven worlds of several
@@ -92,7 +92,8 @@ VARIANTS: dict[str, Variant] = {
     "no floor": Variant({}, {"mbtl.selectors.auto.floor_of": lambda y: float(y.min())}),
     "pairs always quiet": Variant({}, {"mbtl.models.transfer_gp._NOISIER": 1.0}),
     "one ceiling": Variant({}, {"mbtl.selectors.auto_beliefs.RowGain": OneCeiling}),
-    "no finalists": Variant({"final_targets": 0}, {}),
+    "no finalists": Variant({"finalists": 0}, {}),
+    "finalists on all targets": Variant({"finalists": 30, "final_targets": 1000}, {}),
     "no search": Variant({}, {"mbtl.selectors.auto._LEADERS": 0}),
 }
 
@@ -111,7 +112,7 @@ def sets(which: str, trials: int) -> dict[str, RowSource]:
 
 @dataclass(frozen=True)
 class Known:
-    """Of one matrix seed: Random and the oracle (K,), and the levels that trainings are counted to."""
+    """Of one matrix seed: Random and the oracle (K,), and what V is a share of the way between."""
 
     random: Array
     oracle: Array
@@ -189,9 +190,10 @@ def main() -> None:
     parser.add_argument("--set", choices=("shipped", "axes", "worlds", "sd"), default="shipped")
     parser.add_argument("--budget", type=int, default=20)
     parser.add_argument("--trials", type=int, default=3, help="seeds of every matrix")
+    parser.add_argument("--only", default="", help="part of the name of a matrix or world")
     parser.add_argument("--variants", default=",".join(VARIANTS))
     args = parser.parse_args()
-    sources = sets(args.set, args.trials)
+    sources = {k: v for k, v in sets(args.set, args.trials).items() if args.only in k}
     refs = [
         known(source, seed, args.budget)
         for source in sources.values()

@@ -1,4 +1,4 @@
-"""A transfer posterior that grows: rows told one after another, and trainings believed to go as hoped.
+"""A transfer posterior that grows: rows told one by one, and trainings believed to go as hoped.
 
 While trainings are under way, the next source is chosen as if they had given what is expected of
 them. A believed value changes no mean and no residual: it only makes the model surer around it.
@@ -73,7 +73,12 @@ class Growing(TransferGP):
     """
 
     def __init__(
-        self, places: Places, prior: TransferPrior, pairs: Pairs, y: Array, noise: Array | None = None
+        self,
+        places: Places,
+        prior: TransferPrior,
+        pairs: Pairs,
+        y: Array,
+        noise: Array | None = None,
     ) -> None:
         own = prior.noise + (np.zeros(len(y)) if noise is None else noise)
         super().__init__(places, prior, pairs, y, relative=own)

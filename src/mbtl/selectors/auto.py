@@ -23,10 +23,17 @@ from mbtl.acquisition import TIE, RowGain, argmax_open, optimistic_gain
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
-from mbtl.models.priors import PRIORS, prior_without
 from mbtl.models.columns import Columns
+from mbtl.models.priors import PRIORS, prior_without
 from mbtl.models.transfer_kernel import NEW, TransferPrior
-from mbtl.selectors.auto_beliefs import Beliefs, conditioned, expect, floor_of, observed, pending_pairs
+from mbtl.selectors.auto_beliefs import (
+    Beliefs,
+    conditioned,
+    expect,
+    floor_of,
+    observed,
+    pending_pairs,
+)
 from mbtl.selectors.base import (
     Outlook,
     Proposal,
@@ -64,7 +71,7 @@ class Auto:
         prior: of the transfer model; None: the one chosen on shipped matrices.
         most_candidates: contexts from which the search for a source begins.
         most_targets: contexts considered as targets at once; half of them after 20 rows.
-        finalists: candidates that are judged a second time, on more targets.
+        finalists: candidates that are judged a second time, on more targets; 0: none.
         final_targets: targets of that.
         cover: with 3, every third pick explores the largest untested region, whatever the model
             says; with 0 none does.
@@ -124,7 +131,7 @@ class Auto:
             costs = problem.costs / problem.costs.mean()
         wide = _spread(problem, np.flatnonzero(problem.weights > 0), self.final_targets)
         outlook = first = beliefs.row_gain(beliefs.targets)
-        if not problem.is_line and len(wide) > len(beliefs.targets):
+        if not problem.is_line and self.finalists and len(wide) > len(beliefs.targets):
             # a few targets on several axes are a sample, with its luck; on a line they are even
             outlook = beliefs.row_gain(wide)
         search = partial(

@@ -45,9 +45,7 @@ class Beliefs:
         if len(waiting):
             best = np.maximum(best, self.model.means(waiting, targets).max(axis=0))
         weights = self.problem.weights[targets] / self.problem.weights[targets].sum()
-        return RowGain(
-            self.model, targets, best, float(self.y.max()), weights, self.problem.risk
-        )
+        return RowGain(self.model, targets, best, float(self.y.max()), weights, self.problem.risk)
 
     def _believed(self, targets: Indices) -> Array:
         """(k, T) means of the rows told."""
