@@ -210,7 +210,8 @@ def main() -> None:
         document[label] = compared(ours, whole, refs) | {"seconds": digits(seconds, 3)}
         lines.append(line(label, document[label], seconds))
         note(lines[-1])
-    measure.show({"set": args.set, "variants": document}, lines, as_json=args.json)
+    found = {"set": args.set, "variants": document, "machine": measure.machine()}
+    measure.show(found, lines, as_json=args.json)
 
 
 if __name__ == "__main__":
