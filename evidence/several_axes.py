@@ -1,4 +1,4 @@
-"""`auto` with several axes, with and without learning which of them matter, beside other selectors.
+"""`auto` with several axes, beside other selectors.
 
 Worlds of transfer with a known structure: a policy serves a plateau around its context that ends in
 a cliff, three times as far on one side as on the other; every training has luck of its own, one in
@@ -7,9 +7,7 @@ lists of points, and on mixed axes (linear, logarithmic, whole numbers, categori
 change how hard a target is but not what serves it.
 
 Printed: the share of the distance from Random to the Sequential Oracle that is closed (under the
-curve, and at K), and trainings to 90 % and 95 % of the way to Oracle Transfer; then how well rows
-of untried sources are predicted after 1, 4 and 10 random rows: root mean square error, and negative
-log density, with all axes equal and with relevance.
+curve, and at K), and trainings to 90 % and 95 % of the way to Oracle Transfer.
 
 example: python evidence/several_axes.py --seeds 3 --budget 15
 """
@@ -30,15 +28,9 @@ from numpy.typing import ArrayLike
 from mbtl.arrays import Array
 from mbtl.benchmark import compare
 from mbtl.contexts import Axis, Categorical, ContextSpace, Integer, Linear, Log
-from mbtl.models.priors import PRIORS
-from mbtl.models.relevance import Columns, fit_relevance, stretched
-from mbtl.models.transfer_gp import TransferGP
-from mbtl.models.transfer_kernel import grid_pairs
-from mbtl.selectors import Auto, SelectionProblem
+from mbtl.selectors import SelectionProblem
 
-SELECTORS = ("random", "kmeans", "mbtl", "m-mbtl", "sd-mbtl")
-EQUAL, LEARNED = "auto, equal axes", "auto, relevance"
-ROWS = (1, 4, 10)
+SELECTORS = ("random", "kmeans", "mbtl", "m-mbtl", "sd-mbtl", "auto", "oracle")
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,43 +119,16 @@ def worlds(n_seeds: int) -> list[World]:
     ]
 
 
-def predicted(world: World, seed: int) -> Array:
-    """(2, rows, 2) error and negative log density of rows of untried sources: equal, relevance."""
-    problem = world.problem(1)
-    columns = Columns.of(problem.axes, problem.unit.shape[1])
-    equal, prior = columns.places(problem.unit, problem.steps), PRIORS["all"]
-    rng = np.random.default_rng([5, seed])
-    order, targets = rng.permutation(world.n), rng.choice(world.n, 40, replace=False)
-    tried, untried = order[: ROWS[-1]], order[ROWS[-1] : ROWS[-1] + 40]
-    truth = world.rows(seed, untried)[:, targets]
-    found = np.empty((2, len(ROWS), 2))
-    for column, k in enumerate(ROWS):
-        pairs = grid_pairs(tried[:k], targets)
-        y = world.rows(seed, tried[:k])[:, targets].ravel()
-        weights = fit_relevance(equal, columns.axis, prior, pairs, y)[columns.axis]
-        for row, places in enumerate((equal, stretched(equal, weights))):
-            mean, std = TransferGP(places, prior, pairs, y).predict(untried, targets)
-            error = truth - mean
-            density = 0.5 * np.square(error / std) + np.log(std) + 0.5 * np.log(2.0 * np.pi)
-            found[row, column] = np.sqrt(np.square(error).mean()), density.mean()
-    return found
-
-
 def main() -> None:
     """Measure and print."""
     parser = measure.parser(__doc__)
     parser.add_argument("--seeds", type=int, default=3, help="matrices of every world")
     parser.add_argument("--budget", type=int, default=15)
-    parser.add_argument("--selectors", default=",".join(SELECTORS), help="beside auto")
+    parser.add_argument("--selectors", default=",".join(SELECTORS))
     parser.add_argument("--only", default="", help="part of the name of a world")
     args = parser.parse_args()
     chosen = [world for world in worlds(args.seeds) if args.only in world.name]
-    entrants = [
-        *args.selectors.split(","),
-        Auto(relevance=False, name=EQUAL),
-        Auto(relevance=True, name=LEARNED),
-        "oracle",
-    ]
+    entrants = args.selectors.split(",")
     summary = compare(
         entrants, chosen, args.budget, 1, on_step=lambda step: note(step.doing)
     ).summary
@@ -183,13 +148,6 @@ def main() -> None:
                 figures.append(value)
             lines.append(f"  {label:18s}" + "".join(f"{cell:>8s}" for cell in cells))
             document["worlds"][name][label] = [v if v is None else digits(v) for v in figures]
-    lines.append(f"rows of untried sources after {ROWS} rows, equal axes -> relevance")
-    for world in chosen:
-        equal, learned = np.mean([predicted(world, s) for s in range(args.seeds)], axis=0)
-        pairs = zip(equal.tolist(), learned.tolist(), strict=True)
-        cells = [f"{a[0]:.3f} -> {b[0]:.3f} ({a[1]:+.2f} -> {b[1]:+.2f})" for a, b in pairs]
-        lines.append(f"  {world.name:34s}" + "   ".join(cells))
-        document["worlds"][world.name]["prediction"] = [equal.tolist(), learned.tolist()]
     document["machine"] = measure.machine()
     measure.show(document, lines, as_json=args.json)
 

@@ -58,7 +58,7 @@ def test_the_posterior_is_that_of_conditioning_a_gaussian():
     every = grid_pairs(np.array(SOURCES), np.arange(N))
     seen = np.isfinite(rows).ravel()
     places, y = transfer_places(SPACE), rows.ravel()[seen]
-    prior, noise = likely_noise(
+    prior, noise, _ = likely_noise(
         places, beliefs._prior, every[seen], y, errors.ravel()[seen] ** 2, slack=2.0
     )
     model, _ = beliefs._model(1)

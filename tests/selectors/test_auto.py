@@ -9,7 +9,7 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models import priors
 from mbtl.models.transfer_kernel import TransferPrior
-from mbtl.selectors import Auto, Exhausted, Random, SelectionProblem
+from mbtl.selectors import Auto, Exhausted, Random, SelectionProblem, auto_beliefs
 from mbtl.selectors.auto import _nearest, _search
 from mbtl.selectors.auto_beliefs import forget, pending_pairs
 
@@ -64,7 +64,7 @@ def test_gaps_in_rows_are_left_out():
 def test_rows_known_only_elsewhere_than_where_it_looks():
     row = np.full(100, np.nan)
     row[1] = 0.5  # two targets are looked at, the ends
-    few = Auto(most_targets=2, most_pairs=1)
+    few = Auto(most_targets=2)
     proposal = few.propose(line(100), History(100).with_row(49, row), RNG)
     assert proposal.source != 49
     assert proposal.notes == ()
@@ -83,7 +83,7 @@ def test_targets_without_weight_do_not_matter():
 def test_many_contexts_are_sampled(levels):
     grid = {mbtl.Linear(f"x{q}", 0.0, 1.0): n for q, n in enumerate(levels)}
     problem = SelectionProblem.of(mbtl.ContextSpace.grid(grid), budget=5)
-    history, few = History(problem.n), Auto(most_candidates=40, most_targets=30, most_pairs=60)
+    history, few = History(problem.n), Auto(most_candidates=40, most_targets=30)
     for _ in range(4):
         source = few.propose(problem, history, RNG).source
         away = np.abs(problem.unit - problem.unit[source]).sum(axis=1)
@@ -365,3 +365,32 @@ def test_a_batch_is_the_same_whatever_was_kept_of_the_picks_before():
         asked = asked.with_pending(again[-1])
     assert again == picks
     assert len(set(picks)) == 8
+
+
+def test_pick_after_pick_is_the_same_as_from_scratch():
+    """A study asks again and again with one more row: what is kept of that is speed alone."""
+    problem, rng = line(60, budget=40), np.random.default_rng(3)
+    history, checked = History(60), 0
+    for k in range(14):
+        kept = Auto().propose(problem, history, RNG)
+        if k % 3 == 1:
+            before, auto_beliefs._known.models = auto_beliefs._known.models, []
+            fresh = Auto().propose(problem, history, RNG)
+            auto_beliefs._known.models, checked = before, checked + 1
+            assert (fresh.source, fresh.reason) == (kept.source, kept.reason)
+            assert fresh.acquisition == kept.acquisition
+        row = reach(60, kept.source, 15, 6) + 0.01 * rng.random(60)
+        history = history.with_row(kept.source, row)
+    assert checked == 5
+
+
+def test_a_model_of_another_study_is_not_mistaken_for_this_one():
+    problem = line(60)
+    for height in (0.9, 0.3):
+        history = History(60)
+        for source in (10, 40):
+            history = history.with_row(source, height * reach(60, source, 5, 20))
+        kept = Auto(cover=0).propose(problem, history, RNG)
+        forget()
+        fresh = Auto(cover=0).propose(problem, history, RNG)
+        assert kept == fresh

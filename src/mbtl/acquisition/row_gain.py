@@ -1,14 +1,20 @@
 """Gain in V of a whole new row, under a model of transfer.
 
 Notation (shapes): M candidates, T targets.
-    a(x) = sum_t w_t E[ (min(J(x, t), top_t) - best_t)_+ ]
-closed for a Gaussian J: with e(m) = s (z Phi(z) + phi(z)) and z = m / s, the expectation is
-e(E J - best) - e(E J - top).
+    a(x) = sum_t w_t E[ (min(J(x, t), c_t, seen) - best_t)_+ ]
+Nobody does better on a target than a training on the target itself would, c_t, nor than the best
+performance seen anywhere. Whether the ceilings c_t are high or low is drawn once for all targets.
+Without them each target would still promise a little where it is served as well as it can be.
+
+For a Gaussian J and a given ceiling the expectation is closed: with e(m) = s (z Phi(z) + phi(z))
+and z = m / s it is e(E J - best) - e(E J - top), top = max(min(c, seen), best). The mean over the
+ceilings is a sum over a few of them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +25,8 @@ from mbtl.models.transfer_gp import TransferGP
 from mbtl.models.transfer_kernel import NEW
 from mbtl.objective import worst_share_mean
 
+_CEILINGS = 7
+"""Points at which the height of the ceilings is taken (Gauss-Hermite)."""
 _DRAWS = 4000
 """Samples of a row: the standard error of a chance is below 0.01."""
 
@@ -31,7 +39,6 @@ class RowGain:
         model: posterior of transfer.
         targets: (T,) context indices.
         best: (T,) generalisation performance so far.
-        top: (T,) no policy is expected to do better, >= best.
         seen: best performance seen anywhere.
         weights: (T,) of the targets, sum 1.
         risk: share of the targets, the worst of them, that V is the mean of.
@@ -40,7 +47,6 @@ class RowGain:
     model: TransferGP
     targets: NDArray[np.intp]
     best: Array
-    top: Array
     seen: float
     weights: Array
     risk: float = 1.0
@@ -55,8 +61,10 @@ class RowGain:
     def by_target(self, candidates: NDArray[np.intp]) -> Array:
         """(M, T) expected gain of each candidate on each target, without weights."""
         mean, std = self.model.predict(candidates, self.targets)
-        below = unit_improvement((mean - self.top) / std)
-        return np.asarray(std * (unit_improvement((mean - self.best) / std) - below))
+        gain = unit_improvement((mean - self.best) / std)
+        for height, weight in zip(*_quadrature(), strict=True):
+            gain -= weight * unit_improvement((mean - self._top(height)) / std)
+        return np.asarray(np.maximum(std * gain, 0.0))
 
     def standard_error(self, candidate: int, n: int) -> float:
         """Of `expected`, the targets being a sample of `n`; 0 where they are all."""
@@ -66,23 +74,11 @@ class RowGain:
         gain = self.by_target(np.array([candidate]))[0] * self.weights * count
         return float(gain.std(ddof=1) * np.sqrt((1.0 - count / n) / count))
 
-    def said(self, source: int) -> float:
-        """Expected gain of one training on `source`, for people; not to rank by.
-
-        `expected` ranks well and promises too much: where each target is served as well as it can
-        be, each still promises a little. Here nobody does better on a target than a training on the
-        target itself would; whether those ceilings are high or low is drawn once for all targets.
-        Picks by this gain were no better (docs/calibration.md).
-        """
-        return float(self.drawn(source).mean())
-
     def drawn(self, source: int) -> Array:
-        """(n,) samples of that gain, always the same ones; their mean is `said`."""
-        rng, own = np.random.default_rng(0), self.targets
-        rows = self.model.draws(np.array([source]), own, _DRAWS, rng)[:, 0]
-        mean, std = self.model.predict_pairs(np.column_stack([own, own, np.full(len(own), NEW)]))
-        ceiling = mean + std * rng.standard_normal((_DRAWS, 1))
-        return self._gained(np.minimum(rows, ceiling))
+        """(n,) samples of the gain of one training on `source`, always the same ones."""
+        rng = np.random.default_rng(0)
+        rows = self.model.draws(np.array([source]), self.targets, _DRAWS, rng)[:, 0]
+        return self._gained(np.minimum(rows, self._top(rng.standard_normal((_DRAWS, 1)))))
 
     def chance(self, source: int, least: float) -> float:
         """Probability that one training on `source` gains `least` or more.
@@ -104,8 +100,19 @@ class RowGain:
         drawn = self.model.draws(sources, targets, _DRAWS, np.random.default_rng(0))
         at = np.searchsorted(self.targets, targets)
         weights = self.weights[at] / self.weights[at].sum()
-        some = replace(self, best=self.best[at], top=self.top[at], targets=targets, weights=weights)
+        some = replace(self, best=self.best[at], targets=targets, weights=weights)
         return float(np.mean(some._gained(drawn.max(axis=1)) >= least))
+
+    @cached_property
+    def _ceilings(self) -> tuple[Array, Array]:
+        """Mean and standard deviation (T,) of what a training on each target gives there."""
+        own = self.targets
+        return self.model.predict_pairs(np.column_stack([own, own, np.full(len(own), NEW)]))
+
+    def _top(self, height: float | Array) -> Array:
+        """No policy does better on the targets if ceilings are so many deviations high."""
+        mean, std = self._ceilings
+        return np.asarray(np.maximum(np.minimum(mean + height * std, self.seen), self.best))
 
     def _gained(self, rows: Array) -> Array:
         """(n,) gains in V from samples of a row, none better than the best performance seen."""
@@ -114,3 +121,10 @@ class RowGain:
 
     def _value(self, best: Array) -> Array:
         return worst_share_mean(best, self.weights, self.risk)
+
+
+@cache
+def _quadrature() -> tuple[list[float], list[float]]:
+    """Points of a standard normal variable, and their weights."""
+    points, weights = np.polynomial.hermite_e.hermegauss(_CEILINGS)
+    return points.tolist(), (weights / weights.sum()).tolist()

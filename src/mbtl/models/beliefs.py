@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
+from mbtl.models.columns import Columns
 from mbtl.models.priors import PRIORS
-from mbtl.models.relevance import Columns
 from mbtl.models.transfer_gp import TransferGP, likely_noise
 from mbtl.models.transfer_kernel import Pairs, Places, TransferPrior
 
@@ -145,7 +145,7 @@ class Beliefs:
         row, target = self._observed(_MOST)
         known = self._variances[row, target]
         pairs, y = self._pairs(row, target), self._rows[row, target]
-        prior, counted = likely_noise(self._places, self._prior, pairs, y, known, slack=_SLACK)
+        prior, counted, _ = likely_noise(self._places, self._prior, pairs, y, known, slack=_SLACK)
         some = known > 0
         return prior, float(np.median(counted[some] / known[some])) if some.any() else 0.0
 

@@ -58,6 +58,8 @@ class TransferGP:
         pairs: Pairs,
         y: Array,
         noise: Array | None = None,
+        *,
+        relative: Array | None = None,
     ) -> None:
         """Condition on data; O(n^3).
 
@@ -67,6 +69,8 @@ class TransferGP:
             pairs: (n, 3) observed.
             y: (n,) performance there, finite.
             noise: (n,) variance of each y around the true mean return; None for none.
+            relative: (n,) all noise of each y as a multiple of the factor, that of the prior
+                included; instead of `noise`.
 
         Raises:
             InvalidInput: no pair, or values that are not finite.
@@ -78,7 +82,11 @@ class TransferGP:
                 f"{y.shape}; drop what was not evaluated"
             )
         self._places, self._prior, self._pairs = places, prior, pairs
-        fit = _fit(covariance(places, prior, pairs, pairs), prior.noise, y, noise)
+        kernel = covariance(places, prior, pairs, pairs)
+        if relative is None:
+            fit = _fit(kernel, prior.noise, y, noise)
+        else:
+            fit = _fit_relative(kernel, relative, y)
         self._chol, self._residual, self._ones = fit.chol, fit.residual, fit.ones
         self.mean, self.scale, self.log_likelihood = fit.mean, fit.scale, fit.log_likelihood
 
@@ -181,10 +189,14 @@ def _fit_relative(kernel: Array, noise: float | Array, y: Array) -> _Fit:
     noisy = kernel.copy()
     noisy[np.diag_indices_from(noisy)] += noise
     chol = np.asarray(np.linalg.cholesky(noisy), np.float64)
-    ones, values = half_solved(chol, np.ones(len(y))), half_solved(chol, y)
+    return summed_up(chol, *half_solved(chol, np.column_stack([np.ones(len(y)), y])).T)
+
+
+def summed_up(chol: Array, ones: Array, values: Array) -> _Fit:
+    """Mean, factor and likelihood, from L^-1 times ones and the observations."""
     mean = float(ones @ values / (ones @ ones))
     residual = np.asarray(values - mean * ones)
-    n, square = len(y), float(residual @ residual)
+    n, square = len(values), float(residual @ residual)
     scale = scale_of(square, n)
     log_det = 2.0 * float(np.log(np.diagonal(chol)).sum())
     likelihood = -0.5 * (n * np.log(2.0 * np.pi * scale) + log_det + square / scale)
@@ -203,6 +215,20 @@ def half_solved(chol: Array, right: Array) -> Array:
     return np.asarray(solve_triangular(chol, right, lower=True, check_finite=False))
 
 
+class LikelyNoise(NamedTuple):
+    """What `likely_noise` finds.
+
+    Attributes:
+        prior: as it was, or with much noisier pairs.
+        known: (n,) the part of the known noise to count.
+        scale: factor of all variances that goes with it, from some of the observations.
+    """
+
+    prior: TransferPrior
+    known: Array
+    scale: float
+
+
 def likely_noise(
     places: Places,
     prior: TransferPrior,
@@ -211,7 +237,7 @@ def likely_noise(
     known: Array | None = None,
     *,
     slack: float = 0.0,
-) -> tuple[TransferPrior, Array]:
+) -> LikelyNoise:
     """The noise that makes the observations most likely: that of the prior, and the known one.
 
     The prior believes single pairs to scatter little, which is true of simulators that are judged
@@ -227,25 +253,18 @@ def likely_noise(
         known: (n,) variance of each y by its episodes; None for none.
         slack: of beliefs less likely than the best by up to so much, in natural logarithms, the one
             that takes most of the scatter for noise.
-
-    Returns:
-        The prior, as it is or with much noisier pairs, and (n,) the part of `known` to count.
     """
     known = np.zeros(len(y)) if known is None else known
     some = np.linspace(0, len(y) - 1, min(len(y), _ENOUGH)).round().astype(np.intp)
     kernel = covariance(places, prior, pairs[some], pairs[some])
     quiet, noisy = prior.noise, _NOISIER * prior.noise
     beliefs = [(quiet, share) for share in _SHARES if share == 1.0 or known.any()] + [(noisy, 1.0)]
-
-    def likelihood(belief: tuple[float, float]) -> float:
-        own, share = belief
-        return _fit(kernel, own, y[some], share * known[some]).log_likelihood
-
-    likely = {belief: likelihood(belief) for belief in beliefs}
+    fits = {(own, share): _fit(kernel, own, y[some], share * known[some]) for own, share in beliefs}
+    likely = {belief: fit.log_likelihood for belief, fit in fits.items()}
     best = max(likely.values())
     close = [belief for belief in beliefs if likely[belief] >= best - slack]
     own, share = max(close, key=lambda belief: (belief[1], -belief[0]) if slack else likely[belief])
-    return replace(prior, noise=own), share * known
+    return LikelyNoise(replace(prior, noise=own), share * known, fits[own, share].scale)
 
 
 def _blocks(rows: int, entries_per_row: int) -> Iterator[slice]:

@@ -1,8 +1,7 @@
 """Auto: train where whole rows seen so far promise the largest expected gain.
 
 The gain is `mbtl.acquisition.RowGain` under the posterior of `mbtl.models.TransferGP`, which learns
-from every entry of every row. Nobody is expected to do better than the best performance seen
-anywhere, and a little: a Gaussian far from all data would promise more than any policy has reached.
+from every entry of every row. The gain that is shown with a pick is the one it was chosen by.
 Beyond some hundred contexts a part of the targets, spread over the space, stands for all of them,
 and candidates are searched: some spread over the space, then ever nearer to the best. With several
 axes the best few are judged again on more targets.
@@ -24,10 +23,17 @@ from mbtl.acquisition import TIE, RowGain, argmax_open, optimistic_gain
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
+from mbtl.models.columns import Columns
 from mbtl.models.priors import PRIORS, prior_without
-from mbtl.models.relevance import Columns, fit_relevance, stretched
 from mbtl.models.transfer_kernel import NEW, TransferPrior
-from mbtl.selectors.auto_beliefs import Beliefs, conditioned, floor_of, observed, pending_pairs
+from mbtl.selectors.auto_beliefs import (
+    Beliefs,
+    conditioned,
+    expect,
+    floor_of,
+    observed,
+    pending_pairs,
+)
 from mbtl.selectors.base import (
     Outlook,
     Proposal,
@@ -44,6 +50,8 @@ Mask = NDArray[np.bool_]
 
 _LEADERS, _AROUND = 3, 12
 """So many of the best candidates are looked around, at so many contexts each and round."""
+_ROWS = 20
+"""Rows of which all targets are used: a model grows while its targets stay, so they change once."""
 _MANY = 20_000
 """Contexts through which every round of the search may look."""
 _LONELY = "largest untested region"
@@ -62,23 +70,19 @@ class Auto:
     Attributes:
         prior: of the transfer model; None: the one chosen on shipped matrices.
         most_candidates: contexts from which the search for a source begins.
-        most_targets: contexts considered as targets at once.
-        most_pairs: observed pairs used; with more rows, fewer targets of each.
-        finalists: candidates that are judged a second time, on more targets.
+        most_targets: contexts considered as targets at once; half of them after 20 rows.
+        finalists: candidates that are judged a second time, on more targets; 0: none.
         final_targets: targets of that.
         cover: with 3, every third pick explores the largest untested region, whatever the model
             says; with 0 none does.
-        relevance: with several axes, learn which of them matter (predicts better, picks alike).
     """
 
     prior: TransferPrior | None = None
     most_candidates: int = 100
     most_targets: int = 50
-    most_pairs: int = 1000
     finalists: int = 10
     final_targets: int = 150
     cover: int = 3
-    relevance: bool = False
     name: str = "auto"
     traits: ClassVar[Traits] = Traits(deterministic=True, retrains=True, predicts_chances=True)
 
@@ -117,7 +121,7 @@ class Auto:
         gain = np.full(problem.n, np.nan)
         row_gain = beliefs.row_gain(beliefs.targets)
         gain[candidates] = row_gain.expected(candidates)
-        return Outlook("auto", *beliefs.told.predict_pairs(own), gain, row_gain.drawn)
+        return Outlook("auto", *beliefs.model.predict_pairs(own), gain, row_gain.drawn)
 
     def _choose(
         self, problem: SelectionProblem, history: History, mask: Mask, beliefs: Beliefs
@@ -127,7 +131,7 @@ class Auto:
             costs = problem.costs / problem.costs.mean()
         wide = _spread(problem, np.flatnonzero(problem.weights > 0), self.final_targets)
         outlook = first = beliefs.row_gain(beliefs.targets)
-        if not problem.is_line and len(wide) > len(beliefs.targets):
+        if not problem.is_line and self.finalists and len(wide) > len(beliefs.targets):
             # a few targets on several axes are a sample, with its luck; on a line they are even
             outlook = beliefs.row_gain(wide)
         search = partial(
@@ -135,7 +139,7 @@ class Auto:
         )
         lonely = self._least_covered(problem, history, wide, search, costs)
         if lonely is not None and problem.least_gain is None and problem.least_left is None:
-            return Proposal(lonely, _LONELY, outlook.said(lonely))
+            return _covering(lonely, outlook)
         candidates, gain = search(first.expected)
         left = (
             None if problem.least_left is None else _chance_left(first, candidates, gain, problem)
@@ -148,7 +152,7 @@ class Auto:
         if problem.least_gain is not None:
             chance = outlook.chance(int(candidates[gain.argmax()]), problem.least_gain)
         if lonely is not None:
-            chosen = Proposal(lonely, _LONELY, outlook.said(lonely))
+            chosen = _covering(lonely, outlook)
         else:
             chosen = _largest(problem, history, outlook, candidates, gain, costs)
         return replace(chosen, chance=chance, chance_left=left)
@@ -182,25 +186,20 @@ class Auto:
 
     def _beliefs(self, problem: SelectionProblem, history: History) -> Beliefs:
         """Condition the model on the rows, at some of the targets."""
-        count = min(self.most_targets, max(24, self.most_pairs // len(history)))
+        count = self.most_targets if len(history) <= _ROWS else (self.most_targets + 1) // 2
         targets = _spread(problem, np.flatnonzero(problem.weights > 0), count)
         columns = Columns.of(problem.axes, problem.unit.shape[1])
         places = columns.places(problem.unit, problem.steps)
-        sources = np.asarray(history.sources, dtype=np.intp)
-        pairs, y = observed(history, targets, self.most_pairs)
+        pairs, y = observed(history, targets)
         floor = floor_of(y)
         y = np.maximum(y, floor)
         prior, known = self.prior or PRIORS["all"], None
-        if self.relevance:
-            weights = fit_relevance(places, columns.axis, prior, pairs, y)
-            places = stretched(places, weights[columns.axis])
         if history.errors is not None:
             known = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
         model = conditioned(places, prior, pairs, y, known)
         waiting = np.asarray(history.pending, dtype=np.intp)
-        extra = pending_pairs(problem, waiting, targets, len(sources))
-        expecting = model.expecting(extra) if len(waiting) else model.told
-        return Beliefs(problem, history, targets, y, floor, model.noisy, model.told, expecting)
+        expect(model, pending_pairs(problem, waiting, targets, len(history)))
+        return Beliefs(problem, history, targets, y, floor, model)
 
 
 def _largest(
@@ -226,7 +225,16 @@ def _largest(
     counted = int(np.count_nonzero(problem.weights))
     sampling = outlook.standard_error(source, counted)
     judged = f"gain +- {sampling:.2g}: {len(outlook.targets)} of {counted} targets judged"
-    return Proposal(source, reason, outlook.said(source), (judged,) if sampling else ())
+    return Proposal(source, reason, _shown(gain[best]), (judged,) if sampling else ())
+
+
+def _covering(source: int, outlook: RowGain) -> Proposal:
+    return Proposal(source, _LONELY, _shown(outlook.expected(np.array([source]))[0]))
+
+
+def _shown(gain: float) -> float:
+    """Rounded: the last digits depend on whether the model grew or was made anew."""
+    return round(float(gain), 10)
 
 
 def _chance_left(

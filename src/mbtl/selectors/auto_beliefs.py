@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from threading import local
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +11,8 @@ from numpy.typing import NDArray
 from mbtl.acquisition import RowGain
 from mbtl.arrays import Array
 from mbtl.history import History
-from mbtl.models.believing import Believing
-from mbtl.models.transfer_gp import TransferGP, likely_noise
+from mbtl.models.growing import Growing
+from mbtl.models.transfer_gp import likely_noise
 from mbtl.models.transfer_kernel import Pairs, Places, TransferPrior, grid_pairs
 from mbtl.selectors.base import SelectionProblem
 
@@ -21,37 +20,40 @@ Indices = NDArray[np.intp]
 
 _PENDING = 150
 """Pairs that stand for a pick under way, divided by how many it makes."""
-_MARGIN = 0.02
-"""By how much `top` lies above the best seen, as a share of the range seen."""
+_STEP = np.log(1.25)
+"""A known noise is taken relative to a scale that is rounded to such steps, so that it stays."""
 
 
 @dataclass(frozen=True)
 class Beliefs:
-    """The model after the rows told (values `y`), and after those expected of pending picks too."""
+    """The model after the rows told (values `y`), and what is expected of pending picks."""
 
     problem: SelectionProblem
     history: History
     targets: Indices
     y: Array
     floor: float
-    noisy: bool
-    told: TransferGP
-    expecting: TransferGP
+    model: Growing
 
     def row_gain(self, targets: Indices) -> RowGain:
         """What one more training may bring on these targets."""
-        sources = np.asarray(self.history.sources, dtype=np.intp)
         best = np.maximum(self.history.best[targets], self.floor)
-        if self.noisy or not np.isfinite(self.history.rows[:, targets]).all():
+        if self.model.noisy or not np.isfinite(self.history.rows[:, targets]).all():
             # the best of noisy or missing entries is what the model believes them to be
-            best = self.told.predict(sources, targets, np.arange(len(sources)))[0].max(axis=0)
+            best = self._believed(targets).max(axis=0)
         waiting = np.asarray(self.history.pending, dtype=np.intp)
-        if isinstance(self.expecting, Believing):
-            best = np.maximum(best, self.expecting.means(waiting, targets).max(axis=0))
-        highest = float(self.y.max())
-        top = np.maximum(highest + _MARGIN * float(np.ptp(self.y)), best)
+        if len(waiting):
+            best = np.maximum(best, self.model.means(waiting, targets).max(axis=0))
         weights = self.problem.weights[targets] / self.problem.weights[targets].sum()
-        return RowGain(self.expecting, targets, best, top, highest, weights, self.problem.risk)
+        return RowGain(self.model, targets, best, float(self.y.max()), weights, self.problem.risk)
+
+    def _believed(self, targets: Indices) -> Array:
+        """(k, T) means of the rows told."""
+        sources = np.asarray(self.history.sources, dtype=np.intp)
+        asked = grid_pairs(sources, targets)
+        if np.array_equal(asked, self.model.told):
+            return self.model.smoothed().reshape(len(sources), len(targets))
+        return self.model.predict(sources, targets, np.arange(len(sources)))[0]
 
 
 def floor_of(y: Array) -> float:
@@ -64,20 +66,22 @@ def floor_of(y: Array) -> float:
     return float(min(low - 3.0 * (high - low), -1.0))
 
 
-def observed(history: History, targets: Indices, most: int) -> tuple[Pairs, Array]:
-    """Pairs and their performance: on `targets`, or all there are where rows are partial.
+def observed(history: History, targets: Indices) -> tuple[Pairs, Array]:
+    """Pairs and their performance: on `targets`; of rows that are partial as many, evenly thinned.
 
-    Those are thinned evenly to `most`.
+    What is taken of a row does not depend on the rows after it.
     """
     sources = np.asarray(history.sources, dtype=np.intp)
-    y = history.rows[:, targets].ravel()
-    if np.isfinite(y).all():
-        return grid_pairs(sources, targets), y
-    rows, seen = np.nonzero(np.isfinite(history.rows))
-    if len(rows) > most:
-        kept = np.linspace(0, len(rows) - 1, most).round().astype(np.intp)
-        rows, seen = rows[kept], seen[kept]
-    return np.column_stack([sources[rows], seen, rows]), history.rows[rows, seen]
+    found, values = [], []
+    for number, (source, row) in enumerate(zip(sources, history.rows, strict=True)):
+        at = targets
+        if not np.isfinite(row[targets]).all():
+            at = np.flatnonzero(np.isfinite(row))
+            if len(at) > len(targets):
+                at = at[np.linspace(0, len(at) - 1, len(targets)).round().astype(np.intp)]
+        found.append(grid_pairs(np.array([source]), at, np.array([number])))
+        values.append(row[at])
+    return np.vstack(found), np.concatenate(values)
 
 
 def pending_pairs(
@@ -98,59 +102,37 @@ def pending_pairs(
     return np.vstack(found)
 
 
-@dataclass
-class Model:
-    """The model of the rows told, and the last one that believed something beside them.
-
-    Attributes:
-        given: all that `told` follows from.
-        told: the model.
-        noisy: rows have a known noise that counts.
-        believing: grows while picks are asked for together.
-    """
-
-    given: tuple[Places, TransferPrior, Pairs, Array, Array | None]
-    told: TransferGP
-    noisy: bool
-    believing: Believing | None = None
-
-    def expecting(self, extra: Pairs) -> Believing:
-        """With these pairs, of picks under way, believed to give what is expected of them."""
-        before = np.empty((0, 3)) if self.believing is None else self.believing.believed
-        grown = len(before) <= len(extra) and np.array_equal(before, extra[: len(before)])
-        if self.believing is None or not grown:
-            self.believing, before = Believing(self.told), extra[:0]
-        if len(before) < len(extra):
-            self.believing.believe(extra[len(before) :])
-        return self.believing
-
-
-_last = local()
-"""The model of this thread's last pick: of a batch, all picks have the same rows told."""
+_known = local()
+"""The last two models of this thread: pairs may be believed noisy, and quiet again."""
 
 
 def forget() -> None:
     """As in a process that has not picked before; for tests and benchmarks."""
-    _last.model = None
+    _known.models = []
 
 
 def conditioned(
     places: Places, prior: TransferPrior, pairs: Pairs, y: Array, known: Array | None
-) -> Model:
-    """The model of the rows told; that of the last pick, if nothing was told since."""
-    model: Model | None = getattr(_last, "model", None)
-    if model is not None and _same(model.given, (places, prior, pairs, y, known)):
-        return model
-    believed, noise = likely_noise(places, prior, pairs, y, known)
-    told = TransferGP(places, believed, pairs, y, noise)
-    _last.model = model = Model((places, prior, pairs, y, known), told, bool(noise.any()))
+) -> Growing:
+    """The model of the rows told; that of the last pick grows, if it was of the first of them."""
+    believed, noise, scale = likely_noise(places, prior, pairs, y, known)
+    relative = noise / np.exp(_STEP * np.round(np.log(scale) / _STEP))
+    models = [one for one in getattr(_known, "models", ()) if one.grows_into(places, pairs)]
+    model = next((one for one in models if one.believes(believed, relative)), None)
+    if model is None:
+        model = Growing(places, believed, pairs, y, relative)
+    else:
+        models.remove(model)
+        model.tell(pairs[len(model.told) :], y, relative[len(model.told) :])
+    _known.models = [model, *models[:1]]
     return model
 
 
-def _same(one: tuple[Any, ...], other: tuple[Any, ...]) -> bool:
-    """Whether models of these facts are one."""
-    (places, prior, *arrays), (places2, prior2, *arrays2) = one, other
-    pairs = zip((places.x, places.z, *arrays), (places2.x, places2.z, *arrays2), strict=True)
-    return prior == prior2 and all(
-        a is b if a is None or b is None else np.array_equal(a, b) for a, b in pairs
-    )
+def expect(model: Growing, extra: Pairs) -> None:
+    """These pairs, of picks under way, are believed to give what is expected of them."""
+    before = model.believed
+    if not np.array_equal(before, extra[: len(before)]):
+        model.doubt()
+        before = extra[:0]
+    if len(before) < len(extra):
+        model.believe(extra[len(before) :])

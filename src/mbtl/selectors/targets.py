@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import Categorical
-from mbtl.models.relevance import Columns
+from mbtl.models.columns import Columns
 from mbtl.selectors.base import SelectionProblem
 
 Indices = NDArray[np.intp]
