@@ -15,11 +15,12 @@ from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.cli.run_steps import show as show_steps
-from mbtl.errors import InvalidInput, MbtlError, cannot_write, unknown_name
+from mbtl.errors import InvalidInput, MbtlError, StudyError, cannot_write, unknown_name
 from mbtl.report import summarise_study
 from mbtl.report.text import show_causes, show_summary
 from mbtl.selectors import get_selector
 from mbtl.study import SqlLog, Study, study_names
+from mbtl.study.database import shown
 from mbtl.study.listing import is_paid_in_steps
 from mbtl.study.steps.study import StepStudy
 from mbtl.study.steps.summary import counted
@@ -39,17 +40,20 @@ _Name = Annotated[
 
 @study_app.command("list")
 def list_studies(
-    folder: Annotated[
-        Path, typer.Argument(help="Folder that holds study folders, or one database.")
-    ] = Path("runs"),
+    place: Annotated[
+        str,
+        typer.Argument(metavar="FOLDER|URL", help="Folder of studies, or one database: file, URL."),
+    ] = "runs",
     as_json: JsonFlag = False,
 ) -> None:
-    """List the studies below a folder.
+    """List the studies below a folder, or of one database.
 
     Example: mbtl study list runs
+
+    Of a server: mbtl study list postgresql+psycopg://me@db/studies
     """
     rows: list[dict[str, Any]] = []
-    for database in [folder] if folder.is_file() else sorted(folder.glob("**/study.db")):
+    for database in _databases(place):
         with _reported(database):
             for name in study_names(database):
                 with _reported(database):
@@ -58,7 +62,9 @@ def list_studies(
         print_json(rows)
         return
     if not rows:
-        printer().print(f"no studies below {folder}; `mbtl run cartpole-length` makes one")
+        where = f"in {shown(place)}" if "://" in place else f"below {place}"
+        said = f"no studies {where}; `mbtl run cartpole-length` makes one"
+        printer().print(said, markup=False, highlight=False, soft_wrap=True)
         return
     table = Table(box=box.SIMPLE, show_edge=False)
     for head in ("study", "selector", "told", "failed", "V", "state"):
@@ -154,22 +160,37 @@ def export(
         printer().print(Text(f"wrote {len(state.rows)} transfer rows to {out}"))
 
 
+def _databases(place: str) -> list[str | Path]:
+    if "://" in place:
+        study_names(place)  # none there is no empty list
+        return [place]
+    folder = Path(place)
+    return [folder] if folder.is_file() else sorted(folder.glob("**/study.db"))
+
+
+def _shown_at(database: str | Path) -> str:
+    """What a user types for it."""
+    if isinstance(database, str):
+        return shown(database)
+    return str(database.parent if database.name == "study.db" else database)
+
+
 @contextmanager
-def _reported(database: Path) -> Iterator[None]:
+def _reported(database: str | Path) -> Iterator[None]:
     """A study that cannot be read does not hide the others."""
     try:
         yield
     except MbtlError as error:
-        console.print(f"{database.parent}: {error}", style="red", markup=False, soft_wrap=True)
+        console.print(f"{_shown_at(database)}: {error}", style="red", markup=False, soft_wrap=True)
 
 
-def _row(database: Path, name: str) -> dict[str, Any]:
+def _row(database: str | Path, name: str) -> dict[str, Any]:
     if (paid_in_steps := step_study(database, name)) is not None:
         return _step_row(paid_in_steps, database)
     study = open_study(database, name)
     state = study.state
     return {
-        "study": str(database.parent if database.name == "study.db" else database),
+        "study": _shown_at(database),
         "name": name,
         "problem": study.spec.problem,
         "selector": study.spec.selector["name"],
@@ -182,10 +203,10 @@ def _row(database: Path, name: str) -> dict[str, Any]:
     }
 
 
-def _step_row(study: StepStudy, database: Path) -> dict[str, Any]:
+def _step_row(study: StepStudy, database: str | Path) -> dict[str, Any]:
     summary = study.summary()
     return {
-        "study": str(database.parent if database.name == "study.db" else database),
+        "study": _shown_at(database),
         "name": study.name,
         "problem": summary.problem,
         "selector": summary.strategy,
@@ -210,6 +231,11 @@ def step_study(path: str | Path, name: str | None) -> StepStudy | None:
 def open_study(path: str | Path, name: str | None) -> Study:
     """A study for reading only: with any selector, so that one of the user's own opens too."""
     place, chosen = _place_of(path, name)
+    if step_study(place, chosen) is not None:
+        raise InvalidInput(
+            f"{_shown_at(place)} is paid in steps, and this command shows studies that are paid in "
+            "trainings; use `mbtl study show`"
+        )
     folder = None if isinstance(place, str) else place.parent
     return Study(SqlLog(place, chosen), get_selector("random"), folder=folder, name=chosen)
 
@@ -220,10 +246,13 @@ def _place_of(path: str | Path, name: str | None) -> tuple[str | Path, str]:
     if "://" not in str(path):
         place = Path(path) / "study.db" if Path(path).is_dir() else Path(path)
     names = study_names(place)
+    if not names:
+        raise StudyError(f"{shown(str(path))} holds no study; `mbtl run` makes one")
     if name is None and len(names) > 1:
         raise InvalidInput(
-            f"{path} holds {len(names)} studies ({', '.join(names)}); choose one with --name"
+            f"{shown(str(path))} holds {len(names)} studies ({', '.join(names)}); choose one with "
+            "--name"
         )
     if name is not None and name not in names:
         raise unknown_name("study", name, names)
-    return place, name or next(iter(names), "study")
+    return place, name or names[0]

@@ -10,13 +10,10 @@ from typing import Any
 import numpy as np
 
 from mbtl.contexts import Categorical, Log
+from mbtl.report.next_training import predicted
 from mbtl.report.subject import Subject
 from mbtl.routing import rank
 from mbtl.selectors.outlook import outlook
-
-ENOUGH = 0.005
-"""Gain in V that counts as a gain."""
-_INTERVAL = (0.1, 0.9)
 
 
 def content(subject: Subject) -> dict[str, Any]:
@@ -125,21 +122,7 @@ def _steps(subject: Subject) -> dict[str, Any]:
 
 
 def _next(subject: Subject) -> dict[str, Any] | None:
-    """Where one more training is predicted to gain most, by the model of `auto`."""
-    from mbtl.report.summary import one_more
-
-    coming = one_more(subject.problem, subject.history)
-    found = outlook(subject.problem, subject.history, "auto")
-    if coming is None or coming.acquisition is None or found is None or found.drawn is None:
+    found = predicted(subject.problem, subject.history, subject.space)
+    if found is None:
         return None
-    drawn = found.drawn(coming.source)
-    low, high = np.quantile(drawn, _INTERVAL)
-    return {
-        "source": coming.source,
-        "context": subject.space.describe(subject.space.context(coming.source)),
-        "gain": coming.acquisition,
-        "low": float(low),
-        "high": float(high),
-        "chance": float(np.mean(drawn >= ENOUGH)),
-        "enough": ENOUGH,
-    }
+    return {"source": found.source, "context": found.where, "said": str(found)}
