@@ -99,6 +99,14 @@ def test_a_page_is_written_to_a_path_given_as_text_and_to_no_folder(tmp_path):
         write_page(subjects, tmp_path)
 
 
+def test_no_score_is_shown_where_nothing_can_be_trained_any_more():
+    study = study_on(picks=4)
+    for j, gain in enumerate(content(of_study(study))["steps"]["gain"], 1):
+        taken = np.isin(np.arange(N), study.history.sources[:j])
+        assert np.isnan(gain[taken]).all()
+        assert np.isfinite(gain[~taken]).all()
+
+
 def test_the_runner_up_is_the_best_of_the_others():
     study = study_on(picks=3)
     served = content(of_study(study))["served"]

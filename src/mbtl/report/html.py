@@ -21,6 +21,11 @@ from mbtl.report.packing import compressed, packed
 from mbtl.report.subject import Subject
 from mbtl.version import __version__
 
+_SCORE = (
+    "The score is the gain in V by which contexts are ranked. It ranks well and promises too much; "
+    "what to train next, above, says what can be expected."
+)
+
 
 def write_page(
     subjects: Sequence[Subject], path: str | Path, *, refresh: float | None = None
@@ -106,7 +111,7 @@ def _article(i: int, item: dict[str, Any]) -> str:
             _next(item.get("next")),
             _section("policies", "Which policy serves which context", ""),
             _details("serving", "Every context: its policy, its performance, the runner-up"),
-            _section("model", f"What the model believed ({item['steps']['model']})", ""),
+            _section("model", f"What the model believed ({item['steps']['model']})", _SCORE),
             _section("heat", "Transfer: every policy on every context", ""),
         ]
         if len(item["axes"]) > 2:
