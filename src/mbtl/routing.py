@@ -35,6 +35,8 @@ _SAMPLE = 1000
 """Contexts that stand for all where more would have to be predicted, to say what V is."""
 _DRAWS = 1000
 """Samples of the served performance, for a V that is no plain mean of it."""
+_MANY = 1_000_000
+"""Episodes from which on Student's t is the Gaussian; a damaged file may name any number."""
 
 
 def routes(rows: Array, sources: Sequence[int], steps: Array) -> Indices:
@@ -240,7 +242,7 @@ def _tails(episodes: Sequence[int]) -> float:
     from scipy.special import stdtrit  # kept out of `import mbtl`
 
     told = [count for count in episodes if count > 1]
-    return float(stdtrit(min(told) - 1, 0.975)) / SURE if told else 1.0
+    return float(stdtrit(min(*told, _MANY) - 1, 0.975)) / SURE if told else 1.0
 
 
 class _After:

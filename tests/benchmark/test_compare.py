@@ -225,3 +225,12 @@ def test_wrong_use_is_refused_before_any_work(selectors, kwargs, error, match):
     with pytest.raises(error, match=match):
         compare(selectors, [WORLD], on_step=steps.append, **kwargs)
     assert steps == []
+
+
+def test_a_budget_beyond_several_matrices_names_them_all():
+    small = [
+        TransferMatrix.of(np.random.default_rng(n).normal(size=(1, n, n)), name=f"m{n}")
+        for n in (4, 6, 9)
+    ]
+    with pytest.raises(InvalidInput, match=r"7 is more than m4 \(4\), m6 \(6\).*take 4 or fewer"):
+        compare(["greedy"], small, budget=7)

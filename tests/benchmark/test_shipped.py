@@ -48,6 +48,12 @@ def test_ids_are_listed_and_a_near_miss_is_answered(tmp_path, matrix):
         load_matrix("cartpole-lenght", folder=tmp_path)
 
 
+@pytest.mark.parametrize("given", ["mine.npz", "."])
+def test_a_path_is_no_id_and_is_sent_to_what_opens_files(given):
+    with pytest.raises(InvalidInput, match=r"open a file with mbtl\.TransferMatrix\.load"):
+        load_matrix(given)
+
+
 def test_a_missing_matrix_says_how_to_get_one(tmp_path):
     with pytest.raises(UnknownName, match="holds none"):
         load_matrix("no-such-cmdp", folder=tmp_path)

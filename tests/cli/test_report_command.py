@@ -65,6 +65,8 @@ def test_a_live_page_is_written_until_the_study_is_finished(
         (["s", "-o", "page.txt"], "ends in .html"),
         (["s", "--live", "0"], "2 seconds or more"),
         (["pendulum-length", "--seed", "7"], "--seed must be from 0 to 2"),
+        (["pendulum-length", "--name", "s"], "--name is of a study, and no study is given"),
+        (["s", "--name", "t"], "no study is called 't'. Known: s."),
     ],
 )
 def test_a_mistake_costs_one_line(mbtl_command, stored, arguments, said):
@@ -72,6 +74,43 @@ def test_a_mistake_costs_one_line(mbtl_command, stored, arguments, said):
     assert (code, out) == (2, "")
     assert said in " ".join(err.split())
     assert "Traceback" not in err
+
+
+def test_a_database_of_several_studies_shows_those_that_are_named(mbtl_command, tmp_path, stored):
+    for name in ("second", "third"):
+        database = tmp_path / "s" / "study.db"
+        tell_one(mbtl.create_study(SPACE, budget=1, bounds=(0, 1), storage=database, name=name))
+    url = f"sqlite:///{tmp_path}/s/study.db"
+    code, _, err = mbtl_command("report", url)
+    assert code == 2
+    assert "holds 3 studies (s, second, third); choose one with --name" in " ".join(err.split())
+    chosen = ["--name", "third", "--name", "s", "--json"]
+    code, out, err = mbtl_command("report", url, *chosen)
+    assert code == 0, err
+    assert json.loads(out)["subjects"] == ["third", "s"]
+
+
+def test_a_folder_without_a_study_says_what_it_holds(mbtl_command, tmp_path, stored):
+    code, _, err = mbtl_command("report", ".")
+    assert code == 1
+    assert "give one of those below: s" in " ".join(err.split())
+    (tmp_path / "matrices").mkdir()
+    (tmp_path / "matrices" / "m.npz").touch()
+    for command in (["report", "matrices"], ["bench", "--matrix", "matrices"]):
+        code, _, err = mbtl_command(*command)
+        assert code == 2
+        assert "matrices is a folder; give one that it holds: m.npz" in " ".join(err.split())
+
+
+def test_a_study_paid_in_steps_is_sent_to_the_command_that_shows_it(mbtl_command, tmp_path):
+    mbtl.create_study(
+        SPACE, cost="steps", budget=1000, bounds=(0, 1), lengths=[10], episodes=2, horizon=5,
+        storage=tmp_path / "s.db",
+    )  # fmt: skip
+    for command in ("report", "watch"):
+        code, _, err = mbtl_command(command, "s.db")
+        assert code == 2
+        assert "use `mbtl study show`" in " ".join(err.split())
 
 
 def test_watching_prints_the_state_once_where_there_is_no_terminal(mbtl_command, stored):

@@ -58,6 +58,14 @@ def test_run_again_prints_the_summary_and_trains_nothing(mbtl_command, own):
     assert json.loads(out) == first
 
 
+def test_a_larger_budget_goes_on_and_is_announced(mbtl_command, own):
+    assert mbtl_command("run", own, "--budget", "2")[0] == 0
+    code, out, err = mbtl_command("run", own, "--budget", "3", "--json")
+    assert code == 0, err
+    assert len(json.loads(out)["picks"]) == 3
+    assert "K = 3 (raised from 2)" in " ".join(err.split())
+
+
 RENAMED = """
 from dataclasses import replace
 from own import problem

@@ -10,7 +10,8 @@ import pytest
 
 import mbtl
 from mbtl.benchmark import TransferMatrix
-from mbtl.report import of_matrix, of_study, page
+from mbtl.errors import InvalidInput
+from mbtl.report import next_training, of_matrix, of_study, page, write_page
 from mbtl.report.content import content
 from mbtl.report.packing import packed, quantised
 
@@ -87,9 +88,23 @@ def test_the_page_holds_the_numbers_of_the_study():
     assert [pick["gained"] for pick in item["picks"]][1:] == pytest.approx(np.diff(study.curve))
     assert item["axes"][0]["log"]
     assert item["steps"]["model"] == "mbtl"
-    coming = item["next"]
-    assert coming["low"] <= coming["high"]
-    assert 0 <= coming["chance"] <= 1
+    assert item["next"]["source"] not in study.history.sources
+    assert item["next"]["said"] == str(next_training(study))
+
+
+def test_a_page_is_written_to_a_path_given_as_text_and_to_no_folder(tmp_path):
+    subjects = [of_study(study_on(picks=1))]
+    assert write_page(subjects, f"{tmp_path}/a/page.html").read_text().startswith("<!doctype html>")
+    with pytest.raises(InvalidInput, match=r"is a folder; give .*report\.html"):
+        write_page(subjects, tmp_path)
+
+
+def test_no_score_is_shown_where_nothing_can_be_trained_any_more():
+    study = study_on(picks=4)
+    for j, gain in enumerate(content(of_study(study))["steps"]["gain"], 1):
+        taken = np.isin(np.arange(N), study.history.sources[:j])
+        assert np.isnan(gain[taken]).all()
+        assert np.isfinite(gain[~taken]).all()
 
 
 def test_the_runner_up_is_the_best_of_the_others():

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import mbtl
-from mbtl.report import reference_curves, summarise_study
+from mbtl.report import next_training, reference_curves, summarise_study
 from mbtl.report.summary import policies_enough
 from mbtl.report.text import lines
 
@@ -45,6 +45,31 @@ def test_one_more_training_is_predicted_beyond_a_spent_budget_until_no_context_i
         study.tell(source, row(source))
     summary = summarise_study(study)
     assert (summary.next_source, summary.next_gain) == (None, None)
+
+
+def test_the_next_training_says_what_it_adds_and_how_sure_that_is():
+    study = study_of(4)
+    found, summary = next_training(study), summarise_study(study)
+    assert (found.source, found.gain) == (summary.next_source, summary.next_gain)
+    assert found.context == SPACE.context(found.source)
+    assert 0.0 <= found.low <= found.high <= 0.9 - summary.value + 0.1
+    assert 0.0 <= found.chance <= 1.0
+    assert f"between {found.low:.4f} and {found.high:.4f}" in str(found)
+    assert next_training(study_of(0)) is None
+
+
+def test_nothing_to_gain_is_said_so():
+    study = mbtl.create_study(SPACE, budget=6, bounds=(0.0, 1.0))
+    for source in (3, 9, 15):
+        study.tell(source, np.ones(N))
+    assert str(next_training(study)) == "One more training is predicted to add nothing to V."
+
+
+def test_the_worst_served_context_is_named():
+    study = study_of(2)  # at 9 and 19: context 0 is farthest from both
+    summary = summarise_study(study)
+    assert (summary.worst_context, summary.worst_context_value) == (0, pytest.approx(0.72))
+    assert "; the worst context, x = 0 m, at 0.7200." in " ".join(lines(summary, SPACE))
 
 
 def test_a_study_without_rows_has_a_summary():

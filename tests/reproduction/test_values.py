@@ -94,6 +94,17 @@ def test_greedy_is_left_out_where_it_cannot_run(tmp_path):
     assert values["mbtl"] == Value(1.0, None)  # of one seed there is no deviation
 
 
+def test_the_share_that_is_closed_at_each_budget_is_a_ratio_of_mean_gains(folder):
+    case, closed = bench(folder).case(ID), items_named(["curves"])[0].tables
+    table = closed(computed("curves", folder, ID))["closed"]
+    assert table.head == ("k", "Greedy", "MBTL", "auto")
+    means = {name: curve.mean(axis=0) for name, curve in case.curves.items()}
+    room = means["sequential_oracle"] - means["random"]
+    for k, *shares in table.rows:
+        expected = [means[n][k - 1] - means["random"][k - 1] for n in ("greedy", "mbtl", "auto")]
+        assert np.multiply(shares, room[k - 1]) == pytest.approx(expected)
+
+
 def test_fewer_sources_than_targets_are_enough_for_every_item(tmp_path):
     returns = np.stack([100 - 10.0 * np.abs(np.arange(8) - s) for s in (0, 2, 4, 6)])[None]
     matrix = TransferMatrix.of(returns.repeat(2, 0), sources=[0, 2, 4, 6], bounds=(0, 100))

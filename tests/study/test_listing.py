@@ -56,3 +56,43 @@ def test_what_is_not_there_or_is_run_is_not_deleted(tmp_path):
     with pytest.raises(mbtl.StudyError, match="holds 2 studies"):
         mbtl.delete_study(tmp_path)
     mbtl.delete_study(tmp_path, "mine")
+
+
+def test_what_is_not_a_database_is_said_without_the_password():
+    for url, said in (
+        ("psql://me:secret@host/x", "a URL such as postgresql"),
+        ("mysql+nothing://me:secret@host/x", "a URL such as postgresql"),
+    ):
+        with pytest.raises(mbtl.StorageError, match=said) as caught:
+            mbtl.load_study(url)
+        assert "secret" not in str(caught.value)
+
+
+def test_a_driver_that_is_missing_is_named_with_its_fix(monkeypatch):
+    def missing(*args, **kwargs):
+        raise ModuleNotFoundError("No module named 'psycopg'", name="psycopg")
+
+    monkeypatch.setattr("sqlalchemy.create_engine", missing)
+    with pytest.raises(mbtl.MissingExtra, match=r"pip install 'mbtl\[cluster\]'") as caught:
+        mbtl.load_study("postgresql+psycopg://me:secret@host/x")
+    assert "secret" not in str(caught.value)
+
+
+def test_a_folder_is_no_database_and_names_the_studies_below(tmp_path):
+    with pytest.raises(mbtl.StorageError, match=r"is a folder; give .*study\.db"):
+        mbtl.create_study(quick_problem.SPACE, budget=1, storage=tmp_path)
+    (tmp_path / "a").mkdir()
+    study_at(tmp_path / "a", "one")
+    with pytest.raises(mbtl.StorageError, match=r"one of those below: .*/a$"):
+        mbtl.load_study(tmp_path)
+
+
+def test_a_larger_budget_is_known_to_be_raised(tmp_path):
+    study_at(tmp_path, "one")
+    study = mbtl.create_study(
+        quick_problem.SPACE, budget=4, bounds=(-40.0, 0.0), selector="equidistant",
+        storage=tmp_path / "study.db", name="one", load_if_exists=True,
+    )  # fmt: skip
+    assert (study.spec.budget, study.state.first_budget) == (4, BUDGET)
+    study.extend(5)
+    assert mbtl.load_study(tmp_path).state.first_budget == BUDGET

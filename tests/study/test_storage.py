@@ -86,7 +86,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
 
 
 def test_an_unknown_url_is_refused():
-    with pytest.raises(StorageError, match="SQLAlchemy URL"):
+    with pytest.raises(StorageError, match="a URL such as postgresql"):
         SqlLog("nosuchdb://x", "a", create=True)
 
 

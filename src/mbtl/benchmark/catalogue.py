@@ -27,6 +27,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.benchmark.base import RowSource
 from mbtl.benchmark.matrix import TransferMatrix
+from mbtl.benchmark.npz import a_folder
 from mbtl.benchmark.shipped import load_by_id, shipped_matrices
 from mbtl.benchmark.synthetic import SyntheticWorld, linear_gap_world
 from mbtl.errors import InvalidInput, unknown_name
@@ -129,6 +130,8 @@ def open_matrix(name: str | Path) -> RowSource:
         return synthetic_world(text)
     if isinstance(name, Path) or text.endswith(".npz"):
         return TransferMatrix.load(text, name=text)
+    if Path(text).is_dir() and text not in shipped_matrices():
+        raise a_folder(Path(text))
     return load_by_id(text)
 
 

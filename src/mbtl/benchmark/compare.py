@@ -81,6 +81,7 @@ def compare(
         raise InvalidInput(f"seeds must be at least 1, got {seeds}")
     sources = open_matrices(matrices)
     entrants = _entrants(selectors)
+    _check_budget(sources, budget)
     problems = {name: _problem(name, source, budget) for name, source in sources.items()}
     for name, problem in problems.items():
         _check_runnable(entrants, name, problem)
@@ -182,6 +183,17 @@ def _selector(given: str | Selector) -> Selector:
         if ":" in str(given):  # of a user's own, whose names are not ours
             raise
         raise unknown_name("selector", str(given), [*selector_names(), ORACLE]) from None
+
+
+def _check_budget(sources: Mapping[str, RowSource], budget: int) -> None:
+    """Name every matrix that is too small at once."""
+    sizes = {name: len(source.problem(1).sources) for name, source in sources.items()}
+    small = [f"{name} ({size})" for name, size in sizes.items() if size < budget]
+    if len(small) > 1:
+        raise InvalidInput(
+            f"budget must be at most the number of contexts, and {budget} is more than "
+            f"{', '.join(small)} have; take {min(sizes.values())} or fewer, or leave those out"
+        )
 
 
 def _problem(name: str, source: RowSource, budget: int) -> SelectionProblem:

@@ -14,6 +14,9 @@ from mbtl.errors import InvalidInput
 from mbtl.files import whole_file
 from mbtl.untrusted import read_arrays, read_json
 
+_NAMED = 3
+"""Most files that an error names."""
+
 LONGEST_TEXT = 50_000_000
 """Characters of a record; a longer one is no record of ours."""
 
@@ -30,6 +33,8 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
             return read_arrays(file)
     except FileNotFoundError:
         raise InvalidInput(f"there is no file {path}; give the path of an .npz file") from None
+    except IsADirectoryError:
+        raise a_folder(path) from None
     except OSError as error:
         raise InvalidInput(f"{path} cannot be read ({error.strerror or error})") from error
     except ValueError as error:
@@ -37,6 +42,18 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
             f"{path} must be an .npz file of plain numbers (no pickled objects), got {error}; "
             "write it with numpy.savez(path, returns=...)"
         ) from error
+
+
+def a_folder(path: Path) -> InvalidInput:
+    """Build the error for a folder where one file is wanted."""
+    inside = sorted(file.name for file in path.glob("*.npz"))
+    more = ", ..." if len(inside) > _NAMED else ""
+    holds = (
+        f"give one that it holds: {', '.join(inside[:_NAMED])}{more}"
+        if inside
+        else ("give the path of one, such as mine.npz")
+    )
+    return InvalidInput(f"a matrix is an .npz file, and {path} is a folder; {holds}")
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -70,11 +70,13 @@ def load_by_id(name: str, *, folder: str | Path | None = None) -> TransferMatrix
     if name not in files:
         where = "this version of mbtl ships" if folder is None else f"{folder} holds"
         hint = f"Known: {', '.join(sorted(files))}." if files else f"So far {where} none."
+        if str(name).endswith(".npz") or Path(name).is_dir():
+            raise InvalidInput(
+                f"load_matrix takes the id of a shipped matrix, got the path {str(name)!r}; open a "
+                "file with mbtl.TransferMatrix.load"
+            )
         raise unknown_name(
-            "transfer matrix",
-            name,
-            files,
-            hint=f"{hint} Give the path of an .npz file.",
+            "transfer matrix", name, files, hint=f"{hint} Give the path of an .npz file."
         )
     by_seed = files[name]
     parts = [TransferMatrix.load(by_seed[seed], name=name) for seed in sorted(by_seed)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import typer
 from rich.text import Text
 
 from mbtl.benchmark import TransferMatrix, open_matrix, shipped_matrices
+from mbtl.benchmark.npz import a_folder
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.cli.study import open_study
 from mbtl.errors import InvalidInput, unknown_name
@@ -24,9 +26,13 @@ def report(
         list[str],
         typer.Argument(
             metavar="STUDY|MATRIX...",
-            help="Folders or files of studies, .npz files, ids of shipped matrices.",
+            help="Folders, files or URLs of studies, .npz files, ids of shipped matrices.",
         ),
     ],
+    name: Annotated[
+        list[str] | None,
+        typer.Option(help="Name of a study, where its database holds several; repeat for more."),
+    ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")] = Path("report.html"),
     selector: Annotated[
         str, typer.Option(help="Rule that is replayed on a matrix; of a study its own is shown.")
@@ -49,12 +55,16 @@ def report(
     training, what to train next, costs and provenance. Send it to anybody; it needs no network.
 
     Example: mbtl report runs/cartpole-length-quick-seed0 pendulum-length -o report.html
+
+    Of a server: mbtl report postgresql+psycopg://me@db/studies --name first --name second
     """
     if out.suffix != ".html" or out.is_dir():
         raise InvalidInput(f"--out must be a file that ends in .html, got {str(out)!r}")
     if live is not None and live < _LEAST:
         raise InvalidInput(f"--live takes {_LEAST:g} seconds or more, got {live:g}")
-    opened = [_open(name) for name in subjects]
+    opened = [one for subject in subjects for one in _open(subject, name or [None])]
+    if name and not any(isinstance(one, Study) for one in opened):
+        raise InvalidInput(f"--name is of a study, and no study is given, got {name[0]!r}")
 
     def made() -> list[Subject]:
         return [
@@ -79,18 +89,19 @@ def report(
         printer().print(Text(f"wrote {out} ({size / 1e6:.1f} MB); open it in a browser"))
 
 
-def _open(name: str) -> Study | TransferMatrix:
-    path = Path(name)
-    if "://" in name:
-        return open_study(name, None)
-    if path.suffix != ".npz" and path.exists():
-        return open_study(path, None)
-    if path.suffix == ".npz" or name in shipped_matrices():
-        found = open_matrix(name)
+def _open(given: str, names: Sequence[str | None]) -> Sequence[Study | TransferMatrix]:
+    """A matrix, or the studies of these names; None: the only one."""
+    path = Path(given)
+    if path.suffix == ".npz" or (given in shipped_matrices() and not path.exists()):
+        found = open_matrix(given)
         assert isinstance(found, TransferMatrix)
-        return found
+        return [found]
+    if path.is_dir() and not (path / "study.db").exists() and any(path.glob("*.npz")):
+        raise a_folder(path)
+    if "://" in given or path.exists():
+        return [open_study(given, name) for name in names]
     raise unknown_name(
-        "study or matrix", name, shipped_matrices(),
+        "study or matrix", given, shipped_matrices(),
         hint="Give the folder of a study, an .npz file, or an id that `mbtl matrix list` shows.",
     )  # fmt: skip
 

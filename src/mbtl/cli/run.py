@@ -282,8 +282,10 @@ def _announce(study: Study, folder: Path) -> None:
     going_on = (
         f", going on after {done} of {budget} trainings" if done and not study.is_finished else ""
     )
+    first = study.state.first_budget
+    raised = "" if first is None else f" (raised from {first})"
     console.print(
-        f"{study.spec.problem}: {study.space!r}, K = {budget}, study in {folder}{going_on}",
+        f"{study.spec.problem}: {study.space!r}, K = {budget}{raised}, study in {folder}{going_on}",
         markup=False,
         highlight=False,
         soft_wrap=True,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,7 +15,7 @@ from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.cli.run_steps import show as show_steps
-from mbtl.errors import InvalidInput, MbtlError, cannot_write, unknown_name
+from mbtl.errors import InvalidInput, MbtlError, StudyError, cannot_write, unknown_name
 from mbtl.report import summarise_study
 from mbtl.report.text import show_causes, show_summary
 from mbtl.selectors import get_selector
@@ -41,17 +41,20 @@ _Name = Annotated[
 @study_app.command("list")
 def list_studies(
     place: Annotated[
-        str, typer.Argument(help="Folder that holds study folders, one database, or a URL.")
+        str,
+        typer.Argument(metavar="FOLDER|URL", help="Folder of studies, or one database: file, URL."),
     ] = "runs",
     as_json: JsonFlag = False,
 ) -> None:
     """List the studies below a folder, or of one database.
 
     Example: mbtl study list runs
+
+    Of a server: mbtl study list postgresql+psycopg://me@db/studies
     """
     rows: list[dict[str, Any]] = []
     for database in _databases(place):
-        with _reported(database) if isinstance(database, Path) else nullcontext():
+        with _reported(database):
             for name in study_names(database):
                 with _reported(database):
                     rows.append(_row(database, name))
@@ -59,7 +62,9 @@ def list_studies(
         print_json(rows)
         return
     if not rows:
-        printer().print(f"no studies below {shown(place)}; `mbtl run cartpole-length` makes one")
+        where = f"in {shown(place)}" if "://" in place else f"below {place}"
+        said = f"no studies {where}; `mbtl run cartpole-length` makes one"
+        printer().print(said, markup=False, highlight=False, soft_wrap=True)
         return
     table = Table(box=box.SIMPLE, show_edge=False)
     for head in ("study", "selector", "told", "failed", "V", "state"):
@@ -155,12 +160,19 @@ def export(
         printer().print(Text(f"wrote {len(state.rows)} transfer rows to {out}"))
 
 
-def _databases(place: str) -> list[Path] | list[str]:
-    """The URL itself, or all files of studies at a path."""
+def _databases(place: str) -> list[str | Path]:
     if "://" in place:
+        study_names(place)  # none there is no empty list
         return [place]
-    path = Path(place)
-    return [path] if path.is_file() else sorted(path.glob("**/study.db"))
+    folder = Path(place)
+    return [folder] if folder.is_file() else sorted(folder.glob("**/study.db"))
+
+
+def _shown_at(database: str | Path) -> str:
+    """What a user types for it."""
+    if isinstance(database, str):
+        return shown(database)
+    return str(database.parent if database.name == "study.db" else database)
 
 
 @contextmanager
@@ -169,15 +181,7 @@ def _reported(database: str | Path) -> Iterator[None]:
     try:
         yield
     except MbtlError as error:
-        where = _where(database)
-        console.print(f"{where}: {error}", style="red", markup=False, soft_wrap=True)
-
-
-def _where(database: str | Path) -> str:
-    """What other commands take in its place; a URL is shown without its password."""
-    if isinstance(database, str):
-        return shown(database)
-    return str(database.parent if database.name == "study.db" else database)
+        console.print(f"{_shown_at(database)}: {error}", style="red", markup=False, soft_wrap=True)
 
 
 def _row(database: str | Path, name: str) -> dict[str, Any]:
@@ -186,7 +190,7 @@ def _row(database: str | Path, name: str) -> dict[str, Any]:
     study = open_study(database, name)
     state = study.state
     return {
-        "study": _where(database),
+        "study": _shown_at(database),
         "name": name,
         "problem": study.spec.problem,
         "selector": study.spec.selector["name"],
@@ -202,7 +206,7 @@ def _row(database: str | Path, name: str) -> dict[str, Any]:
 def _step_row(study: StepStudy, database: str | Path) -> dict[str, Any]:
     summary = study.summary()
     return {
-        "study": _where(database),
+        "study": _shown_at(database),
         "name": study.name,
         "problem": summary.problem,
         "selector": summary.strategy,
@@ -227,6 +231,11 @@ def step_study(path: str | Path, name: str | None) -> StepStudy | None:
 def open_study(path: str | Path, name: str | None) -> Study:
     """A study for reading only: with any selector, so that one of the user's own opens too."""
     place, chosen = _place_of(path, name)
+    if step_study(place, chosen) is not None:
+        raise InvalidInput(
+            f"{_shown_at(place)} is paid in steps, and this command shows studies that are paid in "
+            "trainings; use `mbtl study show`"
+        )
     folder = None if isinstance(place, str) else place.parent
     return Study(SqlLog(place, chosen), get_selector("random"), folder=folder, name=chosen)
 
@@ -237,10 +246,13 @@ def _place_of(path: str | Path, name: str | None) -> tuple[str | Path, str]:
     if "://" not in str(path):
         place = Path(path) / "study.db" if Path(path).is_dir() else Path(path)
     names = study_names(place)
+    if not names:
+        raise StudyError(f"{shown(str(path))} holds no study; `mbtl run` makes one")
     if name is None and len(names) > 1:
         raise InvalidInput(
-            f"{path} holds {len(names)} studies ({', '.join(names)}); choose one with --name"
+            f"{shown(str(path))} holds {len(names)} studies ({', '.join(names)}); choose one with "
+            "--name"
         )
     if name is not None and name not in names:
         raise unknown_name("study", name, names)
-    return place, name or next(iter(names), "study")
+    return place, name or names[0]

@@ -10,13 +10,10 @@ from typing import Any
 import numpy as np
 
 from mbtl.contexts import Categorical, Log
+from mbtl.report.next_training import predicted
 from mbtl.report.subject import Subject
 from mbtl.routing import rank
 from mbtl.selectors.outlook import outlook
-
-ENOUGH = 0.005
-"""Gain in V that counts as a gain."""
-_INTERVAL = (0.1, 0.9)
 
 
 def content(subject: Subject) -> dict[str, Any]:
@@ -120,26 +117,14 @@ def _steps(subject: Subject) -> dict[str, Any]:
         if found is not None:
             means[j - 1], stds[j - 1], gains[j - 1] = found.mean, found.std, found.gain
             model = found.model
+        if subject.problem.repeats == 1:  # nothing is proposed again
+            gains[j - 1, list(subject.history.sources[:j])] = np.nan
     served = np.fmax.accumulate(subject.history.rows, axis=0)
     return {"model": model, "mean": means, "std": stds, "gain": gains, "served": served}
 
 
 def _next(subject: Subject) -> dict[str, Any] | None:
-    """Where one more training is predicted to gain most, by the model of `auto`."""
-    from mbtl.report.summary import one_more
-
-    coming = one_more(subject.problem, subject.history)
-    found = outlook(subject.problem, subject.history, "auto")
-    if coming is None or coming.acquisition is None or found is None or found.drawn is None:
+    found = predicted(subject.problem, subject.history, subject.space)
+    if found is None:
         return None
-    drawn = found.drawn(coming.source)
-    low, high = np.quantile(drawn, _INTERVAL)
-    return {
-        "source": coming.source,
-        "context": subject.space.describe(subject.space.context(coming.source)),
-        "gain": coming.acquisition,
-        "low": float(low),
-        "high": float(high),
-        "chance": float(np.mean(drawn >= ENOUGH)),
-        "enough": ENOUGH,
-    }
+    return {"source": found.source, "context": found.where, "said": str(found)}

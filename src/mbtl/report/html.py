@@ -14,16 +14,22 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from mbtl.errors import missing_extra
+from mbtl.errors import InvalidInput, missing_extra
 from mbtl.files import whole_file
 from mbtl.report.content import content
 from mbtl.report.packing import compressed, packed
 from mbtl.report.subject import Subject
-from mbtl.report.text import NOTHING
 from mbtl.version import __version__
 
+_SCORE = (
+    "The score is the gain in V by which contexts are ranked. It ranks well and promises too much; "
+    "what to train next, above, says what can be expected."
+)
 
-def write_page(subjects: Sequence[Subject], path: Path, *, refresh: float | None = None) -> Path:
+
+def write_page(
+    subjects: Sequence[Subject], path: str | Path, *, refresh: float | None = None
+) -> Path:
     """Write a report of one or more subjects.
 
     Args:
@@ -32,9 +38,13 @@ def write_page(subjects: Sequence[Subject], path: Path, *, refresh: float | None
         refresh: seconds after which the page loads itself again; None: it is final.
 
     Raises:
+        InvalidInput: the path is a folder.
         MissingExtra: plotly is not installed.
         StorageError: the file cannot be written.
     """
+    path = Path(path)
+    if path.is_dir():
+        raise InvalidInput(f"a page is a file, and {path} is a folder; give {path / 'report.html'}")
     text = page(subjects, refresh=refresh)
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as file:
@@ -101,7 +111,7 @@ def _article(i: int, item: dict[str, Any]) -> str:
             _next(item.get("next")),
             _section("policies", "Which policy serves which context", ""),
             _details("serving", "Every context: its policy, its performance, the runner-up"),
-            _section("model", f"What the model believed ({item['steps']['model']})", ""),
+            _section("model", f"What the model believed ({item['steps']['model']})", _SCORE),
             _section("heat", "Transfer: every policy on every context", ""),
         ]
         if len(item["axes"]) > 2:
@@ -165,19 +175,7 @@ def _picks(picks: list[dict[str, Any]]) -> str:
 def _next(coming: dict[str, Any] | None) -> str:
     if coming is None:
         return ""
-    text = "One more training is predicted to add nothing to V."
-    if coming["gain"] > NOTHING:
-        text = _promise(coming)
-    return f"<section><h2>What to train next</h2><p>{html.escape(text)}</p></section>"
-
-
-def _promise(coming: dict[str, Any]) -> str:
-    return (
-        f"The most promising training is at {coming['context']}. It is predicted to add "
-        f"{coming['gain']:.4f} to V; the model gives 80 % to a gain between {coming['low']:.4f} "
-        f"and {coming['high']:.4f}, and {100 * coming['chance']:.0f} % to a gain of "
-        f"{coming['enough']:g} or more."
-    )
+    return f"<section><h2>What to train next</h2><p>{html.escape(coming['said'])}</p></section>"
 
 
 def _costs(item: dict[str, Any]) -> str:

@@ -173,6 +173,9 @@ def of_matrix(
         baselines[name] = np.array([run.performance for run in runs if run.selector == name])
     values = measured_curve(matrix, seed, history.sources)
     level = known[seed].levels
+    routing = Routing(matrix.space, history.sources, history.rows)
+    served = routing.served
+    worst = int(served.argmin())
     rows = {NAMES.get(n, n): v for n, v in known[seed].rows.items()}
     sentences = [
         f"{rule.name} reaches V = {values[-1]:.4f} with {len(values)} trainings on seed {seed}; "
@@ -180,6 +183,8 @@ def of_matrix(
         f"{known[seed].oracle.curve[-1]:.4f}.",
         f"One policy per context gives {level.independent:.4f}, all policies together "
         f"{level.oracle_transfer:.4f}, one policy of a random context {level.grand_mean:.4f}.",
+        f"The worst-served context is {matrix.space.describe(matrix.space.context(worst))}, at "
+        f"{served[worst]:.4f}.",
         *([f"Note: {matrix.caveat}."] if matrix.caveat else []),
     ]
     return Subject(
@@ -189,7 +194,7 @@ def of_matrix(
         matrix.space,
         problem,
         history,
-        Routing(matrix.space, history.sources, history.rows),
+        routing,
         values,
         "episodes that chose nothing" if matrix.measures_apart else "the episodes that chose",
         tuple(picks),

@@ -6,17 +6,16 @@ one: the rows that chose the routes are noisy, so their own maximum is biased up
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.history import History
 from mbtl.objective import value, worst_share_mean
+from mbtl.report.next_training import one_more
 from mbtl.routing import Routing, Valuation
-from mbtl.selectors import Auto, Exhausted, Proposal, SelectionProblem
 from mbtl.study import Study
 from mbtl.study.fresh import fresh_value
 
@@ -78,6 +77,8 @@ class StudySummary:
         fresh_episodes: how many fresh episodes each context was played; None where unknown.
         worst_tenth: mean performance of the tenth of the contexts, by weight, served worst;
             on fresh episodes where there are any.
+        worst_context: the one served worst of all, on the same episodes.
+        worst_context_value: the performance there.
         best_single: source of the best single policy.
         best_single_value: its own V, by the same rows.
         single_gain: V less that.
@@ -105,6 +106,8 @@ class StudySummary:
     fresh_margin: float | None
     fresh_episodes: int | None
     worst_tenth: float | None
+    worst_context: int | None
+    worst_context_value: float | None
     best_single: int | None
     best_single_value: float | None
     single_gain: float | None
@@ -178,6 +181,7 @@ def summarise_study(study: Study) -> StudySummary:
     now, best_single = routing.value, int(routing.singles.argmax())
     over = routing.gain_over(best_single)
     served = routing.served if fresh is None else fresh.served[-1]
+    worst = int(served.argmin())
     coming = one_more(study.problem, history)
     return StudySummary(
         **common,
@@ -189,6 +193,8 @@ def summarise_study(study: Study) -> StudySummary:
         fresh_margin=None if fresh is None else fresh.margin(),
         fresh_episodes=None if fresh is None else fresh.episodes,
         worst_tenth=float(worst_share_mean(served, weights, TENTH)),
+        worst_context=worst,
+        worst_context_value=float(served[worst]),
         best_single=history.sources[best_single],
         best_single_value=float(routing.singles[best_single]),
         single_gain=over.value,
@@ -205,15 +211,6 @@ def _margin(found: Valuation, routing: Routing) -> float | None:
     if found.error == 0.0 and not routing.noise_is_known:
         return None
     return found.margin
-
-
-def one_more(problem: SelectionProblem, history: History) -> Proposal | None:
-    """What `auto` would train if there were budget for one more; None if no context is left."""
-    try:
-        asked = replace(problem, costs=None, cost_budget=None, least_gain=None)
-        return Auto(cover=0).propose(asked, history, np.random.default_rng(0))
-    except Exhausted:
-        return None
 
 
 def policies_enough(

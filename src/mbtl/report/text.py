@@ -8,10 +8,8 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.contexts import ContextSpace
+from mbtl.report.next_training import NOTHING
 from mbtl.report.summary import StudySummary
-
-NOTHING = 5e-5
-"""A gain that prints as 0."""
 
 
 def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) -> None:
@@ -76,6 +74,11 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
         by = "those that chose" if summary.fresh_value is None else "the fresh ones"
         out.append(
             f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}, on {by}."
+        )
+    if summary.worst_context is not None and summary.worst_context_value is not None:
+        where = space.describe(space.context(summary.worst_context))
+        out[-1] = (
+            f"{out[-1][:-1]}; the worst context, {where}, at {summary.worst_context_value:.4f}."
         )
     out.append(summary.verdict)
     if summary.next_source is not None and summary.next_gain is not None:

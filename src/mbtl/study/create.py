@@ -17,6 +17,7 @@ from mbtl.plain import finite, real, short, text, whole
 from mbtl.selectors import Selector, get_selector, selector_names
 from mbtl.settings import as_json, first_difference
 from mbtl.study.checks import check_spec
+from mbtl.study.database import shown
 from mbtl.study.described import FROM, describe_selector, without_origin
 from mbtl.study.events import Event
 from mbtl.study.given import (
@@ -36,7 +37,7 @@ from mbtl.study.state import StudyState, replay
 from mbtl.study.steps.create import create_step_study
 from mbtl.study.steps.strategies import DEFAULT
 from mbtl.study.steps.study import StepStudy
-from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog, study_names
+from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog
 from mbtl.study.study import Study
 from mbtl.study.wishes import Stopping, objective_of, stopping_of
 from mbtl.trainer import Trainer
@@ -183,7 +184,8 @@ def create_study(
         name: name of the study within its storage.
         problem: id of the problem, to refuse a study of another one.
         settings: JSON-able record of the recipe, to refuse a study of another; added to the CMDP's.
-        load_if_exists: go on with a study of this name and settings; a larger budget extends it.
+        load_if_exists: go on with a study of this name and settings. A larger budget raises that of
+            the study, which goes on even if it was finished; a smaller one is refused.
         cost: what the budget counts: "trainings", or environment "steps", all in. The latter makes
             a `StepStudy`, which takes what follows, and no selector, objective, stopping rule,
             costs, repeats, risk or targets.
@@ -287,8 +289,8 @@ def create_study(
         study = Study(log, chosen, folder=folder, name=name, trainer=trainer)
         if not load_if_exists:
             raise StudyError(
-                f"a study named {name!r} exists in {storage}; pass load_if_exists=True to go on "
-                "with it, or choose another name"
+                f"a study named {name!r} exists in {shown(str(storage))}; pass load_if_exists=True "
+                "to go on with it, or choose another name"
             ) from None
         _check_same(study.state, spec)
         if spec.budget > study.spec.budget:
@@ -333,7 +335,7 @@ def load_study(
     log = SqlLog(place, name)
     events = log.read()
     if not events:
-        raise StudyError(f"there is no study {name!r} in {place}; it holds {study_names(place)}")
+        raise StudyError(f"there is no study {name!r} in {shown(place)}")
     state = replay(events)
     spec = state.spec
     assert spec is not None

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbtl.errors import InvalidInput, StorageError, Unreachable
+from mbtl.errors import InvalidInput, MissingExtra, StorageError, Unreachable
 
 if TYPE_CHECKING:
     from sqlalchemy import Engine, Table
@@ -18,6 +18,9 @@ _BUSY_SECONDS = 60.0
 
 _FILES = ("sqlite", "duckdb")
 """Databases that are no servers."""
+
+_NAMED = 3
+"""Most studies that an error names."""
 
 _FOR_GOOD = ("authentication failed", "no password supplied", "does not exist", "pg_hba.conf")
 """What a server says that will say the same in a minute."""
@@ -108,9 +111,13 @@ def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:
     from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 
     path = sqlite_path(url)
+    if path is not None and path.is_dir():
+        raise StorageError(
+            f"a study lives in a database file, and {path} is a folder; give {path / 'study.db'}"
+        )
     if path is not None and not path.is_file():
         if not create:
-            raise StorageError(f"a study lives in a database file, and there is none at {path}")
+            raise _no_file(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -122,9 +129,17 @@ def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:
     pool = {} if path is not None or url.startswith(_FILES) else {"pool_size": 1}
     try:
         engine = create_engine(url, **pool)
-    except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
+    except ModuleNotFoundError as error:
+        fix = (
+            "run: pip install 'mbtl[cluster]'"
+            if url.startswith("postgresql")
+            else f"install the package that gives {error.name}"
+        )
+        raise MissingExtra(f"the driver of {shown(url)} is not installed; {fix}") from error
+    except (ArgumentError, NoSuchModuleError) as error:
         raise StorageError(
-            f"storage must be a path or an SQLAlchemy URL, got {url!r} ({error})"
+            f"storage must be a path, or a URL such as postgresql+psycopg://me@host/studies, got "
+            f"{shown(url)!r} ({error})"
         ) from error
     if engine.dialect.name == "sqlite":
 
@@ -199,10 +214,28 @@ def database_errors(url: str) -> Iterator[None]:
                 f"{url} is corrupt or not a study database ({cause}); restore a copy, or start a "
                 "new study elsewhere"
             ) from error
+        if "does not exist" in cause and "database" in cause:
+            raise StorageError(
+                f"the server has no database for {url} ({cause}); make it once, for PostgreSQL "
+                "with `createdb NAME`, and run the same command again"
+            ) from error
         raise StorageError(
             f"the study at {url} could not be read or written ({cause}); what was told before is "
             "kept: free space or mend access, then run the same command again"
         ) from error
+
+
+def _no_file(path: Path) -> StorageError:
+    """There is no such database; studies of the folders below may be meant."""
+    said = f"a study lives in a database file, and there is none at {path}"
+    folder = path.parent if path.name == "study.db" else path
+    below = [
+        str(f.parent) for f in sorted([*folder.glob("*/study.db"), *folder.glob("*/*/study.db")])
+    ]
+    if not below:
+        return StorageError(f"{said}; `mbtl study list FOLDER` shows the studies below a folder")
+    more = ", ..." if len(below) > _NAMED else ""
+    return StorageError(f"{said}; give one of those below: {', '.join(below[:_NAMED])}{more}")
 
 
 def _is_away(error: DBAPIError, url: str) -> bool:

@@ -9,7 +9,7 @@ from pathlib import Path
 from mbtl.errors import StudyError, unknown_name
 from mbtl.study.artifacts import FolderStore
 from mbtl.study.asking import stop_reason
-from mbtl.study.database import WRITES, as_url, database_errors, open_database
+from mbtl.study.database import WRITES, as_url, database_errors, open_database, shown
 from mbtl.study.events import OPENED, Event
 from mbtl.study.leases import Watch
 from mbtl.study.places import database_file, fixed_url, policy_store
@@ -130,7 +130,11 @@ def chosen_name(address: str, name: str | None) -> str:
     """
     names = study_names(address)
     if name is None and len(names) != 1:
-        raise StudyError(f"{address} holds {len(names)} studies ({', '.join(names)}); give a name")
+        raise StudyError(
+            f"{shown(address)} holds {len(names)} studies ({', '.join(names)}); give a name"
+            if names
+            else f"{shown(address)} holds no study; mbtl.create_study(..., storage=...) makes one"
+        )
     if name is not None and name not in names:
         raise StudyError(f"{unknown_name('study', name, names)}")
     return names[0] if name is None else name

@@ -48,6 +48,8 @@ class StudyState:
     equipment: Mapping[str, Any] | None = None
     """Recipe and format of the policies; None: not known so far."""
     stopped: str | None = None
+    first_budget: int | None = None
+    """Before the budget was raised; None: it never was."""
     _history: History | None = field(default=None, repr=False)
     _routing: Routing | None = field(default=None, repr=False)
     _routing_seq: int = field(default=-1, repr=False)
@@ -227,6 +229,7 @@ class StudyState:
 
     def _extended(self, event: Event) -> None:
         assert self.spec is not None
+        self.first_budget = self.first_budget or self.spec.budget
         self.spec = replace(self.spec, budget=event.data["budget"])
         self.stopped = None
 

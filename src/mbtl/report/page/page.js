@@ -288,7 +288,7 @@
       controls(i, "model").querySelector("output").textContent = `after ${j + 1} of ${last}` +
         (coming === undefined ? "" : `; ${j + 1 < last ? "next pick" : "most promising"}: ${describe(item, coming)}`);
       if (item.axes.length > 1) {
-        const view = mapOf(i), show = view.show.model, label = { mean: "mean", std: "deviation", gain: "gain in V", served: "performance" }[show];
+        const view = mapOf(i), show = view.show.model, label = { mean: "mean", std: "deviation", gain: "score", served: "performance" }[show];
         return draw(box, mapTraces(item, view, steps[show][j], { kind: show, label, range: range(steps[show]), taken }), mapLook(item, view));
       }
       const axis = item.axes[0], order = sorted(axis.values), x = order.map((c) => axis.values[c]);
@@ -300,14 +300,14 @@
         { x, y: middle, mode: "lines", name: "believed", line: { color: accent, width: 2 }, hovertemplate: "%{x}: %{y:.4f}<extra>believed</extra>" },
         { x, y: of(steps.served), mode: "lines", name: "best policy so far", line: { color: css("--soft"), width: 1, dash: "dot" }, hoverinfo: "skip" },
         { x: taken.map((s) => axis.values[s]), y: taken.map((s, p) => item.rows[p][s]), mode: "markers+text", name: "trained", text: taken.map((_, p) => p + 1), textposition: sides(taken.map((s) => axis.values[s])), cliponaxis: false, marker: { color: css("--ink"), size: 8 } },
-        { x, y: gain, mode: "lines", name: "expected gain", yaxis: "y2", fill: "tozeroy", line: { color: "#e69f00", width: 1 }, connectgaps: true, hovertemplate: "%{x}: %{y:.4f}<extra>gain</extra>" },
+        { x, y: gain, mode: "lines", name: "score", yaxis: "y2", fill: "tozeroy", line: { color: "#e69f00", width: 1 }, connectgaps: true, hovertemplate: "%{x}: %{y:.4f}<extra>score</extra>" },
       ];
       if (coming !== undefined) {
         traces.push({ x: [axis.values[coming]], y: [gain[order.indexOf(coming)] || 0], mode: "markers", yaxis: "y2", name: j + 1 < last ? "next pick" : "most promising", marker: { symbol: "triangle-down", size: 13, color: "#d55e00" } });
       }
       return draw(box, traces, {
         xaxis: axisOf(axis, { anchor: "y2" }), yaxis: plain("performance", { domain: [0.38, 1], range: ends }),
-        yaxis2: plain("gain in V", { domain: [0, 0.26], range: [0, 1.08 * Math.max(1e-9, range([gain])[1])] }),
+        yaxis2: plain("score", { domain: [0, 0.26], range: [0, 1.08 * Math.max(1e-9, range([gain])[1])] }),
       });
     },
 
@@ -387,7 +387,7 @@
     frame.append("Trainings ", input, document.createElement("output"));
     input.addEventListener("input", () => { state.steps[i] = +input.value; redraw(i, ["model"]); });
     if (state.items[i].axes.length > 1) {
-      mapControls(i, "model", [["mean", "mean"], ["std", "standard deviation"], ["gain", "expected gain"], ["served", "best policy so far"]]);
+      mapControls(i, "model", [["mean", "mean"], ["std", "standard deviation"], ["gain", "score"], ["served", "best policy so far"]]);
     }
     box.prepend(frame);
   }

@@ -15,6 +15,7 @@ from mbtl.reproduction.statistics import pooled
 from mbtl.reproduction.table import Table
 
 SHOWN = ("random", "greedy", "mbtl", "sequential_oracle")
+_SELECTORS = ("greedy", "mbtl", "auto")
 _POOLED = (*SHOWN, "auto")
 
 
@@ -50,7 +51,7 @@ def compute(bench: Bench) -> Numbers:
 
 
 def tables(numbers: Numbers) -> dict[str, Table]:
-    """The mean curves, a line per CMDP, method and k."""
+    """The mean curves, a line per CMDP, method and k; and who is ahead at which budget."""
     rows = tuple(
         (id, HEADS.get(name, name), k, float(value))
         for id, one in numbers["cmdps"].items()
@@ -58,7 +59,25 @@ def tables(numbers: Numbers) -> dict[str, Table]:
         for k, value in enumerate(curve["mean"], 1)
     )
     caption = "V after each training, mean over seeds."
-    return {"": Table(caption, ("CMDP", "method", "k", "V"), rows)}
+    return {"": Table(caption, ("CMDP", "method", "k", "V"), rows), "closed": _closed(numbers)}
+
+
+def _closed(numbers: Numbers) -> Table:
+    """The share of the distance from Random to the Sequential Oracle after each training."""
+    curves = [{name: one["curves"][name]["mean"] for name in one["curves"]}
+              for one in numbers["cmdps"].values()]  # fmt: skip
+    names = [name for name in _SELECTORS if all(name in one for one in curves)]
+    last = min((len(one["mbtl"]) for one in curves), default=0)
+    rows = []
+    for k in range(last):
+        room = sum(one["sequential_oracle"][k] - one["random"][k] for one in curves)
+        gains = (sum(one[name][k] - one["random"][k] for one in curves) for name in names)
+        rows.append((k + 1, *(gain / room if room > 0.0 else None for gain in gains)))
+    caption = (
+        f"Share of the distance from Random to the Sequential Oracle, over {len(curves)} CMDPs: "
+        "the ratio of the mean gains."
+    )
+    return Table(caption, ("k", *(HEADS.get(name, name) for name in names)), tuple(rows))
 
 
 def figures(numbers: Numbers) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.objective import Bounds, direction_named
 from mbtl.plain import finite, text, whole
 from mbtl.settings import as_json, first_difference
+from mbtl.study.database import shown
 from mbtl.study.described import describe_selector, without_origin
 from mbtl.study.events import OPENED, Event
 from mbtl.study.given import pair_of
@@ -162,14 +163,14 @@ def _existing(
 ) -> StepStudy:
     if next(iter(log.read())).kind != OPENED:
         raise StudyMismatch(
-            f"the study {given['name']!r} in {storage} is paid in trainings; start another one "
-            "(--new, or another name)"
+            f"the study {given['name']!r} in {shown(str(storage))} is paid in trainings; start "
+            "another one (--new, or another name)"
         )
     study = StepStudy(log, strategy, **given)
     if not wanted:
         raise StudyError(
-            f"a study named {given['name']!r} exists in {storage}; pass load_if_exists=True to go "
-            "on with it, or choose another name"
+            f"a study named {given['name']!r} exists in {shown(str(storage))}; pass "
+            "load_if_exists=True to go on with it, or choose another name"
         )
     was, now = study.spec.to_json(), spec.to_json()
     for record in (was, now):
