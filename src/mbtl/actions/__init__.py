@@ -13,6 +13,7 @@ from mbtl.actions.base import (
     Trail,
     Training,
 )
+from mbtl.actions.committee import Committee
 from mbtl.actions.evaluation import Evaluation
 from mbtl.actions.fixed import FixedLength
 from mbtl.actions.halving import Halving
@@ -20,6 +21,7 @@ from mbtl.actions.pilot import Pilot
 
 __all__ = [
     "Action",
+    "Committee",
     "Evaluate",
     "Evaluation",
     "Extend",

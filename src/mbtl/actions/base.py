@@ -219,7 +219,7 @@ class Trail:
         """After a training was begun or continued."""
         before = self.trainings
         after = (*before[:training], now, *before[training + 1 :])
-        return replace(self, trainings=after, spent=self.spent + cost)._filled_as(self.filled)
+        return replace(self, trainings=after, spent=self.spent + cost).filled_as(self.filled)
 
     def with_evaluation(
         self, policy: Policy, targets: NDArray[np.intp], values: Array, cost: float
@@ -239,9 +239,10 @@ class Trail:
         # one row is new: the others are filled as before
         filled = np.vstack([self.filled, rows[len(self.policies) :]])
         filled[i] = filled_rows(rows[i : i + 1], self.steps)[0]
-        return after._filled_as(filled)
+        return after.filled_as(filled)
 
-    def _filled_as(self, filled: Array) -> Trail:
+    def filled_as(self, filled: Array) -> Trail:
+        """The same, its filled rows known."""
         self.__dict__["filled"] = filled
         return self
 

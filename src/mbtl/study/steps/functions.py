@@ -70,7 +70,9 @@ class SteppedFunctions(FunctionTrainer):
             InvalidInput: it is to go on later, and there are no save and load functions.
         """
         goes_on = steps < (self.whole_steps or 0)
-        return self._reached(self.train_fn, context, seed, steps, goes_on, start, saved, on_progress)
+        return self._reached(
+            self.train_fn, context, seed, steps, goes_on, start, saved, on_progress
+        )
 
     def _reached(
         self,

@@ -16,7 +16,6 @@ from mbtl.objective import Bounds, Direction
 from mbtl.plain import whole
 from mbtl.selectors.base import SelectionProblem
 
-
 HALVINGS_ON_ALL = 5
 """The first mark of a training on several contexts is a whole training, halved so many times."""
 
@@ -88,8 +87,11 @@ class StepSpec:
                 "a shorter first length"
             )
 
-    def problem_without(self, sources: tuple[int, ...]) -> StepProblem:
-        """What the strategy may know; on some sources nothing is begun any more."""
+    def problem_without(self, sources: tuple[int, ...], *, on_sets: bool = True) -> StepProblem:
+        """What the strategy may know; on some sources nothing is begun any more.
+
+        Without `on_sets` it may not train on several contexts.
+        """
         trainable = ~np.isin(np.arange(self.space.n), sources)
         selection = SelectionProblem.of(
             self.space,
@@ -103,7 +105,7 @@ class StepSpec:
             self.budget,
             self.episodes,
             self.horizon,
-            np.asarray(self.lengths_on_all, dtype=np.int64),
+            np.asarray(self.lengths_on_all if on_sets else (), dtype=np.int64),
         )
 
     @property
