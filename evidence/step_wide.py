@@ -1,12 +1,13 @@
-"""One policy for all contexts along one training, for `steps.py`: its rows at every doubling.
+"""One policy for all contexts at every length of a study, for `steps.py`: its rows.
 
     .venv/bin/python evidence/step_wide.py [--cmdp pendulum-mass]
 
-One training goes on from mark to mark, as `mbtl run --strategy committee` has it: seeds, marks,
-episodes and their halves are those of a study and of the shipped curves. The policy is shown the
-context. Writes docs/data/one-policy-rows.npz; goes on where it was.
+As `mbtl run --strategy committee` has it: each length is a training of its own, whose learning rate
+falls to zero at its end. Seeds, lengths, episodes and their halves are those of a study and of the
+shipped curves. The policy is shown the context. Writes docs/data/one-policy-rows.npz; goes on where
+it was.
 
-Notation (shapes): S seeds, A marks, H = 2 halves of the episodes, N contexts.
+Notation (shapes): S seeds, A lengths, H = 2 halves of the episodes, N contexts.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from __future__ import annotations
 import measure
 
 import argparse  # isort: skip
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,33 +30,27 @@ from mbtl.study.steps.spec import lengths_on_all
 
 FILE = Path(__file__).parents[1] / "docs/data/one-policy-rows.npz"
 SEEDS, EPISODES = 3, 20
-TIMES = {"cartpole": 1, "pendulum": 16}
-"""Length of the training, in whole ones on a single context."""
+PASSES = {"cartpole": (0.5, 1), "pendulum": (2, 4)}
+"""The largest length, in whole trainings on one context: first so far on all, then on."""
 CMDPS = (
-    "pendulum-mass", "pendulum-length", "cartpole-length",
-    "pendulum-timestep", "cartpole-masscart", "cartpole-masspole",
+    "pendulum-mass", "cartpole-length", "pendulum-length", "cartpole-masscart",
+    "pendulum-timestep", "cartpole-masspole",
 )  # fmt: skip
 
 
-def rows(cmdp_id: str, seed: int) -> dict[str, Any]:
-    """`steps` (A,) and `returns` (A, H, N), raw, of the policy at each mark."""
+def trainer_of(cmdp_id: str) -> tuple[Any, Any]:
+    """The contexts, and their trainer as it is shown them."""
     cmdp = get_cmdp(cmdp_id, visibility=visibility_on_all(cmdp_id))
-    trainer: Any = replace(cmdp.trainer_for("full"), eval_episodes=EPISODES)
-    contexts = cmdp.space.contexts
-    whole = trainer.whole_steps
-    marks = lengths_on_all(lengths_of(whole), whole * TIMES[cmdp_id.split("-")[0]])
-    steps, found = [], []
-    with tempfile.TemporaryDirectory() as folder:
-        for mark in marks:
-            reached = trainer.train_on_steps(
-                contexts, training_seed(seed, MATRIX_TRIAL, len(contexts)), mark,
-                marks=marks, saved=Path(folder) / "training.npz",
-            )  # fmt: skip
-            steps.append(reached.steps)
-            play = evaluation_seed(seed, MATRIX_TRIAL)
-            found.append(trainer.evaluate(reached.policy, contexts, play))
-    means, _ = halves(np.stack(found))  # each (A, N)
-    return {"steps": np.array(steps), "returns": np.stack(means, axis=1)}
+    return cmdp.space.contexts, replace(cmdp.trainer_for("full"), eval_episodes=EPISODES)
+
+
+def row(cmdp_id: str, seed: int, number: int, length: int) -> tuple[int, np.ndarray]:
+    """Steps, and (H, N) raw returns, of try `number` in a study of this seed."""
+    contexts, trainer = trainer_of(cmdp_id)
+    begin = training_seed(seed, MATRIX_TRIAL, len(contexts), number)
+    reached = trainer.train_on_steps(contexts, begin, length, marks=(length,))
+    played = trainer.evaluate(reached.policy, contexts, evaluation_seed(seed, MATRIX_TRIAL))
+    return reached.steps, np.stack(halves(played)[0])
 
 
 def main() -> None:
@@ -64,15 +58,19 @@ def main() -> None:
     parser.add_argument("--cmdp", action="append")
     args = parser.parse_args()
     kept = dict(np.load(FILE)) if FILE.is_file() else {}
-    for cmdp_id in args.cmdp or CMDPS:
-        for seed in range(SEEDS):
-            if f"{cmdp_id} {seed} steps" in kept:
+    todo = [(step, one, seed) for step in range(2) for one in args.cmdp or CMDPS
+            for seed in range(SEEDS)]  # fmt: skip
+    for step, cmdp_id, seed in todo:
+        whole = trainer_of(cmdp_id)[1].whole_steps
+        most = round(whole * PASSES[cmdp_id.split("-")[0]][step])
+        for number, length in enumerate(lengths_on_all(lengths_of(whole), most)):
+            key = f"{cmdp_id} {seed} {number}"
+            if f"{key} steps" in kept:
                 continue
-            one = rows(cmdp_id, seed)
-            kept[f"{cmdp_id} {seed} steps"] = one["steps"]
-            kept[f"{cmdp_id} {seed} returns"] = one["returns"].astype(np.float32)
+            steps, returns = row(cmdp_id, seed, number, length)
+            kept |= {f"{key} steps": np.array(steps), key: returns.astype(np.float32)}
             np.savez_compressed(FILE, **kept)
-            measure.note(f"{cmdp_id}, seed {seed}: {one['returns'].mean(axis=(1, 2)).round(1)}")
+            measure.note(f"{key}: {steps:,} steps, mean return {returns.mean():.1f}")
 
 
 if __name__ == "__main__":

@@ -57,6 +57,8 @@ class Start:
 class StartOn:
     """Begin one training on several contexts, its episodes spread over them, and go to a mark.
 
+    Schedules reach their end there. One that is extended later begins them anew at each mark.
+
     Attributes:
         sources: context indices, two or more.
         length: index of the mark, among those of a training on several contexts.

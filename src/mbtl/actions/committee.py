@@ -1,19 +1,21 @@
-"""Committee: specialists and one policy for all contexts take turns, until one side is ahead.
+"""Committee: specialists and policies for all contexts take turns, until one side is ahead.
 
 Whether one policy that is trained on all contexts beats a portfolio of specialists nobody knows
-beforehand. So both are paid the same: the policy for all goes on to its next mark, twice the steps,
-once the specialists have cost as much as it will have then. At any moment neither side has had less
-than half of all steps, but for the piece under way; so what either would reach alone costs twice
-its steps at most.
+beforehand, nor how long it must be trained. So both sides are paid the same. One side is tried at
+ever doubled length; each length is a training of its own, since a learning rate that begins anew
+costs more V than it saves steps. A try begins once the specialists have cost as much as that side
+will have then. So at any moment neither side has had less than half of all steps, but for the piece
+under way: what either would reach alone costs twice its steps at most.
 
-At each mark both are compared as they were at equal steps. A side is *ahead* where V differs by
-more than twice its standard error, over the contexts where the policy for all was evaluated. Ahead
-at marks that are `doublings` doublings apart, and between, it gets all steps that are left. The
-guarantee of twice the steps ends there: a side that would have been better much later is given up.
+After each try both are compared as they were at equal steps. A side is *ahead* where V differs by
+more than twice its standard error, over the contexts where the try was evaluated. Ahead at tries
+that are `doublings` doublings apart, and between, it gets all steps that are left. The guarantee of
+twice the steps ends there: a side that would have been better much later is given up.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
@@ -32,8 +34,9 @@ from mbtl.actions.base import (
     Strategy,
     Trail,
 )
-from mbtl.actions.evaluation import A_TENTH, Evaluation
+from mbtl.actions.evaluation import A_TENTH, LEAST, Evaluation, target_price
 from mbtl.actions.pilot import Pilot
+from mbtl.arrays import Array
 from mbtl.selectors.targets import spread_targets
 
 Side = Literal["all", "specialists"]
@@ -48,8 +51,8 @@ class Committee:
 
     Attributes:
         specialists: the strategy that trains on one context each; it never sees the other side.
-        doublings: of the steps, over which one side must be ahead to get all that are left.
-        evaluation: how many targets the policy for all is evaluated on.
+        doublings: of the length, over which one side must be ahead to get all that is left.
+        evaluation: how many targets a policy for all is evaluated on.
         name: what results call it.
     """
 
@@ -66,33 +69,28 @@ class Committee:
         due = self._due(problem, trail, sides)
         if due is not None:
             return due
-        further = self._further(problem, trail, sides)
-        winner = self._winner(problem, trail, sides)
+        longer = self._longer(problem, trail, sides)
+        winner, _ = self._decided(problem, trail, sides)
         if winner == "all":
-            return further or Stop()
+            return longer or Stop()
         ours = sides.back(self.specialists.decide(problem, sides.ours, rng))
-        if winner == "specialists" or further is None or isinstance(ours, Evaluate):
+        if winner == "specialists" or longer is None or isinstance(ours, Evaluate):
             return ours
-        price = float(problem.lengths_on_all[further.length]) + sides.evaluation(trail)
-        behind = sides.ours.spent < price
-        return ours if behind and not isinstance(ours, Stop) else further
+        then = sides.spent_on_all + float(problem.lengths_on_all[longer.length])
+        return ours if sides.ours.spent < then and not isinstance(ours, Stop) else longer
 
     def verdict(self, problem: StepProblem, trail: Trail) -> str | None:
-        """Which side is ahead, and by how much at how many steps; None: nobody knows yet."""
-        sides = Sides.of(trail)
-        winner = self._winner(problem, trail, sides)
-        if winner is None:
+        """Which side is ahead, by how much and at how many steps; None: nobody knows yet."""
+        winner, last = self._decided(problem, trail, Sides.of(trail))
+        if winner is None or last is None:
             return None
-        marks = [m for m in self._compared(problem, trail, sides) if np.isfinite(m.lead)]
-        last = marks[-1]
-        said = {
-            "all": "one policy for all is enough here: it is ahead of the specialists",
-            "specialists": "specialists are ahead here: one policy for all contexts is behind",
+        doublings = f"{self.doublings} doubling{'s' * (self.doublings != 1)} of its length"
+        return {
+            "all": "one policy for all is enough here: it is ahead of the specialists by "
+            f"{last.lead:.3f} of V after {last.steps:,.0f} steps each, over {doublings}",
+            "specialists": "specialists are ahead here: one policy for all contexts is behind by "
+            f"{-last.lead:.3f} of V after {last.steps:,.0f} steps each, over {doublings}",
         }[winner]
-        return (
-            f"{said} by {abs(last.lead):.3f} of V at {last.steps:,.0f} steps each, and was so over "
-            f"{self.doublings} doubling{'s' * (self.doublings > 1)} of the steps"
-        )
 
     def without(self, family: str) -> Committee:
         """The same with specialists that have not seen a family of matrices."""
@@ -102,53 +100,49 @@ class Committee:
     # ---- inside ------------------------------------------------------------------------------
 
     def _due(self, problem: StepProblem, trail: Trail, sides: Sides) -> Evaluate | None:
-        """The evaluation of the policy for all at its last mark, where that is missing."""
-        if sides.on_all is None:
+        """The evaluation of the latest policy for all, where that is missing."""
+        if not sides.on_all:
             return None
-        policy = trail.latest(sides.on_all)
+        policy = trail.latest(sides.on_all[-1])
         if policy in trail.policies:
             return None
-        training = trail.trainings[sides.on_all]
+        training = trail.trainings[policy.training]
         count = self.evaluation.count(problem, trail, training.steps)
         return Evaluate(policy, spread_targets(problem.selection, training.source, count))
 
-    def _further(self, problem: StepProblem, trail: Trail, sides: Sides) -> StartOn | Extend | None:
-        """The policy for all to its next mark; None: there is none."""
-        marks = problem.lengths_on_all
-        if sides.on_all is None:
-            every = tuple(problem.selection.sources.tolist())
-            return StartOn(every, 0) if len(marks) and len(every) > 1 else None
-        training = trail.trainings[sides.on_all]
-        if training.ended or training.length + 1 >= len(marks):
+    def _longer(self, problem: StepProblem, trail: Trail, sides: Sides) -> StartOn | None:
+        """The next try; None: it is too long for what is left, or there can be none."""
+        marks, every = problem.lengths_on_all, tuple(problem.selection.sources.tolist())
+        before = [trail.trainings[j].length for j in sides.on_all]
+        length = max(before, default=-1) + 1
+        if length >= len(marks) or len(every) < 2:
             return None
-        return Extend(sides.on_all, training.length + 1)
+        cost = float(marks[length]) + min(LEAST, problem.n) * target_price(problem, trail)
+        return StartOn(every, length) if trail.spent + cost <= problem.budget else None
 
-    def _winner(self, problem: StepProblem, trail: Trail, sides: Sides) -> Side | None:
-        """The side that is ahead long enough, the first that ever was; None: none is."""
-        signs = [mark.sign for mark in self._compared(problem, trail, sides)]
+    def _decided(
+        self, problem: StepProblem, trail: Trail, sides: Sides
+    ) -> tuple[Side | None, Comparison | None]:
+        """The first side that ever was ahead long enough, and when; None: none was."""
+        compared = self._compared(problem, trail, sides)
+        signs = [one.sign for one in compared]
         for end in range(self.doublings, len(signs)):
             run = set(signs[end - self.doublings : end + 1])
             if run == {1}:
-                return "all"
+                return "all", compared[end]
             if run == {-1}:
-                return "specialists"
-        return None
+                return "specialists", compared[end]
+        return None, None
 
     def _compared(self, problem: StepProblem, trail: Trail, sides: Sides) -> list[Comparison]:
-        """Both sides at equal steps, at each mark of the policy for all that they have reached."""
-        found: list[Comparison] = []
-        if sides.on_all is None:
-            return found
+        """Both sides at equal steps, after each try."""
         cost, paid = sides.costs(problem), 0.0
+        found: list[Comparison] = []
         for i, policy in enumerate(trail.policies):
-            if policy.training != sides.on_all:
+            if policy.training not in sides.on_all:
                 continue
-            paid += trail.evaluation_steps[i]
-            steps = float(problem.lengths_on_all[policy.length]) + paid
-            if sides.ours.spent < float(problem.lengths_on_all[policy.length]):
-                break  # the specialists ran out of contexts, or of steps
-            known = sides.ours.filled[cost <= steps * (1.0 + 1e-9)]
-            found.append(Comparison.of(problem, trail, i, known, steps))
+            paid += trail.trainings[policy.training].steps + trail.evaluation_steps[i]
+            found.append(Comparison.of(problem, trail, i, sides.ours.filled[cost <= paid], paid))
         return found
 
 
@@ -158,8 +152,8 @@ class Comparison:
 
     Attributes:
         steps: of each side.
-        lead: of the policy for all in V; infinite where there is no specialist yet.
-        error: its standard error.
+        lead: of the policy for all in V.
+        error: its standard error; infinite where there is no specialist yet.
     """
 
     steps: float
@@ -168,24 +162,21 @@ class Comparison:
 
     @classmethod
     def of(
-        cls, problem: StepProblem, trail: Trail, policy: int, known: NDArray[np.float64],
-        steps: float,
-    ) -> Comparison:  # fmt: skip
+        cls, problem: StepProblem, trail: Trail, policy: int, known: Array, steps: float
+    ) -> Comparison:
         """Of the rows (k, N) of the specialists known then."""
-        if not len(known):
-            return cls(steps, np.inf, np.inf)
-        less = trail.filled[policy] - known.max(axis=0)
         seen = np.isfinite(trail.rows[policy])
         count = int(seen.sum())
-        error = float(less[seen].std(ddof=1)) / np.sqrt(count) if count > 1 else np.inf
+        if not len(known) or count < 2:
+            return cls(steps, 0.0, np.inf)
+        less = trail.filled[policy] - known.max(axis=0)
+        error = float(less[seen].std(ddof=1)) / np.sqrt(count)
         return cls(steps, float(less @ problem.selection.weights), float(error))
 
     @property
     def sign(self) -> int:
         """1: the policy for all is ahead; -1: it is behind; 0: that may be noise, or is unknown."""
-        if not np.isfinite(self.error) or abs(self.lead) <= SURE * self.error:
-            return 0
-        return int(np.sign(self.lead))
+        return 0 if abs(self.lead) <= SURE * self.error else int(np.sign(self.lead))
 
 
 @dataclass(frozen=True)
@@ -195,22 +186,24 @@ class Sides:
     Attributes:
         ours: what the specialists brought and cost, as if they were alone.
         numbers: of their trainings in the whole trail.
-        on_all: number of the training on several contexts; None: it was not begun.
+        on_all: numbers of the trainings on several contexts.
+        spent_on_all: steps that those and their evaluations have cost.
     """
 
     ours: Trail
     numbers: tuple[int, ...]
-    on_all: int | None
+    on_all: Sequence[int]
+    spent_on_all: float
 
     @classmethod
     def of(cls, trail: Trail) -> Sides:
         """Both sides of a trail."""
         numbers = tuple(j for j, t in enumerate(trail.trainings) if not t.on)
-        others = [j for j, t in enumerate(trail.trainings) if t.on]
-        mine = [i for i, p in enumerate(trail.policies) if p.training in numbers]
-        evaluated = {i: trail.evaluation_steps[i] for i in range(len(trail.policies))}
-        theirs = float(sum(trail.trainings[j].steps for j in others))
-        theirs += sum(steps for i, steps in evaluated.items() if i not in mine)
+        on_all = tuple(j for j, t in enumerate(trail.trainings) if t.on)
+        mine = [i for i, p in enumerate(trail.policies) if p.training not in on_all]
+        theirs = float(sum(trail.trainings[j].steps for j in on_all))
+        for policy, steps in zip(trail.policies, trail.evaluation_steps, strict=True):
+            theirs += steps if policy.training in on_all else 0.0
         ours = Trail(
             trail.steps,
             tuple(trail.trainings[j] for j in numbers),
@@ -219,10 +212,10 @@ class Sides:
                 for i in mine
             ),
             trail.rows[mine],
-            tuple(evaluated[i] for i in mine),
+            tuple(trail.evaluation_steps[i] for i in mine),
             trail.spent - theirs,
         ).filled_as(trail.filled[mine])
-        return cls(ours, numbers, others[0] if others else None)
+        return cls(ours, numbers, on_all, theirs)
 
     def back(self, action: Action) -> Action:
         """An action of the specialists, in the numbers of the whole trail."""
@@ -233,11 +226,6 @@ class Sides:
                 return Evaluate(Policy(self.numbers[policy.training], policy.length), targets)
             case Start() | StartOn() | Stop():
                 return action
-
-    def evaluation(self, trail: Trail) -> float:
-        """Steps that evaluations of the policy for all have cost."""
-        paid = zip(trail.policies, trail.evaluation_steps, strict=True)
-        return sum(steps for policy, steps in paid if policy.training == self.on_all)
 
     def costs(self, problem: StepProblem) -> NDArray[np.float64]:
         """(k,) steps that the specialists had cost when each of their policies was known."""

@@ -10,9 +10,9 @@ Elsewhere an episode is charged with the horizon, which is the true length where
 
 Selection and routes see one half of the episodes; V is of the other, which is a report's business
 and not charged. A training on a context is done once: a second try there is not in the data. A
-training on all contexts is possible where its rows are given, too.
+training on all contexts is possible where its rows are given, too, once at each length.
 
-Notation (shapes): L lengths, M sources, N contexts, A marks of a training on all contexts.
+Notation (shapes): L lengths, M sources, N contexts, A lengths of trainings on all contexts.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ _MOST_ACTIONS = 100_000
 
 @dataclass(frozen=True, eq=False)
 class OnAll:
-    """One training on all contexts of a set of curves, one seed.
+    """Trainings on all contexts of a set of curves, one of each length, one seed.
 
     Attributes:
-        steps: (A,) environment steps at its marks, rising.
-        returns: (A, 2, N) raw returns of its policy there, of both halves of the episodes.
+        steps: (A,) environment steps of each, rising.
+        returns: (A, 2, N) raw returns of their policies, of both halves of the episodes.
     """
 
     steps: NDArray[np.int64]
@@ -75,7 +75,7 @@ class StepWorld:
         seed: index of the training seed.
         kind: which policy of a training at a length: the latest, or the best so far.
         horizon: steps of an episode; None: that of the family.
-        on_all: a training on all contexts; None: strategies cannot have one.
+        on_all: trainings on all contexts; None: strategies cannot have one.
 
     Raises:
         InvalidInput: the horizon is not known, or lengths are not counted in steps.
@@ -190,31 +190,23 @@ class StepWorld:
             raise InvalidInput(
                 f"a training goes on to a later mark unless it has ended, got {length} for {now}"
             )
-        if now.on:
-            return self._trained_on(trail, training, now.on, now.length, length)
         return self._trained(trail, training, now.source, now.length, length)
 
     def start_on(self, trail: Trail, sources: tuple[int, ...], length: int) -> Trail:
         """A training on all contexts to a mark."""
         every = set(self.selection.sources.tolist())
-        if self.on_all is None or set(sources) != every or any(t.on for t in trail.trainings):
+        done = {t.length for t in trail.trainings if t.on}
+        if self.on_all is None or set(sources) != every or length in done:
             raise InvalidInput(
-                f"a training on several contexts is one on all, once, and its rows are given, got "
-                f"{len(sources)} contexts; extend it"
+                "a training on several contexts is one on all, once at a length, and its rows are "
+                f"given, got {len(sources)} contexts at length {length}"
             )
-        return self._trained_on(trail, len(trail.trainings), tuple(sources), -1, length)
-
-    def _trained_on(
-        self, trail: Trail, number: int, sources: tuple[int, ...], before: int, to: int
-    ) -> Trail:
-        assert self.on_all is not None
         marks = self.on_all.steps
-        if not 0 <= to < len(marks):
-            raise InvalidInput(f"a length is an index of {len(marks)} marks, got {to}")
-        cost = float(marks[to] - (marks[before] if before >= 0 else 0))
+        if not 0 <= length < len(marks):
+            raise InvalidInput(f"a length is an index of {len(marks)} marks, got {length}")
         middle = middle_of(sources, self.selection.steps)
-        now = Training(middle, to, int(marks[to]), on=sources)
-        return trail.with_training(number, now, cost)
+        now = Training(middle, length, int(marks[length]), ended=True, on=tuple(sources))
+        return trail.with_training(len(trail.trainings), now, float(marks[length]))
 
     def _trained(self, trail: Trail, number: int, source: int, before: int, to: int) -> Trail:
         if not 0 <= to < len(self.lengths):

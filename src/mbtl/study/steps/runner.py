@@ -168,6 +168,8 @@ class _Worker:
         self._tell("on_training", number, source, state.lengths_of(number)[action.length])
         while study.state.pending is not None:
             mark = study.state.reached(number) + 1
+            if isinstance(action, StartOn):
+                mark = action.length  # its first mark: the learning rate falls to zero there
             if not self._fits(number, mark):
                 study.append("halted", {"training": number})
                 self._tell("on_trained", number)
@@ -214,8 +216,9 @@ class _Worker:
             # sources are 0..N-1, so this seed is none of theirs
             seed = training_seed(spec.seed, spec.trial, spec.space.n, repeat)
             contexts = [spec.space.context(i) for i in on]
+            first = min(state.trainings[number].marks) if known else mark
             return self.trainer.train_on_steps(
-                contexts, seed, marks[mark], marks=marks, saved=self._file(number),
+                contexts, seed, marks[mark], marks=marks[first:], saved=self._file(number),
                 on_progress=progress,
             )  # fmt: skip
         seed = training_seed(spec.seed, spec.trial, source, repeat)
