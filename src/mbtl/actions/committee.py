@@ -70,7 +70,7 @@ class Committee:
         if due is not None:
             return due
         longer = self._longer(problem, trail, sides)
-        winner, _ = self._decided(problem, trail, sides)
+        winner, _ = self.decision(problem, trail, sides)
         if winner == "all":
             return longer or Stop()
         ours = sides.back(self.specialists.decide(problem, sides.ours, rng))
@@ -79,9 +79,23 @@ class Committee:
         then = sides.spent_on_all + float(problem.lengths_on_all[longer.length])
         return ours if sides.ours.spent < then and not isinstance(ours, Stop) else longer
 
+    def decision(
+        self, problem: StepProblem, trail: Trail, sides: Sides | None = None
+    ) -> tuple[Side | None, Comparison | None]:
+        """The first side that ever was ahead long enough, and when; None: none was."""
+        compared = self._compared(problem, trail, sides or Sides.of(trail))
+        signs = [one.sign for one in compared]
+        for end in range(self.doublings, len(signs)):
+            run = set(signs[end - self.doublings : end + 1])
+            if run == {1}:
+                return "all", compared[end]
+            if run == {-1}:
+                return "specialists", compared[end]
+        return None, None
+
     def verdict(self, problem: StepProblem, trail: Trail) -> str | None:
         """Which side is ahead, by how much and at how many steps; None: nobody knows yet."""
-        winner, last = self._decided(problem, trail, Sides.of(trail))
+        winner, last = self.decision(problem, trail)
         if winner is None or last is None:
             return None
         doublings = f"{self.doublings} doubling{'s' * (self.doublings != 1)} of its length"
@@ -119,20 +133,6 @@ class Committee:
             return None
         cost = float(marks[length]) + min(LEAST, problem.n) * target_price(problem, trail)
         return StartOn(every, length) if trail.spent + cost <= problem.budget else None
-
-    def _decided(
-        self, problem: StepProblem, trail: Trail, sides: Sides
-    ) -> tuple[Side | None, Comparison | None]:
-        """The first side that ever was ahead long enough, and when; None: none was."""
-        compared = self._compared(problem, trail, sides)
-        signs = [one.sign for one in compared]
-        for end in range(self.doublings, len(signs)):
-            run = set(signs[end - self.doublings : end + 1])
-            if run == {1}:
-                return "all", compared[end]
-            if run == {-1}:
-                return "specialists", compared[end]
-        return None, None
 
     def _compared(self, problem: StepProblem, trail: Trail, sides: Sides) -> list[Comparison]:
         """Both sides at equal steps, after each try."""
