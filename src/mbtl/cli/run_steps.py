@@ -132,6 +132,13 @@ def run_steps(
 
 def show(screen: Console, summary: StepSummary, space: ContextSpace) -> None:
     """Print the trainings, the price list and V."""
+    screen.print(trainings(summary, space))
+    for line in lines(summary):
+        screen.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def trainings(summary: StepSummary, space: ContextSpace) -> Table:
+    """Every training: on what, how long, where it serves, and why it stands."""
     table = Table(box=box.SIMPLE, padding=(0, 1), show_edge=False)
     table.title = (
         f"{summary.problem or 'study'}: {summary.strategy}, {counted(summary.budget)} steps, "
@@ -145,9 +152,7 @@ def show(screen: Console, summary: StepSummary, space: ContextSpace) -> None:
         state = Text(f"{one.state}: {one.why}")
         numbers = counted(one.steps), str(one.policies), str(one.serves)
         table.add_row(str(one.number + 1), where, *numbers, state)
-    screen.print(table)
-    for line in lines(summary):
-        screen.print(line, markup=False, highlight=False, soft_wrap=True)
+    return table
 
 
 def lines(summary: StepSummary) -> list[str]:

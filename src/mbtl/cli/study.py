@@ -15,7 +15,7 @@ from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.cli.run_steps import show as show_steps
-from mbtl.errors import InvalidInput, MbtlError, cannot_write, unknown_name
+from mbtl.errors import InvalidInput, MbtlError, StudyError, cannot_write, unknown_name
 from mbtl.report import summarise_study
 from mbtl.report.text import show_causes, show_summary
 from mbtl.selectors import get_selector
@@ -208,10 +208,20 @@ def step_study(path: str | Path, name: str | None) -> StepStudy | None:
 
 
 def open_study(path: str | Path, name: str | None) -> Study:
-    """A study for reading only: with any selector, so that one of the user's own opens too."""
+    """A study for reading only: with any selector, so that one of the user's own opens too.
+
+    Raises:
+        StudyError: it is paid in steps.
+    """
     place, chosen = _place_of(path, name)
-    folder = None if isinstance(place, str) else place.parent
-    return Study(SqlLog(place, chosen), get_selector("random"), folder=folder, name=chosen)
+    folder, log = None if isinstance(place, str) else place.parent, SqlLog(place, chosen)
+    if is_paid_in_steps(log.read()):
+        raise StudyError(
+            f"this command reads studies that count trainings, and {chosen!r} is paid in steps; "
+            f"`mbtl study show {path}` prints its bill, V and who serves, `mbtl watch {path}` "
+            "follows it"
+        )
+    return Study(log, get_selector("random"), folder=folder, name=chosen)
 
 
 def _place_of(path: str | Path, name: str | None) -> tuple[str | Path, str]:
