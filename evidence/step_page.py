@@ -17,7 +17,7 @@ BEGIN, END = "<!-- begin: {} of evidence/steps.py -->", "<!-- end -->"
 OURS = "mbtl, whole, evaluation a tenth"
 PILOT = "pilot, mbtl"
 FIVE = "mbtl, whole"
-COMMITTEE, SOONER = "committee", "committee, one doubling"
+COMMITTEE = "committee"
 ALONE = "one policy for all"
 GOAL = 10.0
 EARLY = 2.0
@@ -25,7 +25,7 @@ EARLY = 2.0
 SHOWN = (
     PAPER, "random, whole", "spread, whole", FIVE, OURS, "mbtl, 1/2", "random, 1/4", "mbtl, 1/4",
     "ASHA by own return", "ASHA from 1/16 by mean", "Hyperband by own return", "pilot, random",
-    "pilot, spread", PILOT, COMMITTEE, SOONER,
+    "pilot, spread", PILOT, COMMITTEE,
     "auto, whole, evaluation a tenth", "pilot, auto", tables.CHOSEN, ALONE, ORACLE,
 )  # fmt: skip
 LADDER = {
@@ -47,7 +47,7 @@ def verdicts(sets: Sets, plays: Plays, said: Said) -> list[str]:
     return generalist.verdicts(sets, plays, said, COMMITTEE, PILOT)
 
 
-def everything(sets: Sets, plays: Plays, said: Said) -> list[str]:
+def everything(sets: Sets, plays: Plays, found: Sequence[str]) -> list[str]:
     """All tables."""
     families = sorted({family_of(name) for name in sets})
     some = [name for name in SHOWN if name in plays]
@@ -63,7 +63,7 @@ def everything(sets: Sets, plays: Plays, said: Said) -> list[str]:
     lines += [*tables.ladder(sets, plays, LADDER), ""]
     lines += [*tables.prices(sets, plays, some), ""]
     lines += ["## One policy for all", "", *generalist.beside(sets, plays, some), ""]
-    lines += [*verdicts(sets, plays, said)]
+    lines += found
     return lines
 
 
@@ -120,28 +120,7 @@ def _sets(sets: Sets) -> str:
     return f"{len(sets)} sets of {len(families)} families ({', '.join(families)}), three seeds each"
 
 
-def write_committee(sets: Sets, plays: Plays, said: Said) -> None:
-    """Its lines in the leaderboard, and its own table."""
-    block = _block("leaderboard")
-    for line in tables.board(sets, plays):
-        name = line.split(" | ")[0]
-        at = next((i for i, old in enumerate(block) if old.split(" | ")[0] == name), None)
-        if at is not None:
-            block[at] = line if name.removeprefix("| ") in (COMMITTEE, SOONER) else block[at]
-        elif name.removeprefix("| ") in (COMMITTEE, SOONER):
-            after = max(i for i, old in enumerate(block) if old.startswith(("| pilot", "| comm")))
-            block.insert(after + 1, line)
-    fill("leaderboard", block)
-    fill("committee", verdicts(sets, plays, said))
-
-
-def _block(name: str) -> list[str]:
-    """What stands between the marks of a table."""
-    text = FILE.read_text(encoding="utf-8").split(BEGIN.format(name))[1].split(END, 1)[0]
-    return text.strip().splitlines()
-
-
-def write(sets: Sets, plays: Plays, said: Said) -> None:
+def write(sets: Sets, plays: Plays, found: Sequence[str]) -> None:
     """The sentence and the tables of docs/steps.md."""
     some = {name: plays[name] for name in SHOWN if name in plays}
     fill("conclusion", conclusion(sets, plays))
@@ -150,7 +129,7 @@ def write(sets: Sets, plays: Plays, said: Said) -> None:
     fill("saving", tables.ladder(sets, plays, LADDER))
     fill("oracle", tables.against_oracle(sets, plays, BESIDE))
     fill("one policy", generalist.beside(sets, plays, BESIDE))
-    fill("committee", verdicts(sets, plays, said))
+    fill("committee", found)
     fill("prices", tables.prices(sets, plays, PRICED))
 
 

@@ -16,6 +16,7 @@ import measure
 
 import argparse  # isort: skip
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +31,11 @@ from mbtl.study.steps.spec import lengths_on_all
 
 FILE = Path(__file__).parents[1] / "docs/data/one-policy-rows.npz"
 SEEDS, EPISODES = 3, 20
-PASSES = {"cartpole": (0.25, 0.5), "pendulum": (2, 4)}
-"""The largest length, in whole trainings on one context: first so far on all, then on."""
-CMDPS = (
-    "pendulum-mass", "cartpole-length", "pendulum-length", "cartpole-masscart",
-    "pendulum-timestep", "cartpole-masspole",
-)  # fmt: skip
+TIMES = {
+    "pendulum-length": 2, "pendulum-mass": 4, "cartpole-length": 0.5, "cartpole-masscart": 0.25,
+    "pendulum-timestep": 2, "cartpole-masspole": 0.25,
+}  # fmt: skip
+"""The largest length by CMDP, in whole trainings on one context."""
 
 
 def trainer_of(cmdp_id: str) -> tuple[Any, Any]:
@@ -58,11 +58,9 @@ def main() -> None:
     parser.add_argument("--cmdp", action="append")
     args = parser.parse_args()
     kept = dict(np.load(FILE)) if FILE.is_file() else {}
-    todo = [(step, one, seed) for step in range(2) for one in args.cmdp or CMDPS
-            for seed in range(SEEDS)]  # fmt: skip
-    for step, cmdp_id, seed in todo:
+    for cmdp_id, seed in product(args.cmdp or TIMES, range(SEEDS)):
         whole = trainer_of(cmdp_id)[1].whole_steps
-        most = round(whole * PASSES[cmdp_id.split("-")[0]][step])
+        most = round(whole * TIMES[cmdp_id])
         for number, length in enumerate(lengths_on_all(lengths_of(whole), most)):
             key = f"{cmdp_id} {seed} {number}"
             if f"{key} steps" in kept:

@@ -8,7 +8,7 @@ Every set of curves that is shipped with all its seeds takes part. `--auto` adds
 ask `auto` (they need most of the time). `--write` puts all tables into docs/appendix/steps.md, and
 the sentence and tables of the page into docs/steps.md. `--constants` is about other numbers of the
 evaluation and of the pilot instead, and which the other families would have chosen. `--committee`
-plays only the committees and what they are compared with, and writes their lines. What was played
+plays only the committee and the specialists that it has, and writes their table. What was played
 is kept in `--keep`, so that it is not played again when a set is added; empty that folder when a
 strategy changes.
 """
@@ -70,9 +70,9 @@ STRATEGIES: tuple[Strategy, ...] = (
     Pilot(selector=None, name="pilot, spread"),
     Pilot(selector="mbtl", name="pilot, mbtl"),
     Pilot(selector="mbtl", evaluation=A_TENTH, name="pilot, mbtl, evaluation a tenth"),
-    Committee(name=page.COMMITTEE),
-    Committee(doublings=1, name=page.SOONER),
 )  # fmt: skip
+COMMITTEE = Committee(name=page.COMMITTEE)
+"""Played where policies for all contexts were trained; in the leaderboard if that is everywhere."""
 WITH_AUTO: tuple[Strategy, ...] = (
     FixedLength("auto", evaluation=A_TENTH, name="auto, whole, evaluation a tenth"),
     Pilot(selector="auto", name="pilot, auto"),
@@ -171,23 +171,27 @@ def main() -> None:
         if args.write:
             page.fill("constants", lines)
         return
+    tried = {n: seeds for n, seeds in sets.items() if all(world.on_all for world, _ in seeds)}
     if args.committee:
-        needed = {page.PAPER, page.PILOT, page.COMMITTEE, page.SOONER}
-        plays = all_played([s for s in STRATEGIES if s.name in needed], sets, args.keep)
-        said = sayings(sets, args.keep)
-        print("\n".join([*tables.board(sets, plays), "", *page.verdicts(sets, plays, said)]))
+        needed = (COMMITTEE, *(s for s in STRATEGIES if s.name == page.PILOT))
+        plays, said = all_played(needed, tried, args.keep), sayings(tried, args.keep)
+        lines = page.verdicts(tried, plays, said)
+        print("\n".join(lines))
         if args.write:
-            page.write_committee(sets, plays, said)
+            page.fill("committee", lines)
         return
     strategies = STRATEGIES + (WITH_AUTO if args.auto else ())
     plays = tables.with_chosen(sets, all_played(strategies, sets, args.keep))
+    beside = all_played([COMMITTEE], tried, args.keep)
+    if tried.keys() == sets.keys():
+        plays |= beside
     plays = tables.with_oracle(sets, {**plays, page.ALONE: generalist.alone(sets)})
-    said = sayings(sets, args.keep)
-    lines = page.everything(sets, plays, said)
+    found = page.verdicts(tried, {**plays, **beside}, sayings(tried, args.keep))
+    lines = page.everything(sets, plays, found)
     print("\n".join(lines))
     if args.write:
         appendix.write("steps", "Count steps: all tables", "steps.md", lines)
-        page.write(sets, plays, said)
+        page.write(sets, plays, found)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,8 @@ import pytest
 from training_envs import Guess, cartpole, pendulum
 
 from mbtl.errors import InvalidInput
-from mbtl.trainer import SetTrainer, SteppingTrainer
+from mbtl.set_trainer import SetTrainer
+from mbtl.trainer import SteppingTrainer
 from mbtl.training import SB3Trainer
 from mbtl.training.multitask import for_all_contexts
 from mbtl.training.sb3_steps import _can_be_copied

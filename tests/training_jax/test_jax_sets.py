@@ -11,7 +11,7 @@ pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 import mbtl.training.jax as engine
 from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput
-from mbtl.trainer import SetTrainer
+from mbtl.set_trainer import SetTrainer
 
 UNIT = 12_800
 TRAINER = get_cmdp("cartpole-length", engine="jax").trainer_for("quick", eval_episodes=2)

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from mbtl.actions import Policy, StartOn
 from mbtl.cli.common import LongWork
+from mbtl.contexts.words import describe_set
 from mbtl.study.steps.callbacks import PrintSteps
 from mbtl.study.steps.study import StepStudy
 from mbtl.study.steps.summary import condition, counted, where_of
@@ -50,7 +51,7 @@ class StepProgress(PrintSteps):
         """The line of a training that begins has no place in the log yet."""
         pending, known = study.state.pending, training < len(study.state.trainings)
         on = pending.sources if isinstance(pending, StartOn) else (source,)
-        where = where_of(study, training) if known else study.space.describe_set(on)
+        where = where_of(study, training) if known else describe_set(study.space, on)
         self._say(study, f"training {training + 1} ({where}) runs to {counted(to)} steps")
 
     def on_progress(self, study: StepStudy, training: int, progress: Progress) -> None:

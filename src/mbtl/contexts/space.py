@@ -213,12 +213,6 @@ class ContextSpace:
             parts.append(f"{name} = {number} {units.get(name, '')}".rstrip())
         return between.join(parts)
 
-    def describe_set(self, contexts: Sequence[int]) -> str:
-        """Contexts for people, "all contexts" or "12 contexts"; one as `describe` has it."""
-        if len(contexts) == 1:
-            return self.describe(self.context(contexts[0]))
-        return "all contexts" if len(contexts) == self.n else f"{len(contexts)} contexts"
-
     def index(self, context: Mapping[str, Value]) -> int:
         """Index of a context.
 

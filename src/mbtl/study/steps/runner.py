@@ -30,6 +30,7 @@ from mbtl.errors import (
 )
 from mbtl.seeds import evaluation_seed, selection_rng, training_seed
 from mbtl.selectors.targets import spread_targets
+from mbtl.set_trainer import SetTrainer
 from mbtl.settings import first_difference
 from mbtl.study.steps.callbacks import StepCallback
 from mbtl.study.steps.evaluation import evaluated, report_fresh
@@ -38,7 +39,6 @@ from mbtl.study.steps.summary import StepResult, verdict_of
 from mbtl.trainer import (
     Progress,
     Reached,
-    SetTrainer,
     SteppingTrainer,
     Trainer,
     recipe_of,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from mbtl.contexts import Context
+from mbtl.contexts.words import describe_set
 from mbtl.notebook import table
 from mbtl.portfolio import Portfolio
 
@@ -228,7 +229,7 @@ def verdict_of(study: StepStudy) -> str | None:
 def where_of(study: StepStudy, number: int) -> str:
     """What a training is trained on, in words."""
     course = study.state.trainings[number]
-    return study.space.describe_set(course.on or (course.source,))
+    return describe_set(study.space, course.on or (course.source,))
 
 
 def counted(steps: float) -> str:
