@@ -165,6 +165,32 @@ def ahead(sets: Sets, plays: Plays, strategy: str, name: str, units: float) -> b
     return bool(less and np.mean(less) > LEAST)
 
 
+def race(sets: Sets, plays: Plays, strategy: str) -> dict[str, list[Play]]:
+    """A portfolio and one policy for all that take turns: whoever has cost less goes on.
+
+    The next length is trained once the portfolio has cost as much. V is that of the better one:
+    what both are worth together is at least as much.
+    """
+    found = {}
+    for name, seeds in sets.items():
+        found[name] = []
+        for s, (world, scale) in enumerate(seeds):
+            mine, tries = plays[strategy][name][s], points(name, world, s)
+            spent, there, looked, best = mine.spent.copy(), [], 0.0, -np.inf
+            for point in tries:
+                spent[mine.spent > point.steps] += point.steps
+                looked += point.steps
+                best = max(best, point.value)
+                there.append((point.steps + looked, best))
+            other = Play(*(np.array(column) for column in zip(*there, strict=True)), mine.lengths)
+            moved = Play(spent, mine.value, mine.lengths)
+            at = np.sort(np.append(spent, other.spent))
+            at = at[at <= scale.budget]
+            value = np.array([max(moved.at(steps), other.at(steps)) for steps in at])
+            found[name].append(Play(at, value, mine.lengths))
+    return found
+
+
 def decided(rule: Committee, world: StepWorld, run: StepRun, budget: float) -> Decided:
     """What a committee has said, and what that had cost; steps."""
     sides = Sides.of(run.trail)

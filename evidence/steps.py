@@ -185,7 +185,12 @@ def main() -> None:
     beside = all_played([COMMITTEE], tried, args.keep)
     if tried.keys() == sets.keys():
         plays |= beside
-    plays = tables.with_oracle(sets, {**plays, page.ALONE: generalist.alone(sets)})
+    plays = {
+        **plays,
+        page.ALONE: generalist.alone(sets),
+        page.RACE: generalist.race(sets, plays, page.OURS),
+    }
+    plays = tables.with_oracle(sets, plays)
     found = page.verdicts(tried, {**plays, **beside}, sayings(tried, args.keep))
     lines = page.everything(sets, plays, found)
     print("\n".join(lines))
