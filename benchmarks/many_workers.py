@@ -1,7 +1,8 @@
 """Many workers on one study: what they wait for, and what a large study takes to load.
 
 workers      64 workers on one PostgreSQL server, trainings that sleep for a second: how often a
-             pick was given twice, and which share of their time goes into ask, tell and training
+             pick was given twice, and which share of their time goes into ask, tell and training;
+             as the peer, each pick proposed only when it is asked for (`proposes_ahead = False`)
 utilisation  eight trainings at a time with log-normal durations: the share of the slots' time that
              trains, told as they come and, as the peer, in whole batches (deterministic=True)
 load         1,000,000 contexts: processor time and memory of `load_study`, per row
@@ -54,7 +55,7 @@ def said(pid: int, reader: int):
     return json.loads(answer)
 
 
-def workers(number: int, trainings: int, seconds: float, selector: str) -> None:
+def workers(number: int, trainings: int, seconds: float, selector: str, *, ahead: bool) -> None:
     if reason := missing():
         print(f"workers: left out, {reason}")
         return
@@ -69,6 +70,7 @@ def workers(number: int, trainings: int, seconds: float, selector: str) -> None:
 
         def work():
             study = mbtl.load_study(server.url, "many")
+            study.proposes_ahead = ahead
             spent = {"ask": 0.0, "train": 0.0, "tell": 0.0, "beat": 0.0}
             picks, began, processor = [], time.perf_counter(), time.process_time()
 
@@ -102,7 +104,9 @@ def workers(number: int, trainings: int, seconds: float, selector: str) -> None:
     train = sum(one["train"] for one in found) / whole
     cpu = sum(one["cpu"] for one in found) / number / len(given)
     print(
-        f"workers: {number} workers, selector {selector}, {len(given)} trainings of {seconds:g} s, "
+        f"workers: {number} workers, selector {selector}, picks proposed "
+        f"{'for those who wait, too' if ahead else 'one by one'}, "
+        f"{len(given)} trainings of {seconds:g} s, "
         f"{len(given) - len(set(given))} picks given twice; of the workers' time {train:.1%} "
         f"training, {shares['ask']:.1%} ask (their wait for the proposals of others with it), "
         f"{shares['tell']:.1%} tell, {shares['beat']:.1%} heartbeats; {len(given) / wall:.1f} "
@@ -211,7 +215,8 @@ def main() -> None:
     parts = arguments.parts.split(",")
     if "workers" in parts:
         for number in map(int, arguments.workers.split(",")):
-            workers(number, arguments.trainings, 1.0, arguments.selector)
+            for ahead in (True, False):
+                workers(number, arguments.trainings, 1.0, arguments.selector, ahead=ahead)
     if "utilisation" in parts:
         for spread in (0.5, 1.0):
             utilisation(8, 80, 1.0, spread)

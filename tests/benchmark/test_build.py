@@ -250,3 +250,19 @@ def test_every_second_context_is_trained_on_and_all_are_targets(tmp_path):
         Build(Several(), SPACE, 3, tmp_path, SETTINGS, keep=("best",), lanes=2).run()
     with pytest.raises(InvalidInput, match="every must be from 1"):
         Build(Several(), SPACE, 3, tmp_path, SETTINGS, every=6)
+
+
+class Unequal(Several):
+    def groups(self, contexts, lanes):
+        return [1, 2, len(contexts) - 3]
+
+
+def test_a_trainer_may_say_which_sources_go_together(tmp_path):
+    build = building(tmp_path, Unequal(), keep=("best",), lanes=4)
+    assert [len(piece.sources) for piece in build.pieces()] == [1, 2, SPACE.n - 3]
+    assert build.claim["groups"] == [1, 2, SPACE.n - 3]
+    assert "groups" not in building(tmp_path, Several(), keep=("best",), lanes=4).claim
+    build.run()
+    alone = building(tmp_path / "alone", Several(), keep=("best",), lanes=1)
+    alone.run()
+    np.testing.assert_array_equal(build.returns("best"), alone.returns("best"))

@@ -36,6 +36,15 @@ def test_list_shows_every_study_of_every_database(mbtl_command, place):
     assert len(json.loads(mbtl_command("study", "list", place / "a/study.db", "--json")[1])) == 2
 
 
+def test_list_takes_the_url_of_a_database(mbtl_command, place):
+    url = f"sqlite:///{place / 'a' / 'study.db'}"
+    rows = json.loads(mbtl_command("study", "list", url, "--json")[1])
+    assert [(r["study"], r["name"]) for r in rows] == [(url, "first"), (url, "the second")]
+    code, out, err = mbtl_command("study", "list", f"sqlite:///{place / 'none.db'}")
+    assert (code, out) == (1, "")
+    assert "there is none at" in " ".join(err.split())
+
+
 @pytest.mark.parametrize("command", [("show",), ("export", "rows.json")])
 def test_one_of_several_studies_is_chosen_by_its_name(mbtl_command, place, tmp_path, command):
     verb, *file = command

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -79,6 +79,8 @@ class Build:
         more: dict[str, Any] = {"along": asdict(self.along)} if self.along else {}
         if self.every != 1:
             more["every"] = self.every
+        if len(set(sizes := self._sizes[:-1])) > 1 or (sizes and sizes[0] != self.lanes):
+            more["groups"] = self._sizes
         return {**self.settings, **own, **more}
 
     @property
@@ -86,12 +88,20 @@ class Build:
         """(M,) contexts to train on."""
         return range(0, self.space.n, self.every)
 
+    @cached_property
+    def _sizes(self) -> list[int]:
+        """Of the groups of sources that are trained together, at most `lanes` in each."""
+        if hasattr(self.trainer, "groups"):
+            some = [self.space.context(source) for source in self.sources]
+            return list(self.trainer.groups(some, self.lanes))
+        whole, rest = divmod(len(self.sources), self.lanes)
+        return [self.lanes] * whole + [rest] * (rest > 0)
+
     def pieces(self) -> list[Piece]:
         """All of the matrix, done or not."""
-        contexts = self.space.contexts
+        contexts, ends = self.space.contexts, np.cumsum(self._sizes)
         groups = [
-            self.sources[first : first + self.lanes]
-            for first in range(0, len(self.sources), self.lanes)
+            self.sources[end - size : end] for size, end in zip(self._sizes, ends, strict=True)
         ]
         return [
             Piece(

@@ -119,7 +119,7 @@ def list_matrices(
     for name, one in matrices.items():
         table.add_row(
             Text(name),
-            str(one.n) if one.sources is None else f"{len(one.sources)} of {one.n}",
+            str(one.n) if one.sources is None else f"{len(one.sources)}/{one.n}",
             str(one.n_seeds),
             _episodes(one),
             "halves" if one.measures_apart else "older",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +20,7 @@ from mbtl.report import summarise_study
 from mbtl.report.text import show_causes, show_summary
 from mbtl.selectors import get_selector
 from mbtl.study import SqlLog, Study, study_names
+from mbtl.study.database import shown
 from mbtl.study.listing import is_paid_in_steps
 from mbtl.study.steps.study import StepStudy
 from mbtl.study.steps.summary import counted
@@ -39,18 +40,18 @@ _Name = Annotated[
 
 @study_app.command("list")
 def list_studies(
-    folder: Annotated[
-        Path, typer.Argument(help="Folder that holds study folders, or one database.")
-    ] = Path("runs"),
+    place: Annotated[
+        str, typer.Argument(help="Folder that holds study folders, one database, or a URL.")
+    ] = "runs",
     as_json: JsonFlag = False,
 ) -> None:
-    """List the studies below a folder.
+    """List the studies below a folder, or of one database.
 
     Example: mbtl study list runs
     """
     rows: list[dict[str, Any]] = []
-    for database in [folder] if folder.is_file() else sorted(folder.glob("**/study.db")):
-        with _reported(database):
+    for database in _databases(place):
+        with _reported(database) if isinstance(database, Path) else nullcontext():
             for name in study_names(database):
                 with _reported(database):
                     rows.append(_row(database, name))
@@ -58,7 +59,7 @@ def list_studies(
         print_json(rows)
         return
     if not rows:
-        printer().print(f"no studies below {folder}; `mbtl run cartpole-length` makes one")
+        printer().print(f"no studies below {shown(place)}; `mbtl run cartpole-length` makes one")
         return
     table = Table(box=box.SIMPLE, show_edge=False)
     for head in ("study", "selector", "told", "failed", "V", "state"):
@@ -154,22 +155,38 @@ def export(
         printer().print(Text(f"wrote {len(state.rows)} transfer rows to {out}"))
 
 
+def _databases(place: str) -> list[Path] | list[str]:
+    """The URL itself, or all files of studies at a path."""
+    if "://" in place:
+        return [place]
+    path = Path(place)
+    return [path] if path.is_file() else sorted(path.glob("**/study.db"))
+
+
 @contextmanager
-def _reported(database: Path) -> Iterator[None]:
+def _reported(database: str | Path) -> Iterator[None]:
     """A study that cannot be read does not hide the others."""
     try:
         yield
     except MbtlError as error:
-        console.print(f"{database.parent}: {error}", style="red", markup=False, soft_wrap=True)
+        where = _where(database)
+        console.print(f"{where}: {error}", style="red", markup=False, soft_wrap=True)
 
 
-def _row(database: Path, name: str) -> dict[str, Any]:
+def _where(database: str | Path) -> str:
+    """What other commands take in its place; a URL is shown without its password."""
+    if isinstance(database, str):
+        return shown(database)
+    return str(database.parent if database.name == "study.db" else database)
+
+
+def _row(database: str | Path, name: str) -> dict[str, Any]:
     if (paid_in_steps := step_study(database, name)) is not None:
         return _step_row(paid_in_steps, database)
     study = open_study(database, name)
     state = study.state
     return {
-        "study": str(database.parent if database.name == "study.db" else database),
+        "study": _where(database),
         "name": name,
         "problem": study.spec.problem,
         "selector": study.spec.selector["name"],
@@ -182,10 +199,10 @@ def _row(database: Path, name: str) -> dict[str, Any]:
     }
 
 
-def _step_row(study: StepStudy, database: Path) -> dict[str, Any]:
+def _step_row(study: StepStudy, database: str | Path) -> dict[str, Any]:
     summary = study.summary()
     return {
-        "study": str(database.parent if database.name == "study.db" else database),
+        "study": _where(database),
         "name": study.name,
         "problem": summary.problem,
         "selector": summary.strategy,

@@ -6,7 +6,7 @@ import contextlib
 import random
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, overload
 
@@ -26,9 +26,11 @@ from mbtl.study.storage import Conflict, EventLog
 from mbtl.study.view import StudyView
 from mbtl.trainer import Trainer
 
-_PAUSE, _LONGEST_PAUSE, _LONGEST_COMMIT = 0.01, 2.0, 0.1
+_PAUSE, _LONGEST_PAUSE, _LONGEST_COMMIT = 0.01, 1.0, 0.1
 """Seconds between looks while somebody else proposes, or writes: few at first, since most wait for
 a moment, then ever more, since many who look at once only disturb each other."""
+_QUEUED = 50
+"""Writes that take turns after one that came too late: where nobody disturbs, that costs time."""
 _WATCH = 1.0
 """Seconds for which an asker believes what it knows of heartbeats: many wait at the same time."""
 
@@ -56,6 +58,7 @@ class LeasingStudy(StudyView):
         super().__init__(log, folder=folder, name=name, trainer=trainer, state=state)
         self.selector = selector
         self.proposes_ahead = True
+        self._queued = 0
 
     @overload
     def ask(
@@ -161,7 +164,8 @@ class LeasingStudy(StudyView):
     # ---- inside ------------------------------------------------------------------------------
 
     def _ask(self, lease: float | None) -> Pick:
-        turn, watch, watched, heard = _Turn(_LONGEST_PAUSE), self.watch(), time.monotonic(), 0.0
+        turn, retry = _Turn(_LONGEST_PAUSE), _Turn(_LONGEST_COMMIT)
+        watch, watched, heard = self.watch(), time.monotonic(), 0.0
         while True:
             state = self.refresh()
             if time.monotonic() - watched > _WATCH:
@@ -174,9 +178,17 @@ class LeasingStudy(StudyView):
                 turn.wait()
                 continue
             try:
-                self._append(claim, state)
+                with self._turn() as queued:
+                    if queued:
+                        state = self.refresh()
+                        claim = asking.claim(
+                            state, watch, lease, self.worker, proposed=self.proposes_ahead
+                        )
+                    if claim is None:
+                        continue
+                    self._append(claim, state)
             except Conflict:
-                turn.wait()
+                retry.wait()
                 continue
             if claim.kind == "released":
                 continue
@@ -261,13 +273,26 @@ class LeasingStudy(StudyView):
         turn = _Turn(_LONGEST_COMMIT)
         while True:
             state = self.refresh()
-            event = decide(state)
             try:
-                self._append(event, state)
+                with self._turn() as queued:
+                    event = decide(self.refresh() if queued else state)
+                    self._append(event, state)
             except Conflict:
                 turn.wait()
                 continue
             return event
+
+    @contextlib.contextmanager
+    def _turn(self) -> Iterator[bool]:
+        """True where others were faster lately, so that this one waits for its turn to write."""
+        queued = self._queued > 0
+        self._queued -= queued
+        try:
+            with self._log.turn() if queued else contextlib.nullcontext():
+                yield queued
+        except Conflict:
+            self._queued = _QUEUED
+            raise
 
     def _append(self, event: Event, state: StudyState) -> None:
         check_event(event, state)

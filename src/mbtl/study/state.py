@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -52,6 +53,7 @@ class StudyState:
     _routing_seq: int = field(default=-1, repr=False)
     _rows_seq: int = field(default=0, repr=False)
     """Number of the last event that changed the rows, or how they count."""
+    _asked_before: Counter[int] = field(default_factory=Counter, repr=False)
     _ahead_age: int = field(default=0, repr=False)
     """How many more answers the picks ahead may miss."""
     _performance: Array | None = field(default=None, repr=False)
@@ -245,10 +247,11 @@ class StudyState:
             tuple(data["notes"]),
             None,
             event.time,
-            sum(earlier.source == data["source"] for earlier in self.picks),
+            self._asked_before[data["source"]],
             None if data.get("targets") is None else tuple(data["targets"]),
         ).leased(_lease_of(event))
         self.picks.append(pick)
+        self._asked_before[pick.source] += 1
         self.open_picks[pick.number] = pick
 
     def _claimed(self, event: Event) -> None:

@@ -16,6 +16,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
@@ -27,6 +28,7 @@ from mbtl.study.database import WRITES, as_url, clock, database_errors, open_dat
 from mbtl.study.events import KINDS, Event, Kind
 from mbtl.study.leases import Beat
 from mbtl.study.patience import Patience
+from mbtl.study.turns import Turns
 from mbtl.untrusted import read_arrays, read_json
 
 if TYPE_CHECKING:
@@ -72,6 +74,10 @@ class EventLog(Protocol):
         """The last heartbeat of each lease, by its token."""
         ...
 
+    def turn(self) -> AbstractContextManager[None]:
+        """Others that write wait meanwhile, where the database can make them; see `Turns`."""
+        ...
+
 
 class MemoryLog:
     """A log that lives and dies with the process."""
@@ -109,6 +115,10 @@ class MemoryLog:
         """The last heartbeats."""
         return dict(self._beats)
 
+    def turn(self) -> AbstractContextManager[None]:
+        """Nobody else is here."""
+        return nullcontext()
+
 
 class SqlLog:
     """Events of one named study in a database table.
@@ -131,6 +141,7 @@ class SqlLog:
         self.patience = Patience()
         self._engine, self._table, self._heartbeats = open_database(self.url, create=create)
         self._has_beats = False
+        self._turns = Turns(self._engine, study)
         weakref.finalize(self, self._engine.dispose)  # a server's connections end with the log
 
     def append(self, event: Event, *, after: int) -> int:
@@ -235,6 +246,10 @@ class SqlLog:
 
         return self._do(fetch)
 
+    def turn(self) -> AbstractContextManager[None]:
+        """Writers to this study queue up on the server; see `EventLog`."""
+        return self._turns.take()
+
     # ---- inside ------------------------------------------------------------------------------
 
     def _last(self) -> Any:
@@ -271,12 +286,31 @@ class SqlLog:
         self, work: Callable[[Connection], T], *, writes: bool = False, single: bool = False
     ) -> T:
         """Once; a single statement is a transaction by itself, and needs no words around it."""
+        if self._turns.connection is not None:
+            return self._try_in_turn(work, self._turns.connection, writes=writes)
         options: dict[str, Any] = {WRITES: writes}
         if single and self._engine.dialect.name == "postgresql":
             options["isolation_level"] = "AUTOCOMMIT"
         engine = self._engine.execution_options(**options)
         with database_errors(self.url), engine.begin() as connection:
             done = work(connection)
+        self.patience.answered()
+        return done
+
+    def _try_in_turn(
+        self, work: Callable[[Connection], T], connection: Connection, *, writes: bool
+    ) -> T:
+        """Once, in the transaction of a turn; what goes wrong ends it, and may be tried without."""
+        try:
+            with database_errors(self.url):
+                done = work(connection)
+                if writes:
+                    connection.commit()
+        except StorageError as error:
+            self._turns.end()
+            if isinstance(error, Conflict):
+                raise
+            raise Unreachable(str(error)) from error
         self.patience.answered()
         return done
 

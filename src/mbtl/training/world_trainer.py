@@ -179,6 +179,16 @@ class WorldTrainer(WorldSteps):
             return 1 << 20
         return 1 if (self.algorithm, self.unit) == ("PPO", "timesteps") else _CPU_LANES
 
+    def groups(self, contexts: Sequence[Context], lanes: int) -> list[int]:
+        """Sizes of the groups of consecutive contexts that are trained together."""
+        import mbtl.training.jax as engine
+
+        if self.unit == "episodes" and engine.on_cpu():
+            world, params = self.problem(contexts)
+            if hasattr(world, "groups"):
+                return list(world.groups(params, lanes))
+        return [min(lanes, len(contexts) - i) for i in range(0, len(contexts), lanes)]
+
     # ---- training ----------------------------------------------------------------------------
 
     def train(

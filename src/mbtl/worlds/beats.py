@@ -20,6 +20,9 @@ import numpy as np
 from mbtl.worlds.environments import Beats, Length, Tree
 from mbtl.worlds.world import Moved, Seeded, World
 
+_ALIKE = 4
+"""So many times as many decisions as in another episode are too many to learn from together."""
+
 Decide = Callable[[Tree, jax.Array], tuple[jax.Array, Tree]]
 """state, (n,) numbers of decisions -> (n, ...) actions to apply, and what shall be kept of it."""
 
@@ -78,6 +81,24 @@ class Holds(Seeded):
             return int(counts[0])
         steps = int(np.gcd.reduce(holds))
         return Beats(int(counts.max()), int((counts * holds).max()) // steps, steps)
+
+    def groups(self, params: HoldParams, most: int) -> list[int]:
+        """Sizes of groups of consecutive contexts, at most so many in each, to train together.
+
+        All policies of a program learn from as many rows as the one with the most decisions, so no
+        episode of a group has more than `_ALIKE` times the decisions of another.
+        """
+        sizes: list[int] = []
+        first = np.inf, -np.inf  # the longest and the shortest hold of the group so far
+        for hold in np.atleast_1d(np.asarray(params.hold)).tolist():
+            least, longest = min(first[0], hold), max(first[1], hold)
+            if sizes and sizes[-1] < most and longest <= _ALIKE * least:
+                sizes[-1] += 1
+                first = least, longest
+            else:
+                sizes.append(1)
+                first = hold, hold
+        return sizes
 
     def beats(self, params: HoldParams, beats: Beats) -> tuple[jax.Array, jax.Array]:
         """See `Holding`."""
