@@ -10,7 +10,7 @@ Notation (shapes): S seeds, K lengths.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
@@ -20,15 +20,36 @@ from typing import Any
 import numpy as np
 from step_tables import Play, Plays, Sets
 
+from mbtl.actions import Committee
+from mbtl.actions.committee import Sides
 from mbtl.benchmark.multitask import load_multitask
-from mbtl.benchmark.steps import ONE_PER_STEP, StepWorld
+from mbtl.benchmark.steps import ONE_PER_STEP, OnAll, StepRun, StepWorld
 
 FILE = Path(__file__).parents[1] / "docs/data/one-policy.json"
+ROWS = Path(__file__).parents[1] / "docs/data/one-policy-rows.npz"
+"""Of `step_wide.py`."""
 LEAST = 0.001
 """Of V: less is no lead."""
 SHIPPED = {"ppo": 1.0, "ppo-x10": 10.0, "trpo": 1.0, "trpo-x10": 10.0}
 CHECKS, CHECK_EPISODES = 20, 2
 """Of traffic, per context."""
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What a committee said on one seed.
+
+    Attributes:
+        side: "all", "specialists" or "nobody" is ahead.
+        total: steps that both sides had cost when it said "all".
+        alone: of the policies for all, when it said something.
+        spent: in the end.
+    """
+
+    side: str
+    total: float
+    alone: float
+    spent: float
 
 
 @dataclass(frozen=True)
@@ -44,6 +65,21 @@ class Point:
     times: float
     steps: float
     value: float
+
+
+def on_all(name: str, seed: int) -> OnAll | None:
+    """Rows of policies for all contexts of a set, those that were trained so far."""
+    cmdp = "-".join(name.split("-")[:2])
+    rows, steps, returns = _rows(), [], []
+    while (key := f"{cmdp} {seed} {len(steps)}") in rows:
+        steps.append(int(rows[f"{key} steps"]))
+        returns.append(rows[key])
+    return OnAll(np.array(steps), np.stack(returns)) if steps else None
+
+
+@cache
+def _rows() -> Any:
+    return dict(np.load(ROWS)) if ROWS.is_file() else {}
 
 
 @cache
@@ -155,33 +191,40 @@ def race(sets: Sets, plays: Plays, strategy: str) -> dict[str, list[Play]]:
     return found
 
 
-def verdicts(sets: Sets, plays: Plays, strategy: str) -> list[str]:
-    """What the race says and costs, set by set; of seeds, means."""
+def decided(rule: Committee, world: StepWorld, run: StepRun, budget: float) -> Decided:
+    """What a committee has said, and what that had cost; steps."""
+    sides = Sides.of(run.trail)
+    winner, then = rule.decision(world.problem(budget), run.trail, sides)
+    alone = 0.0 if then is None else then.steps
+    total = alone + sides.ours.spent if winner == "all" else 0.0
+    return Decided(winner or "nobody", total, alone, run.trail.spent)
+
+
+def verdicts(
+    sets: Sets, plays: Plays, said: Mapping[str, list[Decided]], committee: str, specialists: str
+) -> list[str]:
+    """What a committee says on each set and what that costs; of seeds, means."""
     lines = [
-        "| set | says that one policy is enough | after units | which cost alone | "
-        "V of 30 units, both | the portfolio alone | the one policy alone |",
-        "|---" * 7 + "|",
+        "| set | one policy is enough | specialists are ahead | nothing | units until it said that "
+        "one policy is enough | of them for the one policy | units until it said that specialists "
+        "are ahead, for the one policy | units paid in all | V, committee | V, specialists alone "
+        "with 30 units |",
+        "|---" * 10 + "|",
     ]
-    both, single = race(sets, plays, strategy), alone(sets)
     for name, seeds in sets.items():
-        said, after, own, ends = 0, [], [], []
-        for s, (world, scale) in enumerate(seeds):
-            mine = plays[strategy][name][s]
-            able = [p for p in points(name, world, s) if _until(p, name, world, s) <= scale.budget]
-            if able and able[-1].value >= mine.at(able[-1].steps):
-                said += 1
-                after.append(_until(able[-1], name, world, s) / scale.unit)
-                own.append(able[-1].steps / scale.unit)
-            every = (both[name][s], mine, single[name][s])
-            ends.append([play.at(scale.budget) for play in every])
-        cells = [f"{said} of {len(seeds)}"]
-        cells += [f"{np.mean(units):.1f}" if units else "-" for units in (after, own)]
-        cells += [f"{v:.3f}" for v in np.mean(ends, axis=0)]
+        found, cells = said[name], []
+        units = [scale.unit for _, scale in seeds]
+        for side in ("all", "specialists", "nobody"):
+            cells.append(f"{sum(one.side == side for one in found)} of {len(found)}")
+        for side, what in (("all", "total"), ("all", "alone"), ("specialists", "alone")):
+            some = [getattr(one, what) / unit for one, unit in zip(found, units, strict=True)
+                    if one.side == side]  # fmt: skip
+            cells.append(f"{np.mean(some):.1f}" if some else "-")
+        paid = np.mean([one.spent / unit for one, unit in zip(found, units, strict=True)])
+        cells.append(f"{paid:.1f}")
+        for strategy in (committee, specialists):
+            ends = [play.at(scale.budget) for play, (_, scale)
+                    in zip(plays[strategy][name], seeds, strict=True)]  # fmt: skip
+            cells.append(f"{np.mean(ends):.3f}")
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return lines
-
-
-def _until(point: Point, name: str, world: StepWorld, seed: int) -> float:
-    """Steps of a race until this try is known: as many for the portfolio, and all tries so far."""
-    before = [p.steps for p in points(name, world, seed) if p.times <= point.times]
-    return point.steps + float(sum(before))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import step_generalist as generalist
@@ -17,6 +17,7 @@ BEGIN, END = "<!-- begin: {} of evidence/steps.py -->", "<!-- end -->"
 OURS = "mbtl, whole, evaluation a tenth"
 PILOT = "pilot, mbtl"
 FIVE = "mbtl, whole"
+COMMITTEE = "committee"
 ALONE = "one policy for all"
 RACE = "mbtl, evaluation a tenth, in turn with one policy for all"
 GOAL = 10.0
@@ -25,7 +26,7 @@ EARLY = 2.0
 SHOWN = (
     PAPER, "random, whole", "spread, whole", FIVE, OURS, "mbtl, 1/2", "random, 1/4", "mbtl, 1/4",
     "ASHA by own return", "ASHA from 1/16 by mean", "Hyperband by own return", "pilot, random",
-    "pilot, spread", PILOT,
+    "pilot, spread", PILOT, COMMITTEE,
     "auto, whole, evaluation a tenth", "pilot, auto", tables.CHOSEN, ALONE, RACE, ORACLE,
 )  # fmt: skip
 LADDER = {
@@ -39,7 +40,15 @@ BESIDE = (PAPER, FIVE, OURS, PILOT)
 PRICED = (PAPER, OURS, PILOT)
 
 
-def everything(sets: Sets, plays: Plays) -> list[str]:
+Said = Mapping[str, list[generalist.Decided]]
+
+
+def verdicts(sets: Sets, plays: Plays, said: Said) -> list[str]:
+    """What the committee says of each set."""
+    return generalist.verdicts(sets, plays, said, COMMITTEE, PILOT)
+
+
+def everything(sets: Sets, plays: Plays, found: Sequence[str]) -> list[str]:
     """All tables."""
     families = sorted({family_of(name) for name in sets})
     some = [name for name in SHOWN if name in plays]
@@ -55,7 +64,7 @@ def everything(sets: Sets, plays: Plays) -> list[str]:
     lines += [*tables.ladder(sets, plays, LADDER), ""]
     lines += [*tables.prices(sets, plays, some), ""]
     lines += ["## One policy for all", "", *generalist.beside(sets, plays, some), ""]
-    lines += [*generalist.verdicts(sets, plays, OURS)]
+    lines += found
     return lines
 
 
@@ -89,7 +98,7 @@ def conclusion(sets: Sets, plays: Plays) -> list[str]:
         f"paper's protocol. A rival wins in places: one policy for all contexts, shown the context "
         f"in CartPole and Pendulum, is ahead at equal steps within {EARLY:g} units (of a whole "
         f"training and its evaluation) on {_names(first)}, and within {BUDGET:.0f} on "
-        f"{_names(last)}.**",
+        f"{_names(last)}. `--strategy committee` finds out which is enough.**",
         "",
         f"A factor of {patience:.1f} of that saving is had by not picking on when V is there. Ten "
         f"times fewer was the goal: at equal prices it is {reached}, at the paper's {papers}. V is "
@@ -112,7 +121,7 @@ def _sets(sets: Sets) -> str:
     return f"{len(sets)} sets of {len(families)} families ({', '.join(families)}), three seeds each"
 
 
-def write(sets: Sets, plays: Plays) -> None:
+def write(sets: Sets, plays: Plays, found: Sequence[str]) -> None:
     """The sentence and the tables of docs/steps.md."""
     some = {name: plays[name] for name in SHOWN if name in plays}
     fill("conclusion", conclusion(sets, plays))
@@ -121,7 +130,7 @@ def write(sets: Sets, plays: Plays) -> None:
     fill("saving", tables.ladder(sets, plays, LADDER))
     fill("oracle", tables.against_oracle(sets, plays, BESIDE))
     fill("one policy", generalist.beside(sets, plays, BESIDE))
-    fill("committee", generalist.verdicts(sets, plays, OURS))
+    fill("committee", found)
     fill("prices", tables.prices(sets, plays, PRICED))
 
 

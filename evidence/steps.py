@@ -2,11 +2,13 @@
 
     .venv/bin/python evidence/steps.py [--auto] [--write]
     .venv/bin/python evidence/steps.py --constants [--write]
+    .venv/bin/python evidence/steps.py --committee [--write]
 
 Every set of curves that is shipped with all its seeds takes part. `--auto` adds the strategies that
 ask `auto` (they need most of the time). `--write` puts all tables into docs/appendix/steps.md, and
 the sentence and tables of the page into docs/steps.md. `--constants` is about other numbers of the
-evaluation and of the pilot instead, and which the other families would have chosen. What was played
+evaluation and of the pilot instead, and which the other families would have chosen. `--committee`
+plays only the committee and the specialists that it has, and writes their table. What was played
 is kept in `--keep`, so that it is not played again when a set is added; empty that folder when a
 strategy changes.
 """
@@ -14,8 +16,10 @@ strategy changes.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import appendix
@@ -25,7 +29,7 @@ import step_page as page
 import step_tables as tables
 from step_tables import Play, Seeds, Sets
 
-from mbtl.actions import Evaluation, FixedLength, Halving, Pilot, Strategy
+from mbtl.actions import Committee, Evaluation, FixedLength, Halving, Pilot, Strategy
 from mbtl.actions.evaluation import A_TENTH, WHERE_IT_MATTERS
 from mbtl.benchmark import load_curves
 from mbtl.benchmark.curves import FOLDER
@@ -67,6 +71,8 @@ STRATEGIES: tuple[Strategy, ...] = (
     Pilot(selector="mbtl", name="pilot, mbtl"),
     Pilot(selector="mbtl", evaluation=A_TENTH, name="pilot, mbtl, evaluation a tenth"),
 )  # fmt: skip
+COMMITTEE = Committee(name=page.COMMITTEE)
+"""Played where policies for all contexts were trained; in the leaderboard if that is everywhere."""
 WITH_AUTO: tuple[Strategy, ...] = (
     FixedLength("auto", evaluation=A_TENTH, name="auto, whole, evaluation a tenth"),
     Pilot(selector="auto", name="pilot, auto"),
@@ -95,7 +101,10 @@ def worlds() -> Sets:
         family, _, rest = name.partition("-")
         axis, _, variant = rest.partition("-")
         curves = load_curves(f"{family}-{axis}", variant or "default")
-        made = [StepWorld(curves, seed) for seed in range(curves.n_seeds)]
+        made = [
+            StepWorld(curves, seed, on_all=generalist.on_all(name, seed))
+            for seed in range(curves.n_seeds)
+        ]
         seeds = [(world, StepScale.of(world)) for world in made]
         room = np.mean([scale.high - scale.low for _, scale in seeds])
         if room < LEAST_ROOM:
@@ -112,15 +121,28 @@ def played(strategy: Strategy, name: str, seeds: Seeds, keep: Path) -> list[Play
     file = keep / f"{name} {strategy.name.replace('/', '_')}.npz"
     if file.is_file():
         return Play.load(file)
-    plays = []
+    plays, said = [], []
     for world, scale in seeds:
         run = replay_steps(fair, world, scale.budget)
         lengths = np.array([t.steps for t in run.trail.trainings], dtype=float)
         shares = np.array([run.evaluation_share, run.decide_seconds, run.decisions])
         plays.append(Play(run.spent, run.value, lengths / world.lengths[-1], *shares))
+        if isinstance(fair, Committee):
+            said.append(asdict(generalist.decided(fair, world, run, scale.budget)))
     Play.save(file, plays)
+    if said:
+        file.with_suffix(".json").write_text(json.dumps(said), encoding="utf-8")
     print(f"{name}: {strategy.name}", file=sys.stderr)
     return plays
+
+
+def sayings(sets: Sets, keep: Path) -> dict[str, list[generalist.Decided]]:
+    """What the committee said on each set; after `played`."""
+    files = {name: keep / f"{name} {page.COMMITTEE}.json" for name in sets}
+    return {
+        name: [generalist.Decided(**one) for one in json.loads(file.read_text(encoding="utf-8"))]
+        for name, file in files.items()
+    }
 
 
 def all_played(strategies: Sequence[Strategy], sets: Sets, keep: Path) -> tables.Plays:
@@ -135,6 +157,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--auto", action="store_true")
     parser.add_argument("--constants", action="store_true")
+    parser.add_argument("--committee", action="store_true")
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--keep", type=Path, default=Path("runs/steps"))
     args = parser.parse_args()
@@ -148,19 +171,32 @@ def main() -> None:
         if args.write:
             page.fill("constants", lines)
         return
+    tried = {n: seeds for n, seeds in sets.items() if all(world.on_all for world, _ in seeds)}
+    if args.committee:
+        needed = (COMMITTEE, *(s for s in STRATEGIES if s.name == page.PILOT))
+        plays, said = all_played(needed, tried, args.keep), sayings(tried, args.keep)
+        lines = page.verdicts(tried, plays, said)
+        print("\n".join(lines))
+        if args.write:
+            page.fill("committee", lines)
+        return
     strategies = STRATEGIES + (WITH_AUTO if args.auto else ())
     plays = tables.with_chosen(sets, all_played(strategies, sets, args.keep))
+    beside = all_played([COMMITTEE], tried, args.keep)
+    if tried.keys() == sets.keys():
+        plays |= beside
     plays = {
         **plays,
         page.ALONE: generalist.alone(sets),
         page.RACE: generalist.race(sets, plays, page.OURS),
     }
     plays = tables.with_oracle(sets, plays)
-    lines = page.everything(sets, plays)
+    found = page.verdicts(tried, {**plays, **beside}, sayings(tried, args.keep))
+    lines = page.everything(sets, plays, found)
     print("\n".join(lines))
     if args.write:
         appendix.write("steps", "Count steps: all tables", "steps.md", lines)
-        page.write(sets, plays)
+        page.write(sets, plays, found)
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ CORE = [
     "objective",
     "checkpoints",
     "trainer",
+    "set_trainer",
     "history",
     "models",
     "routing",

@@ -107,10 +107,12 @@ def test_a_study_paid_in_steps_is_sent_to_the_command_that_shows_it(mbtl_command
         SPACE, cost="steps", budget=1000, bounds=(0, 1), lengths=[10], episodes=2, horizon=5,
         storage=tmp_path / "s.db",
     )  # fmt: skip
-    for command in ("report", "watch"):
-        code, _, err = mbtl_command(command, "s.db")
-        assert code == 2
-        assert "use `mbtl study show`" in " ".join(err.split())
+    code, _, err = mbtl_command("report", "s.db")
+    assert code == 1
+    assert "`mbtl study show s.db` prints its bill" in " ".join(err.split())
+    code, out, _ = mbtl_command("watch", "s.db")
+    assert code == 0
+    assert "0 of 1K steps were paid" in out
 
 
 def test_watching_prints_the_state_once_where_there_is_no_terminal(mbtl_command, stored):

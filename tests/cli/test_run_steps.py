@@ -64,6 +64,24 @@ def test_a_study_that_counts_steps_is_listed_and_deleted(mbtl_command, own, tmp_
     assert not list((tmp_path / "here" / "policies").iterdir())
 
 
+def test_a_committee_is_shown_with_its_policy_for_all_and_what_it_found_out(mbtl_command, own):
+    code, out, err = mbtl_command("run", own, "--steps", "600K", "--strategy", "committee")
+    assert code == 0, err
+    assert "all contexts" in out
+    assert "finished: one policy for all is enough here: it is ahead of the specialists by" in out
+    assert "(all contexts)" in err
+    folder = "runs/slow-default-steps-seed0"
+    portfolio = json.loads(Path(folder, "portfolio", "portfolio.json").read_text())
+    assert next(iter(portfolio["sets"].values()))[:3] == [0, 1, 2]
+    code, seen, err = mbtl_command("watch", folder)
+    assert code == 0, err
+    assert "all contexts" in seen
+    assert "steps were paid, all in" in seen
+    code, _, err = mbtl_command("report", folder)
+    assert code == 1
+    assert f"`mbtl study show {folder}` prints its bill" in err
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -27,6 +27,7 @@ class Slow:
     eval_episodes: int = 2
     dies_after: int | None = None
     fails_at: float | None = None
+    level: float = 0.98
     ran: dict = field(default_factory=lambda: {"steps": 0, "checks": 0, "evaluation": 0})
     policy_format = "custom"
     whole_steps = WHOLE
@@ -56,6 +57,21 @@ class Slow:
             os.replace(saved.with_suffix(".new"), saved)
         return Reached(np.array([context["x"], skill]), done, checks, ended=bool(skill >= 0.99))
 
+    def check_on_set(self):
+        pass
+
+    def train_on_steps(self, contexts, seed, steps, *, marks, saved=None, on_progress=None):
+        """Worth `level` everywhere after 8,000 steps; 0.0 before."""
+        done = json.loads(saved.read_text()) if saved is not None and saved.exists() else 0
+        while done < steps:
+            done += UNIT
+            self.ran["steps"] += UNIT
+            self.work()
+        if saved is not None:
+            saved.with_suffix(".new").write_text(json.dumps(done))
+            os.replace(saved.with_suffix(".new"), saved)
+        return Reached(np.array([np.nan, self.level if done >= 8_000 else 0.0]), done)
+
     def work(self):
         if self.dies_after is not None:
             self.dies_after -= 1
@@ -65,7 +81,8 @@ class Slow:
     def evaluate_steps(self, policy, contexts, seed):
         self.work()
         x, skill = policy
-        returns = np.array([[skill - abs(c["x"] - x)] * self.eval_episodes for c in contexts])
+        away = [0.0 if np.isnan(x) else abs(c["x"] - x) for c in contexts]
+        returns = np.array([[skill - gap] * self.eval_episodes for gap in away])
         returns = returns + 0.01 * np.random.default_rng(seed).standard_normal(returns.shape)
         steps = np.full(returns.shape, 10 + round(5 * skill))
         self.ran["evaluation"] += int(steps.sum())
@@ -95,7 +112,7 @@ def outcome(study):
     """Everything that must not depend on interruptions."""
     state = study.state
     return {
-        "trainings": [[t.source, t.steps, t.checks, t.ended] for t in state.trainings],
+        "trainings": [[t.source, t.steps, t.checks, t.ended, len(t.on)] for t in state.trainings],
         "policies": [[p.training, p.length] for p in state.policies],
         "returns": np.nan_to_num(np.array(state.returns), nan=-9.0).tolist(),
         "spent": state.spent,
@@ -105,6 +122,7 @@ def outcome(study):
 
 
 if __name__ == "__main__":
-    study = opened(Slow(dies_after=int(sys.argv[2])), sys.argv[1])
+    strategy = sys.argv[3] if len(sys.argv) > 3 else "pilot"
+    study = opened(Slow(dies_after=int(sys.argv[2])), sys.argv[1], strategy=strategy)
     study.run(progress=False)
     print(json.dumps(outcome(study)))

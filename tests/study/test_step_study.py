@@ -37,7 +37,7 @@ class Script:
         return self.actions[done] if done < len(self.actions) else Stop()
 
 
-@pytest.mark.parametrize("strategy", ["pilot", "fixed", "halving", "asha"])
+@pytest.mark.parametrize("strategy", ["pilot", "fixed", "halving", "asha", "committee"])
 def test_what_is_charged_is_what_ran(strategy):
     trainer = Slow()
     study = opened(trainer, strategy=strategy)
@@ -73,13 +73,16 @@ def test_all_weights_that_a_training_passed_are_at_hand():
     assert first.steps < WHOLE
 
 
-def test_killed_at_any_moment_a_study_ends_as_if_undisturbed(tmp_path):
-    calm = opened(Slow())
+@pytest.mark.parametrize("strategy", ["pilot", "committee"])
+def test_killed_at_any_moment_a_study_ends_as_if_undisturbed(tmp_path, strategy):
+    calm = opened(Slow(), strategy=strategy)
     calm.run(progress=False)
     kills, work = 0, 45  # the longest piece has 32 units of work
     while True:
         run = subprocess.run(
-            [sys.executable, PROGRAM, tmp_path, str(work)], capture_output=True, text=True
+            [sys.executable, PROGRAM, tmp_path, str(work), strategy],
+            capture_output=True,
+            text=True,
         )
         if run.returncode == 0:
             break

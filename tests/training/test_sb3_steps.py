@@ -1,13 +1,17 @@
 """Trainings in Stable-Baselines3 that pause, go on, and begin from others."""
 
+from dataclasses import replace
+
 import gymnasium
 import numpy as np
 import pytest
 from training_envs import Guess, cartpole, pendulum
 
 from mbtl.errors import InvalidInput
+from mbtl.set_trainer import SetTrainer
 from mbtl.trainer import SteppingTrainer
 from mbtl.training import SB3Trainer
+from mbtl.training.multitask import for_all_contexts
 from mbtl.training.sb3_steps import _can_be_copied
 
 POLE = {"length": 0.5}
@@ -51,6 +55,24 @@ def test_a_training_extended_twice_is_the_whole_one(one, context, tmp_path):
     assert reached[-1].steps == whole.num_timesteps
     assert same(reached[-1].policy, whole)
     assert not same(reached[0].policy, whole)
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "DQN"])
+def test_a_training_on_several_contexts_extended_twice_is_the_whole_one(algorithm, tmp_path):
+    one, contexts = trainer(algorithm=algorithm), [{"length": x} for x in (0.3, 0.5, 1.0)]
+    assert isinstance(one, SetTrainer)
+    one.check_on_set()
+    marks, file = (128, 640), tmp_path / "training"
+    whole = replace(for_all_contexts(one, contexts), timesteps=640).train({}, seed=3)
+    reached = [
+        one.train_on_steps(contexts, 3, steps, marks=marks, saved=file) for steps in (128, 320, 640)
+    ]
+    assert [r.steps for r in reached] == [128, 320, 640]
+    assert same(reached[-1].policy, whole)
+    assert not same(reached[0].policy, whole)
+    assert len(one.evaluate(reached[-1].policy, contexts, seed=1)) == 3
+    with pytest.raises(InvalidInput, match="got episodes=4"):
+        replace(one, timesteps=None, episodes=4).check_on_set()
 
 
 class NotCopied(Guess, gymnasium.utils.EzPickle):

@@ -6,12 +6,14 @@ from mbtl.actions.base import (
     Extend,
     Policy,
     Start,
+    StartOn,
     StepProblem,
     Stop,
     Strategy,
     Trail,
     Training,
 )
+from mbtl.actions.committee import Committee
 from mbtl.actions.evaluation import Evaluation
 from mbtl.actions.fixed import FixedLength
 from mbtl.actions.halving import Halving
@@ -19,6 +21,7 @@ from mbtl.actions.pilot import Pilot
 
 __all__ = [
     "Action",
+    "Committee",
     "Evaluate",
     "Evaluation",
     "Extend",
@@ -27,6 +30,7 @@ __all__ = [
     "Pilot",
     "Policy",
     "Start",
+    "StartOn",
     "StepProblem",
     "Stop",
     "Strategy",

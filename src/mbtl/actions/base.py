@@ -13,6 +13,7 @@ Notation (shapes): N contexts, L lengths, k policies evaluated.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
@@ -53,6 +54,21 @@ class Start:
 
 
 @dataclass(frozen=True)
+class StartOn:
+    """Begin one training on several contexts, its episodes spread over them, and go to a mark.
+
+    Schedules reach their end there. One that is extended later begins them anew at each mark.
+
+    Attributes:
+        sources: context indices, two or more.
+        length: index of the mark, among those of a training on several contexts.
+    """
+
+    sources: tuple[int, ...]
+    length: int
+
+
+@dataclass(frozen=True)
 class Extend:
     """Go on with a training to a later mark.
 
@@ -83,7 +99,7 @@ class Stop:
     """Nothing more is worth its steps."""
 
 
-Action = Start | Extend | Evaluate | Stop
+Action = Start | StartOn | Extend | Evaluate | Stop
 
 
 @dataclass(frozen=True)
@@ -96,6 +112,8 @@ class StepProblem:
         budget: environment steps, all in.
         episodes: of a policy on a target it is evaluated on.
         horizon: most steps of an episode.
+        lengths_on_all: (A,) the same marks of a training on several contexts; none: there can be no
+            such training.
     """
 
     selection: SelectionProblem
@@ -103,10 +121,14 @@ class StepProblem:
     budget: float
     episodes: int
     horizon: int
+    lengths_on_all: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
-        if self.lengths.ndim != 1 or not len(self.lengths) or (np.diff(self.lengths) <= 0).any():
-            raise InvalidInput(f"lengths must be numbers of steps that rise, got {self.lengths}")
+        for marks in (self.lengths, self.lengths_on_all):
+            if marks.ndim != 1 or (np.diff(marks) <= 0).any():
+                raise InvalidInput(f"lengths must be numbers of steps that rise, got {marks}")
+        if not len(self.lengths):
+            raise InvalidInput("a training needs a length, got none; give one or more")
         if not (self.budget > 0 and self.episodes >= 1 and self.horizon >= 1):
             raise InvalidInput(
                 "budget, episodes and horizon must be positive, got "
@@ -128,12 +150,14 @@ class Training:
         length: index of the last mark passed.
         steps: environment steps done.
         ended: it has nothing left to gain on its own context; longer would be the same policy.
+        on: contexts of a training on several, of which `source` is the middle one; else none.
     """
 
     source: int
     length: int
     steps: int
     ended: bool = False
+    on: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -197,7 +221,7 @@ class Trail:
         """After a training was begun or continued."""
         before = self.trainings
         after = (*before[:training], now, *before[training + 1 :])
-        return replace(self, trainings=after, spent=self.spent + cost)._filled_as(self.filled)
+        return replace(self, trainings=after, spent=self.spent + cost).filled_as(self.filled)
 
     def with_evaluation(
         self, policy: Policy, targets: NDArray[np.intp], values: Array, cost: float
@@ -217,15 +241,21 @@ class Trail:
         # one row is new: the others are filled as before
         filled = np.vstack([self.filled, rows[len(self.policies) :]])
         filled[i] = filled_rows(rows[i : i + 1], self.steps)[0]
-        return after._filled_as(filled)
+        return after.filled_as(filled)
 
-    def _filled_as(self, filled: Array) -> Trail:
+    def filled_as(self, filled: Array) -> Trail:
+        """The same, its filled rows known."""
         self.__dict__["filled"] = filled
         return self
 
 
 class Strategy(Protocol):
-    """Decides what the next steps are spent on."""
+    """Decides what the next steps are spent on.
+
+    One that begins trainings on several contexts says so beforehand by `trains_on_all = True`, so
+    that trainers which cannot do it are refused before anything is spent. One that finds something
+    out may have `verdict(problem, trail)`: a sentence for people, or None.
+    """
 
     @property
     def name(self) -> str:
@@ -235,6 +265,13 @@ class Strategy(Protocol):
     def decide(self, problem: StepProblem, trail: Trail, rng: np.random.Generator) -> Action:
         """The next action."""
         ...
+
+
+def middle_of(sources: Sequence[int], steps: Array) -> int:
+    """The context of a set that is nearest to its middle: where one policy of all is drawn."""
+    places = steps[list(sources)]
+    middle = (places.min(axis=0) + places.max(axis=0)) / 2.0
+    return int(sources[int(np.linalg.norm(places - middle, axis=1).argmin())])
 
 
 def filled_rows(rows: Array, steps: Array) -> Array:

@@ -35,7 +35,7 @@ class Evaluation:
         waiting = trail.unevaluated
         if waiting is not None:
             training = trail.trainings[waiting.training]
-            count = self._count(problem, trail, training.steps)
+            count = self.count(problem, trail, training.steps)
             return Evaluate(waiting, spread_targets(problem.selection, training.source, count))
         if self.margin is None or not trail.policies or not problem.selection.is_line:
             return None
@@ -43,7 +43,8 @@ class Evaluation:
         between = self._contested(problem, trail, trail.rows[-1])
         return Evaluate(policy, between) if between else None
 
-    def _count(self, problem: StepProblem, trail: Trail, steps: int) -> int:
+    def count(self, problem: StepProblem, trail: Trail, steps: int) -> int:
+        """Targets of a policy that was trained for so many steps."""
         if self.share is None:
             return self.targets or problem.n
         affordable = self.share * steps / target_price(problem, trail)

@@ -9,7 +9,10 @@ An episode of CartPole takes as many steps as its return says, so its price is t
 Elsewhere an episode is charged with the horizon, which is the true length where none ends early.
 
 Selection and routes see one half of the episodes; V is of the other, which is a report's business
-and not charged. A training on a context is done once: a second try there is not in the data.
+and not charged. A training on a context is done once: a second try there is not in the data. A
+training on all contexts is possible where its rows are given, too, once at each length.
+
+Notation (shapes): L lengths, M sources, N contexts, A lengths of trainings on all contexts.
 """
 
 from __future__ import annotations
@@ -27,11 +30,13 @@ from mbtl.actions.base import (
     Extend,
     Policy,
     Start,
+    StartOn,
     StepProblem,
     Stop,
     Strategy,
     Trail,
     Training,
+    middle_of,
 )
 from mbtl.arrays import Array
 from mbtl.benchmark.curves import Kind, TransferCurves
@@ -49,6 +54,19 @@ CHECKS, CHECK_EPISODES = 50, 10
 _MOST_ACTIONS = 100_000
 
 
+@dataclass(frozen=True, eq=False)
+class OnAll:
+    """Trainings on all contexts of a set of curves, one of each length, one seed.
+
+    Attributes:
+        steps: (A,) environment steps of each, rising.
+        returns: (A, 2, N) raw returns of their policies, of both halves of the episodes.
+    """
+
+    steps: NDArray[np.int64]
+    returns: Array
+
+
 class StepWorld:
     """One seed of transfer curves as a world that strategies act in.
 
@@ -57,13 +75,19 @@ class StepWorld:
         seed: index of the training seed.
         kind: which policy of a training at a length: the latest, or the best so far.
         horizon: steps of an episode; None: that of the family.
+        on_all: trainings on all contexts; None: strategies cannot have one.
 
     Raises:
         InvalidInput: the horizon is not known, or lengths are not counted in steps.
     """
 
     def __init__(
-        self, curves: TransferCurves, seed: int, kind: Kind = "last", horizon: int | None = None
+        self,
+        curves: TransferCurves,
+        seed: int,
+        kind: Kind = "last",
+        horizon: int | None = None,
+        on_all: OnAll | None = None,
     ) -> None:
         """Nothing is spent yet."""
         family = curves.name.split("-")[0]
@@ -74,6 +98,7 @@ class StepWorld:
             )
         unit = known if curves.unit == "episodes" else 1
         self.curves, self.seed, self.kind, self.horizon = curves, seed, kind, known
+        self.on_all = on_all
         self.lengths = np.asarray(curves.lengths) * unit
         self._exact = family in ONE_PER_STEP
         self._done = np.asarray(curves.steps[seed]) * unit  # (L, M)
@@ -84,7 +109,8 @@ class StepWorld:
     def problem(self, budget: float) -> StepProblem:
         """What a strategy may know of it beforehand."""
         episodes = self.curves.episodes[0]
-        return StepProblem(self.selection, self.lengths, budget, episodes, self.horizon)
+        marks = np.empty(0, dtype=np.int64) if self.on_all is None else self.on_all.steps
+        return StepProblem(self.selection, self.lengths, budget, episodes, self.horizon, marks)
 
     @cached_property
     def selection(self) -> SelectionProblem:
@@ -115,9 +141,22 @@ class StepWorld:
     @cached_property
     def episode_steps(self) -> Array:
         """(L, M, N) environment steps of an episode, mean of the half seen."""
+        return self._lasted(self._raw[:, 0])
+
+    def _lasted(self, returns: Array) -> Array:
         if self._exact:
-            return np.asarray(np.clip(self._raw[:, 0], 1.0, self.horizon))
-        return np.full(self._raw[:, 0].shape, float(self.horizon))
+            return np.asarray(np.clip(returns, 1.0, self.horizon))
+        return np.full(returns.shape, float(self.horizon))
+
+    def rows_of(self, training: Training, length: int) -> tuple[Array, Array, Array]:
+        """(N,) performance seen and fresh, and steps of an episode, of a policy."""
+        if training.on:
+            assert self.on_all is not None
+            raw = self.on_all.returns[length].astype(np.float64)
+            seen, fresh = self.curves.bounds.normalise(raw)
+            return seen, fresh, self._lasted(raw[0])
+        i = self._row[training.source]
+        return self.seen[length, i], self.fresh[length, i], self.episode_steps[length, i]
 
     @cached_property
     def training_price(self) -> Array:
@@ -153,6 +192,22 @@ class StepWorld:
             )
         return self._trained(trail, training, now.source, now.length, length)
 
+    def start_on(self, trail: Trail, sources: tuple[int, ...], length: int) -> Trail:
+        """A training on all contexts to a mark."""
+        every = set(self.selection.sources.tolist())
+        done = {t.length for t in trail.trainings if t.on}
+        if self.on_all is None or set(sources) != every or length in done:
+            raise InvalidInput(
+                "a training on several contexts is one on all, once at a length, and its rows are "
+                f"given, got {len(sources)} contexts at length {length}"
+            )
+        marks = self.on_all.steps
+        if not 0 <= length < len(marks):
+            raise InvalidInput(f"a length is an index of {len(marks)} marks, got {length}")
+        middle = middle_of(sources, self.selection.steps)
+        now = Training(middle, length, int(marks[length]), ended=True, on=tuple(sources))
+        return trail.with_training(len(trail.trainings), now, float(marks[length]))
+
     def _trained(self, trail: Trail, number: int, source: int, before: int, to: int) -> Trail:
         if not 0 <= to < len(self.lengths):
             raise InvalidInput(f"a length is an index of {len(self.lengths)} marks, got {to}")
@@ -174,15 +229,17 @@ class StepWorld:
             new = new[~np.isfinite(row[new])]
         if not len(new):
             raise InvalidInput(f"an evaluation needs targets that {policy} has not been seen on")
-        i = self._row[training.source]
-        cost = float(self.episode_steps[policy.length, i, new].sum() * self.curves.episodes[0])
-        return trail.with_evaluation(policy, new, self.seen[policy.length, i, new], cost)
+        seen, _, lasted = self.rows_of(training, policy.length)
+        cost = float(lasted[new].sum() * self.curves.episodes[0])
+        return trail.with_evaluation(policy, new, seen[new], cost)
 
     def act(self, trail: Trail, action: Action) -> Trail:
         """What an action leads to."""
         match action:
             case Start(source, length):
                 return self.start(trail, source, length)
+            case StartOn(sources, length):
+                return self.start_on(trail, sources, length)
             case Extend(training, length):
                 return self.extend(trail, training, length)
             case Evaluate(policy, targets):
@@ -194,9 +251,10 @@ class StepWorld:
         """V on fresh episodes of all policies evaluated so far, routed by what was seen of them."""
         problem = self.selection
         route = serving(trail.filled, trail.sources, problem.steps)
-        lengths = np.array([p.length for p in trail.policies])
-        positions = np.array([self._row[s] for s in trail.sources.tolist()])
-        fresh = self.fresh[lengths[route], positions[route], np.arange(problem.n)]
+        fresh = np.zeros(problem.n)
+        for i in np.unique(route).tolist():
+            policy, mine = trail.policies[i], route == i
+            fresh[mine] = self.rows_of(trail.trainings[policy.training], policy.length)[1][mine]
         return float(fresh @ problem.weights)
 
 

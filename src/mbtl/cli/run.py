@@ -146,7 +146,7 @@ def run(
     ] = None,
     strategy: Annotated[
         str | None,
-        typer.Option(help="With --steps: pilot, fixed, halving or asha; default: pilot."),
+        typer.Option(help="With --steps: pilot (default), fixed, halving, asha or committee."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

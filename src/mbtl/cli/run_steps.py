@@ -132,6 +132,13 @@ def run_steps(
 
 def show(screen: Console, summary: StepSummary, space: ContextSpace) -> None:
     """Print the trainings, the price list and V."""
+    screen.print(trainings(summary, space))
+    for line in lines(summary):
+        screen.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def trainings(summary: StepSummary, space: ContextSpace) -> Table:
+    """Every training: on what, how long, where it serves, and why it stands."""
     table = Table(box=box.SIMPLE, padding=(0, 1), show_edge=False)
     table.title = (
         f"{summary.problem or 'study'}: {summary.strategy}, {counted(summary.budget)} steps, "
@@ -141,12 +148,11 @@ def show(screen: Console, summary: StepSummary, space: ContextSpace) -> None:
         table.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
     table.add_column("state")
     for one in summary.trainings:
-        where, state = Text(space.describe(one.context, "\n")), Text(f"{one.state}: {one.why}")
+        where = Text(one.trained_on.replace(", ", "\n"))
+        state = Text(f"{one.state}: {one.why}")
         numbers = counted(one.steps), str(one.policies), str(one.serves)
         table.add_row(str(one.number + 1), where, *numbers, state)
-    screen.print(table)
-    for line in lines(summary):
-        screen.print(line, markup=False, highlight=False, soft_wrap=True)
+    return table
 
 
 def lines(summary: StepSummary) -> list[str]:
@@ -169,6 +175,8 @@ def lines(summary: StepSummary) -> list[str]:
             f"V = {summary.fresh_value:.4f}{margin} on fresh episodes ("
             f"{counted(summary.fresh_steps)} steps, not charged)"
         )
+    if summary.verdict is not None and summary.verdict != summary.finished:
+        found.append(summary.verdict)
     return [*found, f"finished: {summary.finished}" if summary.finished else "not finished"]
 
 

@@ -11,11 +11,12 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from mbtl.actions import Policy
+from mbtl.actions import Policy, StartOn
 from mbtl.cli.common import LongWork
+from mbtl.contexts.words import describe_set
 from mbtl.study.steps.callbacks import PrintSteps
 from mbtl.study.steps.study import StepStudy
-from mbtl.study.steps.summary import condition, counted
+from mbtl.study.steps.summary import condition, counted, where_of
 from mbtl.trainer import Progress
 
 _MOST = 12
@@ -48,7 +49,9 @@ class StepProgress(PrintSteps):
 
     def on_training(self, study: StepStudy, training: int, source: int, to: int) -> None:
         """The line of a training that begins has no place in the log yet."""
-        where = study.space.describe(study.space.context(source))
+        pending, known = study.state.pending, training < len(study.state.trainings)
+        on = pending.sources if isinstance(pending, StartOn) else (source,)
+        where = where_of(study, training) if known else describe_set(study.space, on)
         self._say(study, f"training {training + 1} ({where}) runs to {counted(to)} steps")
 
     def on_progress(self, study: StepStudy, training: int, progress: Progress) -> None:
@@ -90,7 +93,7 @@ class StepProgress(PrintSteps):
     def _show(self, study: StepStudy) -> None:
         if not self._live.is_started:
             return
-        state, spec = study.state, study.spec
+        state = study.state
         table = Table.grid(padding=(0, 2))
         every = list(range(len(state.trainings)))
         for number in every[-_MOST:]:
@@ -99,10 +102,9 @@ class StepProgress(PrintSteps):
             steps = float(course.steps)
             if self._under_way is not None and self._under_way[0] == number:
                 steps = max(steps, self._under_way[1])
-            bar = ProgressBar(
-                float(spec.lengths[-1]), min(steps, float(spec.lengths[-1])), width=16
-            )
-            where = study.space.describe(study.space.context(course.source))
+            most = float(state.lengths_of(number)[-1])
+            bar = ProgressBar(most, min(steps, most), width=16)
+            where = where_of(study, number)
             table.add_row(str(number + 1), Text(where), bar, counted(steps), kind, Text(why))
         prices = state.prices
         share = prices.evaluation / max(state.spent, 1.0)

@@ -229,15 +229,20 @@ def step_study(path: str | Path, name: str | None) -> StepStudy | None:
 
 
 def open_study(path: str | Path, name: str | None) -> Study:
-    """A study for reading only: with any selector, so that one of the user's own opens too."""
+    """A study for reading only: with any selector, so that one of the user's own opens too.
+
+    Raises:
+        StudyError: it is paid in steps.
+    """
     place, chosen = _place_of(path, name)
-    if step_study(place, chosen) is not None:
-        raise InvalidInput(
-            f"{_shown_at(place)} is paid in steps, and this command shows studies that are paid in "
-            "trainings; use `mbtl study show`"
+    folder, log = None if isinstance(place, str) else place.parent, SqlLog(place, chosen)
+    if is_paid_in_steps(log.read()):
+        raise StudyError(
+            f"this command reads studies that count trainings, and {chosen!r} is paid in steps; "
+            f"`mbtl study show {_shown_at(place)}` prints its bill, V and who serves, `mbtl watch "
+            f"{_shown_at(place)}` follows it"
         )
-    folder = None if isinstance(place, str) else place.parent
-    return Study(SqlLog(place, chosen), get_selector("random"), folder=folder, name=chosen)
+    return Study(log, get_selector("random"), folder=folder, name=chosen)
 
 
 def _place_of(path: str | Path, name: str | None) -> tuple[str | Path, str]:

@@ -10,12 +10,14 @@ from rich.console import Group
 from rich.live import Live
 from rich.text import Text
 
+from mbtl.cli import run_steps
 from mbtl.cli.common import printer
-from mbtl.cli.study import open_study
+from mbtl.cli.study import open_study, step_study
 from mbtl.errors import InvalidInput
 from mbtl.report import summarise_study
 from mbtl.report.text import lines, table
 from mbtl.study import Study
+from mbtl.study.steps.study import StepStudy
 
 
 def watch(
@@ -35,7 +37,8 @@ def watch(
     """
     if every <= 0:
         raise InvalidInput(f"--every must be > 0 seconds, got {every:g}")
-    opened, screen_of = open_study(study, name), printer()
+    opened = step_study(study, name) or open_study(study, name)
+    screen_of = printer()
     with Live(view(opened), console=screen_of, auto_refresh=False) as screen:
         while screen_of.is_terminal and not opened.is_finished:
             time.sleep(every)
@@ -44,8 +47,11 @@ def watch(
                 screen.update(view(opened), refresh=True)
 
 
-def view(study: Study) -> Group:
-    """The table of picks and the sentences under it, as `mbtl study show` prints them."""
+def view(study: Study | StepStudy) -> Group:
+    """The table and the sentences under it, as `mbtl study show` prints them."""
+    if isinstance(study, StepStudy):
+        paid = study.summary()
+        return Group(run_steps.trainings(paid, study.space), *map(Text, run_steps.lines(paid)))
     summary = summarise_study(study)
     said = lines(summary, study.space)
     if summary.finished is None:

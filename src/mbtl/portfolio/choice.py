@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mbtl.contexts import Context, ContextSpace
+from mbtl.contexts import Context
 from mbtl.portfolio.router import Basis
 from mbtl.routing import SURE
 
@@ -15,7 +15,7 @@ class Choice:
 
     Attributes:
         policy: position in the portfolio, 0..k-1; people count from 1.
-        source: index of the context it was trained on.
+        source: index of the context it was trained on; of several, the one in their middle.
         source_context: that context.
         predicted_return: what it should return on the asked context, raw units.
         error: standard error of that, raw units: 1.96 of it are half a 95 % interval, for which few
@@ -43,11 +43,11 @@ class Choice:
     explanation: str
 
 
-def explanation(space: ContextSpace, choice: Choice, steps: float, alike: bool) -> str:
+def explanation(where: str, choice: Choice, steps: float, alike: bool) -> str:
     """One sentence.
 
     Args:
-        space: of the contexts.
+        where: what its policy was trained on.
         choice: but for the sentence.
         steps: distance from the source, in grid steps.
         alike: the runner-up was trained at the same distance.
@@ -61,7 +61,6 @@ def explanation(space: ContextSpace, choice: Choice, steps: float, alike: bool) 
         "gap model": f"should return about {said}, its training return less the expected loss over "
         f"{steps:.3g} grid steps",
     }[choice.basis]
-    where = space.describe(choice.source_context)
     return f"Policy {choice.policy + 1}, trained on {where}, {how}; {_rest(choice, alike)}."
 
 

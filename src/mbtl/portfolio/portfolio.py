@@ -19,6 +19,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Value
+from mbtl.contexts.words import describe_set
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.notebook import table
 from mbtl.objective import Bounds
@@ -48,6 +49,7 @@ class Portfolio:
         policy_format: "mlp", "sb3" or "custom", see `mbtl.trainer.Trainer.policy_format`.
         load: folder -> policy; needed for the format "custom", replaces our own loaders otherwise.
         in_memory: position -> policy, for policies that are at hand and need no loading.
+        sets: position -> contexts, of policies trained on several; `sources` has their middle one.
         cmdp: id of the CMDP, if there is one.
         metadata: anything JSON-able to keep with the portfolio.
         trust: read policies also from files that can execute code (docs/portfolio-format.md).
@@ -68,6 +70,7 @@ class Portfolio:
     policy_format: str = "custom"
     load: Callable[[Path], Any] | None = None
     in_memory: Mapping[int, Any] = field(default_factory=dict)
+    sets: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
     cmdp: str | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
     trust: bool = False
@@ -96,6 +99,12 @@ class Portfolio:
             )
         if not all(0 <= source < n for source in sources):
             raise InvalidInput(f"sources must be context indices 0..{n - 1}, got {sources}")
+        sets = {int(i): tuple(int(c) for c in on) for i, on in self.sets.items()}
+        object.__setattr__(self, "sets", sets)
+        if not all(0 <= i < k and on and set(on) <= set(range(n)) for i, on in sets.items()):
+            raise InvalidInput(
+                f"sets must give context indices 0..{n - 1} of policies 0..{k - 1}, got {sets}"
+            )
         if len(folders) != k:
             raise InvalidInput(
                 f"policy_folders needs one folder or None per policy, got {len(folders)} for {k}"
@@ -190,8 +199,13 @@ class Portfolio:
             explanation="",
         )
         alike = runner_up is not None and seen.distance[best] == seen.distance[runner_up]
-        sentence = explanation(self.space, choice, float(seen.distance[best]), bool(alike))
+        where = self.trained_on(best)
+        sentence = explanation(where, choice, float(seen.distance[best]), bool(alike))
         return replace(choice, explanation=sentence)
+
+    def trained_on(self, policy: int) -> str:
+        """What a policy was trained on, in words: a context, or "all contexts"."""
+        return describe_set(self.space, self.sets.get(policy, (self.sources[policy],)))
 
     def _error(self, seen: router.Forecast, policy: int, less: int | None = None) -> float | None:
         """Error of a policy's number, or of its lead over another; raw units, None: unknown.
@@ -229,10 +243,9 @@ class Portfolio:
         if i not in self._loaded:
             folder = self.policy_folders[i]
             if folder is None:
-                source = self.space.describe(self.space.context(self.sources[i]))
                 raise StorageError(
-                    f"policy {i + 1} (trained on {source}) was not saved and is no longer in "
-                    "memory; give the problem save and load functions and train it again"
+                    f"policy {i + 1} (trained on {self.trained_on(i)}) was not saved and is no "
+                    "longer in memory; give the problem save and load functions and train it again"
                 )
             self._loaded[i] = load_policy(
                 Path(folder), self.policy_format, self.load, trust=self.trust
@@ -273,6 +286,7 @@ class Portfolio:
             "episodes": list(self.episodes),
             "risk": self.risk,
             "policy_format": self.policy_format,
+            **({"sets": {str(i): list(on) for i, on in self.sets.items()}} if self.sets else {}),
             "metadata": dict(self.metadata),
         }
         arrays = {"returns": self.returns}
@@ -299,7 +313,7 @@ class Portfolio:
         lines = [
             (
                 i + 1,
-                self.space.describe(self.space.context(source)),
+                self.trained_on(i),
                 float(self.returns[i, source]),
                 int((routes == i).sum()),
             )
@@ -350,6 +364,7 @@ def load_portfolio(
             policy_folders=folders,
             policy_format=record["policy_format"],
             load=load,
+            sets={int(i): tuple(on) for i, on in record.get("sets", {}).items()},
             cmdp=record["cmdp"],
             metadata=dict(record["metadata"]),
             trust=trust,

@@ -15,6 +15,7 @@ from typing import Any, Literal
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput
+from mbtl.training.world_steps import recipe_on_many
 from mbtl.training.world_trainer import WorldTrainer
 
 Method = Literal["ppo", "paco", "moore"]
@@ -95,10 +96,9 @@ class InJax:
 
         world, params = self.trainer.problem(self.contexts)
         name, n = type(getattr(world, "env", world)).__name__, len(self.contexts)
+        recipe = recipe_on_many(self.trainer, world, n, self.method)
         if name in engine.MULTI_TASK:
-            recipe = engine.multitask_recipe(self.method, name)
             return world, recipe, params, engine.Judged(), self.eval_episodes or _EPISODES
-        recipe = engine.spread_recipe(self.method, self.trainer.learner, n)
         once = n * int(world.decisions(params))
         every = min(max(once, math.ceil(self.length / _MOST)), math.ceil(self.length / _LEAST))
         judged = engine.Judged(1, every)

@@ -19,6 +19,7 @@ import random
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -83,11 +84,8 @@ class SB3Steps:
             TrainingFailed: the weights or the actions became NaN.
         """
         trainer = cast("SB3Trainer", self)
-        if trainer.timesteps is None:
-            raise InvalidInput(
-                "only trainings that are counted in steps can be paid in steps, got "
-                f"episodes={trainer.episodes}; give timesteps, or count trainings instead"
-            )
+        _check_counted(trainer)
+        assert trainer.timesteps is not None
         with ExitStack() as stack:
             stack.enter_context(isolated(trainer.threads))
             model = None if saved is None else _thawed(trainer, context, seed, saved, stack)
@@ -113,6 +111,46 @@ class SB3Steps:
             done = int(model.num_timesteps)
             watch.report(done)
             return Reached(lightened(model), done)
+
+    def check_on_set(self) -> None:
+        """Whether `train_on_steps` can do it.
+
+        Raises:
+            InvalidInput: this trainer counts episodes.
+        """
+        _check_counted(cast("SB3Trainer", self))
+
+    def train_on_steps(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        steps: int,
+        *,
+        marks: Sequence[int],
+        saved: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Reached:
+        """Train one policy on several contexts: every episode is in one drawn from them.
+
+        Args:
+            contexts: one or more.
+            seed: of the training; the same seed gives the same policy.
+            steps: in all, rounded up to whole rollouts.
+            marks: schedules of learning rates and exploration follow the last of them.
+            saved: as in `train_steps`.
+            on_progress: told steps.
+
+        Raises:
+            InvalidInput: this trainer counts episodes.
+            TrainingFailed: the weights or the actions became NaN.
+        """
+        from mbtl.training.multitask import for_all_contexts
+
+        self.check_on_set()
+        everywhere = for_all_contexts(cast("SB3Trainer", self), contexts)
+        return replace(everywhere, timesteps=marks[-1]).train_steps(
+            {}, seed, steps, saved=saved, on_progress=on_progress
+        )
 
     def evaluate_steps(
         self, policy: Any, contexts: Sequence[Context], seed: int
@@ -143,6 +181,14 @@ class _Pausing:
             _freeze(self._model, self._saved)
             self._model.collect_rollouts, self._at = self, time.monotonic()
         return self._collect(*given, **named)
+
+
+def _check_counted(trainer: SB3Trainer) -> None:
+    if trainer.timesteps is None:
+        raise InvalidInput(
+            "only trainings that are counted in steps can be paid in steps, got "
+            f"episodes={trainer.episodes}; give timesteps, or count trainings instead"
+        )
 
 
 def _freeze(model: Any, saved: Path) -> None:
@@ -211,7 +257,8 @@ def _can_be_copied(envs: Any) -> bool:
 
     if not isinstance(envs, DummyVecEnv):
         return False
-    return not any(isinstance(env.unwrapped, EzPickle) for env in envs.envs)
+    inner = [getattr(env.unwrapped, "current", env).unwrapped for env in envs.envs]
+    return not any(isinstance(env, EzPickle) for env in inner)
 
 
 def _begin_with(model: Any, start: Any) -> None:

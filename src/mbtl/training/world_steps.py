@@ -2,6 +2,10 @@
 
 A training that was extended is, bit for bit, the one of the whole length: all that decides the
 future is in its file, and learning rates and exploration follow the whole length.
+
+How long one policy for many contexts should be trained nobody knows beforehand. So its learning
+rate falls to zero at each mark, and begins anew after it: the policy at a mark is a finished one,
+and the training can still go on.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from mbtl.trainer import OnProgress, Progress, Reached
 if TYPE_CHECKING:
     from mbtl.training.world_trainer import WorldTrainer
 
-_CHECKS, _CHECKED_AT = "checks", "checked_at"
+_CHECKS, _CHECKED_AT, _STAGE = "checks", "checked_at", "stage"
 _CHECK_TIMES, _CHECK_SHARE = 50, 20
 
 
@@ -71,11 +75,7 @@ class WorldSteps:
         trainer = cast("WorldTrainer", self)
         _check_counted(trainer)
         world, params = trainer._lessons([context])
-        if saved is not None and not getattr(world, "storable", True):
-            raise InvalidInput(
-                f"a training in {world!r} lives in one process and cannot be saved, so it cannot "
-                "go on later; give no file, or train whole trainings (a budget without cost=)"
-            )
+        _check_storable(world, saved)
         recipe, checked = trainer.learner, _may_end(world)
         begin = engine.start(world, recipe, [seed], params)
         weights = None if start is None else _beginning(engine, start, begin.state.weights)
@@ -120,6 +120,53 @@ class WorldSteps:
             ended=checked and best >= cast(float, world.max_return),
         )
 
+    def check_on_set(self) -> None:
+        """Whether `train_on_steps` can do it.
+
+        Raises:
+            InvalidInput: this trainer counts episodes, or does not learn by PPO.
+        """
+        trainer = cast("WorldTrainer", self)
+        _check_counted(trainer)
+        _check_ppo(trainer)
+
+    def train_on_steps(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        steps: int,
+        *,
+        marks: Sequence[int],
+        saved: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Reached:
+        """Train one policy on several contexts until `steps` are done in all.
+
+        Context-conditioned PPO, as the multi-task baseline: the copies of the world take turns in
+        the contexts. It does not evaluate itself, and never ends early.
+
+        Args:
+            contexts: two or more.
+            seed: of the training; the same seed and marks give the same policy.
+            steps: in all, rounded up to whole updates; at most the last mark.
+            marks: steps at which the learning rate has fallen to zero, rising.
+            saved: file of the training, to go on from; None: it cannot go on later.
+            on_progress: told steps.
+
+        Raises:
+            InvalidInput: this trainer counts episodes or does not learn by PPO, its world cannot be
+                saved, or there are less than two contexts.
+            TrainingFailed: the weights became NaN.
+        """
+        trainer = cast("WorldTrainer", self)
+        _check_counted(trainer)
+        if len(contexts) < 2:
+            raise InvalidInput(
+                f"a training on several contexts takes two or more, got {len(contexts)}; use "
+                "train_steps for one"
+            )
+        return _OnMany(trainer, contexts, seed, marks, saved, on_progress).until(steps)
+
     def evaluate_steps(
         self, policy: Any, contexts: Sequence[Context], seed: int
     ) -> tuple[Array, Array]:
@@ -139,6 +186,87 @@ class WorldSteps:
             )
         counting = replace(trainer, problem=_Counting(trainer.problem))
         return returns, counting.evaluate(policy, contexts, seed)
+
+
+class _OnMany:
+    """A training on several contexts, in stages from mark to mark."""
+
+    def __init__(
+        self,
+        trainer: WorldTrainer,
+        contexts: Sequence[Context],
+        seed: int,
+        marks: Sequence[int],
+        saved: Path | None,
+        on_progress: OnProgress | None,
+    ) -> None:
+        import mbtl.training.jax as engine
+
+        self._engine, self._seed, self._on_progress = engine, seed, on_progress
+        self._world, self._params = trainer._lessons(contexts)
+        _check_storable(self._world, saved)
+        self._recipe = recipe_on_many(trainer, self._world, len(contexts))
+        self._unit = int(self._recipe.update_length)
+        self._ends = [0, *(-(-mark // self._unit) for mark in marks)]
+        self._file = engine.SavedTraining(saved)
+
+    def until(self, steps: int) -> Reached:
+        """Stage after stage; `updates` of the training count from the last mark on."""
+        engine, world, recipe = self._engine, self._world, self._recipe
+        training = self._file.load(self._fresh) or self._fresh()
+        last = min(-(-steps // self._unit), self._ends[-1])
+        stage = self._file.notes.setdefault(_STAGE, 0)
+        while self._ends[stage] + int(training.updates) < last:
+            before, length = self._ends[stage], self._ends[stage + 1] - self._ends[stage]
+            if length:
+                training = engine.train_multitask(
+                    world,
+                    recipe,
+                    [self._seed],
+                    self._params,
+                    length * self._unit,
+                    on_block=self._on_block(before),
+                    judging=False,
+                    resume=training,
+                    until=(last - before) * self._unit,
+                )
+            if int(training.updates) == length:
+                training = training._replace(updates=training.updates * 0)
+                stage = self._file.notes[_STAGE] = stage + 1
+        self._file.save(training, done=True)
+        policies = engine.export_policies(world, training.state.weights, recipe.activation)
+        return Reached(policies[0], (self._ends[stage] + int(training.updates)) * self._unit)
+
+    def _fresh(self) -> Any:
+        return self._engine.start_multitask(self._world, self._recipe, [self._seed], self._params)
+
+    def _on_block(self, before: int) -> Callable[[Any], None]:
+        def on_block(block: Any) -> None:
+            if self._on_progress is not None:
+                done, total = before * self._unit + block.steps, self._ends[-1] * self._unit
+                self._on_progress(Progress(done, total))
+            if block.steps < block.total:  # the end of a stage is the beginning of the next one
+                self._file.save(block.training)
+
+        return on_block
+
+
+def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo") -> Any:
+    """The recipe of one policy for n contexts.
+
+    CartPole and Pendulum have one of their own; every other world is learnt by that of one source,
+    its copies spread over the contexts.
+
+    Raises:
+        InvalidInput: the trainer does not learn by PPO.
+    """
+    import mbtl.training.jax as engine
+
+    _check_ppo(trainer)
+    name = type(getattr(world, "env", world)).__name__
+    if name in engine.MULTI_TASK:
+        return engine.multitask_recipe(method, name)  # type: ignore[arg-type]  # it checks the name
+    return engine.spread_recipe(method, trainer.learner, n)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -183,6 +311,22 @@ def _check_every(trainer: WorldTrainer, world: Any) -> int:
     dearest = trainer.checkpoint_episodes * int(world.env.horizon)
     often = -(-trainer.length // _CHECK_TIMES)
     return trainer.checkpoint_every or max(often, _CHECK_SHARE * dearest)
+
+
+def _check_ppo(trainer: WorldTrainer) -> None:
+    if trainer.algorithm != "PPO":
+        raise InvalidInput(
+            f"multi-task methods learn by PPO, got a recipe of {trainer.algorithm}; "
+            "choose another --preset"
+        )
+
+
+def _check_storable(world: Any, saved: Path | None) -> None:
+    if saved is not None and not getattr(world, "storable", True):
+        raise InvalidInput(
+            f"a training in {world!r} lives in one process and cannot be saved, so it cannot "
+            "go on later; give no file, or train whole trainings (a budget without cost=)"
+        )
 
 
 def _check_counted(trainer: WorldTrainer) -> None:

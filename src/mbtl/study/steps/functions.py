@@ -43,11 +43,16 @@ class SteppedFunctions(FunctionTrainer):
         save: Callable[[Any, Path], None] | None,
         load: Callable[[Path], Any] | None,
         whole_steps: int,
+        train_on: Callable[..., Any] | None = None,
     ) -> FunctionTrainer:
         """A trainer of functions; one of fixed length where `train` takes no `steps`."""
         if "steps" not in inspect.signature(train).parameters:
             return FunctionTrainer(train, evaluate, save, load)
-        return cls(train, evaluate, save, load, whole_steps=whole_steps)
+        if train_on is not None:
+            return SteppedFunctionsOnSets(
+                train, evaluate, save, load, whole_steps=whole_steps, train_on_fn=train_on
+            )
+        return SteppedFunctions(train, evaluate, save, load, whole_steps=whole_steps)
 
     def train_steps(
         self,
@@ -64,8 +69,25 @@ class SteppedFunctions(FunctionTrainer):
         Raises:
             InvalidInput: it is to go on later, and there are no save and load functions.
         """
+        goes_on = steps < (self.whole_steps or 0)
+        return self._reached(
+            self.train_fn, context, seed, steps, goes_on, start, saved, on_progress
+        )
+
+    def _reached(
+        self,
+        function: Callable[..., Any],
+        on: Any,
+        seed: int,
+        steps: int,
+        goes_on: bool,
+        start: Any,
+        saved: Path | None,
+        on_progress: OnProgress | None,
+    ) -> Reached:
+        """What is missing to `steps`, on from the policy that was saved."""
         done = 0
-        if saved is not None and self.save_fn is None and steps < (self.whole_steps or 0):
+        if saved is not None and self.save_fn is None and goes_on:
             raise InvalidInput(
                 "a training goes on from its saved policy, and these functions save none; give "
                 "save and load functions, or make the study with one length"
@@ -76,10 +98,9 @@ class SteppedFunctions(FunctionTrainer):
             if done >= steps:
                 return Reached(start, done)
         given: dict[str, Any] = {"start": start, "on_progress": on_progress}
-        known = inspect.signature(self.train_fn).parameters
+        known = inspect.signature(function).parameters
         named = {name: value for name, value in given.items() if name in known}
-        train: Callable[..., Any] = self.train_fn
-        policy = train(context, seed, steps=steps - done, **named)
+        policy = function(on, seed, steps=steps - done, **named)
         if saved is not None and self.save_fn is not None:
             self._keep(policy, saved, steps)
         return Reached(policy, steps)
@@ -100,3 +121,34 @@ class SteppedFunctions(FunctionTrainer):
         (beside / _DONE).write_text(json.dumps({"steps": steps}), encoding="utf-8")
         shutil.rmtree(saved, ignore_errors=True)
         beside.rename(saved)
+
+
+@dataclass(frozen=True)
+class SteppedFunctionsOnSets(SteppedFunctions):
+    """And `train_on(contexts, seed, steps, start=None, on_progress=None)`: a `SetTrainer`.
+
+    Attributes:
+        train_on_fn: trains one policy on several contexts for `steps` more.
+    """
+
+    train_on_fn: Callable[..., Any] | None = None
+
+    def check_on_set(self) -> None:
+        """A function can do what it was given for."""
+
+    def train_on_steps(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        steps: int,
+        *,
+        marks: Sequence[int],
+        saved: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Reached:
+        """Train for what is missing to `steps`; see `train_steps`."""
+        assert self.train_on_fn is not None
+        goes_on = steps < marks[-1]
+        return self._reached(
+            self.train_on_fn, contexts, seed, steps, goes_on, None, saved, on_progress
+        )

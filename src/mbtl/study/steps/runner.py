@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbtl.actions import Action, Evaluate, Extend, Policy, Start, Stop
+from mbtl.actions import Action, Evaluate, Extend, Policy, Start, StartOn, Stop
+from mbtl.actions.base import middle_of
 from mbtl.actions.evaluation import LEAST, WHERE_IT_MATTERS, target_price
 from mbtl.errors import (
     InvalidInput,
@@ -29,11 +30,12 @@ from mbtl.errors import (
 )
 from mbtl.seeds import evaluation_seed, selection_rng, training_seed
 from mbtl.selectors.targets import spread_targets
+from mbtl.set_trainer import SetTrainer
 from mbtl.settings import first_difference
 from mbtl.study.steps.callbacks import StepCallback
 from mbtl.study.steps.evaluation import evaluated, report_fresh
 from mbtl.study.steps.state import Work, record_of
-from mbtl.study.steps.summary import StepResult
+from mbtl.study.steps.summary import StepResult, verdict_of
 from mbtl.trainer import (
     Progress,
     Reached,
@@ -98,7 +100,7 @@ class _Worker:
         """The next action, in the log; None: there is none, which is in the log, too."""
         study, state = self.study, self.study.state
         spec, trail = study.spec, study.trail
-        problem = spec.problem_without(tuple(state.dead))
+        problem = spec.problem_without(tuple(state.dead), on_sets=not state.dead_on_sets)
         began = time.perf_counter()
         action: Action
         if state.halted:
@@ -114,7 +116,8 @@ class _Worker:
             spent |= affordable is None
             action = affordable or Stop()
         if isinstance(action, Stop):
-            reason = _SPENT.format(spec.budget) if spent else _NO_MORE
+            found = verdict_of(study)
+            reason = _SPENT.format(spec.budget) if spent else found or _NO_MORE
             study.append("stopped", {"reason": reason})
             return None
         record = {"number": state.decisions, "action": record_of(action), "seconds": seconds}
@@ -151,22 +154,30 @@ class _Worker:
         else:
             self._train(action)
 
-    def _train(self, action: Start | Extend) -> None:
+    def _train(self, action: Start | StartOn | Extend) -> None:
         """Mark by mark, while there are steps for it and for an evaluation afterwards."""
-        study, state, spec = self.study, self.study.state, self.study.spec
+        study, state = self.study, self.study.state
         number = state.number_of(action)
-        source = action.source if isinstance(action, Start) else state.trainings[number].source
-        self._tell("on_training", number, source, spec.lengths[action.length])
+        if isinstance(action, StartOn):
+            source = middle_of(action.sources, study.space.steps)
+        else:
+            source = action.source if isinstance(action, Start) else state.trainings[number].source
+        on = action.sources if isinstance(action, StartOn) else ()
+        if number < len(state.trainings):
+            on = state.trainings[number].on
+        self._tell("on_training", number, source, state.lengths_of(number)[action.length])
         while study.state.pending is not None:
             mark = study.state.reached(number) + 1
+            if isinstance(action, StartOn):
+                mark = action.length  # its first mark: the learning rate falls to zero there
             if not self._fits(number, mark):
                 study.append("halted", {"training": number})
                 self._tell("on_trained", number)
                 return
             began, progress = time.monotonic(), _Latest(self, number)
             try:
-                reached = self._piece(number, source, mark, progress)
-                artifact = self._keep(number, source, mark, reached)
+                reached = self._piece(number, source, on, mark, progress)
+                artifact = self._keep(number, source, on, mark, reached)
             except (StorageError, InvalidInput, MissingExtra):
                 raise
             except Exception as error:
@@ -189,15 +200,29 @@ class _Worker:
         problem = spec.problem_without(())
         targets = min(LEAST, problem.n)
         after = targets * target_price(problem, self.study.trail)
-        return spec.lengths[mark] - done + after <= self._left
+        return state.lengths_of(number)[mark] - done + after <= self._left
 
-    def _piece(self, number: int, source: int, mark: int, progress: _Latest) -> Reached:
+    def _piece(
+        self, number: int, source: int, on: tuple[int, ...], mark: int, progress: _Latest
+    ) -> Reached:
         """A training to a mark, from where it is."""
         study, spec = self.study, self.study.spec
         state = study.state
-        repeat = sum(t.source == source for t in state.trainings[:number])
+        known = number < len(state.trainings)
+        repeat = state.trainings[number].repeat if known else state.repeats(source, on=bool(on))
+        marks = state.lengths_of(number)
+        if on:
+            assert isinstance(self.trainer, SetTrainer)
+            # sources are 0..N-1, so this seed is none of theirs
+            seed = training_seed(spec.seed, spec.trial, spec.space.n, repeat)
+            contexts = [spec.space.context(i) for i in on]
+            first = min(state.trainings[number].marks) if known else mark
+            return self.trainer.train_on_steps(
+                contexts, seed, marks[mark], marks=marks[first:], saved=self._file(number),
+                on_progress=progress,
+            )  # fmt: skip
         seed = training_seed(spec.seed, spec.trial, source, repeat)
-        context, steps = spec.space.context(source), spec.lengths[mark]
+        context, steps = spec.space.context(source), marks[mark]
         if not isinstance(self.trainer, SteppingTrainer):
             return Reached(self.trainer.train(context, seed, progress), steps)
         saved = self._file(number) if len(spec.lengths) > 1 else None
@@ -215,18 +240,22 @@ class _Worker:
     def _forget(self, number: int) -> None:
         """The state of a training that cannot go on any more."""
         course = self.study.state.trainings[number]
-        if course.ended or course.length == len(self.study.spec.lengths) - 1:
+        whole = course.length == len(self.study.spec.lengths) - 1 and not course.on
+        if course.ended or whole:
             file = self._file(number)
             shutil.rmtree(file, ignore_errors=True)  # of plain functions it is a folder
             file.unlink(missing_ok=True)
 
-    def _keep(self, number: int, source: int, mark: int, reached: Reached) -> dict[str, Any]:
+    def _keep(
+        self, number: int, source: int, on: tuple[int, ...], mark: int, reached: Reached
+    ) -> dict[str, Any]:
         """Where the policy is, as the log says it."""
         study = self.study
         artifact = None
         if study.artifacts is not None and getattr(self.trainer, "saves", True):
             place = f"policies/{study.state.uid}/training-{number + 1:04d}-mark-{mark}"
-            receipt = {"context": dict(study.space.context(source)), "steps": reached.steps}
+            where = {"contexts": list(on)} if on else {"context": dict(study.space.context(source))}
+            receipt = {**where, "steps": reached.steps}
             artifact = study.artifacts.write(
                 place, lambda folder: self.trainer.save(reached.policy, folder), receipt
             )
@@ -323,6 +352,15 @@ def _check(study: StepStudy, trainer: Trainer) -> None:
             f"the last length is that of a whole training, got {spec.lengths[-1]:,} where the "
             f"trainer has {trainer.whole_steps:,}; use the same trainer"
         )
+    if getattr(study.strategy, "trains_on_all", False):
+        if not isinstance(trainer, SetTrainer):
+            raise InvalidInput(
+                f"the strategy {study.strategy.name!r} trains one policy on all contexts, and "
+                f"{type(trainer).__name__} trains on one at a time; give a function "
+                "train_on(contexts, seed, steps, start=None), or choose another strategy, such as "
+                "'pilot'"
+            )
+        trainer.check_on_set()
     known = spec.settings.get("recipe")
     if known is not None and (found := first_difference(known, recipe_of(trainer))):
         raise StudyMismatch(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,25 @@ from mbtl.errors import InvalidInput, StorageError
 from mbtl.objective import Bounds, Direction
 from mbtl.plain import whole
 from mbtl.selectors.base import SelectionProblem
+
+HALVINGS_ON_ALL = 5
+"""The first mark of a training on several contexts is a whole training, halved so many times."""
+
+
+def lengths_on_all(lengths: Sequence[int], budget: int) -> tuple[int, ...]:
+    """Marks of a training on several contexts: doublings, while the budget pays for them.
+
+    How long it should be nobody knows beforehand, so it is not bound by a whole training of one.
+
+    Args:
+        lengths: marks of a training on one context.
+        budget: environment steps of the study.
+    """
+    found, mark = [], -(-lengths[-1] // 2**HALVINGS_ON_ALL)
+    while mark <= budget:
+        found.append(mark)
+        mark *= 2
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -68,8 +87,11 @@ class StepSpec:
                 "a shorter first length"
             )
 
-    def problem_without(self, sources: tuple[int, ...]) -> StepProblem:
-        """What the strategy may know; on some sources nothing is begun any more."""
+    def problem_without(self, sources: tuple[int, ...], *, on_sets: bool = True) -> StepProblem:
+        """What the strategy may know; on some sources nothing is begun any more.
+
+        Without `on_sets` it may not train on several contexts.
+        """
         trainable = ~np.isin(np.arange(self.space.n), sources)
         selection = SelectionProblem.of(
             self.space,
@@ -77,8 +99,19 @@ class StepSpec:
             theta=self.theta,
             trainable=None if trainable.all() else trainable,
         )
-        lengths = np.asarray(self.lengths)
-        return StepProblem(selection, lengths, self.budget, self.episodes, self.horizon)
+        return StepProblem(
+            selection,
+            np.asarray(self.lengths),
+            self.budget,
+            self.episodes,
+            self.horizon,
+            np.asarray(self.lengths_on_all if on_sets else (), dtype=np.int64),
+        )
+
+    @property
+    def lengths_on_all(self) -> tuple[int, ...]:
+        """Marks of a training on several contexts."""
+        return lengths_on_all(self.lengths, self.budget)
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record; `from_json` rebuilds it."""

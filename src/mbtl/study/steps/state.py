@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.actions import Evaluate, Extend, Policy, Start, Trail, Training
+from mbtl.actions import Evaluate, Extend, Policy, Start, StartOn, Trail, Training
 from mbtl.arrays import Array
 from mbtl.errors import StorageError
 from mbtl.objective import Bounds
@@ -19,7 +19,7 @@ from mbtl.study.events import OPENED, Event
 from mbtl.study.steps.spec import StepSpec
 from mbtl.untrusted import MALFORMED
 
-Work = Start | Extend | Evaluate
+Work = Start | StartOn | Extend | Evaluate
 """An action that costs steps."""
 
 
@@ -53,6 +53,7 @@ class Course:
         failed: why it cannot go on; None: it can.
         halted: no steps were left for it.
         seconds: wall time.
+        on: contexts of a training on several, of which `source` is the middle one; else none.
     """
 
     source: int
@@ -63,6 +64,7 @@ class Course:
     failed: str | None = None
     halted: bool = False
     seconds: float = 0.0
+    on: tuple[int, ...] = ()
 
     def at(self, length: int) -> tuple[int, Mark]:
         """The latest mark up to a length."""
@@ -141,6 +143,8 @@ class StepState:
     prices: Prices = field(default_factory=Prices)
     dead: list[int] = field(default_factory=list)
     """Sources of trainings that gave nothing."""
+    dead_on_sets: bool = False
+    """A training on several contexts gave nothing."""
     failures: list[str] = field(default_factory=list)
     """Reasons, in order, since the last success."""
     halted: bool = False
@@ -191,7 +195,7 @@ class StepState:
     def trail(self) -> Trail:
         """What a strategy may see: trainings that gave nothing are not in it."""
         trainings = tuple(
-            Training(t.source, t.length, t.steps, t.ended or t.failed is not None)
+            Training(t.source, t.length, t.steps, t.ended or t.failed is not None, t.on)
             for t in self.trainings
         )
         return Trail(
@@ -213,12 +217,23 @@ class StepState:
         known = training < len(self.trainings)
         return max(self.trainings[training].marks, default=-1) if known else -1
 
-    def number_of(self, action: Start | Extend) -> int:
+    def lengths_of(self, training: int) -> tuple[int, ...]:
+        """Marks of a training, also of one that has not passed any."""
+        on_all = isinstance(self.pending, StartOn)
+        if training < len(self.trainings):
+            on_all = bool(self.trainings[training].on)
+        return self.the_spec.lengths_on_all if on_all else self.the_spec.lengths
+
+    def number_of(self, action: Start | StartOn | Extend) -> int:
         """Which training an action is about, also while it is under way."""
         if isinstance(action, Extend):
             return action.training
         begun = self.trainings and self.trainings[-1].length < 0
         return len(self.trainings) - 1 if begun else len(self.trainings)
+
+    def repeats(self, source: int, *, on: bool) -> int:
+        """Trainings so far on a context; with `on`, on several contexts."""
+        return sum(bool(t.on) if on else t.source == source and not t.on for t in self.trainings)
 
     # ---- one method per kind of event --------------------------------------------------------
 
@@ -233,11 +248,12 @@ class StepState:
 
     def _trained(self, data: Mapping[str, Any], event: Event) -> None:
         action, number, mark = self.pending, int(data["training"]), int(data["mark"])
-        if not isinstance(action, (Start, Extend)):
+        if not isinstance(action, (Start, StartOn, Extend)):
             raise ValueError(f"a training, where {action} was to be done")
         if number == len(self.trainings):
-            before = sum(t.source == data["source"] for t in self.trainings)
-            self.trainings.append(Course(int(data["source"]), before))
+            on = action.sources if isinstance(action, StartOn) else ()
+            before = self.repeats(int(data["source"]), on=bool(on))
+            self.trainings.append(Course(int(data["source"]), before, on=on))
         course = self.trainings[number]
         steps, checks = int(data["steps"]), int(data["checks"])
         paid = steps - course.steps
@@ -258,7 +274,7 @@ class StepState:
 
     def _halted(self, data: Mapping[str, Any], event: Event) -> None:
         action = self.pending
-        assert isinstance(action, (Start, Extend))
+        assert isinstance(action, (Start, StartOn, Extend))
         number = self.number_of(action)
         if self.reached(number) >= 0:
             course = self.trainings[number]
@@ -285,10 +301,13 @@ class StepState:
 
     def _failed(self, data: Mapping[str, Any], event: Event) -> None:
         action, reason = self.pending, str(data["reason"])
-        if isinstance(action, (Start, Extend)):
+        if isinstance(action, (Start, StartOn, Extend)):
             number = self.number_of(action)
             if self.reached(number) < 0:
-                self.dead.append(int(data["source"]))
+                if isinstance(action, StartOn):
+                    self.dead_on_sets = True
+                else:
+                    self.dead.append(int(data["source"]))
                 del self.trainings[number:]
             else:  # as one that has ended: its policies stay
                 course = self.trainings[number]
@@ -317,6 +336,9 @@ def record_of(action: Work) -> dict[str, Any]:
     match action:
         case Start(source, length):
             return {"do": "start", "source": int(source), "length": int(length)}
+        case StartOn(sources, length):
+            some = [int(s) for s in sources]
+            return {"do": "start on", "sources": some, "length": int(length)}
         case Extend(training, length):
             return {"do": "extend", "training": int(training), "length": int(length)}
         case Evaluate(policy, targets):
@@ -329,6 +351,8 @@ def action_of(record: Mapping[str, Any]) -> Work:
     match record["do"]:
         case "start":
             return Start(record["source"], record["length"])
+        case "start on":
+            return StartOn(tuple(int(s) for s in record["sources"]), int(record["length"]))
         case "extend":
             return Extend(record["training"], record["length"])
         case "evaluate":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mbtl.actions import FixedLength, Halving, Pilot, Strategy
+from mbtl.actions import Committee, FixedLength, Halving, Pilot, Strategy
 from mbtl.actions.evaluation import A_TENTH, WHERE_IT_MATTERS
 from mbtl.errors import InvalidInput, unknown_name
 
@@ -13,9 +13,11 @@ STRATEGIES: Mapping[str, Strategy] = {
     "fixed": FixedLength("mbtl", evaluation=A_TENTH),
     "halving": Halving("gain", 1, None, evaluation=WHERE_IT_MATTERS, name="halving"),
     "asha": Halving("own", 2, "random", evaluation=WHERE_IT_MATTERS),
+    "committee": Committee(),
 }
 """`pilot` learns the length from its first training; `fixed` trains all to the end; `halving` goes
-on with those that V would miss most, `asha` with those that are best at home."""
+on with those that V would miss most, `asha` with those that are best at home; `committee` lets a
+pilot's specialists and one policy for all contexts take turns."""
 
 DEFAULT = "pilot"
 """The simplest that the shipped transfer curves support (docs/steps.md)."""

@@ -208,6 +208,9 @@ class StepStudy:
             policy_format=str(spec.settings.get("policy_format", format_)),
             load=None if trainer is None else trainer.load,
             in_memory={i: self.policies[key] for i, key in enumerate(keys) if key in self.policies},
+            sets={
+                i: state.trainings[j].on for i, (j, _) in enumerate(keys) if state.trainings[j].on
+            },
             cmdp=spec.problem or None,
             metadata={
                 "study": self.name,
@@ -268,6 +271,7 @@ class StepStudy:
         *,
         save: Callable[[Any, Path], None] | None = None,
         load: Callable[[Path], Any] | None = None,
+        train_on: Callable[..., Any] | None = None,
         trainer: Trainer | None = None,
         progress: bool = True,
         callbacks: Sequence[StepCallback] = (),
@@ -284,6 +288,8 @@ class StepStudy:
             save: policy, empty folder -> None; needed to go on with trainings, and by studies that
                 are stored.
             load: folder -> policy.
+            train_on: `train_on(contexts, seed, steps, start=None, on_progress=None) -> policy`: one
+                policy on several contexts, likewise; for strategies that train one on all.
             trainer: instead of these functions; None: the one that the study was made with.
             progress: print a line per piece of work to standard error.
             callbacks: told what happens.
@@ -301,7 +307,9 @@ class StepStudy:
         if train is not None or evaluate is not None:
             if trainer is not None or train is None or evaluate is None:
                 raise InvalidInput("run takes train and evaluate functions, or a trainer")
-            trainer = SteppedFunctions.of(train, evaluate, save, load, self.spec.lengths[-1])
+            trainer = SteppedFunctions.of(
+                train, evaluate, save, load, self.spec.lengths[-1], train_on
+            )
         trainer = self.trainer if trainer is None else trainer
         if trainer is None:
             raise InvalidInput("run needs train and evaluate functions, or a trainer")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from mbtl.contexts import Context
+from mbtl.contexts.words import describe_set
 from mbtl.notebook import table
 from mbtl.portfolio import Portfolio
 
@@ -24,7 +25,7 @@ class StepTraining:
     Attributes:
         number: 0-based.
         source: context index.
-        context: trained on.
+        context: trained on; of several, the one in their middle.
         steps: done so far.
         state: "running"; "paused", it may go on; "whole", it has the whole length; "ended", nothing
             left to gain; "halted", no steps are left for it; "stopped", the study is over;
@@ -32,6 +33,7 @@ class StepTraining:
         why: that, in words.
         policies: of it that were evaluated.
         serves: contexts that they serve now.
+        trained_on: the context in words, or "all contexts".
     """
 
     number: int
@@ -42,6 +44,7 @@ class StepTraining:
     why: str
     policies: int
     serves: int
+    trained_on: str = ""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ class StepSummary:
         lengths: environment steps at the marks of a training.
         episodes: of a policy on a target.
         finished: why nothing more is done; None while something is.
+        verdict: what the strategy has found out, in a sentence; None: nothing.
         trainings: in the order of their starts.
         policies: evaluated somewhere.
         value: V by the rows that route; None before the first one.
@@ -79,6 +83,7 @@ class StepSummary:
     fresh_value: float | None
     fresh_margin: float | None
     fresh_steps: float | None
+    verdict: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
@@ -88,7 +93,7 @@ class StepSummary:
         """For notebooks."""
         heads = ("training", "context", "steps", "state", "serves", "")
         lines = [
-            (t.number + 1, _words(t.context), f"{t.steps:,}", t.state, t.serves, t.why)
+            (t.number + 1, t.trained_on, f"{t.steps:,}", t.state, t.serves, t.why)
             for t in self.trainings
         ]
         title = f"{counted(self.spent)} of {counted(self.budget)} steps"
@@ -162,6 +167,7 @@ def summarise(study: StepStudy) -> StepSummary:
         fresh_value,
         margin,
         None if fresh is None else fresh.steps,
+        verdict_of(study),
     )
 
 
@@ -177,23 +183,24 @@ def _training(study: StepStudy, number: int, serves: int) -> StepTraining:
         why,
         sum(policy.training == number for policy in study.state.policies),
         serves,
+        where_of(study, number),
     )
 
 
 def condition(study: StepStudy, number: int) -> tuple[Condition, str]:
     """How a training stands, and why."""
-    course, spec, state = study.state.trainings[number], study.spec, study.state
-    pending = state.pending
+    course, state = study.state.trainings[number], study.state
+    pending, lengths = state.pending, state.lengths_of(number)
     if course.failed is not None:
         return "failed", course.failed
     if pending is not None and getattr(pending, "training", None) == number:
-        return "running", f"going on to {counted(spec.lengths[getattr(pending, 'length', -1)])}"
+        return "running", f"going on to {counted(lengths[getattr(pending, 'length', -1)])}"
     if course.length < 0:
-        to = spec.lengths[getattr(pending, "length", -1)]
+        to = lengths[getattr(pending, "length", -1)]
         return "running", f"on its way to {counted(to)} steps"
     if course.ended:
         return "ended", "its own context gives the largest return there is"
-    if course.length == len(spec.lengths) - 1:
+    if course.length == len(lengths) - 1 and not course.on:
         return "whole", "the whole length"
     if course.halted:
         return "halted", "no steps are left for more"
@@ -206,8 +213,23 @@ def training_words(study: StepStudy, number: int) -> str:
     """A training in one line."""
     course = study.state.trainings[number]
     state, why = condition(study, number)
-    where = _words(study.space.context(course.source))
+    where = where_of(study, number)
     return f"training {number + 1} ({where}): {counted(course.steps)} steps, {state}: {why}"
+
+
+def verdict_of(study: StepStudy) -> str | None:
+    """What the strategy has found out, in a sentence; None: it says nothing."""
+    says = getattr(study.strategy, "verdict", None)
+    if says is None:
+        return None
+    problem = study.spec.problem_without(tuple(study.state.dead))
+    return None if (found := says(problem, study.trail)) is None else str(found)
+
+
+def where_of(study: StepStudy, number: int) -> str:
+    """What a training is trained on, in words."""
+    course = study.state.trainings[number]
+    return describe_set(study.space, course.on or (course.source,))
 
 
 def counted(steps: float) -> str:
@@ -216,10 +238,3 @@ def counted(steps: float) -> str:
         if steps >= size:
             return f"{steps / size:.3g}{letter}"
     return f"{steps:.0f}"
-
-
-def _words(context: Context) -> str:
-    return ", ".join(
-        f"{axis} = {value:.4g}" if isinstance(value, float) else f"{axis} = {value}"
-        for axis, value in context.items()
-    )

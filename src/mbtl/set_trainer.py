@@ -1,0 +1,45 @@
+"""The contract of trainers that also train one policy on several contexts, counted in steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from mbtl.contexts import Context
+from mbtl.trainer import OnProgress, Reached, SteppingTrainer
+
+
+@runtime_checkable
+class SetTrainer(SteppingTrainer, Protocol):
+    """A stepping trainer that can also train one policy on several contexts."""
+
+    def check_on_set(self) -> None:
+        """Refuse, before anything is spent, what this one cannot do.
+
+        Raises:
+            InvalidInput: its recipe cannot be learnt on several contexts.
+        """
+        ...
+
+    def train_on_steps(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        steps: int,
+        *,
+        marks: Sequence[int],
+        saved: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Reached:
+        """As `train_steps`, but each episode may be in another one of these contexts.
+
+        Args:
+            contexts: two or more.
+            seed: of the training.
+            steps: in all, 1..marks[-1].
+            marks: steps at which it may pause, rising; schedules may follow them.
+            saved: as in `train_steps`.
+            on_progress: told now and then.
+        """
+        ...
