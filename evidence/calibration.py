@@ -186,9 +186,9 @@ def cases(matrix: str) -> Iterator[Case]:
 
 
 def fit_for_this(matrix: str) -> bool:
-    """Whether there is one axis, and as many rows to hold out as to see."""
+    """Whether there is one axis, all were trained on, and as many rows to hold out as to see."""
     loaded = load_by_id(matrix)
-    enough = loaded.n >= 2 * max(ROWS)
+    enough = loaded.sources is None and loaded.n >= 2 * max(ROWS)
     return loaded.space.d == 1 and enough and not matrix.endswith("-final")
 
 

@@ -142,9 +142,11 @@ def main() -> None:
         if not ids:
             continue
         able = default_selectors(ids)
-        summary, table = board([n for n in names if n in able], ids, args.budget)
+        few = min(load_by_id(i).returns.shape[1] for i in ids)
+        budget = min(args.budget, 3 * few // 4)  # of nearly all of them every rule is right
+        summary, table = board([n for n in names if n in able], ids, budget)
         count = f"{len(ids)} set{'s' * (len(ids) > 1)}"
-        lines += [f"{count} of matrices with {axes}, K = {args.budget}", "", *table, ""]
+        lines += [f"{count} of matrices with {axes}, K = {budget}", "", *table, ""]
         summaries.append(summary)
     lines += [*each(names, summaries), "", *beside(summaries), ""]
     print("\n".join(lines))
