@@ -132,7 +132,10 @@ def load_policy(
         MissingExtra: reading it needs a library that is not installed.
     """
     if not folder.is_dir():
-        raise StorageError(f"the policy folder {folder} must exist; it was moved or deleted")
+        raise StorageError(
+            f"the policy folder {folder} must exist; it was moved or deleted, or the study keeps its "
+            "policies elsewhere: give artifacts= as it was made with"
+        )
     if load is not None:
         return load(folder)
     if is_mlp_folder(regular_files(folder, "a policy")):
