@@ -133,8 +133,8 @@ def load_policy(
     """
     if not folder.is_dir():
         raise StorageError(
-            f"the policy folder {folder} must exist; it was moved or deleted, or the study keeps its "
-            "policies elsewhere: give artifacts= as it was made with"
+            f"the policy folder {folder} must exist; it was moved or deleted, or the study keeps "
+            "its policies elsewhere: give artifacts= as it was made with"
         )
     if load is not None:
         return load(folder)
