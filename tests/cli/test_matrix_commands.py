@@ -360,7 +360,7 @@ def test_every_second_context_is_a_source(mbtl_command, problem):
     file = "matrices/cartpole-length-seed0.npz"
     code, out, err = mbtl_command("matrix", "show", file)
     assert (code, "Trained on 2 of the 4 contexts" in out) == (0, True), err
-    assert "2 of 4" in mbtl_command("matrix", "list", "--folder", "matrices")[1]
+    assert "2/4" in mbtl_command("matrix", "list", "--folder", "matrices")[1]
     code, out, err = mbtl_command("bench", "--matrix", file, "--budget", 2)
     assert code == 0, err
     code, _, err = mbtl_command(*BUILD, "--seeds", 1)
