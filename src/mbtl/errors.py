@@ -7,7 +7,7 @@ exits with 2); every other error means that the work itself failed (exit 1).
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 class MbtlError(Exception):
@@ -83,6 +83,11 @@ def unknown_name(kind: str, name: str, known: Iterable[str], *, hint: str = "") 
     guess = f" Did you mean {near[0]!r}?" if near else ""
     where = f" {hint}" if hint else f" Known: {', '.join(names)}."
     return UnknownName(f"no {kind} is called {name!r}.{guess}{where}")
+
+
+def few(names: Sequence[str], most: int = 3) -> str:
+    """The first of some names, for a message that may not grow long."""
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
 
 
 def cannot_write(path: object, error: OSError) -> StorageError:

@@ -197,6 +197,11 @@ class ManyTrainer(Protocol):
         ...
 
 
+def even_groups(count: int, most: int) -> list[int]:
+    """Sizes of groups that are trained together: as many in each, but fewer in the last one."""
+    return [min(most, count - first) for first in range(0, count, most)]
+
+
 @runtime_checkable
 class WideTrainer(Trainer, Protocol):
     """A trainer that can train one policy for all contexts."""

@@ -24,11 +24,11 @@ from mbtl.benchmark.npz import read_npz, read_text, write_npz
 from mbtl.benchmark.piece import ONLY, Piece, perform
 from mbtl.checkpoints import Along
 from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
+from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed, few
 from mbtl.files import claimed_folder
 from mbtl.processes import worker_pool
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
-from mbtl.trainer import ManyTrainer, ReferenceTrainer, Trainer, checked_returns
+from mbtl.trainer import ManyTrainer, ReferenceTrainer, Trainer, checked_returns, even_groups
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Build:
         more: dict[str, Any] = {"along": asdict(self.along)} if self.along else {}
         if self.every != 1:
             more["every"] = self.every
-        if len(set(sizes := self._sizes[:-1])) > 1 or (sizes and sizes[0] != self.lanes):
+        if self._sizes != even_groups(len(self.sources), self.lanes):
             more["groups"] = self._sizes
         return {**self.settings, **own, **more}
 
@@ -94,8 +94,7 @@ class Build:
         if hasattr(self.trainer, "groups"):
             some = [self.space.context(source) for source in self.sources]
             return list(self.trainer.groups(some, self.lanes))
-        whole, rest = divmod(len(self.sources), self.lanes)
-        return [self.lanes] * whole + [rest] * (rest > 0)
+        return even_groups(len(self.sources), self.lanes)
 
     def pieces(self) -> list[Piece]:
         """All of the matrix, done or not."""
@@ -267,7 +266,7 @@ def _outcome(work: Callable[[], None]) -> TrainingFailed | None:
 
 def _some_failed(failed: Sequence[tuple[Piece, TrainingFailed]]) -> TrainingFailed:
     sources = [str(source) for piece, _ in failed for source in piece.sources]
-    which = ", ".join(sources[:10]) + (", ..." if len(sources) > 10 else "")
+    which = few(sources, 10)
     first = failed[0][1]
     error = TrainingFailed(
         f"a matrix needs the policy of every source, got none of source {which} ({first}); the "

@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.errors import InvalidInput
+from mbtl.errors import InvalidInput, few
 from mbtl.files import whole_file
 from mbtl.untrusted import read_arrays, read_json
-
-_NAMED = 3
-"""Most files that an error names."""
 
 LONGEST_TEXT = 50_000_000
 """Characters of a record; a longer one is no record of ours."""
@@ -47,13 +44,8 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
 def a_folder(path: Path) -> InvalidInput:
     """Build the error for a folder where one file is wanted."""
     inside = sorted(file.name for file in path.glob("*.npz"))
-    more = ", ..." if len(inside) > _NAMED else ""
-    holds = (
-        f"give one that it holds: {', '.join(inside[:_NAMED])}{more}"
-        if inside
-        else ("give the path of one, such as mine.npz")
-    )
-    return InvalidInput(f"a matrix is an .npz file, and {path} is a folder; {holds}")
+    fix = f"one that it holds: {few(inside)}" if inside else "the path of one, such as mine.npz"
+    return InvalidInput(f"a matrix is an .npz file, and {path} is a folder; give {fix}")
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:

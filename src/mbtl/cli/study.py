@@ -22,6 +22,7 @@ from mbtl.selectors import get_selector
 from mbtl.study import SqlLog, Study, study_names
 from mbtl.study.database import shown
 from mbtl.study.listing import is_paid_in_steps
+from mbtl.study.state import replay
 from mbtl.study.steps.study import StepStudy
 from mbtl.study.steps.summary import counted
 
@@ -86,14 +87,14 @@ def show(study: _Study, name: _Name = None, as_json: JsonFlag = False) -> None:
 
     Example: mbtl study show runs/cartpole-length-quick-seed0
     """
-    if (paid_in_steps := step_study(study, name)) is not None:
-        found = paid_in_steps.summary()
+    opened = any_study(study, name)
+    if isinstance(opened, StepStudy):
+        found = opened.summary()
         if as_json:
             print_json(found.to_json())
         else:
-            show_steps(printer(), found, paid_in_steps.space)
+            show_steps(printer(), found, opened.space)
         return
-    opened = open_study(study, name)
     summary = summarise_study(opened)
     if as_json:
         print_json(summary.to_json())
@@ -185,9 +186,9 @@ def _reported(database: str | Path) -> Iterator[None]:
 
 
 def _row(database: str | Path, name: str) -> dict[str, Any]:
-    if (paid_in_steps := step_study(database, name)) is not None:
-        return _step_row(paid_in_steps, database)
-    study = open_study(database, name)
+    study = any_study(database, name)
+    if isinstance(study, StepStudy):
+        return _step_row(study, database)
     state = study.state
     return {
         "study": _shown_at(database),
@@ -219,30 +220,36 @@ def _step_row(study: StepStudy, database: str | Path) -> dict[str, Any]:
     }
 
 
-def step_study(path: str | Path, name: str | None) -> StepStudy | None:
-    """A study that is paid in steps; None: it is paid in trainings."""
-    place, chosen = _place_of(path, name)
-    log = SqlLog(place, chosen)
-    if not is_paid_in_steps(log.read()):
-        return None
-    return StepStudy.load(place, chosen)
+def any_study(path: str | Path, name: str | None) -> Study | StepStudy:
+    """A study for reading only: with any selector, so that one of the user's own opens too."""
+    return _opened(*_place_of(path, name))
 
 
 def open_study(path: str | Path, name: str | None) -> Study:
-    """A study for reading only: with any selector, so that one of the user's own opens too.
+    """`any_study` that is paid in trainings.
 
     Raises:
         StudyError: it is paid in steps.
     """
     place, chosen = _place_of(path, name)
-    folder, log = None if isinstance(place, str) else place.parent, SqlLog(place, chosen)
-    if is_paid_in_steps(log.read()):
+    study = _opened(place, chosen)
+    if isinstance(study, StepStudy):
         raise StudyError(
             f"this command reads studies that count trainings, and {chosen!r} is paid in steps; "
             f"`mbtl study show {_shown_at(place)}` prints its bill, V and who serves, `mbtl watch "
             f"{_shown_at(place)}` follows it"
         )
-    return Study(log, get_selector("random"), folder=folder, name=chosen)
+    return study
+
+
+def _opened(place: str | Path, name: str) -> Study | StepStudy:
+    """Of either kind; a log is read once, since it may be large."""
+    log = SqlLog(place, name)
+    events = log.read()
+    if is_paid_in_steps(events):
+        return StepStudy.load(place, name)
+    folder = None if isinstance(place, str) else place.parent
+    return Study(log, get_selector("random"), folder=folder, name=name, state=replay(events))
 
 
 def _place_of(path: str | Path, name: str | None) -> tuple[str | Path, str]:

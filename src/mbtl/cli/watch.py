@@ -12,7 +12,7 @@ from rich.text import Text
 
 from mbtl.cli import run_steps
 from mbtl.cli.common import printer
-from mbtl.cli.study import open_study, step_study
+from mbtl.cli.study import any_study
 from mbtl.errors import InvalidInput
 from mbtl.report import summarise_study
 from mbtl.report.text import lines, table
@@ -37,8 +37,7 @@ def watch(
     """
     if every <= 0:
         raise InvalidInput(f"--every must be > 0 seconds, got {every:g}")
-    opened = step_study(study, name) or open_study(study, name)
-    screen_of = printer()
+    opened, screen_of = any_study(study, name), printer()
     with Live(view(opened), console=screen_of, auto_refresh=False) as screen:
         while screen_of.is_terminal and not opened.is_finished:
             time.sleep(every)

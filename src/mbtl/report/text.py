@@ -72,14 +72,13 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
         )
     if summary.worst_tenth is not None:
         by = "those that chose" if summary.fresh_value is None else "the fresh ones"
-        out.append(
-            f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}, on {by}."
+        sentence = (
+            f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}, on {by}"
         )
-    if summary.worst_context is not None and summary.worst_context_value is not None:
-        where = space.describe(space.context(summary.worst_context))
-        out[-1] = (
-            f"{out[-1][:-1]}; the worst context, {where}, at {summary.worst_context_value:.4f}."
-        )
+        if summary.worst_context is not None and summary.worst_context_value is not None:
+            where = space.describe(space.context(summary.worst_context))
+            sentence += f"; the worst context, {where}, at {summary.worst_context_value:.4f}"
+        out.append(f"{sentence}.")
     out.append(summary.verdict)
     if summary.next_source is not None and summary.next_gain is not None:
         where = space.describe(space.context(summary.next_source))

@@ -17,7 +17,7 @@ from mbtl.plain import finite, real, short, text, whole
 from mbtl.selectors import Selector, get_selector, selector_names
 from mbtl.settings import as_json, first_difference
 from mbtl.study.checks import check_spec
-from mbtl.study.database import shown
+from mbtl.study.database import exists_already, shown
 from mbtl.study.described import FROM, describe_selector, without_origin
 from mbtl.study.events import Event
 from mbtl.study.given import (
@@ -288,10 +288,7 @@ def create_study(
     except Conflict:
         study = Study(log, chosen, folder=folder, name=name, trainer=trainer)
         if not load_if_exists:
-            raise StudyError(
-                f"a study named {name!r} exists in {shown(str(storage))}; pass load_if_exists=True "
-                "to go on with it, or choose another name"
-            ) from None
+            raise exists_already(name, storage) from None
         _check_same(study.state, spec)
         if spec.budget > study.spec.budget:
             study.extend(spec.budget)

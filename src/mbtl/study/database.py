@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbtl.errors import InvalidInput, MissingExtra, StorageError, Unreachable
+from mbtl.errors import InvalidInput, MissingExtra, StorageError, StudyError, Unreachable, few
 
 if TYPE_CHECKING:
     from sqlalchemy import Engine, Table
@@ -18,9 +18,6 @@ _BUSY_SECONDS = 60.0
 
 _FILES = ("sqlite", "duckdb")
 """Databases that are no servers."""
-
-_NAMED = 3
-"""Most studies that an error names."""
 
 _FOR_GOOD = ("authentication failed", "no password supplied", "does not exist", "pg_hba.conf")
 """What a server says that will say the same in a minute."""
@@ -225,6 +222,14 @@ def database_errors(url: str) -> Iterator[None]:
         ) from error
 
 
+def exists_already(name: str, storage: object) -> StudyError:
+    """Build the error for a study that was to be a new one."""
+    return StudyError(
+        f"a study named {name!r} exists in {shown(str(storage))}; pass load_if_exists=True to go "
+        "on with it, or choose another name"
+    )
+
+
 def _no_file(path: Path) -> StorageError:
     """There is no such database; studies of the folders below may be meant."""
     said = f"a study lives in a database file, and there is none at {path}"
@@ -234,8 +239,7 @@ def _no_file(path: Path) -> StorageError:
     ]
     if not below:
         return StorageError(f"{said}; `mbtl study list FOLDER` shows the studies below a folder")
-    more = ", ..." if len(below) > _NAMED else ""
-    return StorageError(f"{said}; give one of those below: {', '.join(below[:_NAMED])}{more}")
+    return StorageError(f"{said}; give one of those below: {few(below)}")
 
 
 def _is_away(error: DBAPIError, url: str) -> bool:

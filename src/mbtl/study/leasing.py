@@ -166,11 +166,15 @@ class LeasingStudy(StudyView):
     def _ask(self, lease: float | None) -> Pick:
         turn, retry = _Turn(_LONGEST_PAUSE), _Turn(_LONGEST_COMMIT)
         watch, watched, heard = self.watch(), time.monotonic(), 0.0
+
+        def wanted(state: StudyState) -> Event | None:
+            return asking.claim(state, watch, lease, self.worker, proposed=self.proposes_ahead)
+
         while True:
             state = self.refresh()
             if time.monotonic() - watched > _WATCH:
                 watch, watched = self.watch(), time.monotonic()
-            claim = asking.claim(state, watch, lease, self.worker, proposed=self.proposes_ahead)
+            claim = wanted(state)
             if claim is None:  # somebody proposes just now, and the next one for us, too
                 if self.proposes_ahead and time.monotonic() > heard:
                     self._log.beat(asker(self.worker), 3.0 * _WATCH)
@@ -181,9 +185,7 @@ class LeasingStudy(StudyView):
                 with self._turn() as queued:
                     if queued:
                         state = self.refresh()
-                        claim = asking.claim(
-                            state, watch, lease, self.worker, proposed=self.proposes_ahead
-                        )
+                        claim = wanted(state)
                     if claim is None:
                         continue
                     self._append(claim, state)

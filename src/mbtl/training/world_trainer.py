@@ -20,7 +20,7 @@ from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seed
-from mbtl.trainer import OnProgress, Progress, check_settings, checked_returns
+from mbtl.trainer import OnProgress, Progress, check_settings, checked_returns, even_groups
 from mbtl.training.world_steps import WorldSteps
 
 BY_STEPS = ("PPO", "A2C", "DQN")
@@ -187,7 +187,7 @@ class WorldTrainer(WorldSteps):
             world, params = self.problem(contexts)
             if hasattr(world, "groups"):
                 return list(world.groups(params, lanes))
-        return [min(lanes, len(contexts) - i) for i in range(0, len(contexts), lanes)]
+        return even_groups(len(contexts), lanes)
 
     # ---- training ----------------------------------------------------------------------------
 

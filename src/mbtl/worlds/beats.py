@@ -89,15 +89,14 @@ class Holds(Seeded):
         episode of a group has more than `_ALIKE` times the decisions of another.
         """
         sizes: list[int] = []
-        first = np.inf, -np.inf  # the longest and the shortest hold of the group so far
+        group: list[float] = []  # the holds of the last one
         for hold in np.atleast_1d(np.asarray(params.hold)).tolist():
-            least, longest = min(first[0], hold), max(first[1], hold)
-            if sizes and sizes[-1] < most and longest <= _ALIKE * least:
-                sizes[-1] += 1
-                first = least, longest
+            wider = [*group, hold]
+            if group and len(group) < most and max(wider) <= _ALIKE * min(wider):
+                group, sizes[-1] = wider, len(wider)
             else:
+                group = [hold]
                 sizes.append(1)
-                first = hold, hold
         return sizes
 
     def beats(self, params: HoldParams, beats: Beats) -> tuple[jax.Array, jax.Array]:

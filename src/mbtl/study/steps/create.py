@@ -10,11 +10,11 @@ from typing import Any
 
 from mbtl.actions import Strategy
 from mbtl.contexts import ContextSpace
-from mbtl.errors import InvalidInput, StudyError, StudyMismatch
+from mbtl.errors import InvalidInput, StudyMismatch
 from mbtl.objective import Bounds, direction_named
 from mbtl.plain import finite, text, whole
 from mbtl.settings import as_json, first_difference
-from mbtl.study.database import shown
+from mbtl.study.database import exists_already, shown
 from mbtl.study.described import describe_selector, without_origin
 from mbtl.study.events import OPENED, Event
 from mbtl.study.given import pair_of
@@ -168,10 +168,7 @@ def _existing(
         )
     study = StepStudy(log, strategy, **given)
     if not wanted:
-        raise StudyError(
-            f"a study named {given['name']!r} exists in {shown(str(storage))}; pass "
-            "load_if_exists=True to go on with it, or choose another name"
-        )
+        raise exists_already(given["name"], storage)
     was, now = study.spec.to_json(), spec.to_json()
     for record in (was, now):
         record["strategy"] = without_origin(record["strategy"])

@@ -158,13 +158,7 @@ class _Worker:
         """Mark by mark, while there are steps for it and for an evaluation afterwards."""
         study, state = self.study, self.study.state
         number = state.number_of(action)
-        if isinstance(action, StartOn):
-            source = middle_of(action.sources, study.space.steps)
-        else:
-            source = action.source if isinstance(action, Start) else state.trainings[number].source
-        on = action.sources if isinstance(action, StartOn) else ()
-        if number < len(state.trainings):
-            on = state.trainings[number].on
+        source, on = self._where(action, number)
         self._tell("on_training", number, source, state.lengths_of(number)[action.length])
         while study.state.pending is not None:
             mark = study.state.reached(number) + 1
@@ -193,6 +187,16 @@ class _Worker:
             )  # fmt: skip
             self._tell("on_trained", number)
         self._forget(number)
+
+    def _where(self, action: Start | StartOn | Extend, number: int) -> tuple[int, tuple[int, ...]]:
+        """The context of a training and, of one on several, those; then it is the middle one."""
+        study = self.study
+        if isinstance(action, Extend) or number < len(study.state.trainings):
+            course = study.state.trainings[number]
+            return course.source, course.on
+        if isinstance(action, StartOn):
+            return middle_of(action.sources, study.space.steps), action.sources
+        return action.source, ()
 
     def _fits(self, number: int, mark: int) -> bool:
         spec, state = self.study.spec, self.study.state
