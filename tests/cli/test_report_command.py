@@ -102,14 +102,19 @@ def test_a_folder_without_a_study_says_what_it_holds(mbtl_command, tmp_path, sto
         assert "matrices is a folder; give one that it holds: m.npz" in " ".join(err.split())
 
 
-def test_a_study_paid_in_steps_is_sent_to_the_command_that_shows_it(mbtl_command, tmp_path):
+def test_a_study_paid_in_steps_has_a_page_and_no_rows_to_export(mbtl_command, tmp_path):
     mbtl.create_study(
         SPACE, cost="steps", budget=1000, bounds=(0, 1), lengths=[10], episodes=2, horizon=5,
         storage=tmp_path / "s.db",
     )  # fmt: skip
-    code, _, err = mbtl_command("report", "s.db")
+    code, out, err = mbtl_command("report", "s.db", "--json")
+    assert code == 0, err
+    assert json.loads(out)["subjects"] == ["study"]
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "strategy pilot, 0 of 1K steps, 0 trainings, 12 contexts, under way" in page
+    code, _, err = mbtl_command("study", "export", "s.db", "rows.csv")
     assert code == 1
-    assert "`mbtl study show s.db` prints its bill" in " ".join(err.split())
+    assert "`mbtl report s.db` draws them" in " ".join(err.split())
     code, out, _ = mbtl_command("watch", "s.db")
     assert code == 0
     assert "0 of 1K steps were paid" in out

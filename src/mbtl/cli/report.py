@@ -13,10 +13,11 @@ from rich.text import Text
 from mbtl.benchmark import TransferMatrix, open_matrix, shipped_matrices
 from mbtl.benchmark.npz import a_folder
 from mbtl.cli.common import JsonFlag, console, print_json, printer
-from mbtl.cli.study import open_study
+from mbtl.cli.study import any_study
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.report import Subject, of_matrix, of_study, write_page
+from mbtl.report import StepSubject, Subject, of_matrix, of_step_study, of_study, write_page
 from mbtl.study import Study
+from mbtl.study.steps.study import StepStudy
 
 _LEAST = 2.0
 
@@ -63,21 +64,16 @@ def report(
     if live is not None and live < _LEAST:
         raise InvalidInput(f"--live takes {_LEAST:g} seconds or more, got {live:g}")
     opened = [one for subject in subjects for one in _open(subject, name or [None])]
-    if name and not any(isinstance(one, Study) for one in opened):
+    if name and all(isinstance(one, TransferMatrix) for one in opened):
         raise InvalidInput(f"--name is of a study, and no study is given, got {name[0]!r}")
 
-    def made() -> list[Subject]:
-        return [
-            of_study(one)
-            if isinstance(one, Study)
-            else of_matrix(one, selector, budget=budget, seed=_seed_of(one, seed))
-            for one in opened
-        ]
+    def made() -> list[Subject | StepSubject]:
+        return [_subject(one, selector, budget, seed) for one in opened]
 
     found = made()
     while live is not None and not all(subject.finished for subject in found):
         write_page(found, out, refresh=live)
-        told = ", ".join(f"{one.name}: {len(one.history)} told" for one in found)
+        told = ", ".join(f"{one.name}: {one.progress}" for one in found)
         console.print(f"{out}: {told}; Ctrl-C ends", markup=False, highlight=False)
         time.sleep(live)
         found = made()
@@ -89,7 +85,17 @@ def report(
         printer().print(Text(f"wrote {out} ({size / 1e6:.1f} MB); open it in a browser"))
 
 
-def _open(given: str, names: Sequence[str | None]) -> Sequence[Study | TransferMatrix]:
+def _subject(
+    one: Study | StepStudy | TransferMatrix, selector: str, budget: int, seed: int
+) -> Subject | StepSubject:
+    if isinstance(one, Study):
+        return of_study(one)
+    if isinstance(one, StepStudy):
+        return of_step_study(one)
+    return of_matrix(one, selector, budget=budget, seed=_seed_of(one, seed))
+
+
+def _open(given: str, names: Sequence[str | None]) -> Sequence[Study | StepStudy | TransferMatrix]:
     """A matrix, or the studies of these names; None: the only one."""
     path = Path(given)
     if path.suffix == ".npz" or (given in shipped_matrices() and not path.exists()):
@@ -99,7 +105,7 @@ def _open(given: str, names: Sequence[str | None]) -> Sequence[Study | TransferM
     if path.is_dir() and not (path / "study.db").exists() and any(path.glob("*.npz")):
         raise a_folder(path)
     if "://" in given or path.exists():
-        return [open_study(given, name) for name in names]
+        return [any_study(given, name) for name in names]
     raise unknown_name(
         "study or matrix", given, shipped_matrices(),
         hint="Give the folder of a study, an .npz file, or an id that `mbtl matrix list` shows.",

@@ -7,33 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich import box
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
-
 from mbtl.cli.common import console, plain_warnings, print_json, printer
 from mbtl.cli.folders import check_folder, set_aside
 from mbtl.cli.step_progress import StepProgress
 from mbtl.cmdps import resolve_cmdp
-from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, MissingExtra, StorageError
 from mbtl.plot import policy_map, policy_shares, save
+from mbtl.report.step_text import show_steps
 from mbtl.study.steps.create import create_step_study
 from mbtl.study.steps.strategies import DEFAULT, strategy_named
 from mbtl.study.steps.study import StepStudy
-from mbtl.study.steps.summary import StepSummary, counted
+from mbtl.study.steps.summary import counted
 from mbtl.trainer import Trainer
 
 _NUMBER = re.compile(r"(\d+(?:\.\d+)?(?:e\d+)?)\s*([kmg]?)", re.IGNORECASE)
 _SIZES = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9}
-_WORDS = {
-    "training": "new trainings",
-    "extension": "trainings that went on",
-    "checks": "checks of trainings on their own context",
-    "evaluation": "evaluation on targets",
-    "failed": "trainings that failed",
-}
 
 
 @dataclass(frozen=True)
@@ -130,56 +118,6 @@ def run_steps(
     _finish(study, trainer, folder, as_json=as_json)
 
 
-def show(screen: Console, summary: StepSummary, space: ContextSpace) -> None:
-    """Print the trainings, the price list and V."""
-    screen.print(trainings(summary, space))
-    for line in lines(summary):
-        screen.print(line, markup=False, highlight=False, soft_wrap=True)
-
-
-def trainings(summary: StepSummary, space: ContextSpace) -> Table:
-    """Every training: on what, how long, where it serves, and why it stands."""
-    table = Table(box=box.SIMPLE, padding=(0, 1), show_edge=False)
-    table.title = (
-        f"{summary.problem or 'study'}: {summary.strategy}, {counted(summary.budget)} steps, "
-        f"N = {space.n}"
-    )
-    for head in ("training", "trained on", "steps", "policies", "serves"):
-        table.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
-    table.add_column("state")
-    for one in summary.trainings:
-        where = Text(one.trained_on.replace(", ", "\n"))
-        state = Text(f"{one.state}: {one.why}")
-        numbers = counted(one.steps), str(one.policies), str(one.serves)
-        table.add_row(str(one.number + 1), where, *numbers, state)
-    return table
-
-
-def lines(summary: StepSummary) -> list[str]:
-    """The sentences under the table."""
-    total = max(summary.spent, 1.0)
-    found = [f"{counted(summary.spent)} of {counted(summary.budget)} steps were paid, all in:"]
-    found += [
-        f"  {counted(steps):>6}  {steps / total:4.0%}  {_WORDS[name]}"
-        for name, steps in summary.prices.items()
-        if steps
-    ]
-    if summary.value is not None:
-        found.append(
-            f"V = {summary.value:.4f} with {summary.policies} policies, by the episodes that chose "
-            "them, so it is optimistic"
-        )
-    if summary.fresh_value is not None and summary.fresh_steps is not None:
-        margin = "" if summary.fresh_margin is None else f" +- {summary.fresh_margin:.4f}"
-        found.append(
-            f"V = {summary.fresh_value:.4f}{margin} on fresh episodes ("
-            f"{counted(summary.fresh_steps)} steps, not charged)"
-        )
-    if summary.verdict is not None and summary.verdict != summary.finished:
-        found.append(summary.verdict)
-    return [*found, f"finished: {summary.finished}" if summary.finished else "not finished"]
-
-
 def _announce(study: StepStudy, folder: Path) -> None:
     spec, spent = study.spec, study.state.spent
     marks = ", ".join(counted(length) for length in spec.lengths)
@@ -209,6 +147,6 @@ def _finish(study: StepStudy, trainer: Trainer, folder: Path, *, as_json: bool) 
         print_json({**summary.to_json(), "study": str(folder), "files": files, "notes": notes})
         return
     screen = printer()
-    show(screen, summary, study.space)
+    show_steps(screen, summary, study.space)
     for line in [*notes, *(f"{what}: {path}" for what, path in files.items())]:
         screen.print(line, style="dim", markup=False, highlight=False, soft_wrap=True)

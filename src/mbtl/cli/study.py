@@ -14,9 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, console, print_json, printer
-from mbtl.cli.run_steps import show as show_steps
 from mbtl.errors import InvalidInput, MbtlError, StudyError, cannot_write, unknown_name
 from mbtl.report import summarise_study
+from mbtl.report.step_text import show_steps
 from mbtl.report.text import show_causes, show_summary
 from mbtl.selectors import get_selector
 from mbtl.study import SqlLog, Study, study_names
@@ -236,8 +236,8 @@ def open_study(path: str | Path, name: str | None) -> Study:
     if isinstance(study, StepStudy):
         raise StudyError(
             f"this command reads studies that count trainings, and {chosen!r} is paid in steps; "
-            f"`mbtl study show {_shown_at(place)}` prints its bill, V and who serves, `mbtl watch "
-            f"{_shown_at(place)}` follows it"
+            f"`mbtl study show {_shown_at(place)}` prints its bill, V and who serves, `mbtl report "
+            f"{_shown_at(place)}` draws them"
         )
     return study
 

@@ -10,11 +10,11 @@ from rich.console import Group
 from rich.live import Live
 from rich.text import Text
 
-from mbtl.cli import run_steps
 from mbtl.cli.common import printer
 from mbtl.cli.study import any_study
 from mbtl.errors import InvalidInput
 from mbtl.report import summarise_study
+from mbtl.report.step_text import step_lines, step_table
 from mbtl.report.text import lines, table
 from mbtl.study import Study
 from mbtl.study.steps.study import StepStudy
@@ -50,7 +50,7 @@ def view(study: Study | StepStudy) -> Group:
     """The table and the sentences under it, as `mbtl study show` prints them."""
     if isinstance(study, StepStudy):
         paid = study.summary()
-        return Group(run_steps.trainings(paid, study.space), *map(Text, run_steps.lines(paid)))
+        return Group(step_table(paid, study.space), *map(Text, step_lines(paid)))
     summary = summarise_study(study)
     said = lines(summary, study.space)
     if summary.finished is None:

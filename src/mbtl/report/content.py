@@ -8,8 +8,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mbtl.contexts import Categorical, Log
+from mbtl.arrays import Array
+from mbtl.contexts import Categorical, ContextSpace, Log
 from mbtl.report.next_training import predicted
 from mbtl.report.subject import Subject
 from mbtl.routing import rank
@@ -24,7 +26,7 @@ def content(subject: Subject) -> dict[str, Any]:
         "name": subject.name,
         "selector": subject.selector,
         "sentences": list(subject.sentences),
-        "axes": _axes(subject),
+        "axes": axes_of(subject.space),
         "isGrid": space.shape is not None,
         "n": space.n,
         "sources": list(history.sources),
@@ -38,15 +40,18 @@ def content(subject: Subject) -> dict[str, Any]:
     }
     if subject.measured is not None and subject.sources is not None:
         found["matrix"] = {"values": subject.measured, "sources": np.asarray(subject.sources)}
-    if subject.routing is not None:
-        found |= {"served": _served(subject), "steps": _steps(subject), "next": _next(subject)}
+    if (routing := subject.routing) is not None:
+        sources = np.asarray(routing.sources)
+        served = served_by(routing.believed, sources, routing.route, space.steps)
+        found |= {"served": served, "steps": _steps(subject), "next": _next(subject)}
     return found
 
 
-def _axes(subject: Subject) -> list[dict[str, Any]]:
+def axes_of(space: ContextSpace) -> list[dict[str, Any]]:
+    """Names, units and the place of every context on each axis."""
     out = []
-    for axis in subject.space.axes:
-        values = subject.space.values(axis.name)
+    for axis in space.axes:
+        values = space.values(axis.name)
         names = list(axis.choices) if isinstance(axis, Categorical) else None
         places = [names.index(v) for v in values] if names else values
         out.append(
@@ -86,21 +91,27 @@ def _picks(subject: Subject) -> list[dict[str, Any]]:
     return out
 
 
-def _served(subject: Subject) -> dict[str, Any]:
-    """Who serves each context, how well, and who would if not."""
-    routing, steps = subject.routing, subject.space.steps
-    assert routing is not None
-    believed, sources = routing.believed, np.asarray(routing.sources)
-    second = np.full(subject.space.n, -1)
+def served_by(
+    believed: Array, sources: NDArray[np.intp], route: NDArray[np.intp], steps: Array
+) -> dict[str, Any]:
+    """Who serves each context, how well, and who would if not.
+
+    Args:
+        believed: (k, N) performance.
+        sources: (k,) context of each policy.
+        route: (N,) position of the policy that serves.
+        steps: (N, D) grid steps of the contexts.
+    """
+    every = np.arange(believed.shape[1])
+    second = np.full(len(every), -1)
     if len(sources) > 1:
-        for target in range(subject.space.n):
+        for target in every.tolist():
             distance = np.linalg.norm(steps[sources] - steps[target], axis=1)
             order = rank(believed[:, target], distance, sources)
-            second[target] = next(i for i in order if i != routing.route[target])
-    every = np.arange(subject.space.n)
+            second[target] = next(i for i in order if i != route[target])
     return {
-        "policy": routing.route,
-        "performance": routing.served,
+        "policy": route,
+        "performance": believed[route, every],
         "runnerUp": second,
         "runnerUpPerformance": np.where(second >= 0, believed[second, every], np.nan),
     }

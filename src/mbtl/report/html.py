@@ -7,7 +7,6 @@ drawn by `page/page.js` with plotly.js, which is in the file once and compressed
 from __future__ import annotations
 
 import html
-import json
 import re
 from collections.abc import Sequence
 from importlib import resources
@@ -18,6 +17,9 @@ from mbtl.errors import InvalidInput, missing_extra
 from mbtl.files import whole_file
 from mbtl.report.content import content
 from mbtl.report.packing import compressed, packed
+from mbtl.report.parts import details, number, provenance, section, table
+from mbtl.report.step_article import step_article
+from mbtl.report.step_subject import KIND, StepSubject, step_content
 from mbtl.report.subject import Subject
 from mbtl.version import __version__
 
@@ -28,7 +30,7 @@ _SCORE = (
 
 
 def write_page(
-    subjects: Sequence[Subject], path: str | Path, *, refresh: float | None = None
+    subjects: Sequence[Subject | StepSubject], path: str | Path, *, refresh: float | None = None
 ) -> Path:
     """Write a report of one or more subjects.
 
@@ -52,9 +54,11 @@ def write_page(
     return path
 
 
-def page(subjects: Sequence[Subject], *, refresh: float | None = None) -> str:
+def page(subjects: Sequence[Subject | StepSubject], *, refresh: float | None = None) -> str:
     """The page as text; see `write_page`."""
-    items = [content(subject) for subject in subjects]
+    items = [
+        step_content(one) if isinstance(one, StepSubject) else content(one) for one in subjects
+    ]
     title = ", ".join(subject.name for subject in subjects)
     parts = {
         "TITLE": html.escape(title),
@@ -94,6 +98,8 @@ def _choice(items: list[dict[str, Any]]) -> str:
 
 
 def _article(i: int, item: dict[str, Any]) -> str:
+    if item["kind"] == KIND:
+        return step_article(i, item)
     e = html.escape
     told = [pick for pick in item["picks"] if pick["status"] == "told"]
     state = "finished" if item["finished"] else "under way"
@@ -106,70 +112,38 @@ def _article(i: int, item: dict[str, Any]) -> str:
     ]
     if told:
         parts += [
-            _section("curve", "V after each training", f"V is measured on {item['curve']['of']}."),
+            section("curve", "V after each training", f"V is measured on {item['curve']['of']}."),
             _picks(item["picks"]),
             _next(item.get("next")),
-            _section("policies", "Which policy serves which context", ""),
-            _details("serving", "Every context: its policy, its performance, the runner-up"),
-            _section("model", f"What the model believed ({item['steps']['model']})", _SCORE),
-            _section("heat", "Transfer: every policy on every context", ""),
+            section("policies", "Which policy serves which context", ""),
+            details("serving", "Every context: its policy, its performance, the runner-up"),
+            section("model", f"What the model believed ({item['steps']['model']})", _SCORE),
+            section("heat", "Transfer: every policy on every context", ""),
         ]
         if len(item["axes"]) > 2:
-            parts.append(_section("pairs", "Every pair of axes, the others averaged", ""))
-    parts += [_costs(item), _provenance(item["provenance"]), "</article>"]
+            parts.append(section("pairs", "Every pair of axes, the others averaged", ""))
+    parts += [_costs(item), provenance(item["provenance"]), "</article>"]
     return "\n".join(parts)
-
-
-def _section(kind: str, title: str, said: str) -> str:
-    note = f"<p>{html.escape(said)}</p>" if said else ""
-    return (
-        f"<section><h2>{html.escape(title)}</h2>{note}"
-        f'<div class="controls" data-controls="{kind}"></div>'
-        f'<div class="chart {kind}" data-chart="{kind}" role="figure" '
-        f'aria-label="{html.escape(title)}"></div></section>'
-    )
-
-
-def _details(kind: str, title: str) -> str:
-    return (
-        f'<details data-table="{kind}"><summary>{html.escape(title)}</summary>'
-        '<div class="scroll"></div></details>'
-    )
-
-
-def _number(value: float | None, digits: int = 4) -> str:
-    return "–" if value is None or value != value else f"{round(value, digits) + 0.0:.{digits}f}"
-
-
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    head = "".join(f"<th scope=col>{html.escape(name)}</th>" for name in heads)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
-    )
-    return (
-        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>"
-    )
 
 
 def _picks(picks: list[dict[str, Any]]) -> str:
     rows = [
         [
-            str(number),
+            str(k),
             pick["context"],
-            _number(pick["value"]),
-            _number(pick["gained"]),
-            _number(pick["promised"]),
+            number(pick["value"]),
+            number(pick["gained"]),
+            number(pick["promised"]),
             pick["reason"] if pick["status"] == "told" else pick["status"],
         ]
-        for number, pick in enumerate(picks, 1)
+        for k, pick in enumerate(picks, 1)
     ]
     heads = ["k", "trained on", "V", "gained", "promised", "why"]
     note = (
         "<p>Gained: by how much V rose. Promised: the gain that the selector expected when it "
         "chose, if it says one; the rules of the paper are optimistic on purpose.</p>"
     )
-    return f"<section><h2>What each training added</h2>{_table(heads, rows)}{note}</section>"
+    return f"<section><h2>What each training added</h2>{table(heads, rows)}{note}</section>"
 
 
 def _next(coming: dict[str, Any] | None) -> str:
@@ -199,11 +173,3 @@ def _costs(item: dict[str, Any]) -> str:
         what = html.escape(f"{pick['context']}: {pick['status']}")
         body += f"<details><summary>{what}</summary><pre>{trace}</pre></details>"
     return f"<section><h2>Costs, times, failures</h2>{body}</section>" if body else ""
-
-
-def _provenance(record: Any) -> str:
-    text = json.dumps(record, indent=2, default=str)
-    return (
-        "<section><h2>How this was made</h2><details><summary>Recipe, versions, seeds</summary>"
-        f"<pre>{html.escape(text)}</pre></details></section>"
-    )

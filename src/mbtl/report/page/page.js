@@ -56,6 +56,7 @@
   const mean = (rows) => Array.from(rows[0], (_, j) => rows.reduce((sum, row) => sum + row[j], 0) / rows.length);
   const named = (axis, value) => (axis.choices ? axis.choices[value] : short(value) + (axis.unit ? " " + axis.unit : ""));
   const describe = (item, i) => item.axes.map((axis) => `${axis.name} = ${named(axis, axis.values[i])}`).join(", ");
+  const home = (item, p) => (item.policies ? item.policies[p] : "trained on " + describe(item, item.sources[p]));
   const contexts = (item) => (item.said ??= Array.from({ length: item.n }, (_, i) => describe(item, i)));
 
   function ramp(share) {
@@ -164,7 +165,7 @@
     taken.forEach((s, p) => {
       const at = [x, y].map((q) => item.axes[q].values[s]), one = places.get(String(at)) || { at, numbers: [], said: [] };
       one.numbers.push(p + 1);
-      one.said.push(`${p + 1}: trained on ${describe(item, s)}`);
+      one.said.push(`${p + 1}: ${home(item, p)}`);
       places.set(String(at), one);
     });
     const marks = [...places.values()];
@@ -253,6 +254,40 @@
       return draw(box, traces, { xaxis: plain("trainings k", { dtick: Math.ceil((26 * k.length) / box.clientWidth) }), yaxis: plain("V") });
     },
 
+    spending(i, box) {
+      const item = state.items[i], seen = item.pieces.filter((p) => p.value !== null), last = item.pieces.at(-1).after;
+      const at = [...seen.map((p) => p.after), last], v = [...seen.map((p) => p.value), seen.at(-1).value];
+      const said = [...seen.map((p) => `training ${p.training + 1} evaluated ${p.said}`), "all that was paid"];
+      const traces = [{
+        x: at, y: v, mode: "lines+markers", line: { shape: "hv", width: 3, color: css("--accent") }, marker: { size: at.map((_, j) => (j < seen.length ? 7 : 0)) },
+        name: "by the episodes that chose", text: said, hovertemplate: "%{x:,.0f} steps: V = %{y:.4f}<br>%{text}<extra></extra>",
+      }];
+      if (item.fresh.value !== null) traces.push({
+        x: [last], y: [item.fresh.value], mode: "markers", name: "on fresh episodes", cliponaxis: false, marker: { size: 11, color: "#d55e00" },
+        error_y: { type: "data", array: [item.fresh.margin || 0], color: "#d55e00", visible: item.fresh.margin !== null }, hovertemplate: "V = %{y:.4f} on fresh episodes<extra></extra>",
+      });
+      return draw(box, traces, { xaxis: plain("environment steps, all in", { range: [0, 1.02 * last], exponentformat: "SI" }), yaxis: plain("V") });
+    },
+
+    courses(i, box) {
+      const item = state.items[i], kinds = { training: "#0072b2", extension: "#56b4e9", evaluation: "#e69f00", failed: "#d55e00" };
+      const words = { training: "new training", extension: "extension", evaluation: "evaluation", failed: "failed" };
+      const row = (p) => (p.training === null ? "failed" : `${p.training + 1}`), of = (p) => (p.training === null ? "" : `training ${p.training + 1}, ${item.trainings[p.training].trained_on}<br>`);
+      const traces = Object.entries(kinds).map(([kind, color]) => {
+        const those = item.pieces.filter((p) => p.kind === kind && p.after > p.before);
+        return {
+          type: "bar", orientation: "h", name: words[kind], y: those.map(row), base: those.map((p) => p.before), x: those.map((p) => p.after - p.before), marker: { color, line: { width: 0 } },
+          text: those.map((p) => `${of(p)}${words[kind]}: ${p.said}`), textposition: "none", hovertemplate: "%{text}<extra></extra>", visible: those.length > 0,
+        };
+      });
+      const names = [...item.trainings.map((t) => `${t.number + 1}`), ...(item.pieces.some((p) => p.training === null) ? ["failed"] : [])];
+      box.style.height = `${Math.max(352, 130 + 22 * names.length)}px`;
+      return draw(box, traces, {
+        barmode: "overlay", bargap: 0.3, xaxis: plain("environment steps, all in", { exponentformat: "SI" }),
+        yaxis: plain("training", { type: "category", categoryorder: "array", categoryarray: names, autorange: "reversed", dtick: Math.ceil(names.length / 30) }),
+      });
+    },
+
     policies(i, box) {
       const item = state.items[i], { policy, performance, runnerUp, runnerUpPerformance: second } = item.served;
       const colours = policyColours(item), margin = Array.from(performance, (v, j) => v - second[j]);
@@ -268,13 +303,13 @@
         {
           x, y: order.map((j) => performance[j]), mode: "lines+markers", name: "serving policy", line: { width: 0.6, color: css("--soft") },
           marker: { size: 8, symbol: "square", color: order.map((j) => colours[policy[j]]) },
-          text: order.map((j) => `${describe(item, j)}<br>policy ${policy[j] + 1}, trained on ${describe(item, item.sources[policy[j]])}` +
+          text: order.map((j) => `${describe(item, j)}<br>policy ${policy[j] + 1}, ${home(item, policy[j])}` +
             (runnerUp[j] < 0 ? "" : `<br>runner-up: policy ${runnerUp[j] + 1}, ${fixed(second[j])}`)),
           hovertemplate: "%{text}<br>performance %{y:.4f}<extra></extra>",
         },
         {
           x: item.sources.map((s) => axis.values[s]), y: item.sources.map((s) => performance[s]), mode: "markers+text", name: "trained",
-          text: item.sources.map((_, p) => p + 1), textposition: sides(item.sources.map((s) => axis.values[s])), cliponaxis: false, hovertext: item.sources.map((s) => "trained on " + describe(item, s)), hoverinfo: "text",
+          text: item.sources.map((_, p) => p + 1), textposition: sides(item.sources.map((s) => axis.values[s])), cliponaxis: false, hovertext: item.sources.map((_, p) => home(item, p)), hoverinfo: "text",
           marker: { size: 12, color: item.sources.map((_, p) => colours[p]), line: { color: css("--ink"), width: 1.5 } },
         },
       ];
@@ -401,11 +436,11 @@
   function servingTable(i, place) {
     if (place.childElementCount) return;
     const item = state.items[i], s = item.served, table = document.createElement("table");
-    table.createTHead().innerHTML = "<tr><th>context<th>policy<th>trained on<th>performance<th>runner-up<th>its performance</tr>";
+    table.createTHead().innerHTML = "<tr><th>context<th>policy<th>which is<th>performance<th>runner-up<th>its performance</tr>";
     const body = table.createTBody();
     for (let c = 0; c < item.n; c++) {
       const row = body.insertRow(), p = s.policy[c], r = s.runnerUp[c];
-      [describe(item, c), p + 1, describe(item, item.sources[p]), fixed(s.performance[c]), r < 0 ? "–" : r + 1, fixed(s.runnerUpPerformance[c])]
+      [describe(item, c), p + 1, home(item, p), fixed(s.performance[c]), r < 0 ? "–" : r + 1, fixed(s.runnerUpPerformance[c])]
         .forEach((text) => (row.insertCell().textContent = text));
     }
     place.append(table);

@@ -184,7 +184,7 @@ class StepState:
             return Bounds(*spec.bounds, spec.direction, spec.floor)
         if not self.returns:
             return Bounds(0.0, 1.0, spec.direction)
-        return Bounds.of([row[np.isfinite(row)] for row in self.returns], spec.direction)
+        return Bounds.of(np.array(self.returns), spec.direction)
 
     @property
     def the_spec(self) -> StepSpec:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -117,6 +117,10 @@ class StepStudy:
         if self._state.spec is None:
             raise StudyError(f"there is no study {self.name!r} in this storage; create it first")
         return self._state
+
+    def events(self) -> Iterable[Event]:
+        """The log from its beginning."""
+        return self._log.read()
 
     @property
     def spec(self) -> StepSpec:
