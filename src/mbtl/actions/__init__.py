@@ -18,6 +18,7 @@ from mbtl.actions.evaluation import Evaluation
 from mbtl.actions.fixed import FixedLength
 from mbtl.actions.halving import Halving
 from mbtl.actions.pilot import Pilot
+from mbtl.actions.warm import Warm
 
 __all__ = [
     "Action",
@@ -36,4 +37,5 @@ __all__ = [
     "Strategy",
     "Trail",
     "Training",
+    "Warm",
 ]

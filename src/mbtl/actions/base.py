@@ -47,10 +47,12 @@ class Start:
     Attributes:
         source: context index.
         length: index of the mark.
+        start: the policy whose weights it begins with (a *warm start*); None: from scratch.
     """
 
     source: int
     length: int
+    start: Policy | None = None
 
 
 @dataclass(frozen=True)
@@ -151,6 +153,7 @@ class Training:
         steps: environment steps done.
         ended: it has nothing left to gain on its own context; longer would be the same policy.
         on: contexts of a training on several, of which `source` is the middle one; else none.
+        start: the policy whose weights it began with; None: from scratch.
     """
 
     source: int
@@ -158,6 +161,7 @@ class Training:
     steps: int
     ended: bool = False
     on: tuple[int, ...] = ()
+    start: Policy | None = None
 
 
 @dataclass(frozen=True)
@@ -253,8 +257,9 @@ class Strategy(Protocol):
     """Decides what the next steps are spent on.
 
     One that begins trainings on several contexts says so beforehand by `trains_on_all = True`, so
-    that trainers which cannot do it are refused before anything is spent. One that finds something
-    out may have `verdict(problem, trail)`: a sentence for people, or None.
+    that trainers which cannot do it are refused before anything is spent; one that begins with the
+    weights of other trainings by `starts_warm = True`. One that finds something out may have
+    `verdict(problem, trail)`: a sentence for people, or None.
     """
 
     @property

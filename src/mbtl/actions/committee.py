@@ -33,6 +33,7 @@ from mbtl.actions.base import (
     Stop,
     Strategy,
     Trail,
+    Training,
 )
 from mbtl.actions.evaluation import A_TENTH, LEAST, Evaluation, target_price
 from mbtl.actions.pilot import Pilot
@@ -105,6 +106,11 @@ class Committee:
             "specialists": "specialists are ahead here: one policy for all contexts is behind by "
             f"{-last.lead:.3f} of V after {last.steps:,.0f} steps each, over {doublings}",
         }[winner]
+
+    @property
+    def starts_warm(self) -> bool:
+        """As its specialists say."""
+        return bool(getattr(self.specialists, "starts_warm", False))
 
     def without(self, family: str) -> Committee:
         """The same with specialists that have not seen a family of matrices."""
@@ -206,7 +212,7 @@ class Sides:
             theirs += steps if policy.training in on_all else 0.0
         ours = Trail(
             trail.steps,
-            tuple(trail.trainings[j] for j in numbers),
+            tuple(_renumbered(trail.trainings[j], numbers) for j in numbers),
             tuple(
                 Policy(numbers.index(trail.policies[i].training), trail.policies[i].length)
                 for i in mine
@@ -224,6 +230,8 @@ class Sides:
                 return Extend(self.numbers[training], length)
             case Evaluate(policy, targets):
                 return Evaluate(Policy(self.numbers[policy.training], policy.length), targets)
+            case Start(source, length, Policy(training, mark)):
+                return Start(source, length, Policy(self.numbers[training], mark))
             case Start() | StartOn() | Stop():
                 return action
 
@@ -238,3 +246,11 @@ class Sides:
             paid += steps
             found.append(paid + sum(trained.values()))
         return np.array(found)
+
+
+def _renumbered(training: Training, numbers: tuple[int, ...]) -> Training:
+    """One of the specialists, as if they were alone."""
+    if training.start is None:
+        return training
+    begun = training.start
+    return replace(training, start=Policy(numbers.index(begun.training), begun.length))

@@ -236,8 +236,13 @@ class StepWorld:
     def act(self, trail: Trail, action: Action) -> Trail:
         """What an action leads to."""
         match action:
-            case Start(source, length):
+            case Start(source, length, None):
                 return self.start(trail, source, length)
+            case Start():
+                raise InvalidInput(
+                    "what a training becomes that begins with the weights of another one is in no "
+                    "curve; replay a strategy that begins from scratch, or run this one live"
+                )
             case StartOn(sources, length):
                 return self.start_on(trail, sources, length)
             case Extend(training, length):

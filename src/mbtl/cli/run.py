@@ -146,7 +146,7 @@ def run(
     ] = None,
     strategy: Annotated[
         str | None,
-        typer.Option(help="With --steps: pilot (default), fixed, halving, asha or committee."),
+        typer.Option(help="With --steps: pilot (default), fixed, halving, asha, committee, warm."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

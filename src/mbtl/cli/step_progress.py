@@ -16,7 +16,7 @@ from mbtl.cli.common import LongWork
 from mbtl.contexts.words import describe_set
 from mbtl.study.steps.callbacks import PrintSteps
 from mbtl.study.steps.study import StepStudy
-from mbtl.study.steps.summary import condition, counted, where_of
+from mbtl.study.steps.summary import begun_from, condition, counted, where_of
 from mbtl.trainer import Progress
 
 _MOST = 12
@@ -52,6 +52,8 @@ class StepProgress(PrintSteps):
         pending, known = study.state.pending, training < len(study.state.trainings)
         on = pending.sources if isinstance(pending, StartOn) else (source,)
         where = where_of(study, training) if known else describe_set(study.space, on)
+        if not known and (begun := study.state.start_of(training)) is not None:
+            where = f"{where}, {begun_from(study, begun)}"
         self._say(study, f"training {training + 1} ({where}) runs to {counted(to)} steps")
 
     def on_progress(self, study: StepStudy, training: int, progress: Progress) -> None:

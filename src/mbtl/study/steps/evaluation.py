@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,25 @@ def evaluated(
 
     Where nobody knows how long an episode was it counts as the longest.
     """
+    weights = weights_of(study, trainer, policy)
+    contexts = [study.space.context(int(t)) for t in targets]
+    steps: Array | float = np.nan
+    if isinstance(trainer, SteppingTrainer):
+        returns, steps = trainer.evaluate_steps(weights, contexts, seed)
+    else:
+        returns = trainer.evaluate(weights, contexts, seed)
+    found = checked_returns(returns, len(contexts))
+    lasted = np.asarray(steps, dtype=np.float64)
+    lasted = np.broadcast_to(lasted.reshape(-1, 1) if lasted.ndim < 2 else lasted, found.shape)
+    return found, np.where(np.isfinite(lasted), lasted, float(study.spec.horizon))
+
+
+def weights_of(study: StepStudy, trainer: Trainer, policy: Policy) -> Any:
+    """A policy as the trainer knows it: from this process, or read back.
+
+    Raises:
+        StorageError: it was in memory only, of a process that is gone.
+    """
     key = study.key(policy)
     mark = study.state.trainings[key[0]].marks[key[1]]
     if key not in study.policies:
@@ -34,16 +53,7 @@ def evaluated(
                 "study in one process, or give save and load functions"
             )
         study.policies[key] = trainer.load(study.artifacts.read(mark.place, mark.sha256))
-    contexts = [study.space.context(int(t)) for t in targets]
-    steps: Array | float = np.nan
-    if isinstance(trainer, SteppingTrainer):
-        returns, steps = trainer.evaluate_steps(study.policies[key], contexts, seed)
-    else:
-        returns = trainer.evaluate(study.policies[key], contexts, seed)
-    found = checked_returns(returns, len(contexts))
-    lasted = np.asarray(steps, dtype=np.float64)
-    lasted = np.broadcast_to(lasted.reshape(-1, 1) if lasted.ndim < 2 else lasted, found.shape)
-    return found, np.where(np.isfinite(lasted), lasted, float(study.spec.horizon))
+    return study.policies[key]
 
 
 def report_fresh(study: StepStudy, trainer: Trainer) -> None:

@@ -35,6 +35,11 @@ class SteppedFunctions(FunctionTrainer):
 
     whole_steps: int | None = None
 
+    @property
+    def begins_from(self) -> bool:
+        """Whether a training can begin with the weights of another one."""
+        return "start" in inspect.signature(self.train_fn).parameters
+
     @classmethod
     def of(
         cls,

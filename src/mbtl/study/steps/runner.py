@@ -33,7 +33,7 @@ from mbtl.selectors.targets import spread_targets
 from mbtl.set_trainer import SetTrainer
 from mbtl.settings import first_difference
 from mbtl.study.steps.callbacks import StepCallback
-from mbtl.study.steps.evaluation import evaluated, report_fresh
+from mbtl.study.steps.evaluation import evaluated, report_fresh, weights_of
 from mbtl.study.steps.state import Work, record_of
 from mbtl.study.steps.summary import StepResult, verdict_of
 from mbtl.trainer import (
@@ -120,9 +120,22 @@ class _Worker:
             reason = _SPENT.format(spec.budget) if spent else found or _NO_MORE
             study.append("stopped", {"reason": reason})
             return None
+        if isinstance(action, Start) and action.start is not None:
+            self._check_start(action.start)
         record = {"number": state.decisions, "action": record_of(action), "seconds": seconds}
         study.append("decided", record)
         return action
+
+    def _check_start(self, start: Policy) -> None:
+        if not _begins_from_others(self.trainer):
+            raise _no_start(self.study.strategy.name)
+        trainings = self.study.state.trainings
+        known = 0 <= start.training < len(trainings)
+        if not known or not 0 <= start.length <= trainings[start.training].length:
+            raise InvalidInput(
+                f"a training begins with the weights of a mark that a training has passed, got "
+                f"{start}; the strategy must choose another one"
+            )
 
     def _affordable(self, action: Evaluate) -> Evaluate | None:
         """The evaluation, on as many targets as there are steps for; None: on too few."""
@@ -213,6 +226,7 @@ class _Worker:
         study, spec = self.study, self.study.spec
         state = study.state
         known = number < len(state.trainings)
+        begun = state.start_of(number)
         repeat = state.trainings[number].repeat if known else state.repeats(source, on=bool(on))
         marks = state.lengths_of(number)
         if on:
@@ -230,7 +244,11 @@ class _Worker:
         if not isinstance(self.trainer, SteppingTrainer):
             return Reached(self.trainer.train(context, seed, progress), steps)
         saved = self._file(number) if len(spec.lengths) > 1 else None
-        return self.trainer.train_steps(context, seed, steps, saved=saved, on_progress=progress)
+        # also of one that goes on: where its state is lost, it is trained again from there
+        start = None if begun is None else weights_of(study, self.trainer, begun)
+        return self.trainer.train_steps(
+            context, seed, steps, start=start, saved=saved, on_progress=progress
+        )
 
     def _file(self, number: int) -> Path:
         """Of the state of a training."""
@@ -260,6 +278,8 @@ class _Worker:
             place = f"policies/{study.state.uid}/training-{number + 1:04d}-mark-{mark}"
             where = {"contexts": list(on)} if on else {"context": dict(study.space.context(source))}
             receipt = {**where, "steps": reached.steps}
+            if (begun := study.state.start_of(number)) is not None:
+                receipt["start"] = {"training": begun.training + 1, "mark": study.key(begun)[1]}
             artifact = study.artifacts.write(
                 place, lambda folder: self.trainer.save(reached.policy, folder), receipt
             )
@@ -336,6 +356,18 @@ def _trouble(error: Exception, steps: float, source: int) -> dict[str, Any]:
     return {"reason": reason, "steps": float(steps), "source": source, "traceback": text[-4000:]}
 
 
+def _begins_from_others(trainer: Trainer) -> bool:
+    return isinstance(trainer, SteppingTrainer) and bool(getattr(trainer, "begins_from", True))
+
+
+def _no_start(strategy: str) -> InvalidInput:
+    return InvalidInput(
+        f"the strategy {strategy!r} begins trainings with the weights of others, and this train "
+        "function takes none; give it the arguments `steps` and `start`, or choose another "
+        "strategy, such as 'pilot'"
+    )
+
+
 def _check(study: StepStudy, trainer: Trainer) -> None:
     """Refuse, before anything is spent, a trainer that cannot do what will be asked."""
     spec = study.spec
@@ -365,6 +397,8 @@ def _check(study: StepStudy, trainer: Trainer) -> None:
                 "'pilot'"
             )
         trainer.check_on_set()
+    if getattr(study.strategy, "starts_warm", False) and not _begins_from_others(trainer):
+        raise _no_start(study.strategy.name)
     known = spec.settings.get("recipe")
     if known is not None and (found := first_difference(known, recipe_of(trainer))):
         raise StudyMismatch(

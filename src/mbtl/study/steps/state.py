@@ -54,6 +54,7 @@ class Course:
         halted: no steps were left for it.
         seconds: wall time.
         on: contexts of a training on several, of which `source` is the middle one; else none.
+        start: the policy whose weights it began with; None: from scratch.
     """
 
     source: int
@@ -65,6 +66,7 @@ class Course:
     halted: bool = False
     seconds: float = 0.0
     on: tuple[int, ...] = ()
+    start: Policy | None = None
 
     def at(self, length: int) -> tuple[int, Mark]:
         """The latest mark up to a length."""
@@ -195,7 +197,7 @@ class StepState:
     def trail(self) -> Trail:
         """What a strategy may see: trainings that gave nothing are not in it."""
         trainings = tuple(
-            Training(t.source, t.length, t.steps, t.ended or t.failed is not None, t.on)
+            Training(t.source, t.length, t.steps, t.ended or t.failed is not None, t.on, t.start)
             for t in self.trainings
         )
         return Trail(
@@ -231,6 +233,12 @@ class StepState:
         begun = self.trainings and self.trainings[-1].length < 0
         return len(self.trainings) - 1 if begun else len(self.trainings)
 
+    def start_of(self, training: int) -> Policy | None:
+        """The policy whose weights a training begins with, also one under way; None: scratch."""
+        if training < len(self.trainings):
+            return self.trainings[training].start
+        return self.pending.start if isinstance(self.pending, Start) else None
+
     def repeats(self, source: int, *, on: bool) -> int:
         """Trainings so far on a context; with `on`, on several contexts."""
         return sum(bool(t.on) if on else t.source == source and not t.on for t in self.trainings)
@@ -253,7 +261,8 @@ class StepState:
         if number == len(self.trainings):
             on = action.sources if isinstance(action, StartOn) else ()
             before = self.repeats(int(data["source"]), on=bool(on))
-            self.trainings.append(Course(int(data["source"]), before, on=on))
+            start = action.start if isinstance(action, Start) else None
+            self.trainings.append(Course(int(data["source"]), before, on=on, start=start))
         course = self.trainings[number]
         steps, checks = int(data["steps"]), int(data["checks"])
         paid = steps - course.steps
@@ -334,23 +343,30 @@ class StepState:
 def record_of(action: Work) -> dict[str, Any]:
     """An action as JSON; `action_of` reads it back."""
     match action:
-        case Start(source, length):
-            return {"do": "start", "source": int(source), "length": int(length)}
+        case Start(source, length, start):
+            record = {"do": "start", "source": int(source), "length": int(length)}
+            return record if start is None else {**record, "start": _record_of_policy(start)}
         case StartOn(sources, length):
             some = [int(s) for s in sources]
             return {"do": "start on", "sources": some, "length": int(length)}
         case Extend(training, length):
             return {"do": "extend", "training": int(training), "length": int(length)}
         case Evaluate(policy, targets):
-            place = {"training": int(policy.training), "length": int(policy.length)}
-            return {"do": "evaluate", **place, "targets": [int(t) for t in targets]}
+            some = [int(t) for t in targets]
+            return {"do": "evaluate", **_record_of_policy(policy), "targets": some}
+
+
+def _record_of_policy(policy: Policy) -> dict[str, int]:
+    return {"training": int(policy.training), "length": int(policy.length)}
 
 
 def action_of(record: Mapping[str, Any]) -> Work:
     """What `record_of` wrote."""
     match record["do"]:
         case "start":
-            return Start(record["source"], record["length"])
+            begun = record.get("start")
+            start = None if begun is None else Policy(begun["training"], begun["length"])
+            return Start(record["source"], record["length"], start)
         case "start on":
             return StartOn(tuple(int(s) for s in record["sources"]), int(record["length"]))
         case "extend":

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from mbtl.actions import Policy
 from mbtl.contexts import Context
 from mbtl.contexts.words import describe_set
 from mbtl.notebook import table
@@ -33,7 +34,7 @@ class StepTraining:
         why: that, in words.
         policies: of it that were evaluated.
         serves: contexts that they serve now.
-        trained_on: the context in words, or "all contexts".
+        trained_on: the context in words, or "all contexts"; and of a warm start, from what.
     """
 
     number: int
@@ -229,7 +230,16 @@ def verdict_of(study: StepStudy) -> str | None:
 def where_of(study: StepStudy, number: int) -> str:
     """What a training is trained on, in words."""
     course = study.state.trainings[number]
-    return describe_set(study.space, course.on or (course.source,))
+    where = describe_set(study.space, course.on or (course.source,))
+    if course.start is None:
+        return where
+    return f"{where}, {begun_from(study, course.start)}"
+
+
+def begun_from(study: StepStudy, policy: Policy) -> str:
+    """Whose weights a training began with, in words."""
+    _, mark = study.state.trainings[policy.training].at(policy.length)
+    return f"from training {policy.training + 1} at {counted(mark.steps)}"
 
 
 def counted(steps: float) -> str:

@@ -1,0 +1,127 @@
+"""Warm starts, live: studies paid in steps that begin trainings with the weights of others.
+
+    python evidence/warm_starts.py [--cmdp pendulum-length --cmdp cartpole-length] [--seeds 3]
+
+What a training becomes that begins from a policy is in no shipped curve, so these trainings are
+real, by the preset `quick` (100,000 steps a whole one). Every strategy picks contexts by the
+paper's MBTL, evaluates for a tenth of a training, and gets the steps of eight whole trainings, all
+in. V is of ten fresh episodes of every policy on every context, routed by the episodes that chose;
+it is read at equal steps. Rows of studies that are done are kept in --folder; the same command goes
+on where it was, and prints the table.
+"""
+
+from __future__ import annotations
+
+import measure
+
+import argparse  # isort: skip
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import mbtl
+from mbtl.actions import Action, FixedLength, Start, StepProblem, Strategy, Trail, Warm
+from mbtl.actions.evaluation import A_TENTH
+from mbtl.benchmark.steps import serving
+from mbtl.cmdps import get_cmdp
+from mbtl.files import whole_file
+from mbtl.seeds import Purpose, evaluation_seed
+from mbtl.study.steps.evaluation import evaluated
+from mbtl.study.steps.state import StepState
+
+
+class Cold(Warm):
+    """The same lengths and picks from scratch: what is left is what the weights are worth."""
+
+    def decide(self, problem: StepProblem, trail: Trail, rng: np.random.Generator) -> Action:
+        """Its decision, but without a start."""
+        action = super().decide(problem, trail, rng)
+        return replace(action, start=None) if isinstance(action, Start) else action
+
+
+WHOLES, AT = 8, (2, 3, 4, 6, 8)
+STRATEGIES: dict[str, Strategy] = {
+    "scratch, whole": FixedLength("mbtl", evaluation=A_TENTH),
+    "scratch, 1/4": FixedLength("mbtl", length=-3, evaluation=A_TENTH),
+    "first whole, then scratch, 1/4": Cold(turns=0),
+    "first whole, then warm, 1/4": Warm(turns=0),
+    "first whole, then warm, whole": Warm(turns=0, length=-1),
+    "warm and scratch in turns (`--strategy warm`)": Warm(),
+}
+
+
+def curve(cmdp_id: str, strategy: Strategy, seed: int) -> dict[str, object]:
+    """V on fresh episodes after each evaluation, and the steps paid then; what was done."""
+    cmdp = get_cmdp(cmdp_id, visibility="hidden", engine="jax")
+    trainer = cmdp.trainer_for("quick")
+    budget = WHOLES * int(trainer.whole_steps)
+    study = mbtl.create_study(
+        cmdp, cost="steps", budget=budget, trainer=trainer, strategy=strategy, seed=seed
+    )
+    study.run(progress=False, report=False)
+    fresh_seed = evaluation_seed(seed, 0, Purpose.REPORT)
+    every = range(study.space.n)
+    fresh = {
+        policy: evaluated(study, trainer, policy, every, fresh_seed)[0].mean(axis=1)
+        for policy in study.state.policies
+    }
+    state, spent, value = StepState(), [], []
+    for event in study.events():
+        state.apply(event)
+        if event.kind == "evaluated":
+            trail = state.trail()
+            route = serving(trail.filled, trail.sources, trail.steps)
+            rows = study.bounds.normalise(np.array([fresh[p] for p in trail.policies]))
+            spent.append(state.spent)
+            value.append(float(rows[route, np.arange(len(route))].mean()))
+    kinds = [t.start is not None for t in study.trail.trainings]
+    own = [
+        float(study.bounds.normalise(fresh[p])[study.state.trainings[p.training].source])
+        for p in study.state.policies
+    ]
+    return {"spent": spent, "value": value, "warm": kinds, "own": own, "whole": budget / WHOLES}
+
+
+def at(found: dict[str, object], wholes: float) -> float:
+    """V after the steps of so many whole trainings; 0 before the first evaluation."""
+    spent = np.asarray(found["spent"])
+    known = int(np.searchsorted(spent, wholes * float(found["whole"]), side="right"))  # type: ignore[arg-type]
+    return float(np.asarray(found["value"])[known - 1]) if known else 0.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cmdp", action="append")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--folder", type=Path, default=Path("runs/warm-starts"))
+    args = parser.parse_args()
+    for cmdp_id in args.cmdp or ("pendulum-length", "cartpole-length"):
+        lines = []
+        for name, strategy in STRATEGIES.items():
+            runs = []
+            for seed in range(args.seeds):
+                file = args.folder / f"{cmdp_id}-{len(lines)}-{seed}.json"
+                if not file.is_file():
+                    began = measure.now()
+                    found = curve(cmdp_id, strategy, seed)
+                    args.folder.mkdir(parents=True, exist_ok=True)
+                    with whole_file(file) as out:
+                        out.write(json.dumps(found).encode())
+                    seconds = (measure.now() - began).cpu
+                    measure.note(f"{cmdp_id}, {name}, seed {seed}: {seconds:.0f} s of processor")
+                runs.append(json.loads(file.read_text()))
+            values = np.array([[at(run, wholes) for wholes in AT] for run in runs])
+            count = np.mean([len(run["warm"]) for run in runs])
+            warm = np.mean([sum(run["warm"]) for run in runs])
+            cells = [f"{mean:.3f}" for mean in values.mean(axis=0)]
+            spread = " ".join(f"{value:.3f}" for value in values[:, -1])
+            lines.append(f"| {name} | {' | '.join(cells)} | {spread} | {count:.1f} | {warm:.1f} |")
+        heads = [f"{cmdp_id}, hidden", *map(str, AT), f"seeds at {AT[-1]}", "trainings", "warm"]
+        print("| " + " | ".join(heads) + " |\n|" + "---|" * len(heads))
+        print("\n".join(lines), flush=True)
+
+
+if __name__ == "__main__":
+    main()
