@@ -267,17 +267,6 @@ def test_the_two_kinds_of_studies_are_told_apart(tmp_path):
         opened(Slow(), tmp_path, horizon=25)
 
 
-def test_two_processes_do_not_run_one_study(tmp_path):
-    class Meddles(mbtl.study.steps.callbacks.StepCallback):
-        def on_trained(self, study, training):
-            if len(study.state.trainings) == 1 and len(study.state.trainings[0].marks) == 1:
-                other = opened(Slow(), tmp_path)
-                other.extend(500_000)
-
-    with pytest.raises(StudyError, match="run by one process at a time"):
-        opened(Slow(), tmp_path).run(progress=False, callbacks=[Meddles()])
-
-
 def test_lengths_halve_down_to_the_shortest_that_says_something():
     assert lengths_of(1_000_000)[0] == 15_625
     assert lengths_of(5_000_192)[::9] == (9_766, 5_000_192)

@@ -70,10 +70,11 @@ def test_kept_and_read_back_it_goes_on_and_says_where_it_began(tmp_path):
         with pytest.raises(Interrupt):
             study.run(progress=False, callbacks=[Stops()])
         study = opened(Slow(), tmp_path, strategy=STORY)
-    assert study.state.pending == BEGUN
+    (held,) = study.state.under_way.values()
+    assert (held.work, held.lease) == (BEGUN, None)  # given back
     study.run(progress=False)
     assert outcome(study) == outcome(calm)
-    receipts = [json.loads(p.read_text()) for p in tmp_path.glob("policies/**/*-0002-*/*.json")]
+    receipts = [json.loads(p.read_text()) for p in tmp_path.glob("policies/**/*-0003-*/*.json")]
     assert receipts
     assert all({"training": 1, "mark": 2} in receipt.values() for receipt in receipts)
 
@@ -85,7 +86,7 @@ def test_where_its_state_is_lost_a_training_is_made_again_from_the_same_start(tm
     class Loses(mbtl.study.steps.callbacks.StepCallback):
         def on_training(self, study, training, source, to):
             if training == 1 and to > 8_000:
-                for file in tmp_path.glob("policies/**/*0002*partial*"):
+                for file in tmp_path.glob("policies/**/*0003*partial*"):
                     lost.append(file)
                     shutil.rmtree(file) if file.is_dir() else file.unlink()
 

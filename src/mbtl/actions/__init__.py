@@ -12,6 +12,7 @@ from mbtl.actions.base import (
     Strategy,
     Trail,
     Training,
+    Wait,
 )
 from mbtl.actions.committee import Committee
 from mbtl.actions.evaluation import Evaluation
@@ -37,5 +38,6 @@ __all__ = [
     "Strategy",
     "Trail",
     "Training",
+    "Wait",
     "Warm",
 ]

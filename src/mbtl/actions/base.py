@@ -97,11 +97,16 @@ class Evaluate:
 
 
 @dataclass(frozen=True)
+class Wait:
+    """Nothing is to be decided before what others are at has brought something."""
+
+
+@dataclass(frozen=True)
 class Stop:
     """Nothing more is worth its steps."""
 
 
-Action = Start | StartOn | Extend | Evaluate | Stop
+Action = Start | StartOn | Extend | Evaluate | Wait | Stop
 
 
 @dataclass(frozen=True)
@@ -175,6 +180,8 @@ class Trail:
         rows: (k, N) performance, NaN where not evaluated.
         evaluation_steps: (k,) environment steps of their evaluations.
         spent: environment steps, all in.
+        under_way: actions that others are at; none where one worker does all. A training that has
+            passed a mark on its first way is among `trainings`, too, with length -1.
     """
 
     steps: Array
@@ -183,6 +190,7 @@ class Trail:
     rows: Array = field(default_factory=lambda: np.empty((0, 0)))
     evaluation_steps: tuple[float, ...] = ()
     spent: float = 0.0
+    under_way: tuple[Action, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.policies:
@@ -205,12 +213,49 @@ class Trail:
 
     @property
     def unevaluated(self) -> Policy | None:
-        """A policy at the last mark of its training that has not been evaluated anywhere."""
+        """A policy at the last mark of its training that has not been evaluated anywhere.
+
+        Others may be at none of those.
+        """
         known = {(p.training, p.length) for p in self.policies}
         for j in reversed(range(len(self.trainings))):
-            if (j, self.trainings[j].length) not in known:
+            if (j, self.trainings[j].length) not in known and j not in self.busy:
                 return self.latest(j)
         return None
+
+    @cached_property
+    def busy(self) -> frozenset[int]:
+        """Trainings that others go on with, or evaluate."""
+        found = {j for j, training in enumerate(self.trainings) if training.length < 0}
+        for action in self.under_way:
+            if isinstance(action, Extend):
+                found.add(action.training)
+            elif isinstance(action, Evaluate):
+                found.add(action.policy.training)
+        return frozenset(found)
+
+    @property
+    def begun(self) -> list[int]:
+        """Sources of all trainings, also of those under way."""
+        others = [action.source for action in self.under_way if isinstance(action, Start)]
+        return [training.source for training in self.trainings] + others
+
+    def with_last(self, policy: Policy) -> Trail:
+        """The same, but this policy, if it was evaluated, stands at the end.
+
+        So one of several workers goes on with where its own latest policy should be evaluated.
+        """
+        if policy not in self.policies or policy == self.policies[-1]:
+            return self
+        at = self.policies.index(policy)
+        order = [i for i in range(len(self.policies)) if i != at] + [at]
+        moved = replace(
+            self,
+            policies=tuple(self.policies[i] for i in order),
+            rows=self.rows[order],
+            evaluation_steps=tuple(self.evaluation_steps[i] for i in order),
+        )
+        return moved.filled_as(self.filled[order])
 
     def latest(self, training: int) -> Policy:
         """The policy at the last mark that a training has passed."""
@@ -259,7 +304,8 @@ class Strategy(Protocol):
     One that begins trainings on several contexts says so beforehand by `trains_on_all = True`, so
     that trainers which cannot do it are refused before anything is spent; one that begins with the
     weights of other trainings by `starts_warm = True`. One that finds something out may have
-    `verdict(problem, trail)`: a sentence for people, or None.
+    `verdict(problem, trail)`: a sentence for people, or None. One that may be asked while others
+    are at what it decided before (`Trail.under_way`) says `in_parallel = True`.
     """
 
     @property

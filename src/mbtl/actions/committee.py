@@ -34,6 +34,7 @@ from mbtl.actions.base import (
     Strategy,
     Trail,
     Training,
+    Wait,
 )
 from mbtl.actions.evaluation import A_TENTH, LEAST, Evaluation, target_price
 from mbtl.actions.pilot import Pilot
@@ -232,7 +233,7 @@ class Sides:
                 return Evaluate(Policy(self.numbers[policy.training], policy.length), targets)
             case Start(source, length, Policy(training, mark)):
                 return Start(source, length, Policy(self.numbers[training], mark))
-            case Start() | StartOn() | Stop():
+            case Start() | StartOn() | Wait() | Stop():
                 return action
 
     def costs(self, problem: StepProblem) -> NDArray[np.float64]:

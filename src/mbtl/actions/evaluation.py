@@ -40,6 +40,8 @@ class Evaluation:
         if self.margin is None or not trail.policies or not problem.selection.is_line:
             return None
         policy = trail.policies[-1]
+        if policy.training in trail.busy:
+            return None
         between = self._contested(problem, trail, trail.rows[-1])
         return Evaluate(policy, between) if between else None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -30,6 +31,8 @@ class FixedLength:
     evaluation: Evaluation = EVERYWHERE
     name: str = "fixed"
 
+    in_parallel: ClassVar[bool] = True
+
     def decide(self, problem: StepProblem, trail: Trail, rng: np.random.Generator) -> Action:
         """Evaluate what was trained, else train where the selector says."""
         due = self.evaluation.next(problem, trail)
@@ -48,7 +51,7 @@ def next_source(
     selector: Selector | str | None, problem: StepProblem, trail: Trail, rng: np.random.Generator
 ) -> int | None:
     """Where a selector would train next, each training being its latest policy that has a row."""
-    begun = [t.source for t in trail.trainings]
+    begun = trail.begun
     if selector is None:
         return halfway(problem, begun)
     latest: dict[int, int] = {}
@@ -57,7 +60,7 @@ def next_source(
             latest[policy.training] = i
     rows = trail.filled[list(latest.values())]
     sources = tuple(trail.trainings[j].source for j in latest)
-    pending = tuple(s for s in begun if s not in sources)
+    pending = tuple(s for s in dict.fromkeys(begun) if s not in sources)
     history = History(problem.n, sources, rows, pending=pending)
     try:
         return get_selector(selector).propose(problem.selection, history, rng).source

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -47,6 +47,8 @@ class Halving:
     evaluation: Evaluation = EVERYWHERE
     name: str = "asha"
 
+    in_parallel: ClassVar[bool] = True
+
     def decide(self, problem: StepProblem, trail: Trail, rng: np.random.Generator) -> Action:
         """Evaluate what was trained; else promote, from the top rung down; else begin anew."""
         due = self.evaluation.next(problem, trail)
@@ -57,7 +59,7 @@ class Halving:
         rungs = sorted({*range(first, last, self.every), last})
         scores, own = self._scores(problem, trail), _brackets(trail, rungs[: self.brackets])
         for bracket in rungs[: self.brackets]:
-            mine = [j for j in range(len(trail.trainings)) if own[j] == bracket]
+            mine = [j for j in range(len(trail.trainings)) if own.get(j) == bracket]
             group = mine[-(len(mine) % self.cohort or self.cohort) :] if self.cohort else mine
             steps = rungs[rungs.index(bracket) :]
             found = self._promoted(trail, set(group), steps, scores)
@@ -67,7 +69,7 @@ class Halving:
         if source is not None:
             spent = dict.fromkeys(rungs[: self.brackets], 0)
             for j, training in enumerate(trail.trainings):
-                spent[own[j]] += training.steps
+                spent[own.get(j, rungs[0])] += training.steps
             return Start(source, min(spent, key=lambda rung: (spent[rung], rung)))
         return self._rest(trail, rungs, scores)
 
@@ -90,8 +92,9 @@ class Halving:
             best = sorted(there, key=lambda i: -scores[i])[: len(there) // 2**self.every]
             for i in best:
                 training = trail.trainings[trail.policies[i].training]
-                if training.length == low and not training.ended:
-                    return Extend(trail.policies[i].training, high)
+                number = trail.policies[i].training
+                if training.length == low and not training.ended and number not in trail.busy:
+                    return Extend(number, high)
         return None
 
     def _rest(self, trail: Trail, rungs: list[int], scores: Array) -> Action:
@@ -99,7 +102,8 @@ class Halving:
         for i in np.argsort(-scores, kind="stable").tolist():
             policy = trail.policies[i]
             training = trail.trainings[policy.training]
-            if not training.ended and training.length == policy.length < rungs[-1]:
+            open_ = not training.ended and policy.training not in trail.busy
+            if open_ and training.length == policy.length < rungs[-1]:
                 return Extend(policy.training, next(r for r in rungs if r > policy.length))
         return Stop()
 

@@ -9,6 +9,7 @@ as much. The others go to the shortest such length; then those that V would miss
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from mbtl.actions.base import (
     StepProblem,
     Stop,
     Trail,
+    Wait,
 )
 from mbtl.actions.evaluation import WHERE_IT_MATTERS, Evaluation
 from mbtl.actions.fixed import next_source, selector_without
@@ -46,12 +48,16 @@ class Pilot:
     evaluation: Evaluation = WHERE_IT_MATTERS
     name: str = "pilot"
 
+    in_parallel: ClassVar[bool] = True
+
     def decide(self, problem: StepProblem, trail: Trail, rng: np.random.Generator) -> Action:
         """Evaluate what was trained, watch the pilot, then train as long as it says."""
         due = self.evaluation.next(problem, trail)
         if due is not None:
             return due
         last = len(problem.lengths) - 1
+        if (not trail.trainings and trail.under_way) or 0 in trail.busy:
+            return Wait()  # the others are as long as the first one says
         if not trail.trainings:
             source = next_source(self.selector, problem, trail, rng)
             return Stop() if source is None else Start(source, last)
@@ -99,14 +105,15 @@ class Pilot:
         if not self.promote:
             return None
         missed = lost_without(trail.filled).mean(axis=1)
+        sent = {a.training: a.length for a in trail.under_way if isinstance(a, Extend)}
         for mark in range(last - 1, length - 1, -1):
             reached = [j for j, t in enumerate(trail.trainings) if j and (t.length >= mark)]
-            beyond = [j for j in reached if trail.trainings[j].length > mark]
+            beyond = [j for j in reached if max(trail.trainings[j].length, sent.get(j, 0)) > mark]
             due = least or len(reached) // self.promote - len(beyond)
             waiting = [
                 (missed[i], -i, p.training) for i, p in enumerate(trail.policies)
                 if p.training and p.length == mark == trail.trainings[p.training].length
-                and not trail.trainings[p.training].ended
+                and not trail.trainings[p.training].ended and p.training not in trail.busy
             ]  # fmt: skip
             if waiting and due > 0:
                 return Extend(max(waiting)[2], mark + 1)

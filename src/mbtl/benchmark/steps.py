@@ -36,6 +36,7 @@ from mbtl.actions.base import (
     Strategy,
     Trail,
     Training,
+    Wait,
     middle_of,
 )
 from mbtl.arrays import Array
@@ -249,7 +250,7 @@ class StepWorld:
                 return self.extend(trail, training, length)
             case Evaluate(policy, targets):
                 return self.evaluate(trail, policy, targets)
-            case Stop():
+            case Wait() | Stop():
                 return trail
 
     def value(self, trail: Trail) -> float:

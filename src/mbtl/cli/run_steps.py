@@ -9,7 +9,9 @@ from pathlib import Path
 
 from mbtl.cli.common import console, plain_warnings, print_json, printer
 from mbtl.cli.folders import check_folder, set_aside
+from mbtl.cli.master import artifacts_for, check_master, command
 from mbtl.cli.step_progress import StepProgress
+from mbtl.cli.step_worker import follow
 from mbtl.cmdps import resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError
 from mbtl.plot import policy_map, policy_shares, save
@@ -39,6 +41,7 @@ class StepWish:
         eval_episodes: of a policy on a target; None: the default.
         tensorboard: folder for training scalars.
         artifacts: folder or URL of the policies.
+        workers: database in which others train the study; None: it is trained here.
     """
 
     problem: str
@@ -51,6 +54,7 @@ class StepWish:
     eval_episodes: int | None
     tensorboard: Path | None
     artifacts: str | None
+    workers: str | None = None
 
 
 def steps_of(text: str) -> int:
@@ -96,9 +100,14 @@ def run_steps(
     trainer = cmdp.trainer_for(wish.preset, **overrides)
     name = f"{cmdp.id}-{wish.preset or cmdp.default_preset}-steps-seed{wish.seed}"
     folder = place or Path("runs") / name
+    artifacts, url = wish.artifacts, wish.workers
+    if url is not None:
+        check_master(url, new=new, parallel=1, tensorboard=wish.tensorboard)
+        artifacts = artifacts_for(url, artifacts, folder)
     if new:
         set_aside(folder)
-    check_folder(folder)
+    if url is None:
+        check_folder(folder)
     study = create_step_study(
         cmdp,
         preset=wish.preset,
@@ -107,12 +116,14 @@ def run_steps(
         strategy=strategy,
         episodes=wish.eval_episodes,
         seed=wish.seed,
-        storage=folder / "study.db",
-        artifacts=wish.artifacts,
+        storage=folder / "study.db" if url is None else url,
+        artifacts=artifacts,
         name=folder.resolve().name,
         load_if_exists=True,
     )
     _announce(study, folder)
+    if url is not None:
+        follow(study, command(url, study.name, wish.problem, wish.engine, "", artifacts))
     with plain_warnings(), StepProgress(console) as live:
         study.run(progress=False, callbacks=[live], stop_after_failures=failures)
     _finish(study, trainer, folder, as_json=as_json)

@@ -15,6 +15,7 @@ from mbtl.actions import Policy, StartOn
 from mbtl.cli.common import LongWork
 from mbtl.contexts.words import describe_set
 from mbtl.study.steps.callbacks import PrintSteps
+from mbtl.study.steps.state import UnderWay
 from mbtl.study.steps.study import StepStudy
 from mbtl.study.steps.summary import begun_from, condition, counted, where_of
 from mbtl.trainer import Progress
@@ -49,11 +50,14 @@ class StepProgress(PrintSteps):
 
     def on_training(self, study: StepStudy, training: int, source: int, to: int) -> None:
         """The line of a training that begins has no place in the log yet."""
-        pending, known = study.state.pending, training < len(study.state.trainings)
-        on = pending.sources if isinstance(pending, StartOn) else (source,)
-        where = where_of(study, training) if known else describe_set(study.space, on)
-        if not known and (begun := study.state.start_of(training)) is not None:
-            where = f"{where}, {begun_from(study, begun)}"
+        if training < len(study.state.trainings):
+            where = where_of(study, training)
+        else:
+            *_, held = (h for h in study.state.under_way.values() if _is_of_worker(study, h))
+            on = held.work.sources if isinstance(held.work, StartOn) else (source,)
+            where = describe_set(study.space, on)
+            if (begun := study.state.start_of(held)) is not None:
+                where = f"{where}, {begun_from(study, begun)}"
         self._say(study, f"training {training + 1} ({where}) runs to {counted(to)} steps")
 
     def on_progress(self, study: StepStudy, training: int, progress: Progress) -> None:
@@ -67,7 +71,7 @@ class StepProgress(PrintSteps):
     def on_trained(self, study: StepStudy, training: int) -> None:
         """A line that stays where it stands still; a mark on the way is only shown."""
         self._under_way = None
-        if training < len(study.state.trainings) and study.state.pending is None:
+        if training < len(study.state.trainings) and study.state.work_on(training) is None:
             super().on_trained(study, training)
         self._show(study)
 
@@ -113,3 +117,7 @@ class StepProgress(PrintSteps):
         value = f", V {study.value:.4f}" if state.policies else ""
         head = Text(f"{self._spent(study)}{value}, {share:.0%} of them evaluation")
         self._live.update(Group(head, table, Text(self._now, style="dim")))
+
+
+def _is_of_worker(study: StepStudy, held: UnderWay) -> bool:
+    return held.lease is None or held.lease.worker == study.worker

@@ -10,10 +10,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 
+from mbtl.cli import step_worker
 from mbtl.cli.common import (
     JsonFlag,
     console,
@@ -23,13 +24,17 @@ from mbtl.cli.common import (
 )
 from mbtl.cli.interrupts import interrupt_main
 from mbtl.cli.progress import LiveProgress
+from mbtl.cli.step_progress import StepProgress
 from mbtl.cmdps import CMDP, resolve_cmdp
 from mbtl.errors import InvalidInput, StudyError, TrainingFailed, Unreachable
 from mbtl.study import Callback, Pick, Study, load_study
 from mbtl.study.patience import PATIENCE, Patience
 from mbtl.study.runner import LEASE, check_options, run
+from mbtl.study.steps.study import StepStudy
 from mbtl.study.walltime import WallTime
 from mbtl.trainer import Trainer, recipe_of
+
+T = TypeVar("T")
 
 _LENGTHS = ("timesteps", "episodes", "eval_episodes")
 """What `mbtl run` may change of a recipe: a worker takes it from the study."""
@@ -110,7 +115,22 @@ def worker(
     opened: Study | None = None
     with plain_warnings(), _spoken(), _alarm(end, over):
         try:
-            opened = _opened(study, name, cmdp, artifacts, selector, patience)
+            try:
+                opened = _opened(study, name, cmdp, artifacts, selector, patience)
+            except StudyError:
+                if not step_worker.is_of_steps(study, name):
+                    raise
+            if opened is None:
+                meaningless = {
+                    "--selector": selector is not None, "--retries": retries != 0,
+                    "--timeout": timeout is not None, "--no-rehearsal": no_rehearsal,
+                }  # fmt: skip
+                step_worker.check_options(meaningless)
+                _of_steps(
+                    study, name, cmdp, artifacts, Patience(patience), over, lease=lease,
+                    failures=stop_after_failures, wait=not no_wait, as_json=as_json,
+                )  # fmt: skip
+                return
             trainer = _as_recorded(cmdp, opened)
             has_room = _always if end is None else partial(end.has_room, opened, trainer)
             with LiveProgress(opened, console) as live:
@@ -140,6 +160,42 @@ def worker(
         if not has_room():
             why = "no further training would end within the wall time"
     _report(opened, tally, why, as_json=as_json)
+
+
+def _of_steps(
+    study: str,
+    name: str | None,
+    cmdp: CMDP,
+    artifacts: str | None,
+    patience: Patience,
+    over: threading.Event,
+    *,
+    lease: float,
+    failures: int,
+    wait: bool,
+    as_json: bool,
+) -> None:
+    """The same for a study that is paid in steps: one action after another."""
+    opened = step_worker.opened(study, name, cmdp, artifacts)
+    log: Any = opened.log
+    log.patience = patience
+    try:
+        with StepProgress(console) as live:
+            opened.run(
+                trainer=_as_recorded(cmdp, opened),
+                progress=False,
+                callbacks=[live],
+                report=False,
+                stop_after_failures=failures,
+                lease=lease,
+                wait=wait,
+            )
+    except KeyboardInterrupt:
+        if not over.is_set():
+            raise
+        interrupts.append("worker")  # in the middle of something: see `program`
+    why = "the wall time is over" if over.is_set() else "others are at the last actions"
+    step_worker.report(opened, why, as_json=as_json)
 
 
 def _always() -> bool:
@@ -269,7 +325,7 @@ def _opened(
     return found
 
 
-def _patiently(work: Callable[[], Study], patience: Patience) -> Study:
+def _patiently(work: Callable[[], T], patience: Patience) -> T:
     while True:
         try:
             done = work()
@@ -280,10 +336,9 @@ def _patiently(work: Callable[[], Study], patience: Patience) -> Study:
             return done
 
 
-def _as_recorded(cmdp: CMDP, study: Study) -> Trainer:
+def _as_recorded(cmdp: CMDP, study: Study | StepStudy) -> Trainer:
     """The trainer of the study's preset, with lengths that were given to `mbtl run`."""
-    trainer = study.trainer
-    assert trainer is not None  # a problem of the command line has one
+    trainer = study.trainer or cmdp.trainer_for(study.spec.settings.get("preset"))
     recorded, own = study.spec.settings.get("recipe", {}), recipe_of(trainer)
     changed = {
         key: recorded[key]

@@ -21,6 +21,8 @@ A study that counts steps (`mbtl.study.steps`) has `opened` in place of `created
 decided   its strategy chose an action
 trained   a training passed a mark, and its policy is kept
 evaluated a policy was evaluated on some targets
+claimed   a worker is at an action from now on that nobody works on any more
+released  a worker gave an action back; what of it is done stays
 halted    a training stops short of where it was sent, since no more steps are left
 """
 

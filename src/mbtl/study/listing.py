@@ -180,7 +180,7 @@ def _step_entry(name: str, state: StepState) -> StudyEntry:
         str(spec.strategy["name"]),
         len(state.policies),
         failed + len(state.dead),
-        int(state.pending is not None),
+        len(state.under_way),
         spec.budget,
         state.value() if state.policies else None,
         state.stopped,

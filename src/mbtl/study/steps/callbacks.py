@@ -34,6 +34,9 @@ class StepCallback:
     def on_evaluated(self, study: StepStudy, policy: Policy) -> None:
         """It was."""
 
+    def on_waiting(self, study: StepStudy) -> None:
+        """Others are at work, and nothing can be decided before that has brought something."""
+
     def on_report(self, study: StepStudy) -> None:
         """V is about to be measured on fresh episodes."""
 
@@ -61,6 +64,11 @@ class PrintSteps(StepCallback):
             f"{self._spent(study)}  training {policy.training + 1} at {counted(mark.steps)} steps, "
             f"evaluated on {int(np.isfinite(row).sum())} contexts: V {study.value:.4f}"
         )
+
+    def on_waiting(self, study: StepStudy) -> None:
+        """For whom."""
+        others = {h.lease.worker for h in study.state.under_way.values() if h.lease is not None}
+        self._write(f"{self._spent(study)}  waiting for what {', '.join(sorted(others))} is at")
 
     def on_end(self, study: StepStudy) -> None:
         """Why no more is done."""

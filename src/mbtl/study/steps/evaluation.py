@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from mbtl.arrays import Array
 from mbtl.errors import StorageError
 from mbtl.seeds import Purpose, evaluation_seed
 from mbtl.study.steps.state import Fresh
+from mbtl.study.storage import Conflict
 from mbtl.trainer import SteppingTrainer, Trainer, checked_returns
 
 if TYPE_CHECKING:
@@ -58,9 +60,11 @@ def weights_of(study: StepStudy, trainer: Trainer, policy: Policy) -> Any:
 
 def report_fresh(study: StepStudy, trainer: Trainer) -> None:
     """Record V on fresh episodes."""
+    before = study.refresh().seq
     fresh = fresh_returns(study, trainer)
     data = {"error": fresh.error, "episodes": fresh.episodes, "steps": fresh.steps}
-    study.append("reported", data, {"returns": fresh.returns})
+    with contextlib.suppress(Conflict):  # another process has gone on, or reported
+        study.append("reported", data, {"returns": fresh.returns}, after=before)
 
 
 def fresh_returns(study: StepStudy, trainer: Trainer) -> Fresh:

@@ -1,5 +1,7 @@
 """The runner joins a study that is paid in steps, its strategy and a trainer, until all is spent.
 
+Several runs of one study are workers of it: each carries out one action at a time (`claims`).
+
 Every decision is in the log before it is carried out, and every piece of work after it: of a
 training each mark, with its policy and the state to go on from. So a kill loses no more than the
 piece under way, and where the trainer saves its state now and then, seconds of it. What is done
@@ -8,6 +10,7 @@ twice for that is charged once.
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import time
 import traceback
@@ -18,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbtl.actions import Action, Evaluate, Extend, Policy, Start, StartOn, Stop
+from mbtl.actions import Action, Evaluate, Extend, Policy, Start, StartOn, Stop, Wait
 from mbtl.actions.base import middle_of
 from mbtl.actions.evaluation import LEAST, WHERE_IT_MATTERS, target_price
 from mbtl.errors import (
@@ -33,9 +36,11 @@ from mbtl.selectors.targets import spread_targets
 from mbtl.set_trainer import SetTrainer
 from mbtl.settings import first_difference
 from mbtl.study.steps.callbacks import StepCallback
+from mbtl.study.steps.claims import LEASE, Claim, Claims, Lost
 from mbtl.study.steps.evaluation import evaluated, report_fresh, weights_of
-from mbtl.study.steps.state import Work, record_of
+from mbtl.study.steps.state import UnderWay
 from mbtl.study.steps.summary import StepResult, verdict_of
+from mbtl.study.storage import Conflict
 from mbtl.trainer import (
     Progress,
     Reached,
@@ -60,17 +65,18 @@ def run(
     callbacks: Sequence[StepCallback] = (),
     report: bool = True,
     stop_after_failures: int = 3,
+    lease: float = LEASE,
+    wait: bool = True,
 ) -> StepResult:
     """Spend the steps of a study; see `StepStudy.run`."""
     _check(study, trainer)
     began = time.monotonic()
-    worker = _Worker(study, trainer, callbacks, stop_after_failures)
     try:
-        while study.refresh().stopped is None:
-            action = study.state.pending or worker.decide()
-            if action is not None:
-                worker.carry_out(action)
-        if report and study.state.policies and study.state.fresh is None:
+        with Claims(study, lease) as claims:
+            worker = _Worker(study, trainer, callbacks, stop_after_failures, claims)
+            worker.work(wait=wait)
+        done = study.state.stopped is not None and study.state.policies
+        if report and done and study.state.fresh is None:
             for callback in callbacks:
                 callback.on_report(study)
             report_fresh(study, worker.evaluator)
@@ -89,17 +95,44 @@ class _Worker:
         trainer: Trainer,
         callbacks: Sequence[StepCallback],
         stop_after_failures: int,
+        claims: Claims,
     ) -> None:
         self.study, self.trainer, self.callbacks = study, trainer, callbacks
         self.evaluator = with_episodes(trainer, study.spec.episodes)
         self.most = stop_after_failures
+        self.claims = claims
+        self._doing: int | None = None
+        self._latest: Policy | None = None
+        """The policy that this worker has evaluated last, while it may go on with that."""
+
+    def work(self, *, wait: bool) -> None:
+        """One action after another, until the study is finished, or others have the last ones."""
+        waiting = False
+        while self.study.refresh().stopped is None:
+            claim = self.claims.abandoned() or self._decide()
+            if claim is not None:
+                waiting = False
+                self.claims.work_again()
+                self._carry_out(claim)
+            elif self.study.state.stopped is None and self.study.state.under_way:
+                if not wait:
+                    return
+                if not waiting:
+                    waiting = True
+                    self._tell("on_waiting")
+                self.claims.wait()
 
     # ---- deciding ----------------------------------------------------------------------------
 
-    def decide(self) -> Work | None:
-        """The next action, in the log; None: there is none, which is in the log, too."""
+    def _decide(self) -> Claim | None:
+        """The next action, in the log; None: there is none now, or others were faster."""
         study, state = self.study, self.study.state
-        spec, trail = study.spec, study.trail
+        spec, seq, others = study.spec, state.seq, bool(state.under_way)
+        if others and not getattr(study.strategy, "in_parallel", False):
+            return None
+        trail = study.trail
+        if self._latest is not None:
+            trail = trail.with_last(self._latest)
         problem = spec.problem_without(tuple(state.dead), on_sets=not state.dead_on_sets)
         began = time.perf_counter()
         action: Action
@@ -115,16 +148,23 @@ class _Worker:
             affordable = self._affordable(action)
             spent |= affordable is None
             action = affordable or Stop()
-        if isinstance(action, Stop):
-            found = verdict_of(study)
-            reason = _SPENT.format(spec.budget) if spent else found or _NO_MORE
-            study.append("stopped", {"reason": reason})
+        if isinstance(action, Wait) and not others:
+            raise InvalidInput(
+                f"a strategy may wait only while something is under way, got {action} of "
+                f"{study.strategy.name!r}; give another action"
+            )
+        if isinstance(action, (Wait, Stop)):
+            if not others:
+                found = verdict_of(study)
+                reason = _SPENT.format(spec.budget) if spent else found or _NO_MORE
+                with contextlib.suppress(Conflict):
+                    study.append("stopped", {"reason": reason}, after=seq)
             return None
         if isinstance(action, Start) and action.start is not None:
             self._check_start(action.start)
-        record = {"number": state.decisions, "action": record_of(action), "seconds": seconds}
-        study.append("decided", record)
-        return action
+        if others and not isinstance(action, Evaluate) and not self._has_room(UnderWay(action)):
+            return None  # others may end early, or leave so much that this is the last training
+        return self.claims.decided(action, seconds, seq)
 
     def _check_start(self, start: Policy) -> None:
         if not _begins_from_others(self.trainer):
@@ -156,139 +196,170 @@ class _Worker:
 
     @property
     def _left(self) -> float:
-        return self.study.spec.budget - self.study.state.spent
+        """Steps that nobody has spent, and others are not just spending."""
+        state = self.study.state
+        theirs = sum(self._price(held) for n, held in state.under_way.items() if n != self._doing)
+        return self.study.spec.budget - state.spent - theirs
+
+    def _price(self, held: UnderWay) -> float:
+        """Steps that the piece of an action which is just under way costs at most, or likely."""
+        study, state, work = self.study, self.study.state, held.work
+        price = target_price(study.spec.problem_without(()), study.trail)
+        if isinstance(work, Evaluate):
+            return price * len(work.targets)
+        number = held.training
+        done = 0 if number is None else state.trainings[number].steps
+        after = min(LEAST, study.space.n) * price
+        return max(state.marks_of(held)[self._next_mark(held)] - done, 0) + after
+
+    def _next_mark(self, held: UnderWay) -> int:
+        if isinstance(held.work, StartOn):
+            return held.work.length  # its first mark: the learning rate falls to zero there
+        return (-1 if held.training is None else self.study.state.reached(held.training)) + 1
+
+    def _has_room(self, held: UnderWay) -> bool:
+        """Whether its next piece, and an evaluation afterwards, can be paid."""
+        return self._price(held) <= self._left
 
     # ---- doing -------------------------------------------------------------------------------
 
-    def carry_out(self, action: Work) -> None:
-        """Do it, or what is left of it."""
-        if isinstance(action, Evaluate):
-            self._evaluate(action.policy, action.targets)
-        else:
-            self._train(action)
+    def _carry_out(self, claim: Claim) -> None:
+        """Do it, or what is left of it; another worker may take it over meanwhile."""
+        self._doing = claim.number
+        try:
+            work = self.claims.held(claim).work
+            if isinstance(work, Evaluate):
+                self._evaluate(claim, work.policy, work.targets)
+            else:
+                self._train(claim, work)
+        except Lost:
+            self.claims.drop(claim)
+        except BaseException:
+            self.claims.give_back(claim)
+            raise
+        finally:
+            self._doing = None
 
-    def _train(self, action: Start | StartOn | Extend) -> None:
+    def _train(self, claim: Claim, action: Start | StartOn | Extend) -> None:
         """Mark by mark, while there are steps for it and for an evaluation afterwards."""
-        study, state = self.study, self.study.state
-        number = state.number_of(action)
-        source, on = self._where(action, number)
-        self._tell("on_training", number, source, state.lengths_of(number)[action.length])
-        while study.state.pending is not None:
-            mark = study.state.reached(number) + 1
-            if isinstance(action, StartOn):
-                mark = action.length  # its first mark: the learning rate falls to zero there
-            if not self._fits(number, mark):
-                study.append("halted", {"training": number})
+        study, claims = self.study, self.claims
+        held = claims.held(claim)
+        number = study.state.number_of(held)
+        source, _ = self._where(held)
+        self._tell("on_training", number, source, study.state.marks_of(held)[action.length])
+        while claims.is_open(claim):
+            held = claims.held(claim)
+            mark = self._next_mark(held)
+            if not self._has_room(held):
+                claims.answer(claim, "halted", {})
                 self._tell("on_trained", number)
                 return
-            began, progress = time.monotonic(), _Latest(self, number)
+            began, progress = time.monotonic(), _Latest(self, claim, number)
             try:
-                reached = self._piece(number, source, on, mark, progress)
-                artifact = self._keep(number, source, on, mark, reached)
-            except (StorageError, InvalidInput, MissingExtra):
+                reached = self._piece(claim, held, mark, progress)
+                artifact = self._keep(claim, held, mark, reached)
+            except (StorageError, InvalidInput, MissingExtra, Lost):
                 raise
             except Exception as error:
-                done = study.state.trainings[number].steps if mark else 0
-                self._failed(error, max(progress.steps - done, 0), number, source)
+                done = 0 if held.training is None else study.state.trainings[held.training].steps
+                self._failed(claim, error, max(progress.steps - done, 0), source)
                 self._tell("on_trained", number)
                 return
-            study.append(
+            claims.answer(
+                claim,
                 "trained",
-                {"training": number, "source": source, "mark": mark, "steps": reached.steps,
+                {"source": source, "mark": mark, "steps": reached.steps,
                  "checks": reached.checks, "ended": reached.ended,
                  "seconds": time.monotonic() - began, **artifact},
             )  # fmt: skip
+            if held.training is None:
+                number = next(j for j, t in enumerate(study.state.trainings)
+                              if t.decision == claim.number)  # fmt: skip
+            if artifact["policy"] is None:
+                study.policies[number, mark] = reached.policy
             self._tell("on_trained", number)
         self._forget(number)
 
-    def _where(self, action: Start | StartOn | Extend, number: int) -> tuple[int, tuple[int, ...]]:
+    def _where(self, held: UnderWay) -> tuple[int, tuple[int, ...]]:
         """The context of a training and, of one on several, those; then it is the middle one."""
-        study = self.study
-        if isinstance(action, Extend) or number < len(study.state.trainings):
-            course = study.state.trainings[number]
+        if held.training is not None:
+            course = self.study.state.trainings[held.training]
             return course.source, course.on
-        if isinstance(action, StartOn):
-            return middle_of(action.sources, study.space.steps), action.sources
-        return action.source, ()
+        if isinstance(held.work, StartOn):
+            return middle_of(held.work.sources, self.study.space.steps), held.work.sources
+        assert isinstance(held.work, Start)
+        return held.work.source, ()
 
-    def _fits(self, number: int, mark: int) -> bool:
-        spec, state = self.study.spec, self.study.state
-        done = state.trainings[number].steps if number < len(state.trainings) else 0
-        problem = spec.problem_without(())
-        targets = min(LEAST, problem.n)
-        after = targets * target_price(problem, self.study.trail)
-        return state.lengths_of(number)[mark] - done + after <= self._left
-
-    def _piece(
-        self, number: int, source: int, on: tuple[int, ...], mark: int, progress: _Latest
-    ) -> Reached:
+    def _piece(self, claim: Claim, held: UnderWay, mark: int, progress: _Latest) -> Reached:
         """A training to a mark, from where it is."""
-        study, spec = self.study, self.study.spec
-        state = study.state
-        known = number < len(state.trainings)
-        begun = state.start_of(number)
-        repeat = state.trainings[number].repeat if known else state.repeats(source, on=bool(on))
-        marks = state.lengths_of(number)
+        study, spec, state = self.study, self.study.spec, self.study.state
+        source, on = self._where(held)
+        known = None if held.training is None else state.trainings[held.training]
+        repeat = state.repeats(source, on=bool(on)) if known is None else known.repeat
+        marks, file = state.marks_of(held), self._file(self._called(claim, held))
         if on:
             assert isinstance(self.trainer, SetTrainer)
             # sources are 0..N-1, so this seed is none of theirs
             seed = training_seed(spec.seed, spec.trial, spec.space.n, repeat)
             contexts = [spec.space.context(i) for i in on]
-            first = min(state.trainings[number].marks) if known else mark
+            first = mark if known is None else min(known.marks)
             return self.trainer.train_on_steps(
-                contexts, seed, marks[mark], marks=marks[first:], saved=self._file(number),
-                on_progress=progress,
+                contexts, seed, marks[mark], marks=marks[first:], saved=file, on_progress=progress,
             )  # fmt: skip
         seed = training_seed(spec.seed, spec.trial, source, repeat)
         context, steps = spec.space.context(source), marks[mark]
         if not isinstance(self.trainer, SteppingTrainer):
             return Reached(self.trainer.train(context, seed, progress), steps)
-        saved = self._file(number) if len(spec.lengths) > 1 else None
+        saved = file if len(spec.lengths) > 1 else None
+        begun = state.start_of(held)
         # also of one that goes on: where its state is lost, it is trained again from there
         start = None if begun is None else weights_of(study, self.trainer, begun)
         return self.trainer.train_steps(
             context, seed, steps, start=start, saved=saved, on_progress=progress
         )
 
-    def _file(self, number: int) -> Path:
+    def _called(self, claim: Claim, held: UnderWay) -> str:
+        """The name of a training's files: by the decision that began it, which never changes."""
+        known = held.training is not None
+        began = self.study.state.trainings[held.training or 0].decision if known else claim.number
+        return f"training-{began + 1:04d}"
+
+    def _file(self, called: str) -> Path:
         """Of the state of a training."""
         study = self.study
-        name = f"policies/{study.state.uid}/training-{number + 1:04d}"
+        name = f"policies/{study.state.uid}/{called}"
         kept = None if study.artifacts is None else study.artifacts.partial(name)
-        if kept is not None:
-            return kept
-        return study.scratch / f"training-{number + 1:04d}.partial"
+        return kept if kept is not None else study.scratch / f"{called}.partial"
 
     def _forget(self, number: int) -> None:
         """The state of a training that cannot go on any more."""
         course = self.study.state.trainings[number]
         whole = course.length == len(self.study.spec.lengths) - 1 and not course.on
         if course.ended or whole:
-            file = self._file(number)
+            file = self._file(f"training-{course.decision + 1:04d}")
             shutil.rmtree(file, ignore_errors=True)  # of plain functions it is a folder
             file.unlink(missing_ok=True)
 
-    def _keep(
-        self, number: int, source: int, on: tuple[int, ...], mark: int, reached: Reached
-    ) -> dict[str, Any]:
-        """Where the policy is, as the log says it."""
-        study = self.study
+    def _keep(self, claim: Claim, held: UnderWay, mark: int, reached: Reached) -> dict[str, Any]:
+        """Where the policy is, as the log says it; None: in memory only."""
+        study, (source, on) = self.study, self._where(held)
         artifact = None
         if study.artifacts is not None and getattr(self.trainer, "saves", True):
-            place = f"policies/{study.state.uid}/training-{number + 1:04d}-mark-{mark}"
+            called = self._called(claim, held)  # and by the lease, so that nobody else writes there
+            end = f"-{claim.token}" if claim.token else ""
+            place = f"policies/{study.state.uid}/{called}-mark-{mark}{end}"
             where = {"contexts": list(on)} if on else {"context": dict(study.space.context(source))}
-            receipt = {**where, "steps": reached.steps}
-            if (begun := study.state.start_of(number)) is not None:
+            receipt: dict[str, Any] = {**where, "steps": reached.steps}
+            if (begun := study.state.start_of(held)) is not None:
                 receipt["start"] = {"training": begun.training + 1, "mark": study.key(begun)[1]}
             artifact = study.artifacts.write(
                 place, lambda folder: self.trainer.save(reached.policy, folder), receipt
             )
         if artifact is None:
-            study.policies[number, mark] = reached.policy
             return {"policy": None, "sha256": None}
         return {"policy": artifact.place, "sha256": artifact.sha256}
 
-    def _evaluate(self, policy: Policy, targets: Sequence[int]) -> None:
+    def _evaluate(self, claim: Claim, policy: Policy, targets: Sequence[int]) -> None:
         study, spec = self.study, self.study.spec
         self._tell("on_evaluation", policy, targets)
         began = time.monotonic()
@@ -299,22 +370,23 @@ class _Worker:
             raise
         except Exception as error:
             source = study.state.trainings[policy.training].source
-            study.append("failed", _trouble(error, 0, source))
-            self._check_failures(error)
+            self._failed(claim, error, 0, source)
             return
-        study.append(
+        self.claims.answer(
+            claim,
             "evaluated",
             {"training": policy.training, "length": policy.length, "targets": list(targets),
              "episodes": found.shape[1], "steps": float(steps.sum()),
              "seconds": time.monotonic() - began},
             {"returns": found.mean(axis=1)},
         )  # fmt: skip
+        self._latest = policy if getattr(study.strategy, "in_parallel", False) else None
         self._tell("on_evaluated", policy)
 
     # ---- failures ----------------------------------------------------------------------------
 
-    def _failed(self, error: Exception, steps: float, number: int, source: int) -> None:
-        self.study.append("failed", _trouble(error, steps, source))
+    def _failed(self, claim: Claim, error: Exception, steps: float, source: int) -> None:
+        self.claims.answer(claim, "failed", _trouble(error, steps, source))
         self._check_failures(error)
 
     def _check_failures(self, error: Exception) -> None:
@@ -333,11 +405,13 @@ class _Worker:
 class _Latest:
     """Passes reports of a training on, and keeps the number of steps."""
 
-    def __init__(self, worker: _Worker, training: int) -> None:
-        self._worker, self._training, self.steps = worker, training, 0
+    def __init__(self, worker: _Worker, claim: Claim, training: int) -> None:
+        self._worker, self._claim, self._training = worker, claim, training
+        self.steps = 0
 
     def __call__(self, progress: Progress) -> None:
         self.steps = progress.step if progress.unit == "steps" else self.steps
+        self._worker.claims.said(self._claim, progress)
         self._worker._tell("on_progress", self._training, progress)
 
 

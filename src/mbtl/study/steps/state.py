@@ -16,6 +16,7 @@ from mbtl.arrays import Array
 from mbtl.errors import StorageError
 from mbtl.objective import Bounds
 from mbtl.study.events import OPENED, Event
+from mbtl.study.leases import Lease
 from mbtl.study.steps.spec import StepSpec
 from mbtl.untrusted import MALFORMED
 
@@ -55,6 +56,7 @@ class Course:
         seconds: wall time.
         on: contexts of a training on several, of which `source` is the middle one; else none.
         start: the policy whose weights it began with; None: from scratch.
+        decision: number of the decision that began it, by which its files are called.
     """
 
     source: int
@@ -67,6 +69,7 @@ class Course:
     seconds: float = 0.0
     on: tuple[int, ...] = ()
     start: Policy | None = None
+    decision: int = 0
 
     def at(self, length: int) -> tuple[int, Mark]:
         """The latest mark up to a length."""
@@ -126,6 +129,21 @@ class Prices:
 
 
 @dataclass
+class UnderWay:
+    """An action that was decided and is not done.
+
+    Attributes:
+        work: what.
+        training: its number; None: it has not passed a mark.
+        lease: who is at it; None: nobody, or that does not matter.
+    """
+
+    work: Work
+    training: int | None = None
+    lease: Lease | None = None
+
+
+@dataclass
 class StepState:
     """Everything the events say; `apply` takes the next one."""
 
@@ -135,8 +153,8 @@ class StepState:
     uid: str = ""
     created_at: float = 0.0
     decisions: int = 0
-    pending: Work | None = None
-    """What was decided and is not done."""
+    under_way: dict[int, UnderWay] = field(default_factory=dict)
+    """What was decided and is not done, by the number of its decision."""
     trainings: list[Course] = field(default_factory=list)
     policies: list[Policy] = field(default_factory=list)
     returns: list[Array] = field(default_factory=list)
@@ -207,6 +225,7 @@ class StepState:
             self.bounds().normalise(np.array(self.returns)) if self.returns else np.empty((0, 0)),
             tuple(self.evaluation_steps),
             self.spent,
+            tuple(held.work for held in self.under_way.values()),
         )
 
     def value(self) -> float:
@@ -220,24 +239,39 @@ class StepState:
         return max(self.trainings[training].marks, default=-1) if known else -1
 
     def lengths_of(self, training: int) -> tuple[int, ...]:
-        """Marks of a training, also of one that has not passed any."""
-        on_all = isinstance(self.pending, StartOn)
-        if training < len(self.trainings):
-            on_all = bool(self.trainings[training].on)
+        """Marks of a training."""
+        return self._marks(on_all=bool(self.trainings[training].on))
+
+    def marks_of(self, held: UnderWay) -> tuple[int, ...]:
+        """Marks of a training that is under way."""
+        if held.training is not None:
+            return self.lengths_of(held.training)
+        return self._marks(on_all=isinstance(held.work, StartOn))
+
+    def work_on(self, training: int) -> Start | StartOn | Extend | None:
+        """The training that is under way under this number; None: it is not."""
+        for held in self.under_way.values():
+            if held.training == training and not isinstance(held.work, Evaluate):
+                return held.work
+        return None
+
+    def number_of(self, held: UnderWay) -> int:
+        """Of a training under way; of one without a mark that which it would have now."""
+        return len(self.trainings) if held.training is None else held.training
+
+    def start_of(self, held: UnderWay) -> Policy | None:
+        """The policy whose weights a training under way begins with; None: scratch."""
+        if held.training is not None:
+            return self.trainings[held.training].start
+        return held.work.start if isinstance(held.work, Start) else None
+
+    def _marks(self, *, on_all: bool) -> tuple[int, ...]:
         return self.the_spec.lengths_on_all if on_all else self.the_spec.lengths
 
-    def number_of(self, action: Start | StartOn | Extend) -> int:
-        """Which training an action is about, also while it is under way."""
-        if isinstance(action, Extend):
-            return action.training
-        begun = self.trainings and self.trainings[-1].length < 0
-        return len(self.trainings) - 1 if begun else len(self.trainings)
-
-    def start_of(self, training: int) -> Policy | None:
-        """The policy whose weights a training begins with, also one under way; None: scratch."""
-        if training < len(self.trainings):
-            return self.trainings[training].start
-        return self.pending.start if isinstance(self.pending, Start) else None
+    def _held(self, data: Mapping[str, Any]) -> tuple[int, UnderWay]:
+        """What an event answers; before there were several workers the latest decision."""
+        number = int(data.get("decision", self.decisions - 1))
+        return number, self.under_way[number]
 
     def repeats(self, source: int, *, on: bool) -> int:
         """Trainings so far on a context; with `on`, on several contexts."""
@@ -251,18 +285,30 @@ class StepState:
         self.created_at = event.time
 
     def _decided(self, data: Mapping[str, Any], event: Event) -> None:
-        self.pending = action_of(data["action"])
+        work = action_of(data["action"])
+        training = work.training if isinstance(work, Extend) else None
+        self.under_way[int(data["number"])] = UnderWay(work, training, _lease(data, event))
         self.decisions += 1
 
+    def _claimed(self, data: Mapping[str, Any], event: Event) -> None:
+        self._held(data)[1].lease = _lease(data, event)
+
+    def _released(self, data: Mapping[str, Any], event: Event) -> None:
+        self._held(data)[1].lease = None
+
     def _trained(self, data: Mapping[str, Any], event: Event) -> None:
-        action, number, mark = self.pending, int(data["training"]), int(data["mark"])
-        if not isinstance(action, (Start, StartOn, Extend)):
-            raise ValueError(f"a training, where {action} was to be done")
-        if number == len(self.trainings):
+        decision, held = self._held(data)
+        action, number, mark = held.work, int(data["training"]), int(data["mark"])
+        if isinstance(action, Evaluate) or number != self.number_of(held):
+            raise ValueError(f"training {number}, where {action} was to be done")
+        if held.training is None:
             on = action.sources if isinstance(action, StartOn) else ()
             before = self.repeats(int(data["source"]), on=bool(on))
             start = action.start if isinstance(action, Start) else None
-            self.trainings.append(Course(int(data["source"]), before, on=on, start=start))
+            source = int(data["source"])
+            made = Course(source, before, on=on, start=start, decision=decision)
+            self.trainings.append(made)
+            held.training = number
         course = self.trainings[number]
         steps, checks = int(data["steps"]), int(data["checks"])
         paid = steps - course.steps
@@ -277,18 +323,17 @@ class StepState:
         course.ended = bool(data["ended"])
         if course.ended or mark >= action.length:
             course.length = action.length
-            self.pending = None
+            del self.under_way[decision]
         self.fresh, self.stopped = None, None
         self.failures.clear()
 
     def _halted(self, data: Mapping[str, Any], event: Event) -> None:
-        action = self.pending
-        assert isinstance(action, (Start, StartOn, Extend))
-        number = self.number_of(action)
-        if self.reached(number) >= 0:
-            course = self.trainings[number]
-            course.length, course.halted = self.reached(number), True
-        self.pending, self.halted = None, True
+        decision, held = self._held(data)
+        if held.training is not None:
+            course = self.trainings[held.training]
+            course.length, course.halted = self.reached(held.training), True
+        del self.under_way[decision]
+        self.halted = True
 
     def _evaluated(self, data: Mapping[str, Any], event: Event) -> None:
         policy = Policy(int(data["training"]), int(data["length"]))
@@ -305,28 +350,28 @@ class StepState:
         self.returns[place][targets] = event.arrays["returns"]
         self.evaluation_steps[place] += float(data["steps"])
         self.prices.evaluation += float(data["steps"])
-        self.pending, self.fresh = None, None
+        del self.under_way[self._held(data)[0]]
+        self.fresh = None
         self.failures.clear()
 
     def _failed(self, data: Mapping[str, Any], event: Event) -> None:
-        action, reason = self.pending, str(data["reason"])
-        if isinstance(action, (Start, StartOn, Extend)):
-            number = self.number_of(action)
-            if self.reached(number) < 0:
-                if isinstance(action, StartOn):
-                    self.dead_on_sets = True
-                else:
-                    self.dead.append(int(data["source"]))
-                del self.trainings[number:]
-            else:  # as one that has ended: its policies stay
-                course = self.trainings[number]
+        decision, held = self._held(data)
+        action, reason = held.work, str(data["reason"])
+        if not isinstance(action, Evaluate):
+            if held.training is not None:  # as one that has ended: its policies stay
+                course = self.trainings[held.training]
                 course.length, course.failed = action.length, reason
+            elif isinstance(action, StartOn):
+                self.dead_on_sets = True
+            else:
+                self.dead.append(int(data["source"]))
             self.prices.failed += float(data["steps"])
         self.failures.append(reason)
-        self.pending = None
+        del self.under_way[decision]
 
     def _stopped(self, data: Mapping[str, Any], event: Event) -> None:
-        self.stopped, self.pending = str(data["reason"]), None
+        self.stopped = str(data["reason"])
+        self.under_way.clear()
 
     def _extended(self, data: Mapping[str, Any], event: Event) -> None:
         self.spec = replace(self.the_spec, budget=int(data["budget"]))
@@ -338,6 +383,12 @@ class StepState:
         self.fresh = Fresh(
             event.arrays["returns"], data["error"], int(data["episodes"]), float(data["steps"])
         )
+
+
+def _lease(data: Mapping[str, Any], event: Event) -> Lease | None:
+    if not data.get("token"):
+        return None
+    return Lease(data["token"], data["worker"], data["lease"], event.time)
 
 
 def record_of(action: Work) -> dict[str, Any]:

@@ -30,8 +30,11 @@ from mbtl.objective import Bounds
 from mbtl.portfolio import Portfolio
 from mbtl.study.artifacts import ArtifactStore
 from mbtl.study.events import OPENED, Event, Kind
+from mbtl.study.leases import Watch, new_worker
 from mbtl.study.listing import chosen_name, database_at
-from mbtl.study.places import policy_store
+from mbtl.study.places import database_file, policy_store
+from mbtl.study.presence import Presence
+from mbtl.study.steps.claims import LEASE
 from mbtl.study.steps.functions import SteppedFunctions
 from mbtl.study.steps.spec import StepSpec
 from mbtl.study.steps.state import StepState
@@ -52,6 +55,8 @@ class StepStudy:
         artifacts: keeps the policies; None: they cannot be kept.
         trainer: trains and reads policies where no other is given.
         policies: (training, mark) -> policy, of this process.
+        worker: name by which this object holds actions.
+        presence: who surely is gone, where that can be known.
     """
 
     def __init__(
@@ -65,6 +70,8 @@ class StepStudy:
     ) -> None:
         """The log must hold an `opened` event."""
         self.name, self.artifacts, self.trainer = name, store, trainer
+        self.worker = new_worker()
+        self.presence = Presence(database_file(getattr(log, "url", "")))
         self.strategy = strategy
         self.policies: dict[tuple[int, int], Any] = {}
         self._log, self._state = log, StepState()
@@ -121,6 +128,15 @@ class StepStudy:
     def events(self) -> Iterable[Event]:
         """The log from its beginning."""
         return self._log.read()
+
+    @property
+    def log(self) -> EventLog:
+        """Where the events are."""
+        return self._log
+
+    def watch(self) -> Watch:
+        """Which workers are silent for too long at this moment."""
+        return Watch(self._log, self.presence.is_gone)
 
     @property
     def spec(self) -> StepSpec:
@@ -245,21 +261,35 @@ class StepStudy:
         self.append("extended", {"budget": int(budget)})
 
     def append(
-        self, kind: Kind, data: Mapping[str, Any], arrays: Mapping[str, Array] | None = None
+        self,
+        kind: Kind,
+        data: Mapping[str, Any],
+        arrays: Mapping[str, Array] | None = None,
+        *,
+        after: int | None = None,
     ) -> None:
         """Record an event.
 
+        Args:
+            kind: of it.
+            data: its facts.
+            arrays: its numbers.
+            after: the event that it follows from; None: it holds whatever others have recorded.
+
         Raises:
-            StudyError: another process has recorded one meanwhile.
+            Conflict: others have recorded something after `after`.
         """
-        try:
-            self._log.append(Event(kind, data, arrays or {}), after=self._state.seq)
-        except Conflict as error:
-            raise StudyError(
-                f"a study that is paid in steps is run by one process at a time, and another one "
-                f"runs {self.name!r}; wait for its end, then run again"
-            ) from error
-        self.refresh()
+        while True:
+            seq = self._state.seq if after is None else after
+            try:
+                self._log.append(Event(kind, data, arrays or {}), after=seq)
+            except Conflict:
+                if after is not None:
+                    raise
+                self.refresh()
+                continue
+            self.refresh()
+            return
 
     @cached_property
     def scratch(self) -> Path:
@@ -281,8 +311,13 @@ class StepStudy:
         callbacks: Sequence[StepCallback] = (),
         report: bool = True,
         stop_after_failures: int = 3,
+        lease: float = LEASE,
+        wait: bool = True,
     ) -> StepResult:
         """Spend the steps; interrupted, it goes on where it was when called again.
+
+        Several processes may run a stored study at the same time: each takes the next action, where
+        the strategy says that it can decide while others are at work, and waits otherwise.
 
         Args:
             train: `train(context, seed, steps, start=None, on_progress=None) -> policy`: so many
@@ -299,6 +334,9 @@ class StepStudy:
             callbacks: told what happens.
             report: evaluate the routed policies on as many fresh episodes at the end; not charged.
             stop_after_failures: so many trainings or evaluations that fail in a row end the run.
+            lease: seconds without a sign of life after which others take an action over. On one
+                machine they do so at once when the process has ended.
+            wait: stay while others are at the last actions, to take over from those that die.
 
         Raises:
             InvalidInput: the trainer cannot do what the study asks: other lengths than its own,
@@ -319,5 +357,6 @@ class StepStudy:
             raise InvalidInput("run needs train and evaluate functions, or a trainer")
         told = (*callbacks, *([PrintSteps()] if progress else []))
         return run(
-            self, trainer, callbacks=told, report=report, stop_after_failures=stop_after_failures
-        )
+            self, trainer, callbacks=told, report=report, stop_after_failures=stop_after_failures,
+            lease=lease, wait=wait,
+        )  # fmt: skip

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from mbtl.actions import Policy
+from mbtl.actions import Extend, Policy
 from mbtl.contexts import Context
 from mbtl.contexts.words import describe_set
 from mbtl.notebook import table
@@ -191,14 +191,12 @@ def _training(study: StepStudy, number: int, serves: int) -> StepTraining:
 def condition(study: StepStudy, number: int) -> tuple[Condition, str]:
     """How a training stands, and why."""
     course, state = study.state.trainings[number], study.state
-    pending, lengths = state.pending, state.lengths_of(number)
+    work, lengths = state.work_on(number), state.lengths_of(number)
     if course.failed is not None:
         return "failed", course.failed
-    if pending is not None and getattr(pending, "training", None) == number:
-        return "running", f"going on to {counted(lengths[getattr(pending, 'length', -1)])}"
-    if course.length < 0:
-        to = lengths[getattr(pending, "length", -1)]
-        return "running", f"on its way to {counted(to)} steps"
+    if work is not None:
+        towards = "going on" if isinstance(work, Extend) else "on its way"
+        return "running", f"{towards} to {counted(lengths[work.length])} steps"
     if course.ended:
         return "ended", "its own context gives the largest return there is"
     if course.length == len(lengths) - 1 and not course.on:
