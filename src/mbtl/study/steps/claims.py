@@ -20,7 +20,8 @@ from mbtl.errors import MbtlError, StorageError
 from mbtl.study.events import Kind
 from mbtl.study.keeper import Keeper
 from mbtl.study.leases import new_token
-from mbtl.study.steps.state import UnderWay, Work, record_of
+from mbtl.study.steps.record import Work, record_of
+from mbtl.study.steps.state import UnderWay
 from mbtl.study.storage import Conflict
 from mbtl.trainer import Progress
 

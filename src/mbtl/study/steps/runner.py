@@ -15,7 +15,6 @@ import shutil
 import time
 import traceback
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,21 +22,21 @@ import numpy as np
 
 from mbtl.actions import Action, Evaluate, Extend, Policy, Start, StartOn, Stop, Wait
 from mbtl.actions.base import middle_of
-from mbtl.actions.evaluation import LEAST, WHERE_IT_MATTERS, target_price
+from mbtl.actions.evaluation import WHERE_IT_MATTERS, target_price
 from mbtl.errors import (
     InvalidInput,
     MissingExtra,
     StorageError,
-    StudyMismatch,
     TrainingFailed,
 )
 from mbtl.seeds import evaluation_seed, selection_rng, training_seed
 from mbtl.selectors.targets import spread_targets
 from mbtl.set_trainer import SetTrainer
-from mbtl.settings import first_difference
 from mbtl.study.steps.callbacks import StepCallback
+from mbtl.study.steps.checks import check_start, check_trainer, with_episodes
 from mbtl.study.steps.claims import LEASE, Claim, Claims, Lost
 from mbtl.study.steps.evaluation import evaluated, report_fresh, weights_of
+from mbtl.study.steps.prices import next_mark, price_of
 from mbtl.study.steps.state import UnderWay
 from mbtl.study.steps.summary import StepResult, verdict_of
 from mbtl.study.storage import Conflict
@@ -46,7 +45,6 @@ from mbtl.trainer import (
     Reached,
     SteppingTrainer,
     Trainer,
-    recipe_of,
 )
 
 if TYPE_CHECKING:
@@ -69,7 +67,7 @@ def run(
     wait: bool = True,
 ) -> StepResult:
     """Spend the steps of a study; see `StepStudy.run`."""
-    _check(study, trainer)
+    check_trainer(study, trainer)
     began = time.monotonic()
     try:
         with Claims(study, lease) as claims:
@@ -161,21 +159,10 @@ class _Worker:
                     study.append("stopped", {"reason": reason}, after=seq)
             return None
         if isinstance(action, Start) and action.start is not None:
-            self._check_start(action.start)
+            check_start(study, self.trainer, action.start)
         if others and not isinstance(action, Evaluate) and not self._has_room(UnderWay(action)):
             return None  # others may end early, or leave so much that this is the last training
         return self.claims.decided(action, seconds, seq)
-
-    def _check_start(self, start: Policy) -> None:
-        if not _begins_from_others(self.trainer):
-            raise _no_start(self.study.strategy.name)
-        trainings = self.study.state.trainings
-        known = 0 <= start.training < len(trainings)
-        if not known or not 0 <= start.length <= trainings[start.training].length:
-            raise InvalidInput(
-                f"a training begins with the weights of a mark that a training has passed, got "
-                f"{start}; the strategy must choose another one"
-            )
 
     def _affordable(self, action: Evaluate) -> Evaluate | None:
         """The evaluation, on as many targets as there are steps for; None: on too few."""
@@ -198,28 +185,14 @@ class _Worker:
     def _left(self) -> float:
         """Steps that nobody has spent, and others are not just spending."""
         state = self.study.state
-        theirs = sum(self._price(held) for n, held in state.under_way.items() if n != self._doing)
+        theirs = sum(
+            price_of(self.study, held) for n, held in state.under_way.items() if n != self._doing
+        )
         return self.study.spec.budget - state.spent - theirs
-
-    def _price(self, held: UnderWay) -> float:
-        """Steps that the piece of an action which is just under way costs at most, or likely."""
-        study, state, work = self.study, self.study.state, held.work
-        price = target_price(study.spec.problem_without(()), study.trail)
-        if isinstance(work, Evaluate):
-            return price * len(work.targets)
-        number = held.training
-        done = 0 if number is None else state.trainings[number].steps
-        after = min(LEAST, study.space.n) * price
-        return max(state.marks_of(held)[self._next_mark(held)] - done, 0) + after
-
-    def _next_mark(self, held: UnderWay) -> int:
-        if isinstance(held.work, StartOn):
-            return held.work.length  # its first mark: the learning rate falls to zero there
-        return (-1 if held.training is None else self.study.state.reached(held.training)) + 1
 
     def _has_room(self, held: UnderWay) -> bool:
         """Whether its next piece, and an evaluation afterwards, can be paid."""
-        return self._price(held) <= self._left
+        return price_of(self.study, held) <= self._left
 
     # ---- doing -------------------------------------------------------------------------------
 
@@ -249,7 +222,7 @@ class _Worker:
         self._tell("on_training", number, source, study.state.marks_of(held)[action.length])
         while claims.is_open(claim):
             held = claims.held(claim)
-            mark = self._next_mark(held)
+            mark = next_mark(study.state, held)
             if not self._has_room(held):
                 claims.answer(claim, "halted", {})
                 self._tell("on_trained", number)
@@ -415,72 +388,7 @@ class _Latest:
         self._worker._tell("on_progress", self._training, progress)
 
 
-def with_episodes(trainer: Trainer, episodes: int) -> Trainer:
-    """The trainer with so many episodes per target, where it can be told."""
-    record: Any = trainer
-    if getattr(trainer, "eval_episodes", episodes) == episodes:
-        return trainer
-    changed: Trainer = replace(record, eval_episodes=episodes)
-    return changed
-
-
 def _trouble(error: Exception, steps: float, source: int) -> dict[str, Any]:
     text = "".join(traceback.format_exception(error))
     reason = f"{type(error).__name__}: {error}"
     return {"reason": reason, "steps": float(steps), "source": source, "traceback": text[-4000:]}
-
-
-def _begins_from_others(trainer: Trainer) -> bool:
-    return isinstance(trainer, SteppingTrainer) and bool(getattr(trainer, "begins_from", True))
-
-
-def _no_start(strategy: str) -> InvalidInput:
-    return InvalidInput(
-        f"the strategy {strategy!r} begins trainings with the weights of others, and this train "
-        "function takes none; give it the arguments `steps` and `start`, or choose another "
-        "strategy, such as 'pilot'"
-    )
-
-
-def _check(study: StepStudy, trainer: Trainer) -> None:
-    """Refuse, before anything is spent, a trainer that cannot do what will be asked."""
-    spec = study.spec
-    if not isinstance(trainer, SteppingTrainer):
-        if len(spec.lengths) > 1:
-            raise InvalidInput(
-                f"the length of a training cannot be chosen with {type(trainer).__name__}, got "
-                f"{len(spec.lengths)} lengths; give a train function that takes `steps` and "
-                "`start` (docs/spending.md), or make the study with lengths=[<one>]"
-            )
-    elif trainer.whole_steps is None:
-        raise InvalidInput(
-            "only trainings that are counted in steps can be paid in steps, got a trainer that "
-            "counts episodes; make the study without cost='steps'"
-        )
-    elif isinstance(trainer.whole_steps, int) and trainer.whole_steps < spec.lengths[-1]:
-        raise InvalidInput(
-            f"the last length is that of a whole training, got {spec.lengths[-1]:,} where the "
-            f"trainer has {trainer.whole_steps:,}; use the same trainer"
-        )
-    if getattr(study.strategy, "trains_on_all", False):
-        if not isinstance(trainer, SetTrainer):
-            raise InvalidInput(
-                f"the strategy {study.strategy.name!r} trains one policy on all contexts, and "
-                f"{type(trainer).__name__} trains on one at a time; give a function "
-                "train_on(contexts, seed, steps, start=None), or choose another strategy, such as "
-                "'pilot'"
-            )
-        trainer.check_on_set()
-    if getattr(study.strategy, "starts_warm", False) and not _begins_from_others(trainer):
-        raise _no_start(study.strategy.name)
-    known = spec.settings.get("recipe")
-    if known is not None and (found := first_difference(known, recipe_of(trainer))):
-        raise StudyMismatch(
-            f"a study is run with the recipe it was made with: {found[0]} was {found[1]!r}, got "
-            f"{found[2]!r}; use the same trainer, or start another study"
-        )
-    if study.is_durable and not getattr(trainer, "saves", True):
-        raise InvalidInput(
-            "a study that is stored goes on from saved policies, got a trainer that saves none; "
-            "give save and load functions, or leave storage out"
-        )

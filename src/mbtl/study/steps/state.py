@@ -17,11 +17,9 @@ from mbtl.errors import StorageError
 from mbtl.objective import Bounds
 from mbtl.study.events import OPENED, Event
 from mbtl.study.leases import Lease
+from mbtl.study.steps.record import Work, action_of
 from mbtl.study.steps.spec import StepSpec
 from mbtl.untrusted import MALFORMED
-
-Work = Start | StartOn | Extend | Evaluate
-"""An action that costs steps."""
 
 
 @dataclass(frozen=True)
@@ -389,40 +387,3 @@ def _lease(data: Mapping[str, Any], event: Event) -> Lease | None:
     if not data.get("token"):
         return None
     return Lease(data["token"], data["worker"], data["lease"], event.time)
-
-
-def record_of(action: Work) -> dict[str, Any]:
-    """An action as JSON; `action_of` reads it back."""
-    match action:
-        case Start(source, length, start):
-            record = {"do": "start", "source": int(source), "length": int(length)}
-            return record if start is None else {**record, "start": _record_of_policy(start)}
-        case StartOn(sources, length):
-            some = [int(s) for s in sources]
-            return {"do": "start on", "sources": some, "length": int(length)}
-        case Extend(training, length):
-            return {"do": "extend", "training": int(training), "length": int(length)}
-        case Evaluate(policy, targets):
-            some = [int(t) for t in targets]
-            return {"do": "evaluate", **_record_of_policy(policy), "targets": some}
-
-
-def _record_of_policy(policy: Policy) -> dict[str, int]:
-    return {"training": int(policy.training), "length": int(policy.length)}
-
-
-def action_of(record: Mapping[str, Any]) -> Work:
-    """What `record_of` wrote."""
-    match record["do"]:
-        case "start":
-            begun = record.get("start")
-            start = None if begun is None else Policy(begun["training"], begun["length"])
-            return Start(record["source"], record["length"], start)
-        case "start on":
-            return StartOn(tuple(int(s) for s in record["sources"]), int(record["length"]))
-        case "extend":
-            return Extend(record["training"], record["length"])
-        case "evaluate":
-            policy = Policy(record["training"], record["length"])
-            return Evaluate(policy, tuple(record["targets"]))
-    raise ValueError(f"no action is called {record['do']!r}")

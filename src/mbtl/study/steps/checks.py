@@ -1,0 +1,97 @@
+"""What a trainer must be able to do for a study that is paid in steps, asked before it is paid."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from mbtl.actions import Policy
+from mbtl.errors import InvalidInput, StudyMismatch
+from mbtl.set_trainer import SetTrainer
+from mbtl.settings import first_difference
+from mbtl.trainer import SteppingTrainer, Trainer, recipe_of
+
+if TYPE_CHECKING:
+    from mbtl.study.steps.study import StepStudy
+
+
+def check_trainer(study: StepStudy, trainer: Trainer) -> None:
+    """Refuse, before anything is spent, a trainer that cannot do what will be asked."""
+    spec = study.spec
+    if not isinstance(trainer, SteppingTrainer):
+        if len(spec.lengths) > 1:
+            raise InvalidInput(
+                f"the length of a training cannot be chosen with {type(trainer).__name__}, got "
+                f"{len(spec.lengths)} lengths; give a train function that takes `steps` and "
+                "`start` (docs/spending.md), or make the study with lengths=[<one>]"
+            )
+    elif trainer.whole_steps is None:
+        raise InvalidInput(
+            "only trainings that are counted in steps can be paid in steps, got a trainer that "
+            "counts episodes; make the study without cost='steps'"
+        )
+    elif isinstance(trainer.whole_steps, int) and trainer.whole_steps < spec.lengths[-1]:
+        raise InvalidInput(
+            f"the last length is that of a whole training, got {spec.lengths[-1]:,} where the "
+            f"trainer has {trainer.whole_steps:,}; use the same trainer"
+        )
+    if getattr(study.strategy, "trains_on_all", False):
+        if not isinstance(trainer, SetTrainer):
+            raise InvalidInput(
+                f"the strategy {study.strategy.name!r} trains one policy on all contexts, and "
+                f"{type(trainer).__name__} trains on one at a time; give a function "
+                "train_on(contexts, seed, steps, start=None), or choose another strategy, such as "
+                "'pilot'"
+            )
+        trainer.check_on_set()
+    if getattr(study.strategy, "starts_warm", False) and not _begins_from_others(trainer):
+        raise _no_start(study.strategy.name)
+    known = spec.settings.get("recipe")
+    if known is not None and (found := first_difference(known, recipe_of(trainer))):
+        raise StudyMismatch(
+            f"a study is run with the recipe it was made with: {found[0]} was {found[1]!r}, got "
+            f"{found[2]!r}; use the same trainer, or start another study"
+        )
+    if study.is_durable and not getattr(trainer, "saves", True):
+        raise InvalidInput(
+            "a study that is stored goes on from saved policies, got a trainer that saves none; "
+            "give save and load functions, or leave storage out"
+        )
+
+
+def check_start(study: StepStudy, trainer: Trainer, start: Policy) -> None:
+    """Refuse to begin with weights that are not there, or that the trainer cannot take.
+
+    Raises:
+        InvalidInput: so it is.
+    """
+    if not _begins_from_others(trainer):
+        raise _no_start(study.strategy.name)
+    trainings = study.state.trainings
+    known = 0 <= start.training < len(trainings)
+    if not known or not 0 <= start.length <= trainings[start.training].length:
+        raise InvalidInput(
+            f"a training begins with the weights of a mark that a training has passed, got "
+            f"{start}; the strategy must choose another one"
+        )
+
+
+def with_episodes(trainer: Trainer, episodes: int) -> Trainer:
+    """The trainer with so many episodes per target, where it can be told."""
+    record: Any = trainer
+    if getattr(trainer, "eval_episodes", episodes) == episodes:
+        return trainer
+    changed: Trainer = replace(record, eval_episodes=episodes)
+    return changed
+
+
+def _begins_from_others(trainer: Trainer) -> bool:
+    return isinstance(trainer, SteppingTrainer) and bool(getattr(trainer, "begins_from", True))
+
+
+def _no_start(strategy: str) -> InvalidInput:
+    return InvalidInput(
+        f"the strategy {strategy!r} begins trainings with the weights of others, and this train "
+        "function takes none; give it the arguments `steps` and `start`, or choose another "
+        "strategy, such as 'pilot'"
+    )
