@@ -96,11 +96,18 @@ def test_halving_promotes_the_next_best_and_counts_those_without_a_row():
     assert isinstance(asha.decide(PROBLEM, running, RNG), Start)
 
 
-def test_a_worker_goes_on_with_its_own_latest_policy():
-    there = trail((0, 0.5), (4, 0.9), (8, 0.7))
-    moved = there.with_last(Policy(0, 0))
-    assert moved.policies == (Policy(1, 0), Policy(2, 0), Policy(0, 0))
-    np.testing.assert_array_equal(moved.rows[-1], there.rows[0])
-    np.testing.assert_array_equal(moved.filled, moved.rows)
-    assert there.with_last(Policy(2, 0)) is there
-    assert there.with_last(Policy(7, 0)) is there
+def test_a_policy_is_evaluated_further_only_beside_those_before_it():
+    """So of two that are evaluated at the same time only the later one looks closer."""
+    rule = Evaluation(3, margin=0.0)
+    made = trail()
+    for number, source in ((0, 0), (1, 8)):
+        made = made.with_training(number, Training(source, 2, 400), 400.0)
+        row = np.array([0.9, 0.5, 0.1]) if number == 0 else np.array([0.1, 0.5, 0.9])
+        made = made.with_evaluation(Policy(number, 2), np.array([0, 4, 8]), row, 30.0)
+    assert rule.more(PROBLEM, made, Policy(0, 2)) is None
+    further = rule.more(PROBLEM, made, Policy(1, 2))
+    assert further == rule.next(PROBLEM, made)
+    assert further.policy == Policy(1, 2)
+    assert set(further.targets) <= {2, 6}
+    busy = replace(made, under_way=(Evaluate(Policy(1, 2), (2,)),))
+    assert rule.more(PROBLEM, busy, Policy(1, 2)) is None

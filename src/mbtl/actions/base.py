@@ -240,23 +240,6 @@ class Trail:
         others = [action.source for action in self.under_way if isinstance(action, Start)]
         return [training.source for training in self.trainings] + others
 
-    def with_last(self, policy: Policy) -> Trail:
-        """The same, but this policy, if it was evaluated, stands at the end.
-
-        So one of several workers goes on with where its own latest policy should be evaluated.
-        """
-        if policy not in self.policies or policy == self.policies[-1]:
-            return self
-        at = self.policies.index(policy)
-        order = [i for i in range(len(self.policies)) if i != at] + [at]
-        moved = replace(
-            self,
-            policies=tuple(self.policies[i] for i in order),
-            rows=self.rows[order],
-            evaluation_steps=tuple(self.evaluation_steps[i] for i in order),
-        )
-        return moved.filled_as(self.filled[order])
-
     def latest(self, training: int) -> Policy:
         """The policy at the last mark that a training has passed."""
         return Policy(training, self.trainings[training].length)

@@ -7,8 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from mbtl.actions.base import Evaluate, StepProblem, Trail
-from mbtl.arrays import Array
+from mbtl.actions.base import Evaluate, Policy, StepProblem, Trail
 from mbtl.selectors.targets import spread_targets
 
 LEAST = 5
@@ -37,12 +36,13 @@ class Evaluation:
             training = trail.trainings[waiting.training]
             count = self.count(problem, trail, training.steps)
             return Evaluate(waiting, spread_targets(problem.selection, training.source, count))
-        if self.margin is None or not trail.policies or not problem.selection.is_line:
+        return self.more(problem, trail, trail.policies[-1]) if trail.policies else None
+
+    def more(self, problem: StepProblem, trail: Trail, policy: Policy) -> Evaluate | None:
+        """Where a policy should be evaluated further, beside those evaluated before it."""
+        if self.margin is None or not problem.selection.is_line or policy.training in trail.busy:
             return None
-        policy = trail.policies[-1]
-        if policy.training in trail.busy:
-            return None
-        between = self._contested(problem, trail, trail.rows[-1])
+        between = self._contested(problem, trail, trail.policies.index(policy))
         return Evaluate(policy, between) if between else None
 
     def count(self, problem: StepProblem, trail: Trail, steps: int) -> int:
@@ -52,13 +52,14 @@ class Evaluation:
         affordable = self.share * steps / target_price(problem, trail)
         return int(np.clip(affordable, min(LEAST, problem.n), problem.n))
 
-    def _contested(self, problem: StepProblem, trail: Trail, row: Array) -> tuple[int, ...]:
+    def _contested(self, problem: StepProblem, trail: Trail, policy: int) -> tuple[int, ...]:
         """Middles of the stretches where this policy may serve and was not evaluated."""
         assert self.margin is not None
+        row = trail.rows[policy]
         line = problem.selection.line
         order = np.argsort(line, kind="stable")
         known = [i for i in order.tolist() if np.isfinite(row[i])]
-        others = trail.filled[:-1]
+        others = trail.filled[:policy]
         if not len(others):
             return ()
         best = others.max(axis=0)

@@ -22,7 +22,7 @@ import numpy as np
 
 from mbtl.actions import Action, Evaluate, Extend, Policy, Start, StartOn, Stop, Wait
 from mbtl.actions.base import middle_of
-from mbtl.actions.evaluation import WHERE_IT_MATTERS, target_price
+from mbtl.actions.evaluation import WHERE_IT_MATTERS, Evaluation, target_price
 from mbtl.errors import (
     InvalidInput,
     MissingExtra,
@@ -129,13 +129,14 @@ class _Worker:
         if others and not getattr(study.strategy, "in_parallel", False):
             return None
         trail = study.trail
-        if self._latest is not None:
-            trail = trail.with_last(self._latest)
         problem = spec.problem_without(tuple(state.dead), on_sets=not state.dead_on_sets)
         began = time.perf_counter()
         action: Action
-        if state.halted:
-            rule = getattr(study.strategy, "evaluation", WHERE_IT_MATTERS)
+        rule: Evaluation = getattr(study.strategy, "evaluation", WHERE_IT_MATTERS)
+        further = rule.more(problem, trail, self._latest) if self._latest else None
+        if further is not None:
+            action = further
+        elif state.halted:
             action = rule.next(problem, trail) or Stop()
         else:
             rng = selection_rng(spec.seed, spec.trial, state.decisions)
@@ -151,6 +152,8 @@ class _Worker:
                 f"a strategy may wait only while something is under way, got {action} of "
                 f"{study.strategy.name!r}; give another action"
             )
+        if further is None:
+            self._latest = None
         if isinstance(action, (Wait, Stop)):
             if not others:
                 found = verdict_of(study)
@@ -353,7 +356,8 @@ class _Worker:
              "seconds": time.monotonic() - began},
             {"returns": found.mean(axis=1)},
         )  # fmt: skip
-        self._latest = policy if getattr(study.strategy, "in_parallel", False) else None
+        parallel = getattr(study.strategy, "in_parallel", False)
+        self._latest = policy if parallel and hasattr(study.strategy, "evaluation") else None
         self._tell("on_evaluated", policy)
 
     # ---- failures ----------------------------------------------------------------------------
