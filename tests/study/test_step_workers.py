@@ -132,7 +132,7 @@ class Meddles(StepCallback):
         (number,) = self.other.refresh().under_way
         claim = {"decision": number, "token": "theirs", "worker": "other-1", "lease": 600.0}
         self.other.append("claimed", claim)
-        time.sleep(0.2)  # heartbeats hear of it
+        time.sleep(1.0)  # heartbeats hear of it
 
 
 def test_a_worker_whose_action_was_taken_over_stops_and_records_nothing(tmp_path):
