@@ -12,21 +12,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.envs.references import reference_rows
-from mbtl.envs.rollout import Job, play
 from mbtl.errors import InvalidInput, missing_extra, unknown_name
 from mbtl.seeds import Purpose, action_seed, derive_seed, episode_seed
-from mbtl.trainer import OnProgress, check_settings, checked_returns
+from mbtl.trainer import OnProgress, check_settings
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
 from mbtl.training.isolation import isolated
 from mbtl.training.sb3_files import load_sb3, save_sb3
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
 from mbtl.training.sb3_steps import SB3Steps
-from mbtl.training.watch import EVALUATION_ENVS, BestCheckpoint, Watch, actor_for
+from mbtl.training.watch import EVALUATION_ENVS, BestCheckpoint, Watch
 
 _COUNTS = ("eval_episodes", "checkpoint_episodes", "n_envs", "threads")
 _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every", "n_eval_envs")
@@ -156,9 +153,7 @@ class SB3Trainer(SB3Steps):
         Raises:
             InvalidInput: there are no contexts.
         """
-        from mbtl.training.multitask import for_all_contexts  # needs Gymnasium
-
-        return for_all_contexts(self, contexts).train(next(iter(contexts), {}), seed, on_progress)
+        return self.for_all_contexts(contexts).train(next(iter(contexts), {}), seed, on_progress)
 
     def untrained(self, context: Context) -> Any:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
@@ -183,12 +178,7 @@ class SB3Trainer(SB3Steps):
         Raises:
             TrainingFailed: a return is NaN or infinite, or an episode does not end.
         """
-        jobs = [Job(partial(self.make_env, one), self._episodes(seed)) for one in contexts]
-        with isolated(self.threads):
-            actor = actor_for(policy, sampled=self.acting == "sampled")
-            rows = play(jobs, actor, max_envs=self.n_eval_envs or EVALUATION_ENVS)
-        returns = np.reshape(rows, (len(jobs), self.eval_episodes))
-        return checked_returns(returns, len(jobs))
+        return self.evaluate_steps(policy, contexts, seed)[0]
 
     def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
         """See `mbtl.trainer.ReferenceTrainer`; `mbtl.envs.references` has what is unguided."""

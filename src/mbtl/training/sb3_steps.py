@@ -66,18 +66,11 @@ class SB3Steps:
         saved: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Reached:
-        """Train until `steps` are done in all, rounded up to whole rollouts.
+        """Train until `steps` are done in all, rounded up to whole rollouts (`SteppingTrainer`).
 
         The policy has the latest weights, whatever `checkpoint` says: who counts steps evaluates
-        policies on the way, and the best of them serves.
-
-        Args:
-            context: to train on.
-            seed: of the training; the same seed gives the same policy.
-            steps: in all, 1..`whole_steps`; schedules follow the latter.
-            start: a model of this algorithm whose weights to begin with.
-            saved: file of the training, to go on from; None: it cannot go on later.
-            on_progress: told steps.
+        policies on the way, and the best of them serves. It may `start` from a model of this
+        algorithm.
 
         Raises:
             InvalidInput: this trainer counts episodes, or `start` has other weights.
@@ -132,25 +125,22 @@ class SB3Steps:
     ) -> Reached:
         """Train one policy on several contexts: every episode is in one drawn from them.
 
-        Args:
-            contexts: one or more.
-            seed: of the training; the same seed gives the same policy.
-            steps: in all, rounded up to whole rollouts.
-            marks: schedules of learning rates and exploration follow the last of them.
-            saved: as in `train_steps`.
-            on_progress: told steps.
-
-        Raises:
-            InvalidInput: this trainer counts episodes.
-            TrainingFailed: the weights or the actions became NaN.
+        As `train_steps`; schedules of learning rates and exploration follow the last of the marks.
         """
-        from mbtl.training.multitask import for_all_contexts
-
         self.check_on_set()
-        everywhere = for_all_contexts(cast("SB3Trainer", self), contexts)
-        return replace(everywhere, timesteps=marks[-1]).train_steps(
-            {}, seed, steps, saved=saved, on_progress=on_progress
-        )
+        everywhere = replace(self.for_all_contexts(contexts), timesteps=marks[-1])
+        return everywhere.train_steps({}, seed, steps, saved=saved, on_progress=on_progress)
+
+    def for_all_contexts(self, contexts: Sequence[Context]) -> SB3Trainer:
+        """The same trainer, whose every episode is in a context drawn uniformly from `contexts`.
+
+        Any algorithm trains so unchanged; the context that `train` is given is ignored. One policy
+        for all contexts is the baseline of cmdp-spec, 8.3.
+        """
+        from mbtl.envs.everywhere import Everywhere  # needs Gymnasium
+
+        trainer = cast("SB3Trainer", self)
+        return replace(trainer, make_env=Everywhere(trainer.make_env, tuple(contexts)))
 
     def evaluate_steps(
         self, policy: Any, contexts: Sequence[Context], seed: int

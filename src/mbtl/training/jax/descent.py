@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
+from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
+from mbtl.training.jax.recipes import DQNRecipe, PPORecipe
 from mbtl.worlds.environments import Tree
 
 
-class Adams(Protocol):
-    """The part of a recipe that says how Adam steps."""
-
-    @property
-    def learning_rate(self) -> float: ...  # noqa: D102
-    @property
-    def max_grad_norm(self) -> float: ...  # noqa: D102
-    @property
-    def adam_eps(self) -> float: ...  # noqa: D102
-
-
-def adam(recipe: Adams) -> optax.GradientTransformation:
+def adam(recipe: PPORecipe | DQNRecipe | EpisodicPPORecipe) -> optax.GradientTransformation:
     """Adam after clipping the norm of one policy's gradient; the step is -lr times Adam's."""
     return optax.chain(
         optax.clip_by_global_norm(recipe.max_grad_norm),

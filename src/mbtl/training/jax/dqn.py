@@ -18,9 +18,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
-from jax.flatten_util import ravel_pytree
 
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
@@ -28,7 +26,7 @@ from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.descent import adam, descended
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.recipes import DQNRecipe
-from mbtl.training.jax.rollout import Copies, advance, first_copies, look
+from mbtl.training.jax.rollout import Copies, advance, look, start
 from mbtl.worlds.environments import Discrete, Tree
 from mbtl.worlds.world import Solo
 
@@ -87,14 +85,7 @@ def init(
     params: Tree,
     weights: Weights | None = None,
 ) -> State:
-    """Networks, freshly reset environments and empty rings of all policies.
-
-    Args:
-        world: the dynamics.
-        recipe: hyper-parameters.
-        seeds: one per policy, 32 bits; decides its whole training.
-        params: one context per policy, leading axis.
-        weights: to begin from, also as the target, leading axis; None for fresh ones.
+    """As `rollout.start`, with empty rings; the weights to begin from are the first target, too.
 
     Raises:
         InvalidInput: actions are not discrete.
@@ -102,33 +93,17 @@ def init(
     widths = [world.n_features + params.visible.shape[-1], *recipe.hidden, _options(world)]
     if weights is None:
         weights = networks.stack([networks.init_q_network(seed, widths) for seed in seeds])
-    roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
-    state: State = _start(world, recipe, weights, roots, params)
-    return state
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-@partial(jax.vmap, in_axes=(None, None, 0, 0, 0))
-def _start(
-    world: Solo, recipe: DQNRecipe, weights: Weights, seed: jax.Array, params: Tree
-) -> State:
-    moments = adam(recipe).init(ravel_pytree(weights.actor)[0])
+    weights, moments, *lives = start(adam, world, recipe, seeds, params, weights)
     target = jax.tree.map(jnp.copy, weights.actor)  # memory of its own: a block takes over both
-    replay = jnp.zeros((recipe.buffer_size, 2 * world.n_features + 3))
-    copies = first_copies(world, recipe.n_envs, seed, params)
-    return State(weights, target, moments, replay, *copies)
+    replay = jnp.zeros((len(seeds), recipe.buffer_size, 2 * world.n_features + 3))
+    return State(weights, target, moments, replay, *lives)
 
 
 def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Clock) -> State:
     """`recipe.rounds_per_update` rounds of some steps and some gradient steps.
 
-    Args:
-        world: the dynamics; static.
-        recipe: hyper-parameters; static.
-        state: one policy's.
-        params: its context.
-        clock: which update it is; decides epsilon, the places in the ring, when the target is
-            copied, and by its key which transitions are learnt from.
+    The clock decides epsilon, the places in the ring, when the target is copied, and by its key
+    which transitions are learnt from.
     """
     n_rounds, per_round = recipe.rounds_per_update, recipe.steps_per_round
     shape = (n_rounds, recipe.train_freq, recipe.n_envs)

@@ -79,13 +79,8 @@ def own_scores(
 ) -> jax.Array:
     """(P, E) scores of each policy on its own context, or on N of them in equal parts.
 
-    Args:
-        world: the dynamics.
-        activation: between the layers of the actors.
-        how: actions follow from a policy.
-        actor: of P policies.
-        seeds: (P, E), the first of them for the first context.
-        params: of one context, which serves all; (P, ...); or (P, N, ...).
+    Parameters are of one context, which serves all; (P, ...); or (P, N, ...). Of the (P, E) seeds
+    the first are for the first context.
     """
     drawn, actor = world.draws(seeds), actor._replace(critic=())
     if world.apart:

@@ -21,7 +21,6 @@ from mbtl.training.jax.blocks import (
     Schedule,
     Training,
     beginning,
-    finite_policies,
     in_blocks,
     keep_better,
 )
@@ -129,46 +128,32 @@ def train(
     schedule = Schedule.of(length, recipe.update_length, checkpoint_every, marks)
     decisions = world.decisions(in_a_row(params))
     params = _in_jax(params)
-    tests = checkpoint_seeds(seeds, checkpoint_episodes)
-
-    def updated(training: Training, count: int) -> Training:
-        after: Training = _updates(
-            world, recipe, decisions, training, params, count, schedule.total
-        )
-        return after
-
-    def learn(training: Training, count: int) -> tuple[Training, jax.Array]:
-        training = updated(training, count)
-        return training, finite_policies(training.state.weights)
-
-    def advance(training: Training, count: int) -> tuple[Training, jax.Array]:
-        training = updated(training, count)
-        actor = actor_of(training.state.weights)
-        found = own_scores(world, recipe.activation, acting, actor, tests, params)
-        return judged(training, found.mean(axis=1))
-
-    def nothing_to_gain(training: Training) -> bool:
-        return only_best and _at_most(world, training)
-
-    training = start(world, recipe, seeds, params, weights, marks) if resume is None else resume
-    pause = None if until is None else math.ceil(until / recipe.update_length)
-    forward = advance if judging else learn
-    return in_blocks(
-        schedule, training, forward, on_block, nothing_to_gain, learn=learn, until=pause
-    )
-
-
-def checkpoint_seeds(seeds: Sequence[int], episodes: int) -> Any:
-    """(P, episodes) of the evaluations of each training."""
-    numbers = range(episodes)
-    return np.array(
+    numbers, best = range(checkpoint_episodes), world.max_return
+    tests = np.array(
         [[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers] for seed in seeds], np.uint32
     )
 
+    def learn(training: Training, count: int) -> Training:
+        learnt: Training = _updates(
+            world, recipe, decisions, training, params, count, schedule.total
+        )
+        return learnt
 
-def judged(training: Training, scores: jax.Array) -> tuple[Training, jax.Array]:
-    """After an evaluation with mean scores (P,): `keep_better`, and whether weights are finite."""
-    return keep_better(training, scores), finite_policies(training.state.weights)
+    def judge(training: Training) -> Training:
+        actor = actor_of(training.state.weights)
+        found = own_scores(world, recipe.activation, acting, actor, tests, params)
+        kept: Training = keep_better(training, found.mean(axis=1))
+        return kept
+
+    def nothing_to_gain(training: Training) -> bool:
+        if not only_best or best is None:
+            return False
+        return bool((np.asarray(training.best_return) >= best).all())
+
+    training = start(world, recipe, seeds, params, weights, marks) if resume is None else resume
+    pause = None if until is None else math.ceil(until / recipe.update_length)
+    judged = judge if judging else None
+    return in_blocks(schedule, training, learn, judged, on_block, nothing_to_gain, pause)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)
@@ -199,12 +184,6 @@ def _fitting(weights: Weights, fresh: Weights) -> Weights:
         )
     copy: Weights = jax.tree.map(lambda x: jnp.array(x, jnp.float32), weights)
     return copy
-
-
-def _at_most(world: World, training: Training) -> bool:
-    if world.max_return is None:
-        return False
-    return bool((np.asarray(training.best_return) >= world.max_return).all())
 
 
 def _in_jax(params: Tree) -> Tree:

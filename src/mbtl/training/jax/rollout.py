@@ -23,19 +23,15 @@ from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.networks import Network
-from mbtl.training.jax.recipes import A2CRecipe, PPORecipe
+from mbtl.training.jax.recipes import A2CRecipe, ActorCritic, PPORecipe, WithCopies
 from mbtl.worlds.environments import Tree
 from mbtl.worlds.world import Solo
 
 
 class Copies(NamedTuple):
-    """E simulations of one policy.
+    """E simulations of one policy: their states, and (E,) steps since each was started.
 
-    Attributes:
-        world: their states.
-        elapsed: (E,) steps since each was started.
-        context: (E,) which of N contexts each is in; None where there is one.
-        turn: the context of the next episode; None likewise.
+    Of N contexts: in which each is, (E,), and in which the next one starts; None where N = 1.
     """
 
     world: Tree
@@ -91,28 +87,19 @@ class Rollout(NamedTuple):
 def start(
     optimizer: Callable[[Any], optax.GradientTransformation],
     world: Solo,
-    recipe: PPORecipe | A2CRecipe,
+    recipe: WithCopies,
     seeds: Sequence[int],
     params: Tree,
     weights: Any = None,
 ) -> State:
     """Networks, an optimiser without memory and freshly started copies of all policies.
 
-    Args:
-        optimizer: makes the optimiser from the recipe; a module's function.
-        world: the dynamics.
-        recipe: hyper-parameters.
-        seeds: one per policy, 32 bits; decides its whole training.
-        params: (P, ...) one context per policy, or (P, N, ...).
-        weights: to begin from, leading axis; None for fresh ones.
+    Fresh networks are for actor-critics; `optimizer` makes what moves them from the recipe, and is
+    a module's function, since jax compiles it in.
     """
     if weights is None:
-        n_inputs = world.n_features + params.visible.shape[-1]
-        each = [
-            networks.init_weights(seed, n_inputs, world.action, recipe.hidden, recipe.log_std)
-            for seed in seeds
-        ]
-        weights = networks.stack(each)
+        assert isinstance(recipe, ActorCritic)
+        weights = networks.stack(networks.fresh(world, recipe, seeds, params))
     roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
     state: State = _start(world, recipe, optimizer, weights, roots, params)
     return state
@@ -122,7 +109,7 @@ def start(
 @partial(jax.vmap, in_axes=(None, None, None, 0, 0, 0))
 def _start(
     world: Solo,
-    recipe: PPORecipe | A2CRecipe,
+    recipe: WithCopies,
     optimizer: Callable[[Any], optax.GradientTransformation],
     weights: Any,
     seed: jax.Array,

@@ -22,7 +22,7 @@ from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
 from mbtl.worlds import beats as beats_of
 from mbtl.worlds import random
-from mbtl.worlds.beats import Holding
+from mbtl.worlds.beats import Decide, Decisions, Holding
 from mbtl.worlds.environments import Beats, Discrete, Length, Tree
 from mbtl.worlds.packing import most_rows
 from mbtl.worlds.world import Crowd, World
@@ -34,13 +34,7 @@ _ACTION = 1 << 20  # stream of random numbers, apart from those of the twins
 
 
 class Actor(NamedTuple):
-    """The acting part of P policies.
-
-    Attributes:
-        network: leading axis P.
-        log_std: (P, d) of a Gaussian, (P, 0) for discrete actions.
-        critic: leading axis P; () where nobody learns.
-    """
+    """The acting part of P policies, leading axis, and the critic; () where nobody learns."""
 
     network: Network
     log_std: jax.Array
@@ -112,41 +106,60 @@ def record(
         params: of one context, or of every simulation.
         hold: decisions for which what is random in an action stays the same; static.
     """
-    if isinstance(decisions, Beats):
-        return _in_beats(twin, activation, decisions, actor, seeds, params, hold)
     shape, flat = seeds.shape, seeds.reshape(-1)
-    crowd = isinstance(twin, Crowd)
-    played = (actor.network, actor.critic) if crowd else (actor.network,)
-    watch = partial(watched, twin, activation, params, shape)
 
-    def split(x: jax.Array) -> jax.Array:
+    def split(x: jax.Array) -> jax.Array:  # (n, ...) -> (P, E, ...)
         return x.reshape(*shape, *x.shape[1:])
 
-    def one(carry: tuple[Tree, Rows], moment: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
-        state, rows = carry
-        seen, rows = watch(played, state, rows)
-        action = _sampled(twin, actor, seen.found[0], flat, moment // hold)
-        applied = networks.to_environment(action, twin.action)
-        moved = twin.step(state, applied.reshape(-1, *action.shape[2:]), params)
-        now = map(split, (moved.reward, moved.done))
-        return (moved.state, rows), (seen.row, action, seen.acting, *now, *seen.found)
+    def by_policy(x: jax.Array) -> jax.Array:  # (D, n, ...) -> (P, D, E, ...)
+        return jnp.moveaxis(x.reshape(len(x), *shape, *x.shape[2:]), 0, 1)
 
-    places = shape[1] * twin.agents
-    most = decisions * (most_rows(places) if crowd else places)
-    n_features = twin.n_features + params.visible.shape[-1]
-    rows = Rows(jnp.zeros((shape[0], most, n_features)), jnp.int32(0))
-    moments = jnp.arange(decisions, dtype=jnp.uint32)
-    (state, rows), by_moment = jax.lax.scan(one, (twin.start(flat, params), rows), moments)
-    row, action, acting, reward, done, *found = (jnp.moveaxis(x, 0, 1) for x in by_moment)
-    if not crowd:  # all rows at once are faster where none is empty
-        found.append(each(activation, actor.critic, rows.obs).reshape(*row.shape, 1))
+    def told(outputs: jax.Array, number: jax.Array) -> tuple[jax.Array, jax.Array]:
+        action = _sampled(twin, actor, outputs, flat, number // hold)
+        joint = action.reshape(-1, *action.shape[2:])
+        return networks.to_environment(joint, twin.action), joint
+
+    def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, Tree]:
+        obs, acting = twin.observe(state, params)
+        outputs = each(activation, actor.network, split(obs))
+        applied, action = told(outputs, number)
+        return applied, (obs, acting, outputs.reshape(-1, *outputs.shape[2:]), action)
+
+    def decide_packed(carry: tuple[Tree, Rows], number: jax.Array) -> tuple[Any, Tree]:
+        state, rows = carry
+        seen, rows = watch((actor.network, actor.critic), state, rows)
+        applied, action = told(seen.found[0], number)
+        moved = twin.step(state, applied, params)
+        kept = (seen.row, seen.acting, *seen.found)
+        return (moved.state, rows), (*kept, *map(split, (action, moved.reward, moved.done)))
+
+    state = twin.start(flat, params)
+    watch = partial(watched, twin, activation, params, shape)
+    if isinstance(twin, Crowd):
+        assert not isinstance(decisions, Beats)
+        places = shape[1] * twin.agents
+        n_features = twin.n_features + params.visible.shape[-1]
+        room = jnp.zeros((shape[0], decisions * most_rows(places), n_features))
+        carry = (state, Rows(room, jnp.int32(0)))
+        moments = jnp.arange(decisions, dtype=jnp.uint32)
+        (state, rows), kept = jax.lax.scan(decide_packed, carry, moments)
+        row, acting, outputs, value, action, reward, done = (jnp.moveaxis(x, 0, 1) for x in kept)
+        obs = rows.obs
+    else:
+        state, found = _lived(twin, decisions, state, params, decide)
+        obs, acting, outputs, action = map(by_policy, found.kept)
+        reward, done = by_policy(found.reward), by_policy(found.done)
+        value = each(activation, actor.critic, obs)
+        row = jnp.broadcast_to(jnp.arange(acting[0].size).reshape(acting.shape[1:]), acting.shape)
+        acting &= by_policy(found.due)[..., None]
+        obs = obs.reshape(len(obs), -1, obs.shape[-1])
     last, _ = watch((actor.critic,), state)
     return Episodes(
-        obs=rows.obs,
+        obs=obs,
         row=row,
-        outputs=found[0],
+        outputs=outputs,
         action=action,
-        value=found[1][..., 0],
+        value=value[..., 0],
         acting=acting,
         reward=reward,
         done=done,
@@ -156,50 +169,21 @@ def record(
     )
 
 
-def _in_beats(
-    twin: Any,
-    activation: Activation,
-    beats: Beats,
-    actor: Actor,
-    seeds: jax.Array,
-    params: Tree,
-    hold: int,
-) -> Episodes:
-    """`record` where decisions last differently long."""
-    shape, flat = seeds.shape, seeds.reshape(-1)
+def _lived(
+    twin: World, decisions: Length, state: Tree, params: Tree, decide: Decide
+) -> tuple[Tree, Decisions]:
+    """As `beats.lived`, also where all decisions last equally long."""
+    if isinstance(decisions, Beats):
+        return beats_of.lived(cast(Holding, twin), decisions, state, params, decide)
 
-    def split(x: jax.Array) -> jax.Array:  # (n, ...) -> (P, E, ...)
-        return x.reshape(*shape, *x.shape[1:])
+    def one(state: Tree, number: jax.Array) -> tuple[Tree, Decisions]:
+        applied, kept = decide(state, number)
+        moved = twin.step(state, applied, params)
+        return moved.state, Decisions(kept, jnp.ones(len(applied), bool), moved.reward, moved.done)
 
-    def by_policy(x: jax.Array) -> jax.Array:  # (D, n, ...) -> (P, D, E, ...)
-        return jnp.moveaxis(x.reshape(len(x), *shape, *x.shape[2:]), 0, 1)
-
-    def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, Tree]:
-        seen = twin.observe(state, params)
-        outputs = each(activation, actor.network, split(seen.obs))
-        action = _sampled(twin, actor, outputs, flat, number // hold)
-        joint = (x.reshape(-1, *x.shape[2:]) for x in (outputs, action))
-        applied = networks.to_environment(action, twin.action)
-        return applied.reshape(-1, *action.shape[2:]), (seen.obs, seen.acting, *joint)
-
-    state, found = beats_of.lived(twin, beats, twin.start(flat, params), params, decide)
-    obs, acting, outputs, action = map(by_policy, found.kept)
-    row = jnp.arange(acting[0].size).reshape(acting.shape[1:])
-    last = twin.observe(state, params)
-    value, last_value = (each(activation, actor.critic, x)[..., 0] for x in (obs, split(last.obs)))
-    return Episodes(
-        obs=obs.reshape(len(obs), -1, obs.shape[-1]),
-        row=jnp.broadcast_to(row, acting.shape),
-        outputs=outputs,
-        action=action,
-        value=value,
-        acting=acting & by_policy(found.due)[..., None],
-        reward=by_policy(found.reward),
-        done=by_policy(found.done),
-        last_value=last_value,
-        last_acting=split(last.acting) & (twin.time_limit == "truncation"),
-        score=split(twin.score(state)),
-    )
+    end: tuple[Tree, Decisions]
+    end = jax.lax.scan(one, state, jnp.arange(decisions, dtype=jnp.uint32))
+    return end
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))

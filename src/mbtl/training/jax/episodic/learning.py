@@ -49,19 +49,8 @@ def init(
 ) -> State:
     """P policies before their first update; fresh unless given weights."""
     if weights is None:
-        n_inputs = world.n_features + params.visible.shape[-1]
-        each = [
-            networks.init_weights(
-                seed,
-                n_inputs,
-                world.action,
-                recipe.hidden,
-                recipe.log_std,
-                recipe.critic_gain,
-                recipe.first_action,
-            )
-            for seed in seeds
-        ]
+        more = recipe.critic_gain, recipe.first_action
+        each = networks.fresh(world, recipe, seeds, params, *more)
         weights = networks.stack([begun(world, recipe, one) for one in each])
     memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))(weights)
     return State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))

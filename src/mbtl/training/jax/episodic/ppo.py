@@ -31,13 +31,7 @@ from mbtl.worlds.environments import Box, Discrete, Tree
 
 
 class Memory(NamedTuple):
-    """What one policy keeps between updates, beside its weights.
-
-    Attributes:
-        moments: the state of Adam.
-        returns: running statistics of rewards and returns.
-        kl_coef: weight of the KL penalty.
-    """
+    """Beside its weights a policy keeps Adam's, statistics of returns, and the penalty's weight."""
 
     moments: Tree
     returns: Returns

@@ -24,11 +24,11 @@ class Rows(NamedTuple):
 
 
 class Watched(NamedTuple):
-    """A moment: who acts, (P, E, A), what networks say of it, (P, E, A, m) each, and its rows."""
+    """A moment: who acts, (P, E, A), what networks say of it, (P, E, A, m) each; a crowd's rows."""
 
     acting: jax.Array
     found: tuple[jax.Array, ...]
-    row: jax.Array
+    row: jax.Array | None = None
 
 
 def watched(
@@ -40,34 +40,21 @@ def watched(
     state: Tree,
     rows: Rows | None = None,
 ) -> tuple[Watched, Any]:
-    """Networks of P policies applied to what their agents see; 0 where there is none.
+    """Networks of P policies, `shape` (P, E), applied to what their agents see; 0 where none is.
 
-    Args:
-        twin: the dynamics.
-        activation: between the layers.
-        params: of one context, or of every simulation.
-        shape: (P, E).
-        played: networks, leading axis P.
-        state: of the simulations.
-        rows: where to keep observations; None to keep none.
+    `rows` is where to keep the observations of a crowd; None to keep none.
     """
+    if not isinstance(twin, Crowd):
+        obs, acting = twin.observe(state, params)
+        acting = acting.reshape(*shape, -1)
+        obs = obs.reshape(*acting.shape, -1)
+        return Watched(acting, tuple(each(activation, network, obs) for network in played)), rows
     used = jnp.int32(0) if rows is None else rows.used
 
     def kept(rows: Rows | None, obs: jax.Array, at: jax.Array) -> Rows | None:
         if rows is None:
             return None
         return rows._replace(obs=jax.lax.dynamic_update_slice(rows.obs, obs, (0, at, 0)))
-
-    if not isinstance(twin, Crowd):
-        obs, acting = twin.observe(state, params)
-        acting = acting.reshape(*shape, -1)
-        obs = obs.reshape(*acting.shape, -1)
-        found = tuple(each(activation, network, obs) for network in played)
-        row = used + jnp.arange(acting[0].size).reshape(acting.shape[1:])
-        rows = kept(rows, obs.reshape(len(obs), -1, obs.shape[-1]), used)
-        if rows is not None:
-            rows = rows._replace(used=used + acting[0].size)
-        return Watched(acting, found, jnp.broadcast_to(row, acting.shape)), rows
 
     acting = twin.acting(state).reshape(*shape, -1)
     agents = Agents.of(acting)

@@ -9,6 +9,5 @@ observation; `paco` composes a network per context (`paco.py`); `moore` mixes or
 representations per context (`moore.py`). All three learn by the same PPO from the same rollouts,
 in which contexts take turns (`mbtl.training.jax.rollout`).
 
-The training loop knows these as one more algorithm, so nothing that trains is imported here: it is
-in `training.py` and `run.py` and, like everything public, in `mbtl.training.jax`.
+The training loop knows these as one more algorithm, so nothing that trains is imported here.
 """

@@ -129,33 +129,32 @@ def run_multitask(
         )
     place = Path(folder)
     settings = multitask_settings(world, recipe, params, timesteps, episodes, judged)
-    rows: dict[str, list[tuple[Array, Array]]] = {name: [] for name in CHECKPOINTS}
+    rows: dict[str, list[Array]] = {name: [] for name in CHECKPOINTS}
     records = []
     with claimed_folder(place, settings, "a multi-task run"):
         for seed in seeds:
-            begin = time.monotonic()
+            begin, own = time.monotonic(), _seed_of(params, seed)
             training = _trained(world, recipe, params, seed, timesteps, place, judged, on_progress)
             seconds = round(time.monotonic() - begin, 1)
             play = evaluation_seed(seed, MATRIX_TRIAL)
             numbers = [episode_seed(play, e) for e in range(episodes)]
             for name, weights in (("best", training.best), ("final", training.state.weights)):
-                found = evaluate_multitask(world, recipe, weights, params, numbers)[0]
-                spread = found.std(axis=1, ddof=min(1, episodes - 1))
-                rows[name].append((found.mean(axis=1), spread))
+                rows[name] += [*evaluate_multitask(world, recipe, weights, params, numbers)]
             records.append(
                 {
                     **settings,
                     "trainer": "mbtl-jax-multitask",
                     "seed": seed,
-                    "training_seed": _seed_of(params, seed),
+                    "training_seed": own,
                     "steps": int(training.updates) * recipe.update_length,
                     "checkpoint_return": float(training.best_return[0]),
                     "train_seconds_of_last_run": seconds,
                 }
             )
+    found, freedom = {name: np.stack(rows[name]) for name in CHECKPOINTS}, min(1, episodes - 1)
     return MultiTaskRun(
-        {name: np.stack([mean for mean, _ in rows[name]]) for name in CHECKPOINTS},
-        {name: np.stack([std for _, std in rows[name]]) for name in CHECKPOINTS},
+        {name: each.mean(axis=2) for name, each in found.items()},
+        {name: each.std(axis=2, ddof=freedom) for name, each in found.items()},
         tuple(records),
     )
 
