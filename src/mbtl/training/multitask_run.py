@@ -14,8 +14,7 @@ from typing import Any, Literal
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput
-from mbtl.training.world_steps import recipe_on_many
+from mbtl.training.world_steps import check_ppo, recipe_on_many
 from mbtl.training.world_trainer import WorldTrainer
 
 Method = Literal["ppo", "paco", "moore"]
@@ -51,11 +50,7 @@ class InJax:
     eval_episodes: int | None = None
 
     def __post_init__(self) -> None:
-        if self.trainer.algorithm != "PPO":
-            raise InvalidInput(
-                f"multi-task methods learn by PPO, got a recipe of {self.trainer.algorithm}; "
-                "choose another --preset"
-            )
+        check_ppo(self.trainer)
 
     @property
     def settings(self) -> dict[str, Any]:

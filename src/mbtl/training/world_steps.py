@@ -51,19 +51,12 @@ class WorldSteps:
         saved: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Reached:
-        """Train until `steps` are done in all, rounded up to whole updates.
+        """Train until `steps` are done in all, rounded up to whole updates (`SteppingTrainer`).
 
         The policy has the latest weights, whatever `checkpoint` says: who counts steps evaluates
         policies on the way, and the best of them serves. A training evaluates itself only where
-        that can end it early, which is where a perfect return is one of episodes that last.
-
-        Args:
-            context: to train on.
-            seed: of the training; the same seed gives the same policy.
-            steps: in all, 1..`whole_steps`.
-            start: a policy to begin from; the critic, which no policy carries, begins anew.
-            saved: file of the training, to go on from; None: it cannot go on later.
-            on_progress: told steps.
+        that can end it early, which is where a perfect return is one of episodes that last. Where
+        it may `start` from a policy, the critic, which no policy carries, begins anew.
 
         Raises:
             InvalidInput: this trainer counts episodes, its world cannot be saved, or `start` has
@@ -128,7 +121,7 @@ class WorldSteps:
         """
         trainer = cast("WorldTrainer", self)
         _check_counted(trainer)
-        _check_ppo(trainer)
+        check_ppo(trainer)
 
     def train_on_steps(
         self,
@@ -140,24 +133,19 @@ class WorldSteps:
         saved: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Reached:
-        """Train one policy on several contexts until `steps` are done in all.
+        """Train one policy on several contexts until `steps` are done in all (`SetTrainer`).
 
         Context-conditioned PPO, as the multi-task baseline: the copies of the world take turns in
-        the contexts. It does not evaluate itself, and never ends early.
-
-        Args:
-            contexts: two or more.
-            seed: of the training; the same seed and marks give the same policy.
-            steps: in all, rounded up to whole updates; at most the last mark.
-            marks: steps at which the learning rate has fallen to zero, rising.
-            saved: file of the training, to go on from; None: it cannot go on later.
-            on_progress: told steps.
+        the contexts. It does not evaluate itself, and never ends early. At the marks, the last of
+        which is the longest training, the learning rate has fallen to zero.
 
         Raises:
             InvalidInput: this trainer counts episodes or does not learn by PPO, its world cannot be
                 saved, or there are less than two contexts.
             TrainingFailed: the weights became NaN.
         """
+        import mbtl.training.jax as engine
+
         trainer = cast("WorldTrainer", self)
         _check_counted(trainer)
         if len(contexts) < 2:
@@ -165,7 +153,44 @@ class WorldSteps:
                 f"a training on several contexts takes two or more, got {len(contexts)}; use "
                 "train_steps for one"
             )
-        return _OnMany(trainer, contexts, seed, marks, saved, on_progress).until(steps)
+        world, params = trainer._lessons(contexts)
+        _check_storable(world, saved)
+        recipe = recipe_on_many(trainer, world, len(contexts))
+        unit, file = int(recipe.update_length), engine.SavedTraining(saved)
+        ends = [0, *(-(-mark // unit) for mark in marks)]  # of the stages from mark to mark
+        last = min(-(-steps // unit), ends[-1])
+
+        def fresh() -> Any:
+            return engine.start_multitask(world, recipe, [seed], params)
+
+        def on_block(block: Any) -> None:
+            if on_progress is not None:
+                on_progress(Progress(ends[stage] * unit + block.steps, ends[-1] * unit))
+            if block.steps < block.total:  # the end of a stage is the beginning of the next one
+                file.save(block.training)
+
+        training = file.load(fresh) or fresh()  # its `updates` count from the last mark on
+        stage = file.notes.setdefault(_STAGE, 0)
+        while ends[stage] + int(training.updates) < last:
+            length = ends[stage + 1] - ends[stage]
+            if length:
+                training = engine.train_multitask(
+                    world,
+                    recipe,
+                    [seed],
+                    params,
+                    length * unit,
+                    on_block=on_block,
+                    judging=False,
+                    resume=training,
+                    until=(last - ends[stage]) * unit,
+                )
+            if int(training.updates) == length:
+                training = training._replace(updates=training.updates * 0)
+                stage = file.notes[_STAGE] = stage + 1
+        file.save(training, done=True)
+        policies = engine.export_policies(world, training.state.weights, recipe.activation)
+        return Reached(policies[0], (ends[stage] + int(training.updates)) * unit)
 
     def evaluate_steps(
         self, policy: Any, contexts: Sequence[Context], seed: int
@@ -188,69 +213,6 @@ class WorldSteps:
         return returns, counting.evaluate(policy, contexts, seed)
 
 
-class _OnMany:
-    """A training on several contexts, in stages from mark to mark."""
-
-    def __init__(
-        self,
-        trainer: WorldTrainer,
-        contexts: Sequence[Context],
-        seed: int,
-        marks: Sequence[int],
-        saved: Path | None,
-        on_progress: OnProgress | None,
-    ) -> None:
-        import mbtl.training.jax as engine
-
-        self._engine, self._seed, self._on_progress = engine, seed, on_progress
-        self._world, self._params = trainer._lessons(contexts)
-        _check_storable(self._world, saved)
-        self._recipe = recipe_on_many(trainer, self._world, len(contexts))
-        self._unit = int(self._recipe.update_length)
-        self._ends = [0, *(-(-mark // self._unit) for mark in marks)]
-        self._file = engine.SavedTraining(saved)
-
-    def until(self, steps: int) -> Reached:
-        """Stage after stage; `updates` of the training count from the last mark on."""
-        engine, world, recipe = self._engine, self._world, self._recipe
-        training = self._file.load(self._fresh) or self._fresh()
-        last = min(-(-steps // self._unit), self._ends[-1])
-        stage = self._file.notes.setdefault(_STAGE, 0)
-        while self._ends[stage] + int(training.updates) < last:
-            before, length = self._ends[stage], self._ends[stage + 1] - self._ends[stage]
-            if length:
-                training = engine.train_multitask(
-                    world,
-                    recipe,
-                    [self._seed],
-                    self._params,
-                    length * self._unit,
-                    on_block=self._on_block(before),
-                    judging=False,
-                    resume=training,
-                    until=(last - before) * self._unit,
-                )
-            if int(training.updates) == length:
-                training = training._replace(updates=training.updates * 0)
-                stage = self._file.notes[_STAGE] = stage + 1
-        self._file.save(training, done=True)
-        policies = engine.export_policies(world, training.state.weights, recipe.activation)
-        return Reached(policies[0], (self._ends[stage] + int(training.updates)) * self._unit)
-
-    def _fresh(self) -> Any:
-        return self._engine.start_multitask(self._world, self._recipe, [self._seed], self._params)
-
-    def _on_block(self, before: int) -> Callable[[Any], None]:
-        def on_block(block: Any) -> None:
-            if self._on_progress is not None:
-                done, total = before * self._unit + block.steps, self._ends[-1] * self._unit
-                self._on_progress(Progress(done, total))
-            if block.steps < block.total:  # the end of a stage is the beginning of the next one
-                self._file.save(block.training)
-
-        return on_block
-
-
 def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo") -> Any:
     """The recipe of one policy for n contexts.
 
@@ -262,28 +224,11 @@ def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo
     """
     import mbtl.training.jax as engine
 
-    _check_ppo(trainer)
+    check_ppo(trainer)
     name = type(getattr(world, "env", world)).__name__
     if name in engine.MULTI_TASK:
         return engine.multitask_recipe(method, name)  # type: ignore[arg-type]  # it checks the name
     return engine.spread_recipe(method, trainer.learner, n)  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True)
-class Counted:
-    """An environment whose every step is worth 1, so that a return is a number of steps."""
-
-    env: Any
-
-    def __getattr__(self, name: str) -> Any:
-        if name == "env" or name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self.env, name)
-
-    def step(self, state: Any, action: Any, params: Any) -> Any:
-        """One step of the environment."""
-        moved = self.env.step(state, action, params)
-        return moved._replace(reward=moved.reward * 0.0 + 1.0)
 
 
 @dataclass(frozen=True)
@@ -293,6 +238,8 @@ class _Counting:
     problem: Callable[[Sequence[Context]], tuple[Any, Any]]
 
     def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
+        from mbtl.worlds.counted import Counted
+
         world, params = self.problem(contexts)
         return replace(world, env=Counted(world.env)), params
 
@@ -313,7 +260,8 @@ def _check_every(trainer: WorldTrainer, world: Any) -> int:
     return trainer.checkpoint_every or max(often, _CHECK_SHARE * dearest)
 
 
-def _check_ppo(trainer: WorldTrainer) -> None:
+def check_ppo(trainer: WorldTrainer) -> None:
+    """Refuse to learn on many contexts by anything else."""
     if trainer.algorithm != "PPO":
         raise InvalidInput(
             f"multi-task methods learn by PPO, got a recipe of {trainer.algorithm}; "

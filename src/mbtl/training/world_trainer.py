@@ -219,19 +219,11 @@ class WorldTrainer(WorldSteps):
         keep: Sequence[str] = ("best", "final"),
         partial: Path | None = None,
     ) -> dict[str, list[MLPPolicy]]:
-        """Train one policy per (context, seed), all in one program.
+        """Train one policy per (context, seed), all in one program (`mbtl.trainer.ManyTrainer`).
 
-        Args:
-            contexts: P sources; repeat one to train it with several seeds.
-            seeds: P training seeds.
-            on_progress: told steps or episodes of one policy, and the mean of the latest
-                evaluations.
-            keep: names of checkpoints (`mbtl.checkpoints`); without "final" a training may need
-                fewer steps.
-            partial: file to save the training in now and then, and to go on from; remove it after.
-
-        Returns:
-            P policies under each name of `keep`.
+        Repeat a context to train it with several seeds. `on_progress` is told steps or episodes of
+        one policy, and the mean of the latest evaluations; without "final" among what to keep, a
+        training may need fewer of them.
         """
         import mbtl.training.jax as engine
 
@@ -253,14 +245,9 @@ class WorldTrainer(WorldSteps):
             marks=marks,
             resume=saved.load(lambda: engine.start(world, recipe, seeds, params, marks=marks)),
         )
-        return {
-            name: engine.export_policies(
-                world,
-                engine.weights_of(training, Checkpoint.named(name), marks),
-                recipe.activation,
-            )
-            for name in keep
-        }
+        kept = [engine.weights_of(training, Checkpoint.named(name), marks) for name in keep]
+        each = [engine.export_policies(world, weights, recipe.activation) for weights in kept]
+        return dict(zip(keep, each, strict=True))
 
     def train_on_all(
         self,
@@ -273,12 +260,6 @@ class WorldTrainer(WorldSteps):
         """Train one policy for all contexts; each episode of an update is in another of them.
 
         It is judged on all of them 20 times, two episodes each.
-
-        Args:
-            contexts: of which to draw.
-            seed: training seed.
-            on_progress: told episodes, and the mean score on all contexts.
-            partial: see `train_many`.
 
         Raises:
             InvalidInput: there are no contexts.
@@ -327,9 +308,8 @@ class WorldTrainer(WorldSteps):
 
     def _on_block(self, on_progress: OnProgress | None, saved: Any) -> Callable[[Any], None]:
         """Tells where a training stands, and saves it."""
-        unit, metric = "episodes", "score"
-        if self.unit == "timesteps":
-            unit, metric = "steps", "episode_return"
+        by_steps = self.unit == "timesteps"
+        unit, metric = ("steps", "episode_return") if by_steps else ("episodes", "score")
 
         def on_block(block: Any) -> None:
             if on_progress is not None:
@@ -345,11 +325,6 @@ class WorldTrainer(WorldSteps):
         """Returns without adaptation, (n_targets, eval_episodes).
 
         Episode e starts from the same random numbers for every policy and every target.
-
-        Args:
-            policy: what `train` or `load` gave.
-            contexts: the targets.
-            seed: what `mbtl.seeds.evaluation_seed` gave.
 
         Raises:
             TrainingFailed: a return is NaN or infinite.

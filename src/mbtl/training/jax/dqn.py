@@ -26,7 +26,8 @@ from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.descent import adam, descended
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.recipes import DQNRecipe
-from mbtl.training.jax.rollout import Copies, advance, look, start
+from mbtl.training.jax.rollout import start
+from mbtl.worlds.copies import Copies, advance, look
 from mbtl.worlds.environments import Discrete, Tree
 from mbtl.worlds.world import Solo
 
@@ -63,13 +64,9 @@ class Batch(NamedTuple):
 
 
 class Round(NamedTuple):
-    """What one round is given.
+    """What one round is given: steps done before it, and uniform random numbers.
 
-    Attributes:
-        step: environment steps done before it.
-        coin: (T, E) uniform, for the actions.
-        reset: (T, E, n_noise) uniform, for the states after a reset.
-        pick: (G, B) uniform, for the minibatches.
+    A coin for each action, (T, E), what resets need, (T, E, n_noise), and the minibatch, (G, B).
     """
 
     step: jax.Array

@@ -9,7 +9,7 @@ Random actions too are functions of the episode's seed, which makes it independe
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +20,7 @@ from mbtl.training.jax import networks
 from mbtl.training.jax.episodic.watching import Rows, each, watched
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
-from mbtl.worlds import beats as beats_of
-from mbtl.worlds import random
-from mbtl.worlds.beats import Decide, Decisions, Holding
+from mbtl.worlds import beats, random
 from mbtl.worlds.environments import Beats, Discrete, Length, Tree
 from mbtl.worlds.packing import most_rows
 from mbtl.worlds.world import Crowd, World
@@ -146,7 +144,7 @@ def record(
         row, acting, outputs, value, action, reward, done = (jnp.moveaxis(x, 0, 1) for x in kept)
         obs = rows.obs
     else:
-        state, found = _lived(twin, decisions, state, params, decide)
+        state, found = beats.lived(twin, decisions, state, params, decide)
         obs, acting, outputs, action = map(by_policy, found.kept)
         reward, done = by_policy(found.reward), by_policy(found.done)
         value = each(activation, actor.critic, obs)
@@ -169,23 +167,6 @@ def record(
     )
 
 
-def _lived(
-    twin: World, decisions: Length, state: Tree, params: Tree, decide: Decide
-) -> tuple[Tree, Decisions]:
-    """As `beats.lived`, also where all decisions last equally long."""
-    if isinstance(decisions, Beats):
-        return beats_of.lived(cast(Holding, twin), decisions, state, params, decide)
-
-    def one(state: Tree, number: jax.Array) -> tuple[Tree, Decisions]:
-        applied, kept = decide(state, number)
-        moved = twin.step(state, applied, params)
-        return moved.state, Decisions(kept, jnp.ones(len(applied), bool), moved.reward, moved.done)
-
-    end: tuple[Tree, Decisions]
-    end = jax.lax.scan(one, state, jnp.arange(decisions, dtype=jnp.uint32))
-    return end
-
-
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def scores(
     twin: World,
@@ -203,12 +184,14 @@ def scores(
     soon as all episodes have. The numbers of `decisions` need not be static.
     """
     shape, flat = seeds.shape, seeds.reshape(-1)
-    watch = partial(watched, twin, activation, params, shape, (actor.network,))
 
-    def told(state: Tree, moment: jax.Array) -> jax.Array:
+    def told(state: Tree, moment: jax.Array) -> jax.Array | None:
+        if how == "none":
+            return None
         if how == "random":
             return twin.any_actions(flat, moment)
-        (outputs,) = watch(state)[0].found
+        played = (actor.network,)
+        (outputs,) = watched(twin, activation, params, shape, played, state)[0].found
         if how == "sampled":
             action = _sampled(twin, actor, outputs, flat, moment)
             action = networks.to_environment(action, twin.action)
@@ -216,24 +199,8 @@ def scores(
             action = networks.mode(outputs, twin.action)
         return action.reshape(-1, *action.shape[2:])
 
-    def going_on(carry: tuple[jax.Array, Tree]) -> jax.Array:
-        return (carry[0] < decisions) & ~twin.over(carry[1]).all()
-
-    def next_one(carry: tuple[jax.Array, Tree]) -> tuple[jax.Array, Tree]:
-        moment, state = carry
-        if how == "none":
-            return moment + 1, twin.drive(state, params).state
-        return moment + 1, twin.step(state, told(state, moment), params).state
-
-    def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, None]:
-        return told(state, number), None
-
     state = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
-    if isinstance(decisions, Beats):
-        state = beats_of.played(cast(Holding, twin), decisions, state, params, decide)
-    else:
-        _, state = jax.lax.while_loop(going_on, next_one, (jnp.int32(0), state))
-    return twin.score(state).reshape(shape)
+    return twin.score(beats.played(twin, decisions, state, params, told)).reshape(shape)
 
 
 def _sampled(

@@ -64,13 +64,6 @@ class TRPORecipe(TwinRecipe):
             bounds: the gradient is biased, and pulls a mean that has left the bounds back.
     """
 
-    counts: ClassVar[tuple[str, ...]] = (
-        "n_episodes",
-        "cg_steps",
-        "backtracks",
-        "critic_passes",
-        "hold",
-    )
     gamma: float = 0.999
     gae_lambda: float = 1.0
     max_kl: float = 0.01
@@ -108,7 +101,6 @@ class EpisodicPPORecipe(TwinRecipe):
         InvalidInput: a count is below 1, or the minibatches do not fill the rows.
     """
 
-    counts: ClassVar[tuple[str, ...]] = ("n_episodes", "hold", "rows", "minibatches", "n_epochs")
     adam_eps: ClassVar[float] = 1e-8
     rows: int = 8000
     minibatches: int = 40

@@ -12,6 +12,7 @@ import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.files import claimed_folder
 from mbtl.seeds import MATRIX_TRIAL, episode_seed, evaluation_seed, training_seed
-from mbtl.training.jax.blocks import Block, Training
+from mbtl.training.jax.blocks import Block
 from mbtl.training.jax.multitask.training import (
     CHECKPOINT_EPISODES,
     evaluate_multitask,
@@ -102,7 +103,7 @@ def run_multitask(
     judged: Judged = USUAL,
     on_progress: OnProgress | None = None,
 ) -> MultiTaskRun:
-    """Train one policy per seed on all contexts and evaluate it on each.
+    """Train one policy per seed on all of N contexts and evaluate it on each.
 
     Evaluations play the episodes of the transfer matrix of the same seed, so that baselines and
     portfolios are compared on common random numbers.
@@ -133,8 +134,22 @@ def run_multitask(
     records = []
     with claimed_folder(place, settings, "a multi-task run"):
         for seed in seeds:
-            begin, own = time.monotonic(), _seed_of(params, seed)
-            training = _trained(world, recipe, params, seed, timesteps, place, judged, on_progress)
+            begin = time.monotonic()
+            # sources are 0..N-1, so this training is none of theirs
+            own = training_seed(seed, MATRIX_TRIAL, len(params.visible))
+            saved = SavedTraining(place / f"seed{seed}.npz")
+            begun = partial(start_multitask, world, recipe, [own], params)
+            training = train_multitask(
+                world,
+                recipe,
+                [own],
+                params,
+                timesteps,
+                checkpoint_every=judged.every,
+                checkpoint_episodes=judged.episodes,
+                on_block=partial(_on_block, world, saved, seed, on_progress),
+                resume=saved.load(begun),
+            )
             seconds = round(time.monotonic() - begin, 1)
             play = evaluation_seed(seed, MATRIX_TRIAL)
             numbers = [episode_seed(play, e) for e in range(episodes)]
@@ -159,42 +174,15 @@ def run_multitask(
     )
 
 
-def _trained(
-    world: World,
-    recipe: MultiTaskRecipe,
-    params: Tree,
-    seed: int,
-    timesteps: int,
-    folder: Path,
-    judged: Judged,
-    on_progress: OnProgress | None,
-) -> Training:
-    """The training of one seed, from where it was; from its end, where that alone can be stored."""
-    saved, seeds = SavedTraining(folder / f"seed{seed}.npz"), [_seed_of(params, seed)]
-    storable = getattr(world, "storable", True)
-
-    def on_block(block: Block) -> None:
-        if on_progress is not None:
-            on_progress(seed, block.steps, block.total, float(block.training.latest_return[0]))
-        if storable or block.steps == block.total:
-            saved.save(block.training, done=block.steps == block.total)
-
-    return train_multitask(
-        world,
-        recipe,
-        seeds,
-        params,
-        timesteps,
-        checkpoint_every=judged.every,
-        checkpoint_episodes=judged.episodes,
-        on_block=on_block,
-        resume=saved.load(lambda: start_multitask(world, recipe, seeds, params)),
-    )
-
-
-def _seed_of(params: Tree, root: int) -> int:
-    """Sources are 0..N-1, so this is none of theirs."""
-    return training_seed(root, MATRIX_TRIAL, len(params.visible))
+def _on_block(
+    world: World, saved: SavedTraining, seed: int, on_progress: OnProgress | None, block: Block
+) -> None:
+    """Tells where a training stands, and saves it; at its end, where that alone can be stored."""
+    done = block.steps == block.total
+    if on_progress is not None:
+        on_progress(seed, block.steps, block.total, float(block.training.latest_return[0]))
+    if done or getattr(world, "storable", True):
+        saved.save(block.training, done=done)
 
 
 def _digest(params: Tree) -> str:

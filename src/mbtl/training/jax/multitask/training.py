@@ -48,21 +48,10 @@ def train_multitask(
     checkpoint_episodes: int = CHECKPOINT_EPISODES,
     **options: Any,
 ) -> Training:
-    """Train S policies, each on all contexts.
+    """Train S policies, each on all of N contexts: `loop.train`, and its `options`.
 
     The best checkpoint has the largest mean return over all contexts; returns of a `Training` are
-    such means.
-
-    Args:
-        world: the dynamics.
-        recipe: hyper-parameters.
-        seeds: S training seeds of 32 bits.
-        params: N contexts, leading axis.
-        timesteps: of the environment per policy over all contexts, or episodes where the recipe
-            counts those; rounded up to whole updates.
-        checkpoint_episodes: episodes of an evaluation per context, each from another state; the
-            same at every evaluation.
-        **options: further ones of `loop.train`.
+    such means. `timesteps` are over all contexts together, `checkpoint_episodes` of each context.
 
     Raises:
         InvalidInput: there are no seeds or contexts, or a number is below 1.
@@ -89,30 +78,25 @@ def evaluate_multitask(
     places: ArrayLike | None = None,
     on_block: Callable[[int, int], None] | None = None,
 ) -> Array:
-    """Undiscounted returns of deterministic episodes, (S, C, E).
+    """Undiscounted returns of deterministic episodes, (S, C, E); see `evaluate`.
 
-    Args:
-        world: the dynamics.
-        recipe: as trained.
-        weights: `training.best` or `training.state.weights`.
-        params: C contexts, leading axis.
-        seeds: E, one per episode.
-        places: (C,) positions of the contexts on the axis in steps of the training's grid, e.g.
-            0.5 halfway between the first two; None where they are that grid.
-        on_block: called with (pairs of policy and context done, planned) now and then.
+    `places` are (C,) positions of the contexts on the axis in steps of the training's grid, e.g.
+    0.5 halfway between the first two; None where they are that grid.
 
     Raises:
         InvalidInput: there are no policies, contexts or episodes.
     """
-    contexts = _seen(recipe, params, places)
-    return evaluate(
-        world, actor_of(weights), contexts, seeds, activation=recipe.activation, on_block=on_block
-    )
+    contexts, actor = _seen(recipe, params, places), actor_of(weights)
+    activation = recipe.activation
+    return evaluate(world, actor, contexts, seeds, activation=activation, on_block=on_block)
 
 
-def _seen(recipe: MultiTaskRecipe, params: Tree, places: ArrayLike | None = None) -> Tree:
+def _seen(
+    recipe: MultiTaskRecipe | TwinRecipe, params: Tree, places: ArrayLike | None = None
+) -> Tree:
     """Contexts as the networks see them: those with a vector per context need their places."""
-    return with_place(params, places) if recipe.has_vectors else params
+    needs = isinstance(recipe, MultiTaskRecipe) and recipe.has_vectors
+    return with_place(params, places) if needs else params
 
 
 def _copies(recipe: MultiTaskRecipe | TwinRecipe, params: Tree, n_seeds: int) -> Tree:
@@ -122,5 +106,5 @@ def _copies(recipe: MultiTaskRecipe | TwinRecipe, params: Tree, n_seeds: int) ->
             "multi-task training needs at least one seed and context, "
             f"got {n_seeds} and {len(params.visible)}"
         )
-    seen = _seen(recipe, params) if isinstance(recipe, MultiTaskRecipe) else params
+    seen = _seen(recipe, params)
     return jax.tree.map(lambda x: np.broadcast_to(x, (n_seeds, *np.shape(x))), seen)
