@@ -31,8 +31,8 @@ from mbtl.contexts import Context
 from mbtl.envs.rollout import Job, play_counted
 from mbtl.errors import InvalidInput
 from mbtl.files import whole_file
-from mbtl.seeds import Purpose, derive_seed
-from mbtl.trainer import OnProgress, Reached, checked_returns
+from mbtl.seeds import Purpose, derive_seed, episode_seeds
+from mbtl.trainer import OnProgress, Reached, check_counted, checked_returns
 from mbtl.training.isolation import isolated
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
 from mbtl.training.watch import EVALUATION_ENVS, Watch, actor_for
@@ -77,7 +77,7 @@ class SB3Steps:
             TrainingFailed: the weights or the actions became NaN.
         """
         trainer = cast("SB3Trainer", self)
-        _check_counted(trainer)
+        check_counted(trainer)
         assert trainer.timesteps is not None
         with ExitStack() as stack:
             stack.enter_context(isolated(trainer.threads))
@@ -106,12 +106,8 @@ class SB3Steps:
             return Reached(lightened(model), done)
 
     def check_on_set(self) -> None:
-        """Whether `train_on_steps` can do it.
-
-        Raises:
-            InvalidInput: this trainer counts episodes.
-        """
-        _check_counted(cast("SB3Trainer", self))
+        """See `mbtl.set_trainer.SetTrainer`."""
+        check_counted(cast("SB3Trainer", self))
 
     def train_on_steps(
         self,
@@ -147,7 +143,8 @@ class SB3Steps:
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
         trainer = cast("SB3Trainer", self)
-        jobs = [Job(partial(trainer.make_env, one), trainer._episodes(seed)) for one in contexts]
+        seeds = episode_seeds(seed, trainer.eval_episodes)
+        jobs = [Job(partial(trainer.make_env, one), seeds) for one in contexts]
         with isolated(trainer.threads):
             actor = actor_for(policy, sampled=trainer.acting == "sampled")
             most = trainer.n_eval_envs or EVALUATION_ENVS
@@ -171,14 +168,6 @@ class _Pausing:
             _freeze(self._model, self._saved)
             self._model.collect_rollouts, self._at = self, time.monotonic()
         return self._collect(*given, **named)
-
-
-def _check_counted(trainer: SB3Trainer) -> None:
-    if trainer.timesteps is None:
-        raise InvalidInput(
-            "only trainings that are counted in steps can be paid in steps, got "
-            f"episodes={trainer.episodes}; give timesteps, or count trainings instead"
-        )
 
 
 def _freeze(model: Any, saved: Path) -> None:

@@ -189,13 +189,7 @@ class TeamRolloutBuffer(SharedRolloutBuffer):
     """
 
     def __init__(self, *args: Any, slots: int, **kwargs: Any) -> None:
-        """As the base class.
-
-        Args:
-            *args: as there.
-            slots: of one simulation.
-            **kwargs: as there.
-        """
+        """As the base class; `slots` are those of one simulation."""
         self._slots = slots
         super().__init__(*args, **kwargs)
 

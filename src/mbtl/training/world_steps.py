@@ -20,7 +20,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput
-from mbtl.trainer import OnProgress, Progress, Reached
+from mbtl.trainer import OnProgress, Progress, Reached, check_counted
 
 if TYPE_CHECKING:
     from mbtl.training.world_trainer import WorldTrainer
@@ -66,14 +66,13 @@ class WorldSteps:
         import mbtl.training.jax as engine
 
         trainer = cast("WorldTrainer", self)
-        _check_counted(trainer)
+        check_counted(trainer)
         world, params = trainer._lessons([context])
         _check_storable(world, saved)
         recipe, checked = trainer.learner, _may_end(world)
-        begin = engine.start(world, recipe, [seed], params)
-        weights = None if start is None else _beginning(engine, start, begin.state.weights)
-        file = engine.SavedTraining(saved)
-        resume = file.load(lambda: begin)
+        file, weights = engine.SavedTraining(saved), None
+        if start is not None:
+            weights = _beginning(engine, start, engine.start(world, recipe, [seed], params).best)
 
         def on_block(block: Any) -> None:
             at = int(block.training.updates)
@@ -85,7 +84,6 @@ class WorldSteps:
             if on_progress is not None:
                 metrics = {} if latest is None else {"episode_return": latest}
                 on_progress(Progress(block.steps, block.total, metrics))
-            file.save(block.training)
 
         training = engine.train(
             world,
@@ -99,11 +97,10 @@ class WorldSteps:
             acting=trainer._how,
             only_best=checked,
             weights=weights,
-            resume=resume,
+            saved=file,
             until=steps,
             judging=checked,
         )
-        file.save(training, done=True)
         done = int(training.updates) * trainer.update_length
         best = float(training.best_return[0])
         return Reached(
@@ -114,13 +111,9 @@ class WorldSteps:
         )
 
     def check_on_set(self) -> None:
-        """Whether `train_on_steps` can do it.
-
-        Raises:
-            InvalidInput: this trainer counts episodes, or does not learn by PPO.
-        """
+        """See `mbtl.set_trainer.SetTrainer`; it learns by PPO."""
         trainer = cast("WorldTrainer", self)
-        _check_counted(trainer)
+        check_counted(trainer)
         check_ppo(trainer)
 
     def train_on_steps(
@@ -147,7 +140,7 @@ class WorldSteps:
         import mbtl.training.jax as engine
 
         trainer = cast("WorldTrainer", self)
-        _check_counted(trainer)
+        check_counted(trainer)
         if len(contexts) < 2:
             raise InvalidInput(
                 f"a training on several contexts takes two or more, got {len(contexts)}; use "
@@ -274,14 +267,6 @@ def _check_storable(world: Any, saved: Path | None) -> None:
         raise InvalidInput(
             f"a training in {world!r} lives in one process and cannot be saved, so it cannot "
             "go on later; give no file, or train whole trainings (a budget without cost=)"
-        )
-
-
-def _check_counted(trainer: WorldTrainer) -> None:
-    if trainer.timesteps is None:
-        raise InvalidInput(
-            "only trainings that are counted in steps can be paid in steps, got a recipe of "
-            f"{trainer.episodes} episodes; count trainings instead (a budget without cost=)"
         )
 
 

@@ -19,7 +19,7 @@ from mbtl.checkpoints import Checkpoint, shares_of
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
-from mbtl.seeds import episode_seed
+from mbtl.seeds import episode_seeds
 from mbtl.trainer import OnProgress, Progress, check_settings, checked_returns, even_groups
 from mbtl.training.world_steps import WorldSteps
 
@@ -229,21 +229,19 @@ class WorldTrainer(WorldSteps):
 
         world, params = self._lessons(contexts)
         recipe, marks = self.learner, shares_of(keep)
-        storable = getattr(world, "storable", True)  # else a training goes on in no other process
-        saved = engine.SavedTraining(partial if storable else None)
         training = engine.train(
             world,
             recipe,
             seeds,
             params,
             self.length,
-            on_block=self._on_block(on_progress, saved),
+            on_block=self._on_block(on_progress),
             checkpoint_every=self.checkpoint_every,
             checkpoint_episodes=self.checkpoint_episodes,
             acting=self._how,
             only_best="final" not in keep,
             marks=marks,
-            resume=saved.load(lambda: engine.start(world, recipe, seeds, params, marks=marks)),
+            saved=engine.SavedTraining(partial),
         )
         kept = [engine.weights_of(training, Checkpoint.named(name), marks) for name in keep]
         each = [engine.export_policies(world, weights, recipe.activation) for weights in kept]
@@ -268,7 +266,6 @@ class WorldTrainer(WorldSteps):
 
         if not contexts:
             raise InvalidInput("multi-task training takes at least one context, got none")
-        saved = engine.SavedTraining(partial)
         world, params = self._lessons(contexts)
         recipe = self.learner
         training = engine.train_multitask(
@@ -277,11 +274,11 @@ class WorldTrainer(WorldSteps):
             [seed],
             params,
             self.length,
-            on_block=self._on_block(on_progress, saved),
+            on_block=self._on_block(on_progress),
             checkpoint_every=math.ceil(self.length / _CHECKPOINTS),
             checkpoint_episodes=_EACH,
             acting=self._how,
-            resume=saved.load(lambda: engine.start_multitask(world, recipe, [seed], params)),
+            saved=engine.SavedTraining(partial),
         )
         weights = training.best if self.checkpoint == "best" else training.state.weights
         return engine.export_policies(world, weights, recipe.activation)[0]
@@ -292,7 +289,7 @@ class WorldTrainer(WorldSteps):
 
         world, params = self._lessons([context])
         recipe = self.learner
-        weights = engine.start(world, recipe, [0], params).state.weights
+        weights = engine.start(world, recipe, [0], params).best
         return engine.export_policies(world, weights, recipe.activation)[0]
 
     def _lessons(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
@@ -306,16 +303,16 @@ class WorldTrainer(WorldSteps):
             world = replace(world, reward=self.reward)
         return world if self.actions is None else world.lesson(self.actions), params
 
-    def _on_block(self, on_progress: OnProgress | None, saved: Any) -> Callable[[Any], None]:
-        """Tells where a training stands, and saves it."""
+    def _on_block(self, on_progress: OnProgress | None) -> Callable[[Any], None] | None:
+        """Tells where a training stands."""
+        if on_progress is None:
+            return None
         by_steps = self.unit == "timesteps"
         unit, metric = ("steps", "episode_return") if by_steps else ("episodes", "score")
 
         def on_block(block: Any) -> None:
-            if on_progress is not None:
-                latest = float(np.mean(block.training.latest_return))
-                on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
-            saved.save(block.training)
+            latest = float(np.mean(block.training.latest_return))
+            on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
 
         return on_block
 
@@ -339,23 +336,19 @@ class WorldTrainer(WorldSteps):
 
         world, params = self.problem(contexts)
         actor, activation = engine.import_actor(list(policies)), policies[0].activation
-        return engine.evaluate(
-            world, actor, params, self._episodes(seed), activation=activation, how=self._how
-        )
+        seeds = episode_seeds(seed, self.eval_episodes)
+        return engine.evaluate(world, actor, params, seeds, activation=activation, how=self._how)
 
     def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
         """See `mbtl.trainer.ReferenceTrainer`."""
         import mbtl.training.jax as engine
 
         world, params = self.problem(contexts)
-        return engine.reference_returns(world, params, self._episodes(seed))
+        return engine.reference_returns(world, params, episode_seeds(seed, self.eval_episodes))
 
     @property
     def _how(self) -> Literal["sampled", "mean"]:
         return self.acting or "mean"  # settled when it was made
-
-    def _episodes(self, seed: int) -> list[int]:
-        return [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
 
     # ---- files -------------------------------------------------------------------------------
 

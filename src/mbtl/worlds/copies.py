@@ -10,13 +10,17 @@ Notation (shapes): E copies, o observation; the world has one agent.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from mbtl.worlds.environments import Tree
 from mbtl.worlds.world import Solo
+
+Act = Callable[[jax.Array, Tree], tuple[jax.Array, Tree]]
+"""(E, o) observations, what was drawn for them -> actions to apply, and what shall be kept."""
 
 
 class Copies(NamedTuple):
@@ -54,7 +58,32 @@ def first_copies(
     return Copies(states, jnp.zeros(n_envs, dtype=jnp.int32), context, turn), key
 
 
-def advance(
+def stepped(
+    world: Solo, params: Tree, copies: Copies, act: Act, drawn: Tree, resets: jax.Array
+) -> tuple[Copies, jax.Array, Tree, Step]:
+    """T steps of the copies: where they are then, what was seen and kept in each, what it gave.
+
+    Args:
+        world: the dynamics.
+        params: of one context, or of N.
+        copies: where they are.
+        act: how they act.
+        drawn: what `act` gets in each step, leading axis T.
+        resets: (T, E, n_noise), for first states.
+    """
+
+    def one(carry: tuple[Copies, jax.Array], now: tuple[Tree, jax.Array]) -> Any:
+        copies, obs = carry
+        applied, kept = act(obs, now[0])
+        copies, step = _advance(world, params, copies, applied, now[1])
+        return (copies, _look(world, params, copies)), (obs, kept, step)
+
+    first = (copies, _look(world, params, copies))
+    (copies, _), (obs, kept, step) = jax.lax.scan(one, first, (drawn, resets))
+    return copies, obs, kept, step
+
+
+def _advance(
     world: Solo, params: Tree, copies: Copies, action: jax.Array, noise: jax.Array
 ) -> tuple[Copies, Step]:
     """One step of the E copies; one that has ended starts anew from its noise."""
@@ -73,7 +102,7 @@ def advance(
     return Copies(state, elapsed, context, turn), Step(moved.reward[:, 0], terminated, done, after)
 
 
-def look(world: Solo, params: Tree, copies: Copies) -> jax.Array:
+def _look(world: Solo, params: Tree, copies: Copies) -> jax.Array:
     """(E, o) what the agents see."""
     return world.observe(copies.world, _own(params, copies.context)).obs[:, 0]
 

@@ -48,12 +48,7 @@ _WITH_VECTORS: Mapping[str, Any] = {"paco": paco, "moore": moore}
 
 
 def recipe_named(algorithm: str, name: str, unit: str = "timesteps") -> AnyRecipe:
-    """The recipe called `name`.
-
-    Args:
-        algorithm: "PPO", "A2C" or "DQN" by timesteps; "TRPO" or "PPO" by episodes.
-        name: one of `RECIPES[algorithm]`, or of `TWIN_RECIPES[algorithm]`.
-        unit: what the length of a training counts.
+    """The recipe called `name`: of `RECIPES[algorithm]`, or by episodes of `TWIN_RECIPES`.
 
     Raises:
         UnknownName: there is none.

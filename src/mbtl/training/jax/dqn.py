@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ from mbtl.training.jax.descent import adam, descended
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.recipes import DQNRecipe
 from mbtl.training.jax.rollout import start
-from mbtl.worlds.copies import Copies, advance, look
+from mbtl.worlds.copies import Copies, stepped
 from mbtl.worlds.environments import Discrete, Tree
 from mbtl.worlds.world import Solo
 
@@ -157,21 +157,18 @@ def explore(
     """T epsilon-greedy steps of the E copies, and their (T x E, 2 f + 3) rows of the ring."""
     network, n, f = state.weights.actor, _options(world), world.n_features
 
-    def step(carry: tuple[Copies, jax.Array], drawn: Any) -> Any:
-        copies, obs = carry
-        t, coin, reset = drawn
+    def act(obs: jax.Array, drawn: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        t, coin = drawn
         chance = epsilon(recipe, now.step + t * recipe.n_envs, total)
         random = jnp.minimum((coin / chance * n).astype(jnp.int32), n - 1)
         greedy = jnp.argmax(networks.apply(network, obs, recipe.activation), axis=-1)
         action = jnp.where(coin < chance, random, greedy)
-        copies, moved = advance(world, params, copies, action, reset)
-        scalars = jnp.stack([action, moved.reward, moved.terminated], axis=-1)
-        row = jnp.concatenate([obs[:, :f], moved.after[:, :f], scalars], axis=-1)
-        return (copies, look(world, params, copies)), row
+        return action, action
 
-    carry = (state.copies, look(world, params, state.copies))
-    steps = (jnp.arange(recipe.train_freq), now.coin, now.reset)
-    (copies, _), rows = jax.lax.scan(step, carry, steps)
+    drawn = (jnp.arange(recipe.train_freq), now.coin)
+    copies, obs, action, step = stepped(world, params, state.copies, act, drawn, now.reset)
+    scalars = jnp.stack([action, step.reward, step.terminated], axis=-1)
+    rows = jnp.concatenate([obs[..., :f], step.after[..., :f], scalars], axis=-1)
     return state._replace(copies=copies), rows.reshape(recipe.steps_per_round, -1)
 
 

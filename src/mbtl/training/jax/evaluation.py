@@ -148,7 +148,13 @@ def evaluate(
     for p in range(0, n_policies, height):
         some = _take(actor, p, height)
         for c in range(0, n_contexts, width):
-            part = _block(world, activation, how, some, own, _take(params, c, width))
+            played = (world, activation, how, some)
+            if world.apart:
+                where = _take(params, c, width)
+                part = _vectorised((_CONTEXTS, _POLICIES), *played, own, world.draws(own), where)
+            else:  # one context at a time, as simulations cannot be told apart
+                everyone = np.tile(own, (height, 1))
+                part = own_scores(*played, everyone, context_of(params, c))[:, None]
             target = returns[p : p + height, c : c + width]
             target[...] = np.asarray(part)[: target.shape[0], : target.shape[1]]
             done += target.shape[0] * target.shape[1]
@@ -175,19 +181,3 @@ def _take(tree: Tree, first: int, count: int) -> Tree:
         return np.asarray(leaf)[at]
 
     return jax.tree.map(part, tree)
-
-
-def _block(
-    world: World,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: NDArray[np.uint32],
-    params: Tree,
-) -> jax.Array:
-    """(P, C, E) scores; one context at a time where simulations cannot be told apart."""
-    if not world.apart:
-        everyone = np.tile(seeds, (len(actor.log_std), 1))
-        return own_scores(world, activation, how, actor, everyone, context_of(params, 0))[:, None]
-    pairs, drawn = (_CONTEXTS, _POLICIES), world.draws(seeds)
-    return _vectorised(pairs, world, activation, how, actor, seeds, drawn, params)

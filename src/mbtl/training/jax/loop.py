@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mbtl.errors import InvalidInput
-from mbtl.seeds import Purpose, derive_seed
+from mbtl.seeds import checkpoint_seeds
 from mbtl.training.jax import algorithms
 from mbtl.training.jax.algorithms import AnyRecipe
 from mbtl.training.jax.blocks import (
@@ -29,6 +29,7 @@ from mbtl.training.jax.episodic.episodes import Acting, actor_of
 from mbtl.training.jax.evaluation import own_scores
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import check_lengths
+from mbtl.training.jax.saving import SavedTraining
 from mbtl.worlds.environments import Length, Tree
 from mbtl.worlds.world import World, in_a_row
 
@@ -74,6 +75,7 @@ def train(
     weights: Weights | None = None,
     marks: Sequence[Fraction] = (),
     resume: Training | None = None,
+    saved: SavedTraining | None = None,
     until: int | None = None,
     judging: bool = True,
 ) -> Training:
@@ -106,6 +108,8 @@ def train(
         marks: (L,) shares of the training at which weights are kept, `along`; where it ends early,
             those of its end stand for all that were to come.
         resume: what an interrupted call had reached (given again with the same arguments).
+        saved: file to go on from, and to save the training in now and then and at the end; where
+            states mean nothing in another process (`storable`), only at the end.
         until: steps or episodes after which to pause, rounded up to whole updates; `resume` goes on
             from there, and the training is the same as without a pause: schedules follow `length`.
         judging: evaluate on the way. Without, `best` and its returns mean nothing.
@@ -128,10 +132,8 @@ def train(
     schedule = Schedule.of(length, recipe.update_length, checkpoint_every, marks)
     decisions = world.decisions(in_a_row(params))
     params = _in_jax(params)
-    numbers, best = range(checkpoint_episodes), world.max_return
-    tests = np.array(
-        [[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers] for seed in seeds], np.uint32
-    )
+    best = world.max_return
+    tests = np.array([checkpoint_seeds(seed, checkpoint_episodes) for seed in seeds], np.uint32)
 
     def learn(training: Training, count: int) -> Training:
         learnt: Training = _updates(
@@ -150,10 +152,22 @@ def train(
             return False
         return bool((np.asarray(training.best_return) >= best).all())
 
-    training = start(world, recipe, seeds, params, weights, marks) if resume is None else resume
+    def told(block: Block) -> None:
+        if on_block is not None:
+            on_block(block)
+        if saved is not None and getattr(world, "storable", True):
+            saved.save(block.training)
+
+    fresh = partial(start, world, recipe, seeds, params, weights, marks)
+    if resume is None and saved is not None:
+        resume = saved.load(fresh)
     pause = None if until is None else math.ceil(until / recipe.update_length)
     judged = judge if judging else None
-    return in_blocks(schedule, training, learn, judged, on_block, nothing_to_gain, pause)
+    training = fresh() if resume is None else resume
+    training = in_blocks(schedule, training, learn, judged, told, nothing_to_gain, pause)
+    if saved is not None:
+        saved.save(training, done=True)
+    return training
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)

@@ -19,7 +19,7 @@ from jax.flatten_util import ravel_pytree
 from mbtl.training.jax import networks
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import A2CRecipe, ActorCritic, PPORecipe, WithCopies
-from mbtl.worlds.copies import Copies, advance, first_copies, look
+from mbtl.worlds.copies import Copies, first_copies, stepped
 from mbtl.worlds.environments import Tree
 from mbtl.worlds.world import Solo
 
@@ -106,18 +106,13 @@ def play(
     """T steps of the E copies with sampled actions, from (T, E) noise; the key stays."""
     actor, log_std = state.weights.actor, state.weights.log_std
 
-    def step(carry: tuple[Copies, jax.Array], drawn: Noise) -> Any:
-        copies, obs = carry
+    def act(obs: jax.Array, drawn: jax.Array) -> tuple[jax.Array, Tree]:
         outputs = networks.apply(actor, obs, recipe.activation)
-        action = networks.sample(outputs, log_std, drawn.action, world.action)
-        applied = networks.to_environment(action, world.action)
-        copies, step = advance(world, params, copies, applied, drawn.reset)
-        return (copies, look(world, params, copies)), Rollout(obs, outputs, action, *step)
+        action = networks.sample(outputs, log_std, drawn, world.action)
+        return networks.to_environment(action, world.action), (outputs, action)
 
-    (copies, _), rollout = jax.lax.scan(
-        step, (state.copies, look(world, params, state.copies)), noise
-    )
-    return state._replace(copies=copies), rollout
+    copies, obs, (outputs, action), step = stepped(world, params, state.copies, act, *noise)
+    return state._replace(copies=copies), Rollout(obs, outputs, action, *step)
 
 
 def advantages(

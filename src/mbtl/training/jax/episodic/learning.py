@@ -31,13 +31,7 @@ _EPISODE, _CONTEXT = 1 << 21, 1 << 22
 
 
 class State(NamedTuple):
-    """P policies between two updates.
-
-    Attributes:
-        weights: leading axis P.
-        memory: the algorithm's, leading axis P.
-        seed: (P,) uint32.
-    """
+    """P policies between two updates, leading axis; the memory is the algorithm's."""
 
     weights: Weights
     memory: Tree

@@ -22,12 +22,11 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.files import claimed_folder
-from mbtl.seeds import MATRIX_TRIAL, episode_seed, evaluation_seed, training_seed
+from mbtl.seeds import MATRIX_TRIAL, episode_seeds, evaluation_seed, training_seed
 from mbtl.training.jax.blocks import Block
 from mbtl.training.jax.multitask.training import (
     CHECKPOINT_EPISODES,
     evaluate_multitask,
-    start_multitask,
     train_multitask,
 )
 from mbtl.training.jax.recipes import MultiTaskRecipe
@@ -137,8 +136,6 @@ def run_multitask(
             begin = time.monotonic()
             # sources are 0..N-1, so this training is none of theirs
             own = training_seed(seed, MATRIX_TRIAL, len(params.visible))
-            saved = SavedTraining(place / f"seed{seed}.npz")
-            begun = partial(start_multitask, world, recipe, [own], params)
             training = train_multitask(
                 world,
                 recipe,
@@ -147,12 +144,12 @@ def run_multitask(
                 timesteps,
                 checkpoint_every=judged.every,
                 checkpoint_episodes=judged.episodes,
-                on_block=partial(_on_block, world, saved, seed, on_progress),
-                resume=saved.load(begun),
+                on_block=on_progress and partial(_on_block, on_progress, seed),
+                saved=SavedTraining(place / f"seed{seed}.npz"),
             )
             seconds = round(time.monotonic() - begin, 1)
             play = evaluation_seed(seed, MATRIX_TRIAL)
-            numbers = [episode_seed(play, e) for e in range(episodes)]
+            numbers = episode_seeds(play, episodes)
             for name, weights in (("best", training.best), ("final", training.state.weights)):
                 rows[name] += [*evaluate_multitask(world, recipe, weights, params, numbers)]
             records.append(
@@ -174,15 +171,8 @@ def run_multitask(
     )
 
 
-def _on_block(
-    world: World, saved: SavedTraining, seed: int, on_progress: OnProgress | None, block: Block
-) -> None:
-    """Tells where a training stands, and saves it; at its end, where that alone can be stored."""
-    done = block.steps == block.total
-    if on_progress is not None:
-        on_progress(seed, block.steps, block.total, float(block.training.latest_return[0]))
-    if done or getattr(world, "storable", True):
-        saved.save(block.training, done=done)
+def _on_block(on_progress: OnProgress, seed: int, block: Block) -> None:
+    on_progress(seed, block.steps, block.total, float(block.training.latest_return[0]))
 
 
 def _digest(params: Tree) -> str:

@@ -38,8 +38,6 @@ def initial_table(n_contexts: int, n_parts: int) -> NDArray[np.float32]:
     """
     knots = np.linspace(0.0, 1.0, n_parts)
     position = np.linspace(0.0, 1.0, n_contexts)[:, None]
-    if n_parts == 1:
-        return np.ones((n_contexts, 1), dtype=np.float32)
     hats = np.maximum(0.0, 1.0 - np.abs(position - knots) * (n_parts - 1))
     return hats.astype(np.float32)
 
@@ -47,9 +45,7 @@ def initial_table(n_contexts: int, n_parts: int) -> NDArray[np.float32]:
 def with_place(params: Tree, places: ArrayLike | None = None) -> Any:
     """Parameters of C contexts with their places as the last visible feature.
 
-    Args:
-        params: of contexts, leading axis.
-        places: (C,) positions in grid steps; None where the contexts are the whole grid.
+    `places` are (C,) positions in grid steps; None where the contexts are the whole grid.
     """
     n = len(params.visible)
     at = np.arange(n) if places is None else np.asarray(places)
