@@ -168,12 +168,7 @@ class SB3Trainer(SB3Steps):
         """What episodes are worth (see `mbtl.envs.rollout`), (n_targets, eval_episodes).
 
         Episode e has the same seed for every policy and every target, and a return does not depend
-        on the other targets of the call.
-
-        Args:
-            policy: what `train` or `load` gave, or an `MLPPolicy`.
-            contexts: the targets.
-            seed: what `mbtl.seeds.evaluation_seed` gave.
+        on the other targets of the call. The policy may be an `MLPPolicy`, too.
 
         Raises:
             TrainingFailed: a return is NaN or infinite, or an episode does not end.

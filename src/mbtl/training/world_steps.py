@@ -10,8 +10,8 @@ and the training can still go on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -21,6 +21,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput
 from mbtl.trainer import OnProgress, Progress, Reached, check_counted
+from mbtl.training import engine
 
 if TYPE_CHECKING:
     from mbtl.training.world_trainer import WorldTrainer
@@ -63,8 +64,6 @@ class WorldSteps:
                 another shape.
             TrainingFailed: the weights became NaN.
         """
-        import mbtl.training.jax as engine
-
         trainer = cast("WorldTrainer", self)
         check_counted(trainer)
         world, params = trainer._lessons([context])
@@ -72,7 +71,7 @@ class WorldSteps:
         recipe, checked = trainer.learner, _may_end(world)
         file, weights = engine.SavedTraining(saved), None
         if start is not None:
-            weights = _beginning(engine, start, engine.start(world, recipe, [seed], params).best)
+            weights = _beginning(start, engine.start(world, recipe, [seed], params).best)
 
         def on_block(block: Any) -> None:
             at = int(block.training.updates)
@@ -137,8 +136,6 @@ class WorldSteps:
                 saved, or there are less than two contexts.
             TrainingFailed: the weights became NaN.
         """
-        import mbtl.training.jax as engine
-
         trainer = cast("WorldTrainer", self)
         check_counted(trainer)
         if len(contexts) < 2:
@@ -202,8 +199,13 @@ class WorldSteps:
                 f"only worlds of one agent count the steps of an episode, got {world!r}; count "
                 "trainings instead (a budget without cost=)"
             )
-        counting = replace(trainer, problem=_Counting(trainer.problem))
-        return returns, counting.evaluate(policy, contexts, seed)
+        from mbtl.worlds.counted import Counted
+
+        def counting(contexts: Sequence[Context]) -> tuple[Any, Any]:
+            world, params = trainer.problem(contexts)
+            return replace(world, env=Counted(world.env)), params
+
+        return returns, replace(trainer, problem=counting).evaluate(policy, contexts, seed)
 
 
 def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo") -> Any:
@@ -215,26 +217,11 @@ def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo
     Raises:
         InvalidInput: the trainer does not learn by PPO.
     """
-    import mbtl.training.jax as engine
-
     check_ppo(trainer)
     name = type(getattr(world, "env", world)).__name__
     if name in engine.MULTI_TASK:
         return engine.multitask_recipe(method, name)  # type: ignore[arg-type]  # it checks the name
     return engine.spread_recipe(method, trainer.learner, n)  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True)
-class _Counting:
-    """contexts -> the world of counted steps, and its parameters."""
-
-    problem: Callable[[Sequence[Context]], tuple[Any, Any]]
-
-    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
-        from mbtl.worlds.counted import Counted
-
-        world, params = self.problem(contexts)
-        return replace(world, env=Counted(world.env)), params
 
 
 def _lasts(world: Any) -> str | None:
@@ -270,7 +257,7 @@ def _check_storable(world: Any, saved: Path | None) -> None:
         )
 
 
-def _beginning(engine: Any, policy: Any, fresh: Any) -> Any:
+def _beginning(policy: Any, fresh: Any) -> Any:
     """Weights of one training that acts as a policy does; its critic is a fresh one."""
     if not hasattr(policy, "weights"):
         raise InvalidInput(

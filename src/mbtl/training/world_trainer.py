@@ -21,6 +21,7 @@ from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seeds
 from mbtl.trainer import OnProgress, Progress, check_settings, checked_returns, even_groups
+from mbtl.training import engine
 from mbtl.training.world_steps import WorldSteps
 
 BY_STEPS = ("PPO", "A2C", "DQN")
@@ -115,8 +116,7 @@ class WorldTrainer(WorldSteps):
     @property
     def length(self) -> int:
         """Timesteps or episodes of one training."""
-        length: int = getattr(self, self.unit)
-        return length
+        return int(getattr(self, self.unit))
 
     @property
     def update_length(self) -> int:
@@ -130,8 +130,6 @@ class WorldTrainer(WorldSteps):
         Raises:
             UnknownName: no such recipe, or it has no such hyper-parameter.
         """
-        import mbtl.training.jax as engine
-
         named = engine.recipe_named(self.algorithm, str(self.recipe_name), self.unit)
         for name in self.hyperparameters:
             if name not in named.record:
@@ -171,8 +169,6 @@ class WorldTrainer(WorldSteps):
         already keeps a core busy, and a policy trained alone is, bit for bit, the one that a study
         trains; the others need company.
         """
-        import mbtl.training.jax as engine
-
         if (own := getattr(self.problem, "lanes", None)) is not None:
             return int(own)
         if not engine.on_cpu():
@@ -181,8 +177,6 @@ class WorldTrainer(WorldSteps):
 
     def groups(self, contexts: Sequence[Context], lanes: int) -> list[int]:
         """Sizes of the groups of consecutive contexts that are trained together."""
-        import mbtl.training.jax as engine
-
         if self.unit == "episodes" and engine.on_cpu():
             world, params = self.problem(contexts)
             if hasattr(world, "groups"):
@@ -225,8 +219,6 @@ class WorldTrainer(WorldSteps):
         one policy, and the mean of the latest evaluations; without "final" among what to keep, a
         training may need fewer of them.
         """
-        import mbtl.training.jax as engine
-
         world, params = self._lessons(contexts)
         recipe, marks = self.learner, shares_of(keep)
         training = engine.train(
@@ -262,8 +254,6 @@ class WorldTrainer(WorldSteps):
         Raises:
             InvalidInput: there are no contexts.
         """
-        import mbtl.training.jax as engine
-
         if not contexts:
             raise InvalidInput("multi-task training takes at least one context, got none")
         world, params = self._lessons(contexts)
@@ -285,8 +275,6 @@ class WorldTrainer(WorldSteps):
 
     def untrained(self, context: Context) -> MLPPolicy:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
-        import mbtl.training.jax as engine
-
         world, params = self._lessons([context])
         recipe = self.learner
         weights = engine.start(world, recipe, [0], params).best
@@ -332,8 +320,6 @@ class WorldTrainer(WorldSteps):
         self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seed: int
     ) -> Array:
         """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`."""
-        import mbtl.training.jax as engine
-
         world, params = self.problem(contexts)
         actor, activation = engine.import_actor(list(policies)), policies[0].activation
         seeds = episode_seeds(seed, self.eval_episodes)
@@ -341,8 +327,6 @@ class WorldTrainer(WorldSteps):
 
     def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
         """See `mbtl.trainer.ReferenceTrainer`."""
-        import mbtl.training.jax as engine
-
         world, params = self.problem(contexts)
         return engine.reference_returns(world, params, episode_seeds(seed, self.eval_episodes))
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -27,12 +27,7 @@ BLOCKS = 50
 
 
 class Along(NamedTuple):
-    """Weights kept on the way, leading axes (L, P).
-
-    Attributes:
-        best: of the best evaluation so far; before the first one the latest.
-        latest: as they were.
-    """
+    """Weights kept on the way, (L, P); before the first evaluation the best are the latest."""
 
     best: Weights
     latest: Weights
@@ -141,12 +136,11 @@ def in_blocks(
     Args:
         schedule: when.
         training: from which to go on.
-        learn: training, number of updates -> training after them. It may use the memory of the
-            first again, and never sees what is kept along.
+        learn: training, number of updates -> training after them, maybe in the same memory.
         judge: training -> training after an evaluation and `keep_better`; None: nobody judges.
         on_block: told after each judgement, and once where nothing is left to do.
         nothing_to_gain: whether to end before the last update.
-        until: updates after which to pause, to go on later as if nothing had been; None: the end.
+        until: updates after which to pause; None: the end.
 
     Raises:
         TrainingFailed: weights are no longer finite.
@@ -224,8 +218,7 @@ def weights_of(training: Training, checkpoint: Checkpoint, shares: Sequence[Frac
     if checkpoint.on_the_way and training.along is not None:
         mark = shares.index(checkpoint.share)
         kept = training.along.best if checkpoint.kind == "best" else training.along.latest
-        some: Weights = jax.tree.map(lambda x: x[mark], kept)
-        return some
+        return cast(Weights, jax.tree.map(lambda x: x[mark], kept))
     latest: Weights = training.state.weights
     return training.best if checkpoint.kind == "best" else latest
 
@@ -242,17 +235,11 @@ def from_arrays(template: Training, arrays: Mapping[str, NDArray[Any]]) -> Train
         StorageError: the arrays belong to other arguments.
     """
     leaves, structure = jax.tree.flatten(template)
-    try:
-        loaded = [np.asarray(arrays[f"leaf_{i}"]) for i in range(len(leaves))]
-    except KeyError as error:
-        raise StorageError(
-            f"a saved training must hold {error}, which is missing; start anew"
-        ) from error
+    loaded = [arrays.get(f"leaf_{i}", np.array(None)) for i in range(len(leaves))]
     for old, new in zip(leaves, loaded, strict=True):
         if old.shape != new.shape or old.dtype != new.dtype:
             raise StorageError(
                 f"a saved training must fit its recipe and contexts, got {new.dtype}{new.shape} "
                 f"where {old.dtype}{old.shape} belongs; start anew"
             )
-    restored: Training = jax.tree.unflatten(structure, [jnp.asarray(x) for x in loaded])
-    return restored
+    return cast(Training, jax.tree.unflatten(structure, [jnp.asarray(x) for x in loaded]))

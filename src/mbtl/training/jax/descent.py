@@ -1,4 +1,7 @@
-"""Gradient steps of one policy, on all its weights as one vector: few large operations."""
+"""What gradient steps of all algorithms share: means over the rows that count, and Adam's step.
+
+A step is one of all weights of a policy as one vector: few large operations.
+"""
 
 from __future__ import annotations
 
@@ -34,3 +37,14 @@ def descended(
     flat, unravel = ravel_pytree(gradient)
     steps, moments = optimizer.update(flat, moments)
     return jax.tree.map(jnp.add, weights, unravel(scale * steps)), moments
+
+
+def mean_of(x: jax.Array, weight: jax.Array) -> jax.Array:
+    """Mean of `x` weighted by `weight`; 0 without any."""
+    return (x * weight).sum() / jnp.maximum(weight.sum(), 1.0)
+
+
+def standard(x: jax.Array, weight: jax.Array) -> jax.Array:
+    """Mean 0 and standard deviation 1 over the rows that count."""
+    centred = x - mean_of(x, weight)
+    return centred / (jnp.sqrt(mean_of(jnp.square(centred), weight)) + 1e-8)

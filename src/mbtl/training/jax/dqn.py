@@ -33,16 +33,13 @@ from mbtl.worlds.world import Solo
 
 
 class State(NamedTuple):
-    """All of one training: with the next `update`'s arguments it decides everything to come.
+    """All of one training, as `rollout.State`, with two more.
 
     Attributes:
         weights: the network of action values as `actor`: the largest value is the action.
         target: what `weights.actor` was when it was last copied.
-        optimizer: Adam's moments.
         replay: (N, 2 f + 3) ring of transitions: state before, state after, action, reward,
             terminated. Visible context features are constants of a policy and not in it.
-        copies: where the policy lives.
-        key: the policy's own random key.
     """
 
     weights: Weights

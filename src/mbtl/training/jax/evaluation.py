@@ -15,12 +15,13 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.episodic.episodes import Acting, Actor, scores
-from mbtl.training.jax.recipes import Activation
+from mbtl.training.jax.episodic.episodes import Acting, Actor, actor_of, scores
+from mbtl.training.jax.multitask.table import seen
+from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
 from mbtl.worlds.environments import Tree
 from mbtl.worlds.world import World, context_of, in_a_row, of_simulations
 
@@ -161,6 +162,29 @@ def evaluate(
             if on_block is not None:
                 on_block(done, n_policies * n_contexts)
     return returns
+
+
+def evaluate_multitask(
+    world: World,
+    recipe: MultiTaskRecipe,
+    weights: Any,
+    params: Tree,
+    seeds: Sequence[int],
+    *,
+    places: ArrayLike | None = None,
+    on_block: Callable[[int, int], None] | None = None,
+) -> Array:
+    """Undiscounted returns of deterministic episodes, (S, C, E); see `evaluate`.
+
+    `places` are (C,) positions of the contexts on the axis in steps of the training's grid, e.g.
+    0.5 halfway between the first two; None where they are that grid.
+
+    Raises:
+        InvalidInput: there are no policies, contexts or episodes.
+    """
+    contexts, actor = seen(recipe, params, places), actor_of(weights)
+    activation = recipe.activation
+    return evaluate(world, actor, contexts, seeds, activation=activation, on_block=on_block)
 
 
 def reference_returns(world: World, params: Tree, seeds: Sequence[int]) -> dict[str, Array]:

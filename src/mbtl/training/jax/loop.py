@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -16,22 +16,19 @@ from mbtl.errors import InvalidInput
 from mbtl.seeds import checkpoint_seeds
 from mbtl.training.jax import algorithms
 from mbtl.training.jax.algorithms import AnyRecipe
-from mbtl.training.jax.blocks import (
-    Block,
-    Schedule,
-    Training,
-    beginning,
-    in_blocks,
-    keep_better,
-)
+from mbtl.training.jax.blocks import Block, Schedule, Training, beginning, in_blocks, keep_better
 from mbtl.training.jax.clock import clock_at
 from mbtl.training.jax.episodic.episodes import Acting, actor_of
 from mbtl.training.jax.evaluation import own_scores
+from mbtl.training.jax.multitask.table import seen
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import check_lengths
 from mbtl.training.jax.saving import SavedTraining
 from mbtl.worlds.environments import Length, Tree
 from mbtl.worlds.world import World, in_a_row
+
+CHECKPOINT_EPISODES = 2
+"""Per context; over a hundred contexts that is twenty times what a single-task policy plays."""
 
 
 def start(
@@ -136,16 +133,13 @@ def train(
     tests = np.array([checkpoint_seeds(seed, checkpoint_episodes) for seed in seeds], np.uint32)
 
     def learn(training: Training, count: int) -> Training:
-        learnt: Training = _updates(
-            world, recipe, decisions, training, params, count, schedule.total
-        )
-        return learnt
+        args = (world, recipe, decisions, training, params, count, schedule.total)
+        return cast(Training, _updates(*args))
 
     def judge(training: Training) -> Training:
         actor = actor_of(training.state.weights)
         found = own_scores(world, recipe.activation, acting, actor, tests, params)
-        kept: Training = keep_better(training, found.mean(axis=1))
-        return kept
+        return cast(Training, keep_better(training, found.mean(axis=1)))
 
     def nothing_to_gain(training: Training) -> bool:
         if not only_best or best is None:
@@ -168,6 +162,43 @@ def train(
     if saved is not None:
         saved.save(training, done=True)
     return training
+
+
+def start_multitask(
+    world: World, recipe: AnyRecipe, seeds: Sequence[int], params: Tree
+) -> Training:
+    """Trainings before their first update, e.g. as the template of `from_arrays`."""
+    return start(world, recipe, seeds, _copies(recipe, params, len(seeds)))
+
+
+def train_multitask(
+    world: World,
+    recipe: AnyRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    timesteps: int,
+    *,
+    checkpoint_episodes: int = CHECKPOINT_EPISODES,
+    **options: Any,
+) -> Training:
+    """Train S policies, each on all of N contexts: `train`, and its `options`.
+
+    The best checkpoint has the largest mean return over all contexts; returns of a `Training` are
+    such means. `timesteps` are over all contexts together, `checkpoint_episodes` of each context.
+
+    Raises:
+        InvalidInput: there are no seeds or contexts, or a number is below 1.
+        TrainingFailed: weights are no longer finite.
+    """
+    return train(
+        world,
+        recipe,
+        seeds,
+        _copies(recipe, params, len(seeds)),
+        timesteps,
+        checkpoint_episodes=checkpoint_episodes * len(params.visible),
+        **options,
+    )
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)
@@ -196,10 +227,20 @@ def _fitting(weights: Weights, fresh: Weights) -> Weights:
             f"weights to begin from must have the shapes of this recipe and number of policies, "
             f"{needed}, got {given}"
         )
-    copy: Weights = jax.tree.map(lambda x: jnp.array(x, jnp.float32), weights)
-    return copy
+    return cast(Weights, jax.tree.map(lambda x: jnp.array(x, jnp.float32), weights))
 
 
 def _in_jax(params: Tree) -> Tree:
     """As arrays of jax; counts stay whole numbers."""
     return jax.tree.map(jnp.asarray, params)
+
+
+def _copies(recipe: AnyRecipe, params: Tree, n_seeds: int) -> Tree:
+    """(S, N, ...): all contexts for every policy."""
+    if len(params.visible) == 0 or n_seeds == 0:
+        raise InvalidInput(
+            "multi-task training needs at least one seed and context, "
+            f"got {n_seeds} and {len(params.visible)}"
+        )
+    each = seen(recipe, params)
+    return jax.tree.map(lambda x: np.broadcast_to(x, (n_seeds, *np.shape(x))), each)

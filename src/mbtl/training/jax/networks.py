@@ -9,7 +9,7 @@ together fast.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple, cast
 
@@ -22,6 +22,11 @@ from mbtl.worlds.environments import Box, Discrete, Tree
 from mbtl.worlds.world import World
 
 Network = tuple[tuple[jax.Array, jax.Array], ...]
+
+BENDS: Mapping[Activation, Callable[[jax.Array], jax.Array]] = {
+    "tanh": jnp.tanh, "relu": jax.nn.relu, "mish": jax.nn.mish,
+}  # fmt: skip
+"""The function between the layers."""
 
 
 class Weights(NamedTuple):
@@ -128,19 +133,12 @@ def apply(
     """(..., n_inputs) -> (..., n_outputs); a network that is no list of layers knows how itself."""
     if callable(network):
         return network(observations, activation)
-    bend = bend_of(activation)
+    bend = BENDS[activation]
     x = observations
     for weight, bias in network[:-1]:
         x = bend(x @ weight + bias)
     weight, bias = network[-1]
     return x @ weight + bias
-
-
-def bend_of(activation: Activation) -> Callable[[jax.Array], jax.Array]:
-    """The function between the layers."""
-    bends = {"tanh": jnp.tanh, "relu": jax.nn.relu, "mish": jax.nn.mish}
-    bend: Callable[[jax.Array], jax.Array] = bends[activation]
-    return bend
 
 
 def action_noise(key: jax.Array, shape: tuple[int, ...], action: Discrete | Box) -> jax.Array:

@@ -22,9 +22,8 @@ from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.descent import adam
+from mbtl.training.jax.descent import adam, mean_of
 from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
-from mbtl.training.jax.estimates import mean_of
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import PPORecipe
 from mbtl.training.jax.rollout import Rollout, State, advantages, draw, play, start

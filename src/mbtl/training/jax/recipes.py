@@ -132,12 +132,10 @@ class PPORecipe(WithCopies, ActorCritic):
 
 @dataclass(frozen=True)
 class A2CRecipe(WithCopies, ActorCritic):
-    """Hyper-parameters of A2C; the defaults are those of Stable-Baselines3.
+    """Hyper-parameters of A2C, as in `PPORecipe`; the defaults are those of Stable-Baselines3.
 
     Attributes:
         n_steps: steps of each copy between two gradient steps.
-        entropy_coef: weight of the entropy bonus.
-        value_coef: weight of the value loss.
         rms_decay: of RMSprop's mean of squares.
         rms_eps: RMSprop's denominator offset.
         rms_like_tensorflow: RMSprop as it is there, not as in PyTorch; see `a2c.optimizer`.
@@ -316,11 +314,7 @@ _N_PARTS: Mapping[MultiTaskMethod, int] = {"ppo": 1, "paco": 5, "moore": 4}
 
 
 def multitask_recipe(method: MultiTaskMethod, environment: str) -> MultiTaskRecipe:
-    """Our recipe for a hundred contexts.
-
-    Args:
-        method: "ppo", "paco" or "moore".
-        environment: name of the class, one of `MULTI_TASK`.
+    """Our recipe for a hundred contexts of an environment, by the name of its class.
 
     Raises:
         UnknownName: there is none.
@@ -335,11 +329,6 @@ def spread_recipe(method: MultiTaskMethod, one: PPORecipe, n_contexts: int) -> M
 
     As many copies as there are contexts, if that leaves 16 steps of each: then every update learns
     from all contexts, by as many gradient steps per environment step as for one source.
-
-    Args:
-        method: "ppo", "paco" or "moore".
-        one: the recipe of one source.
-        n_contexts: N.
 
     Raises:
         UnknownName: no such method.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -73,8 +73,7 @@ def start(
         assert isinstance(recipe, ActorCritic)
         weights = networks.stack(networks.fresh(world, recipe, seeds, params))
     roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
-    state: State = _start(world, recipe, optimizer, weights, roots, params)
-    return state
+    return cast(State, _start(world, recipe, optimizer, weights, roots, params))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))

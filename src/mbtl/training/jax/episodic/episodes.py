@@ -1,4 +1,4 @@
-"""Whole episodes of a twin: recorded to learn from, or only scored.
+"""Whole episodes of a twin: recorded to learn from, or only scored; networks see who acts alone.
 
 Notation (shapes): P policies, E episodes each, D decisions, A agents; simulations are ordered
 policy by policy, n = P x E. All play in one context.
@@ -9,7 +9,7 @@ Random actions too are functions of the episode's seed, which makes it independe
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -17,12 +17,11 @@ import numpy as np
 
 from mbtl.portfolio import BoxHead, MLPPolicy
 from mbtl.training.jax import networks
-from mbtl.training.jax.episodic.watching import Rows, each, watched
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
 from mbtl.worlds import beats, random
 from mbtl.worlds.environments import Beats, Discrete, Length, Tree
-from mbtl.worlds.packing import most_rows
+from mbtl.worlds.packing import Agents, chunk_size, most_rows
 from mbtl.worlds.world import Crowd, World
 
 Acting = Literal["sampled", "mean", "random", "none"]
@@ -52,6 +51,21 @@ def import_actor(policies: list[MLPPolicy]) -> Actor:
     )
     stds = [p.head.log_std if isinstance(p.head, BoxHead) else np.zeros(0) for p in policies]
     return Actor(network, jnp.asarray(np.stack(stds), jnp.float32))  # type: ignore[arg-type]
+
+
+class Rows(NamedTuple):
+    """Observations so far, (P, rows, f), and how many of the rows are used."""
+
+    obs: jax.Array
+    used: jax.Array
+
+
+class Watched(NamedTuple):
+    """A moment: who acts, (P, E, A), what networks say of it, (P, E, A, m) each; a crowd's rows."""
+
+    acting: jax.Array
+    found: tuple[jax.Array, ...]
+    row: jax.Array | None = None
 
 
 class Episodes(NamedTuple):
@@ -93,16 +107,10 @@ def record(
     params: Tree,
     hold: int = 1,
 ) -> Episodes:
-    """Play with sampled actions and keep everything.
+    """Play the episodes of (P, E) seeds with sampled actions and keep everything.
 
-    Args:
-        twin: the dynamics; static.
-        activation: between the layers of the actor; static.
-        decisions: of an episode at most, or beats; static.
-        actor: of P policies, with their critics.
-        seeds: (P, E) uint32, one per episode.
-        params: of one context, or of every simulation.
-        hold: decisions for which what is random in an action stays the same; static.
+    Parameters are of one context, or of every simulation. For `hold` decisions what is random in an
+    action stays the same. Static: the dynamics, the activation, how long episodes are, and `hold`.
     """
     shape, flat = seeds.shape, seeds.reshape(-1)
 
@@ -207,14 +215,63 @@ def _sampled(
     twin: World, actor: Actor, outputs: jax.Array, seeds: jax.Array, moment: jax.Array
 ) -> jax.Array:
     """(P, E, A) or (P, E, A, d) actions, not clipped."""
-    policies, episodes = outputs.shape[:2]
     if isinstance(twin.action, Discrete):
-        draw = random.uniform(seeds, _ACTION, moment, twin.agents)
-        noise = draw.T.reshape(policies, episodes, twin.agents)
+        d, draw = (), random.uniform(seeds, _ACTION, moment, twin.agents)
     else:
-        d = actor.log_std.shape[-1]
-        draw = random.normal(seeds, _ACTION, moment, twin.agents * d)
-        noise = draw.T.reshape(policies, episodes, twin.agents, d)
-    each = partial(networks.sample, action=twin.action)
-    actions: jax.Array = jax.vmap(each)(outputs, actor.log_std, noise)
-    return actions
+        d = actor.log_std.shape[-1:]
+        draw = random.normal(seeds, _ACTION, moment, twin.agents * d[0])
+    noise = draw.T.reshape(*outputs.shape[:2], twin.agents, *d)
+    one = partial(networks.sample, action=twin.action)
+    return cast(jax.Array, jax.vmap(one)(outputs, actor.log_std, noise))
+
+
+def watched(
+    twin: World,
+    activation: Activation,
+    params: Tree,
+    shape: tuple[int, ...],
+    played: tuple[Network, ...],
+    state: Tree,
+    rows: Rows | None = None,
+) -> tuple[Watched, Any]:
+    """Networks of P policies, `shape` (P, E), applied to what their agents see; 0 where none is.
+
+    `rows` is where to keep the observations of a crowd; None to keep none.
+    """
+    if not isinstance(twin, Crowd):
+        obs, acting = twin.observe(state, params)
+        acting = acting.reshape(*shape, -1)
+        obs = obs.reshape(*acting.shape, -1)
+        return Watched(acting, tuple(each(activation, network, obs) for network in played)), rows
+    used = jnp.int32(0) if rows is None else rows.used
+
+    def kept(rows: Rows | None, obs: jax.Array, at: jax.Array) -> Rows | None:
+        if rows is None:
+            return None
+        return rows._replace(obs=jax.lax.dynamic_update_slice(rows.obs, obs, (0, at, 0)))
+
+    acting = twin.acting(state).reshape(*shape, -1)
+    agents = Agents.of(acting)
+    size = chunk_size(acting[0].size)
+
+    def chunk(carry: tuple[jax.Array, Any, Any]) -> tuple[jax.Array, Any, Any]:
+        start, found, rows = carry
+        obs = twin.views(state, params, *agents.chunk(start, size))
+        new = (each(activation, network, obs) for network in played)
+        found = tuple(agents.spread(x, start, into) for x, into in zip(new, found, strict=True))
+        return start + size, found, kept(rows, obs, used + start)
+
+    def more(carry: tuple[jax.Array, Any, Any]) -> jax.Array:
+        return carry[0] < agents.most
+
+    nothing = tuple(jnp.zeros((*acting.shape, network[-1][1].shape[-1])) for network in played)
+    end, found, rows = jax.lax.while_loop(more, chunk, (jnp.int32(0), nothing, rows))
+    if rows is not None:
+        rows = rows._replace(used=used + end)
+    return Watched(acting, found, used + agents.number), rows
+
+
+def each(activation: Activation, network: Network, obs: jax.Array) -> jax.Array:
+    """(P, ..., f) -> (P, ..., m), each policy its own."""
+    one = partial(networks.apply, activation=activation)
+    return cast(jax.Array, jax.vmap(one)(network, obs))

@@ -11,7 +11,6 @@ Notation (shapes of one policy): D decisions, E episodes, A agents, f features.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,10 +18,10 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
+from mbtl.training.jax.descent import mean_of, standard
 from mbtl.training.jax.episodic.episodes import Episodes
 from mbtl.training.jax.episodic.recipes import TRPORecipe
-from mbtl.training.jax.episodic.returns import Returns, advantages
-from mbtl.training.jax.estimates import mean_of, standard
+from mbtl.training.jax.episodic.returns import Memory, Returns, advantages
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.ppo import Batch
 from mbtl.worlds.environments import Box, Discrete, Tree
@@ -32,13 +31,6 @@ Search = tuple[jax.Array, jax.Array, jax.Array]
 
 Residual = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 """Of conjugate gradients: solution, residual, direction, squared norm of the residual."""
-
-
-class Memory(NamedTuple):
-    """Beside its weights a policy keeps the critic's optimiser, and statistics of returns."""
-
-    critic: Tree
-    returns: Returns
 
 
 def start(recipe: TRPORecipe, weights: Weights) -> Memory:
@@ -71,7 +63,7 @@ def learn(
     if recipe.normalize_advantage:
         batch = batch._replace(advantage=standard(batch.advantage, batch.weight))
     actor, log_std = _natural_step(action, recipe, weights, batch)
-    critic, moments = _fit_critic(recipe, weights.critic, memory.critic, batch)
+    critic, moments = _fit_critic(recipe, weights.critic, memory.moments, batch)
     return Weights(actor, critic, log_std), Memory(moments, returns)
 
 

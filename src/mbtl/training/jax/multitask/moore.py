@@ -52,7 +52,7 @@ class Mixture(NamedTuple):
 
     def __call__(self, observations: jax.Array, activation: Activation) -> jax.Array:
         """(..., o + 1) -> (..., n_outputs)."""
-        bend = networks.bend_of(activation)
+        bend = networks.BENDS[activation]
         seen, place = observations[..., :-1], observations[..., -1]
         weights = rows_at(self.task_weights, place)
         # an expert at a time: one batched product over all of them is slower on a CPU
@@ -92,11 +92,7 @@ def orthonormal(vectors: Sequence[jax.Array]) -> list[jax.Array]:
 def init_weights(
     world: Solo, recipe: MultiTaskRecipe, seed: int, n_contexts: int, n_inputs: int
 ) -> MOOREWeights:
-    """Orthogonal layers, gains as in `networks.init_weights`; hats as task weights.
-
-    Returns:
-        Numpy arrays in float32.
-    """
+    """Orthogonal layers, gains as in `networks.init_weights`; hats as task weights."""
     rng = np.random.default_rng(seed)
     hidden, n_parts = recipe.ppo.hidden, recipe.n_parts
 

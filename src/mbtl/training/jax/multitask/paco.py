@@ -45,7 +45,7 @@ class Composed(NamedTuple):
     def __call__(self, observations: jax.Array, activation: Activation) -> jax.Array:
         """(..., o + 1) -> (..., n_outputs)."""
         mixture = rows_at(self.vectors, observations[..., -1])
-        bend = networks.bend_of(activation)
+        bend = networks.BENDS[activation]
         x = observations[..., :-1]
         for weight, bias in self.sets[:-1]:
             x = bend(_composed_layer(mixture, x, weight, bias))
@@ -77,11 +77,7 @@ class PaCoWeights(NamedTuple):
 def init_weights(
     world: Solo, recipe: MultiTaskRecipe, seed: int, n_contexts: int, n_inputs: int
 ) -> PaCoWeights:
-    """K independent networks as `networks.init_weights` makes them, and hats as vectors.
-
-    Returns:
-        Numpy arrays in float32.
-    """
+    """K independent networks as `networks.init_weights` makes them, and hats as vectors."""
     ppo, n_sets = recipe.ppo, recipe.n_parts
     seeds = np.random.SeedSequence(seed).generate_state(n_sets)
     each = [

@@ -24,11 +24,8 @@ from mbtl.errors import InvalidInput
 from mbtl.files import claimed_folder
 from mbtl.seeds import MATRIX_TRIAL, episode_seeds, evaluation_seed, training_seed
 from mbtl.training.jax.blocks import Block
-from mbtl.training.jax.multitask.training import (
-    CHECKPOINT_EPISODES,
-    evaluate_multitask,
-    train_multitask,
-)
+from mbtl.training.jax.evaluation import evaluate_multitask
+from mbtl.training.jax.loop import CHECKPOINT_EPISODES, train_multitask
 from mbtl.training.jax.recipes import MultiTaskRecipe
 from mbtl.training.jax.saving import SavedTraining
 from mbtl.worlds.environments import Tree
@@ -38,11 +35,9 @@ CHECKPOINTS = ("best", "final")
 
 
 class Judged(NamedTuple):
-    """When a policy is judged on all contexts; the best one is kept.
+    """When a policy is judged: by as many episodes of each context, after every so many steps.
 
-    Attributes:
-        episodes: of each context.
-        every: environment steps between two times; None: 50 times in all.
+    None: 50 times in all. The best one is kept.
     """
 
     episodes: int = CHECKPOINT_EPISODES

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mbtl.training.jax.recipes import MultiTaskRecipe
 from mbtl.worlds.environments import Tree
 
 
@@ -51,3 +52,9 @@ def with_place(params: Tree, places: ArrayLike | None = None) -> Any:
     at = np.arange(n) if places is None else np.asarray(places)
     column = at.astype(np.float64).reshape(n, 1)
     return params._replace(visible=np.concatenate([np.asarray(params.visible), column], axis=1))
+
+
+def seen(recipe: Any, params: Tree, places: ArrayLike | None = None) -> Tree:
+    """Contexts as the networks see them: those with a vector per context need their places."""
+    needs = isinstance(recipe, MultiTaskRecipe) and recipe.has_vectors
+    return with_place(params, places) if needs else params
