@@ -233,7 +233,7 @@ class WorldTrainer(WorldSteps):
             acting=self._how,
             only_best="final" not in keep,
             marks=marks,
-            saved=engine.SavedTraining(partial),
+            saved=engine.SavedTraining(partial if getattr(world, "storable", True) else None),
         )
         kept = [engine.weights_of(training, Checkpoint.named(name), marks) for name in keep]
         each = [engine.export_policies(world, weights, recipe.activation) for weights in kept]

@@ -35,9 +35,9 @@ CHECKPOINTS = ("best", "final")
 
 
 class Judged(NamedTuple):
-    """When a policy is judged: by as many episodes of each context, after every so many steps.
+    """When a policy is judged, by as many episodes of each context; the best one is kept.
 
-    None: 50 times in all. The best one is kept.
+    `every` is environment steps between two times, None for 50 times in all.
     """
 
     episodes: int = CHECKPOINT_EPISODES
