@@ -366,20 +366,6 @@ def check_settings(trainer: Any, counts: Sequence[str], optional: Sequence[str])
         raise unknown_name("way to act", str(trainer.acting), ("sampled", "mean"))
 
 
-def check_counted(trainer: Any) -> None:
-    """Refuse to pay a training in steps that is counted in episodes.
-
-    Raises:
-        InvalidInput: it is.
-    """
-    if trainer.timesteps is None:
-        raise InvalidInput(
-            "only trainings that are counted in steps can be paid in steps, got a recipe of "
-            f"{trainer.episodes} episodes; give timesteps, or count trainings instead (a budget "
-            "without cost=)"
-        )
-
-
 def recipe_of(trainer: Trainer) -> dict[str, Any]:
     """What decides the policies of a trainer, JSON-able: two studies of one recipe may be compared.
 

@@ -20,7 +20,8 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput
-from mbtl.trainer import OnProgress, Progress, Reached, check_counted
+from mbtl.set_trainer import check_counted
+from mbtl.trainer import OnProgress, Progress, Reached
 from mbtl.training import engine
 
 if TYPE_CHECKING:
