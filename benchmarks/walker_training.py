@@ -5,10 +5,12 @@
 `step` is of one core: Gymnasium's BipedalWalker-v3, our environment alone, our walkers together,
 and what of that is Box2D, all with walking actions; the lower tenth of many short measurements.
 `rate` trains for --seconds on every core at once, one process each: Stable-Baselines3 with its
-default PPO on Gymnasium's environment, and the recipe of the CMDP in the engine. Rates are steps
-per second of processor time, added up over cores, with learning and all else.
-`learning` trains both in the nominal context for as many --steps, one after the other, and prints
-what policies return on the way: mean actions, the same fresh episodes of 1000 steps for both.
+default PPO on Gymnasium's environment, and the recipe of the CMDP in the engine, with Box2D's
+walkers and with those in jax. Rates are steps per second of processor time, added up over cores,
+with learning and all else.
+`learning` trains Stable-Baselines3's and the walker in jax in the nominal context for as many
+--steps, one after the other, and prints what policies return on the way, both in Box2D: mean
+actions, fresh episodes of 1000 steps.
 """
 
 from __future__ import annotations
@@ -107,14 +109,14 @@ def sb3_rate(seconds: float, barrier: Any) -> float:
     return rates.of_sb3(sb3_model(0), seconds, barrier)
 
 
-def our_rate(seconds: float, barrier: Any) -> float:
-    """Likewise, of the default preset, without its evaluations on the way."""
+def our_rate(engine: str, seconds: float, barrier: Any) -> float:
+    """Likewise, of the default preset, with few evaluations on the way."""
     os.environ["NPROC"] = "1"
     from mbtl.cmdps import get_cmdp
 
-    trainer = get_cmdp("walker-gravity", engine="jax").trainer
+    trainer = get_cmdp("walker-gravity", engine=engine).trainer
     world, params = trainer.problem([NOMINAL])
-    every = trainer.update_length
+    every = 10 * trainer.update_length
     return rates.of_engine(world, trainer.learner, [0], params, every, seconds, barrier)
 
 
@@ -122,17 +124,21 @@ def our_rate(seconds: float, barrier: Any) -> float:
 
 
 def our_learning(seed: int, steps: int) -> list[tuple[int, float, float]]:
-    """(steps, processor seconds, mean return of the latest policy) on the way."""
+    """(steps, processor seconds, mean return of the latest policy in Box2D) on the way."""
     import mbtl.training.jax as engine
+    from mbtl.checkpoints import Checkpoint
     from mbtl.cmdps import get_cmdp
 
     trainer = get_cmdp("walker-gravity", engine="jax").trainer
+    judge = get_cmdp("walker-gravity", engine="gymnasium-jax").trainer_for(eval_episodes=EPISODES)
     world, params = trainer.problem([NOMINAL])
     begin, found = time.process_time(), []
 
     def on_block(block: engine.Block) -> None:
         now = time.process_time() - begin
-        found.append((block.steps, now, float(block.training.latest_return[0])))
+        latest = engine.weights_of(block.training, Checkpoint.named("final"), ())
+        (policy,) = engine.export_policies(world, latest, trainer.learner.activation)
+        found.append((block.steps, now, float(judge.evaluate(policy, [NOMINAL], seed).mean())))
         print(
             f"  ours, seed {seed}: {block.steps} steps, {now:.0f} s, {found[-1][2]:.0f}", flush=True
         )
@@ -178,12 +184,14 @@ def main() -> None:
         for name, cost in costs.items():
             print(f"{name:32s} {cost:6.1f} us a step, {theirs / cost:4.1f} x", flush=True)
     if "rate" in args.part:
-        rates = {
-            name: sum(on_every_core(work, args.seconds))
-            for name, work in (("Stable-Baselines3", sb3_rate), ("ours", our_rate))
-        }
-        ratio = rates["ours"] / rates["Stable-Baselines3"]
-        print(f"training steps per second on {CORES} cores: {rates}, {ratio:.1f} x", flush=True)
+        theirs = sum(on_every_core(sb3_rate, args.seconds))
+        print(
+            f"training steps per second on {CORES} cores: Stable-Baselines3 {theirs:.0f}",
+            flush=True,
+        )
+        for name, engine in (("ours, Box2D", "gymnasium-jax"), ("ours, in jax", "jax")):
+            rate = sum(on_every_core(our_rate, engine, args.seconds))
+            print(f"{name}: {rate:.0f}, {rate / theirs:.1f} x", flush=True)
     if "learning" in args.part:
         for seed, work in ((s, w) for s in range(args.seeds) for w in (our_learning, sb3_learning)):
             functools.partial(work, seed, args.steps)()

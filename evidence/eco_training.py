@@ -17,9 +17,8 @@ import jax.numpy as jnp
 from mbtl.cmdps.traffic.twins import EcoProblem
 from mbtl.training.jax import loop, networks
 from mbtl.training.jax.episodic import learning
-from mbtl.training.jax.episodic.episodes import actor_of, import_actor, scores
+from mbtl.training.jax.episodic.episodes import actor_of, import_actor, scores, watched
 from mbtl.training.jax.episodic.recipes import TWIN_RECIPES
-from mbtl.training.jax.episodic.watching import watched
 from mbtl.worlds.traffic.eco import EcoTwin
 from mbtl.worlds.world import of_simulations
 

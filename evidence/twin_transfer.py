@@ -1,15 +1,16 @@
-"""Do policies of a twin transfer in SUMO as they do in the twin? One sub-matrix in both engines.
+"""Do policies of a twin transfer in its simulator as they do in the twin? One sub-matrix in both.
 
     .venv/bin/python evidence/twin_transfer.py [--cmdp ring-acc] [--sources 6] [--targets 8]
         [--episodes 5] [--train 300] [--train-in jax|sumo] [--policies FOLDER] [--out FILE.npz]
 
-Trains each source in the twin, or in SUMO (preset `quick`, with as many training episodes as
-`--train`), or takes the policies that the build of a matrix kept (`--policies
-runs/matrix-.../policies/best`: the sources nearest to evenly spread ones). Then evaluates every
-policy on every target in the twin, and twice in SUMO with other seeds. Printed: the mean score of
-each source, the correlation of all entries, and Spearman's rank correlation of the source means, of
-the twin against SUMO and of SUMO against itself. `--out` keeps the sub-matrices, arrays "twin",
-"sumo", "sumo_again" (source, target) and "sources", "targets".
+The simulator is SUMO or, of walkers, Box2D. Trains each source in the twin, or in SUMO (preset
+`quick`, with as many training episodes as `--train`), or takes the policies that the build of a
+matrix kept (`--policies runs/matrix-.../policies/best`: the sources nearest to evenly spread ones;
+walkers are not trained here). Then evaluates every policy on every target in the twin, and twice in
+the simulator with other seeds. Printed: the mean score of each source, the correlation of all
+entries, and Spearman's rank correlation of the source means, of the twin against the simulator and
+of that against itself. `--out` keeps the sub-matrices, arrays "twin", "sumo", "sumo_again" (or
+"box2d", ...) (source, target) and "sources", "targets".
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import numpy as np
 from scipy import stats
 
 from mbtl.cmdps import get_cmdp
+from mbtl.cmdps.registry import engines_of
 from mbtl.seeds import Purpose, evaluation_seed, training_seed
 from mbtl.training import export_mlp
 
@@ -39,7 +41,11 @@ def main() -> None:
     parser.add_argument("--policies", type=Path)
     parser.add_argument("--out")
     args = parser.parse_args()
-    twin, sumo = (get_cmdp(args.cmdp, engine=engine) for engine in ("jax", "sumo"))
+    walks = "gymnasium-jax" in engines_of(args.cmdp)
+    if walks and not args.policies:
+        parser.error("walkers need --policies, those that the build of a matrix kept")
+    name, engine = ("Box2D", "gymnasium-jax") if walks else ("SUMO", "sumo")
+    twin, native = (get_cmdp(args.cmdp, engine=one) for one in ("jax", engine))
     n = twin.space.n
     sources, targets = (
         np.unique(np.linspace(0, n - 1, count).round().astype(int))
@@ -49,8 +55,8 @@ def main() -> None:
         kept = np.array(sorted(int(one.name.split("-")[1]) for one in args.policies.iterdir()))
         sources = np.unique([kept[np.abs(kept - source).argmin()] for source in sources])
     there = [twin.space.contexts[i] for i in targets]
-    trainer = twin.trainer_for("quick", episodes=args.train, eval_episodes=10 * args.episodes)
-    school = sumo.trainer_for("quick", episodes=args.train)
+    length = {} if args.policies else {"episodes": args.train}
+    trainer = twin.trainer_for("quick", **length, eval_episodes=10 * args.episodes)
     begin = time.perf_counter()
     seeds = [training_seed(0, 0, int(i)) for i in sources]
     lessons = [twin.space.contexts[i] for i in sources]
@@ -60,27 +66,30 @@ def main() -> None:
         kept = trainer.checkpoint
         policies = trainer.train_many(lessons, seeds, keep=(kept,))[kept]
     else:
+        school = native.trainer_for("quick", **length)
         policies = [school.train(one, seed) for one, seed in zip(lessons, seeds, strict=True)]
     where = args.policies or args.train_in
     print(f"{len(policies)} policies of {where}: {time.perf_counter() - begin:.0f} s", flush=True)
     if args.train_in == "sumo":
         policies = [export_mlp(policy) for policy in policies]
-    judge = sumo.trainer_for("quick", eval_episodes=args.episodes, acting=trainer.acting)
+    acting = {} if walks else {"acting": trainer.acting}
+    judge = native.trainer_for("quick", eval_episodes=args.episodes, **acting)
     draws = evaluation_seed(0, 0), evaluation_seed(0, 0, Purpose.REPORT)
     found = {"twin": _means(trainer, policies, there, draws[0])}
-    for name, seed in zip(("SUMO", "SUMO again"), draws, strict=True):
+    again = f"{name} again"
+    for one, seed in zip((name, again), draws, strict=True):
         begin = time.perf_counter()
-        found[name] = _means(judge, policies, there, seed)
-        print(f"{name}: {time.perf_counter() - begin:.0f} s", flush=True)
+        found[one] = _means(judge, policies, there, seed)
+        print(f"{one}: {time.perf_counter() - begin:.0f} s", flush=True)
         if args.out:  # what was simulated so far is not lost
             stored = {key.lower().replace(" ", "_"): matrix for key, matrix in found.items()}
             np.savez(args.out, sources=sources, targets=targets, **stored)
     axis = next(iter(twin.nominal or {}))
     print(f"\n{args.cmdp}, mean score over {len(targets)} targets by source ({axis})")
-    print("source     " + " ".join(f"{twin.space.contexts[i][axis]:8g}" for i in sources))
-    for name, matrix in found.items():
-        print(f"{name:10} " + " ".join(f"{mean:8.3f}" for mean in matrix.mean(axis=1)))
-    for one, other in (("twin", "SUMO"), ("twin", "SUMO again"), ("SUMO", "SUMO again")):
+    print("source       " + " ".join(f"{twin.space.contexts[i][axis]:8g}" for i in sources))
+    for engine, matrix in found.items():
+        print(f"{engine:12} " + " ".join(f"{mean:8.3f}" for mean in matrix.mean(axis=1)))
+    for one, other in (("twin", name), ("twin", again), (name, again)):
         a, b = found[one], found[other]
         ranks = stats.spearmanr(a.mean(axis=1), b.mean(axis=1)).statistic
         entries = np.corrcoef(a.ravel(), b.ravel())[0, 1]

@@ -85,6 +85,16 @@ def episode_seed(evaluation: int, episode: int) -> int:
     return derive_seed(evaluation, Purpose(top) if known else Purpose.EVALUATION, episode)
 
 
+def episode_seeds(evaluation: int, episodes: int) -> list[int]:
+    """Seeds of all episodes of an evaluation; see `episode_seed`."""
+    return [episode_seed(evaluation, e) for e in range(episodes)]
+
+
+def checkpoint_seeds(training: int, episodes: int) -> list[int]:
+    """Seeds of the episodes by which a training judges itself, the same at every checkpoint."""
+    return [derive_seed(training, Purpose.CHECKPOINT, e) for e in range(episodes)]
+
+
 def action_seed(seed: int) -> int:
     """Seed of random actions where `seed` is that of the environment.
 

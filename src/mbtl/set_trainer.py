@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from mbtl.contexts import Context
+from mbtl.errors import InvalidInput
 from mbtl.trainer import OnProgress, Reached, SteppingTrainer
 
 
@@ -43,3 +44,17 @@ class SetTrainer(SteppingTrainer, Protocol):
             on_progress: told now and then.
         """
         ...
+
+
+def check_counted(trainer: Any) -> None:
+    """Refuse to pay a training in steps that is counted in episodes.
+
+    Raises:
+        InvalidInput: it is.
+    """
+    if trainer.timesteps is None:
+        raise InvalidInput(
+            "only trainings that are counted in steps can be paid in steps, got a recipe of "
+            f"{trainer.episodes} episodes; give timesteps, or count trainings instead (a budget "
+            "without cost=)"
+        )

@@ -84,7 +84,7 @@ def test_walkers_that_nobody_moves_any_more_are_forgotten():
 
 
 def test_in_the_engine_an_episode_is_that_of_the_gymnasium_environment():
-    cmdp = get_cmdp("walker-scale", engine="jax")
+    cmdp = get_cmdp("walker-scale", engine="gymnasium-jax")
     contexts = [{"scale": scale} for scale in (20.0, 30.0, 45.0)]
     world, params = cmdp.trainer.problem(contexts)
     recipe = engine.PPORecipe(n_envs=1, n_steps=64, hidden=(8,))
@@ -115,7 +115,7 @@ def test_a_training_whose_simulator_gives_no_numbers_fails():
 def test_an_interrupted_training_is_not_kept_for_another_process(tmp_path, monkeypatch):
     monkeypatch.setattr("mbtl.training.jax.saving._SECONDS", 0.0)
     few = {"n_envs": 2, "n_steps": 16, "batch_size": 32}
-    trainer = get_cmdp("walker-gravity", engine="jax").trainer_for(
+    trainer = get_cmdp("walker-gravity", engine="gymnasium-jax").trainer_for(
         timesteps=64, hyperparameters=few, checkpoint_every=32, checkpoint_episodes=1
     )
     file = tmp_path / "partial.npz"

@@ -20,8 +20,9 @@ FEW = {"n_envs": 2, "n_steps": 64, "batch_size": 64, "n_epochs": 1}
 
 
 def short_trainer(id, horizon=20, **switches):
-    """Of one source, with episodes of a few steps."""
-    cmdp = get_cmdp(id, **switches)
+    """Of one source, with episodes of a few steps; walkers in Box2D, which cannot be stored."""
+    engine = "gymnasium-jax" if id.startswith("walker") else None
+    cmdp = get_cmdp(id, engine=engine, **switches)
     factory = replace(
         cmdp.trainer.problem.make_env,
         options={**cmdp.trainer.problem.make_env.options, "horizon": horizon},

@@ -11,7 +11,6 @@ from mbtl.errors import InvalidInput
 from mbtl.set_trainer import SetTrainer
 from mbtl.trainer import SteppingTrainer
 from mbtl.training import SB3Trainer
-from mbtl.training.multitask import for_all_contexts
 from mbtl.training.sb3_steps import _can_be_copied
 
 POLE = {"length": 0.5}
@@ -63,7 +62,7 @@ def test_a_training_on_several_contexts_extended_twice_is_the_whole_one(algorith
     assert isinstance(one, SetTrainer)
     one.check_on_set()
     marks, file = (128, 640), tmp_path / "training"
-    whole = replace(for_all_contexts(one, contexts), timesteps=640).train({}, seed=3)
+    whole = replace(one.for_all_contexts(contexts), timesteps=640).train({}, seed=3)
     reached = [
         one.train_on_steps(contexts, 3, steps, marks=marks, saved=file) for steps in (128, 320, 640)
     ]

@@ -42,14 +42,19 @@ class Counter:
         weights = Weights((), (), jnp.zeros((1, 1)))
         return beginning(_State(weights), marks)
 
-    def advance(self, training, count):
+    def learn(self, training, count):
         assert training.along is None  # compiled programs never see it
         now = int(training.updates) + count
         self.calls.append(now)
-        weights = Weights((), (), jnp.full((1, 1), float(now)))
-        training = training._replace(state=_State(weights), updates=jnp.int32(now))
-        found = jnp.array([float(self.returns.get(now, 0.0))])
-        return keep_better(training, found), np.array([now < 90])
+        weights = Weights((), (), jnp.full((1, 1), float(now) if now < 90 else np.nan))
+        return training._replace(state=_State(weights), updates=jnp.int32(now))
+
+    def judge(self, training):
+        found = float(self.returns.get(int(training.updates), 0.0))
+        return keep_better(training, jnp.array([found]))
+
+    def both(self):
+        return self.learn, self.judge
 
 
 def number(weights):
@@ -62,9 +67,9 @@ def test_marks_between_evaluations_keep_weights_and_are_not_judged():
     schedule = Schedule(total=40, every=4, unit=100, marks=tuple(MARKS))
     told = []
     marked = in_blocks(
-        schedule, with_marks.start(3), with_marks.advance, lambda block: told.append(block.steps)
+        schedule, with_marks.start(3), *with_marks.both(), lambda block: told.append(block.steps)
     )
-    plain = in_blocks(schedule._replace(marks=()), without.start(), without.advance)
+    plain = in_blocks(schedule._replace(marks=()), without.start(), *without.both())
 
     assert with_marks.calls == [4, 5, 8, 10, 12, 16, 20, 24, 28, 32, 36, 40]
     assert without.calls == told_updates(told) == list(range(4, 41, 4))
@@ -86,7 +91,7 @@ def told_updates(told):
 def test_before_the_first_evaluation_the_best_is_the_latest():
     one = Counter({})
     training = in_blocks(
-        Schedule(40, 20, 1, (Fraction(1, 8), Fraction(1, 2))), one.start(2), one.advance
+        Schedule(40, 20, 1, (Fraction(1, 8), Fraction(1, 2))), one.start(2), *one.both()
     )
     early = weights_of(training, Checkpoint.named("best@1/8"), [Fraction(1, 8), Fraction(1, 2)])
     assert number(early) == 5.0
@@ -97,7 +102,7 @@ def test_weights_at_an_early_end_stand_for_all_marks_to_come():
     training = in_blocks(
         Schedule(40, 4, 1, tuple(MARKS)),
         one.start(3),
-        one.advance,
+        *one.both(),
         nothing_to_gain=lambda training: float(training.best_return[0]) >= 1.0,
     )
     assert one.calls == [4, 5, 8]
@@ -108,7 +113,7 @@ def test_weights_at_an_early_end_stand_for_all_marks_to_come():
 def test_a_training_goes_on_from_its_arrays_with_its_marks():
     whole, first, second = Counter({8: 2.0, 16: 3.0}), Counter({8: 2.0}), Counter({16: 3.0})
     schedule = Schedule(40, 4, 1, tuple(MARKS))
-    expected = in_blocks(schedule, whole.start(3), whole.advance)
+    expected = in_blocks(schedule, whole.start(3), *whole.both())
 
     class Stopped(Exception):
         pass
@@ -121,16 +126,16 @@ def test_a_training_goes_on_from_its_arrays_with_its_marks():
             raise Stopped
 
     with pytest.raises(Stopped):
-        in_blocks(schedule, first.start(3), first.advance, stop)
-    resumed = in_blocks(schedule, from_arrays(second.start(3), saved), second.advance)
+        in_blocks(schedule, first.start(3), *first.both(), stop)
+    resumed = in_blocks(schedule, from_arrays(second.start(3), saved), *second.both())
     for a, b in zip(jax.tree.leaves(expected), jax.tree.leaves(resumed), strict=True):
         assert np.array_equal(a, b)
 
 
 def test_whoever_goes_on_from_the_end_is_told_once():
     one, told = Counter({}), []
-    ended = in_blocks(Schedule(4, 4, 10), one.start(), one.advance)
-    in_blocks(Schedule(4, 4, 10), ended, one.advance, lambda block: told.append(block.steps))
+    ended = in_blocks(Schedule(4, 4, 10), one.start(), *one.both())
+    in_blocks(Schedule(4, 4, 10), ended, *one.both(), lambda block: told.append(block.steps))
     assert told == [40]
     assert one.calls == [4]
 
@@ -138,7 +143,7 @@ def test_whoever_goes_on_from_the_end_is_told_once():
 def test_lost_weights_are_an_error_that_says_when():
     one = Counter({})
     with pytest.raises(TrainingFailed, match="NaN or infinity by step 1000 in policies 0"):
-        in_blocks(Schedule(200, 100, 10), one.start(), one.advance)
+        in_blocks(Schedule(200, 100, 10), one.start(), *one.both())
 
 
 @pytest.mark.parametrize("mark", [Fraction(0), Fraction(3, 2)])

@@ -20,7 +20,9 @@ from mbtl.errors import InvalidInput, UnknownName
 from mbtl.training.jax import algorithms, networks
 from mbtl.training.jax.evaluation import own_scores
 from mbtl.training.jax.multitask import moore, paco, table
-from mbtl.training.jax.rollout import draw, play, take_turns
+from mbtl.training.jax.networks import Weights
+from mbtl.training.jax.rollout import draw, play
+from mbtl.worlds.copies import take_turns
 
 TINY = engine.PPORecipe(n_envs=3, n_steps=32, batch_size=48, n_epochs=1, learning_rate=1e-3)
 CARTPOLE = engine.Solo(engine.CartPole(horizon=60))
@@ -113,11 +115,24 @@ def paco_weights(vectors):
     return init._replace(vectors=jnp.asarray(vectors, jnp.float32))
 
 
+def composed(weights, places):
+    """Ordinary networks at `places`, leading axis, by the definition."""
+    mixture = table.rows_at(weights.vectors, places)
+    sets = Weights(weights.actor_sets, weights.critic_sets, ())
+    mixed = jax.tree.map(lambda part: jnp.tensordot(mixture, part, axes=1), sets)
+    return mixed._replace(log_std=jnp.tile(weights.log_std, (len(mixture), 1)))
+
+
 def test_a_one_hot_vector_composes_exactly_one_parameter_set():
     weights = paco_weights(np.eye(5, 3))
-    composed = paco.compose(weights, jnp.arange(3.0))
-    assert_same(composed.actor, weights.actor_sets)
-    assert_same(composed.critic, weights.critic_sets)
+    assert_same(composed(weights, jnp.arange(3.0)).actor, weights.actor_sets)
+    seen = jnp.asarray(np.random.default_rng(2).normal(size=(7, 5)), jnp.float32)
+    for k in range(3):
+        at_k = jnp.concatenate([seen, jnp.full((7, 1), float(k))], axis=-1)
+        one = jax.tree.map(lambda x, k=k: x[k], weights.critic_sets)
+        np.testing.assert_allclose(
+            networks.apply(weights.critic, at_k), networks.apply(one, seen), rtol=1e-5, atol=1e-6
+        )
 
 
 def test_the_composed_network_is_what_acts():
@@ -126,7 +141,7 @@ def test_the_composed_network_is_what_acts():
     places = jnp.array([0.0, 2.0, 3.5])
     seen = jnp.asarray(np.random.default_rng(2).normal(size=(3, 7, 5)), jnp.float32)
     with_place = jnp.concatenate([seen, jnp.broadcast_to(places[:, None, None], (3, 7, 1))], -1)
-    ordinary = jax.vmap(networks.apply)(paco.compose(weights, places).actor, seen)
+    ordinary = jax.vmap(networks.apply)(composed(weights, places).actor, seen)
     np.testing.assert_allclose(
         networks.apply(weights.actor, with_place), ordinary, rtol=1e-4, atol=1e-6
     )
@@ -271,7 +286,7 @@ def test_composed_networks_are_exported_as_ordinary_policies_also_between_contex
     places = np.array([0.0, 0.5, 2.0])
     weights = engine.start_multitask(PENDULUM, recipe, [4], params).state.weights
     ours = engine.evaluate_multitask(PENDULUM, recipe, weights, params, range(3), places=places)
-    ordinary = paco.compose(jax.tree.map(lambda x: x[0], weights), jnp.asarray(places))
+    ordinary = composed(jax.tree.map(lambda x: x[0], weights), jnp.asarray(places))
     policies = engine.export_policies(PENDULUM, ordinary, recipe.activation)
     pairs = engine.evaluate(PENDULUM, engine.import_actor(policies), params, range(3))
     np.testing.assert_allclose(ours[0], pairs[np.arange(3), np.arange(3)], rtol=1e-4)

@@ -141,7 +141,7 @@ def test_bad_arguments_and_diverged_trainings_are_named():
     with pytest.raises(UnknownName, match="'fast'"):
         engine.recipe_named("PPO", "fats")
     with pytest.raises(TrainingFailed, match=r"step 64 in policies 1 \(1 in all\)"):
-        blocks.check_finite(np.array([True, False]), 64)
+        blocks.check_finite({"log_std": np.array([[0.0], [np.nan]])}, 64)
 
 
 # ---- the algorithm's parts -----------------------------------------------------------------------

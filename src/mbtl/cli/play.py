@@ -18,7 +18,7 @@ from mbtl.cmdps.registry import engines_of
 from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import MANIFEST
-from mbtl.seeds import action_seed, episode_seed, evaluation_seed
+from mbtl.seeds import action_seed, episode_seeds, evaluation_seed
 
 
 def play(
@@ -74,7 +74,7 @@ def play(
         choice = portfolio.explain(nominal_part)
         sampled = _record(made, "recipe").get("acting") == "sampled"
         actor, why = actor_for(portfolio.policy(choice.policy), sampled=sampled), choice.explanation
-    seeds = [episode_seed(evaluation_seed(seed, 0), episode) for episode in range(episodes)]
+    seeds = episode_seeds(evaluation_seed(seed, 0), episodes)
     (scores,) = rollout.play([rollout.Job(lambda: env, seeds)], actor, max_envs=1)
     pictures = 0
     if film is not None:

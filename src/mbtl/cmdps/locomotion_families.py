@@ -109,7 +109,8 @@ LOCOMOTION_FAMILIES: Mapping[str, Family] = {
         theta=0.005,
         presets=_SB3,
         preset_on_all="standard",
-        jax=JaxFamily(
+        jax=JaxFamily("mbtl.worlds.walker:BipedalWalker", _ours(_WALKER)),
+        in_simulator=JaxFamily(
             "mbtl.cmdps.locomotion.walker_batch:BipedalWalkers", _ours(_WALKER), on_host=True
         ),
     ),

@@ -38,7 +38,11 @@ def cmdp_ids() -> list[str]:
 def engines_of(id: str) -> list[str]:
     """Where a CMDP is simulated; each has presets of its own."""
     _, family = _entry(id)
-    others = {"jax": family.jax is not None, "sumo-jax": bool(family.in_processes)}
+    others = {
+        "jax": family.jax is not None,
+        "gymnasium-jax": family.in_simulator is not None,
+        "sumo-jax": bool(family.in_processes),
+    }
     return [family.simulator, *(engine for engine, there in others.items() if there)]
 
 
@@ -208,11 +212,12 @@ def _training(
         default = next(iter(family.in_processes.values()))
         scenes = SceneProblem(make_env, make_env.options["time_limit"])
         return family.in_processes, WorldTrainer(scenes, **default.options())
-    assert family.jax is not None  # `engines_of` says so
-    default = next(iter(family.jax.presets.values()))
+    record = family.jax if engine == "jax" else family.in_simulator
+    assert record is not None  # `engines_of` says so
+    default = next(iter(record.presets.values()))
     problem: JaxProblem | TwinProblem
-    if isinstance(family.jax, TwinFamily):
-        problem = TwinProblem(family.jax.problem, make_env, family.jax.options)
+    if isinstance(record, TwinFamily):
+        problem = TwinProblem(record.problem, make_env, record.options)
     else:
-        problem = JaxProblem(family.jax.environment, make_env, family.jax.on_host)
-    return family.jax.presets, WorldTrainer(problem, **default.options())
+        problem = JaxProblem(record.environment, make_env, record.on_host)
+    return record.presets, WorldTrainer(problem, **default.options())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
@@ -30,6 +31,18 @@ def multitask_env(make_env: Callable[[Context], Any], contexts: Sequence[Context
     first = make_env(contexts[0])
     kind = _Team if hasattr(first, "possible_agents") else _Single
     return kind(make_env, contexts, first)
+
+
+@dataclass(frozen=True)
+class Everywhere:
+    """`multitask_env` as a factory that can be sent to other processes, whatever it is given."""
+
+    make_env: Callable[[Context], Any]
+    contexts: tuple[Context, ...]
+
+    def __call__(self, _: Context) -> Any:
+        """An environment for all contexts."""
+        return multitask_env(self.make_env, self.contexts)
 
 
 class _AnyContext:

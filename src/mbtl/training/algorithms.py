@@ -52,8 +52,6 @@ def algorithm_class(algorithm: str | type) -> Any:
         )
     found: dict[str, Any] = {}
     for package, names in _KNOWN.items():
-        if package == "sb3_contrib" and algorithm in found:
-            break  # do not import more than is needed
         try:
             module = _package(package)
         except ImportError:
@@ -62,9 +60,9 @@ def algorithm_class(algorithm: str | type) -> Any:
             continue
         members = vars(module).items()
         found |= {n: c for n, c in members if isinstance(c, type) and issubclass(c, base)}
-    if algorithm not in found:
-        raise unknown_name("algorithm", algorithm, found)
-    return found[algorithm]
+        if algorithm in found:
+            return found[algorithm]
+    raise unknown_name("algorithm", algorithm, found)
 
 
 def checked_hyperparameters(algorithm: Any, given: Mapping[str, Any] | None) -> dict[str, Any]:

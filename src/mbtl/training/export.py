@@ -101,11 +101,9 @@ def _head(model: Any) -> DiscreteHead | BoxHead | None:
         return DiscreteHead(tuple(map(int, space.nvec)), scalar=False, samples=is_distribution)
     if isinstance(space, Box):
         low, high = (np.array(bound, dtype=np.float32) for bound in (space.low, space.high))
-        log_std = getattr(policy, "log_std", None)
-        if log_std is not None and not model.use_sde:
+        log_std = None if model.use_sde else getattr(policy, "log_std", None)
+        if log_std is not None:
             log_std = log_std.detach().cpu().numpy().copy()
-        else:
-            log_std = None
         return BoxHead(low, high, squash=bool(policy.squash_output), log_std=log_std)
     return None
 

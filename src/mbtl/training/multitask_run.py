@@ -14,8 +14,8 @@ from typing import Any, Literal
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput
-from mbtl.training.world_steps import recipe_on_many
+from mbtl.training import engine
+from mbtl.training.world_steps import check_ppo, recipe_on_many
 from mbtl.training.world_trainer import WorldTrainer
 
 Method = Literal["ppo", "paco", "moore"]
@@ -51,17 +51,11 @@ class InJax:
     eval_episodes: int | None = None
 
     def __post_init__(self) -> None:
-        if self.trainer.algorithm != "PPO":
-            raise InvalidInput(
-                f"multi-task methods learn by PPO, got a recipe of {self.trainer.algorithm}; "
-                "choose another --preset"
-            )
+        check_ppo(self.trainer)
 
     @property
     def settings(self) -> dict[str, Any]:
         """What decides the numbers, apart from the seed; JSON-able."""
-        import mbtl.training.jax as engine
-
         world, recipe, params, judged, episodes = self._problem()
         return engine.multitask_settings(world, recipe, params, self.length, episodes, judged)
 
@@ -73,8 +67,6 @@ class InJax:
             StorageError: it cannot be written, or another process works there.
             TrainingFailed: weights are no longer finite.
         """
-        import mbtl.training.jax as engine
-
         world, recipe, params, judged, episodes = self._problem()
         run = engine.run_multitask(
             world,
@@ -92,8 +84,6 @@ class InJax:
 
     def _problem(self) -> tuple[Any, Any, Any, Any, int]:
         """World, recipe, parameters, when it is judged on the way, and E."""
-        import mbtl.training.jax as engine
-
         world, params = self.trainer.problem(self.contexts)
         name, n = type(getattr(world, "env", world)).__name__, len(self.contexts)
         recipe = recipe_on_many(self.trainer, world, n, self.method)

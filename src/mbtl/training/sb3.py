@@ -12,21 +12,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.envs.references import reference_rows
-from mbtl.envs.rollout import Job, play
 from mbtl.errors import InvalidInput, missing_extra, unknown_name
-from mbtl.seeds import Purpose, action_seed, derive_seed, episode_seed
-from mbtl.trainer import OnProgress, check_settings, checked_returns
+from mbtl.seeds import action_seed, checkpoint_seeds, episode_seeds
+from mbtl.trainer import OnProgress, check_settings
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
 from mbtl.training.isolation import isolated
 from mbtl.training.sb3_files import load_sb3, save_sb3
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
 from mbtl.training.sb3_steps import SB3Steps
-from mbtl.training.watch import EVALUATION_ENVS, BestCheckpoint, Watch, actor_for
+from mbtl.training.watch import EVALUATION_ENVS, BestCheckpoint, Watch
 
 _COUNTS = ("eval_episodes", "checkpoint_episodes", "n_envs", "threads")
 _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every", "n_eval_envs")
@@ -156,9 +153,7 @@ class SB3Trainer(SB3Steps):
         Raises:
             InvalidInput: there are no contexts.
         """
-        from mbtl.training.multitask import for_all_contexts  # needs Gymnasium
-
-        return for_all_contexts(self, contexts).train(next(iter(contexts), {}), seed, on_progress)
+        return self.for_all_contexts(contexts).train(next(iter(contexts), {}), seed, on_progress)
 
     def untrained(self, context: Context) -> Any:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
@@ -173,27 +168,17 @@ class SB3Trainer(SB3Steps):
         """What episodes are worth (see `mbtl.envs.rollout`), (n_targets, eval_episodes).
 
         Episode e has the same seed for every policy and every target, and a return does not depend
-        on the other targets of the call.
-
-        Args:
-            policy: what `train` or `load` gave, or an `MLPPolicy`.
-            contexts: the targets.
-            seed: what `mbtl.seeds.evaluation_seed` gave.
+        on the other targets of the call. The policy may be an `MLPPolicy`, too.
 
         Raises:
             TrainingFailed: a return is NaN or infinite, or an episode does not end.
         """
-        jobs = [Job(partial(self.make_env, one), self._episodes(seed)) for one in contexts]
-        with isolated(self.threads):
-            actor = actor_for(policy, sampled=self.acting == "sampled")
-            rows = play(jobs, actor, max_envs=self.n_eval_envs or EVALUATION_ENVS)
-        returns = np.reshape(rows, (len(jobs), self.eval_episodes))
-        return checked_returns(returns, len(jobs))
+        return self.evaluate_steps(policy, contexts, seed)[0]
 
     def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
         """See `mbtl.trainer.ReferenceTrainer`; `mbtl.envs.references` has what is unguided."""
-        envs = self.n_eval_envs or EVALUATION_ENVS
-        return reference_rows(self.make_env, contexts, self._episodes(seed), max_envs=envs)
+        envs, seeds = self.n_eval_envs or EVALUATION_ENVS, episode_seeds(seed, self.eval_episodes)
+        return reference_rows(self.make_env, contexts, seeds, max_envs=envs)
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Write the library's zip, and a numpy copy where there is one; no replay buffer."""
@@ -228,9 +213,6 @@ class SB3Trainer(SB3Steps):
         return {**self.recipe, "contexts": "uniform, one per episode"}
 
     # ---- inside ------------------------------------------------------------------------------
-    def _episodes(self, seed: int) -> list[int]:
-        return [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
-
     @property
     def _length(self) -> int:
         """Of a training, in steps or episodes."""
@@ -241,16 +223,10 @@ class SB3Trainer(SB3Steps):
     @property
     def _length_record(self) -> dict[str, Any]:
         """Settings that came later are named where they are used: old records stay as they were."""
-        record: dict[str, Any] = {"timesteps": self.timesteps}
-        if self.episodes is not None:
-            record = {"episodes": self.episodes}
-        if self.normalize_reward:
-            record["normalize_reward"] = True
-        if self.credit != "own":
-            record["credit"] = self.credit
-        if self.clip_actions:
-            record["clip_actions"] = True
-        return record if self.acting == "mean" else {**record, "acting": self.acting}
+        unit = "timesteps" if self.episodes is None else "episodes"
+        usual = ("normalize_reward", False), ("credit", "own"), ("clip_actions", False)
+        later = [(name, getattr(self, name), old) for name, old in (*usual, ("acting", "mean"))]
+        return {unit: self._length, **{name: now for name, now, old in later if now != old}}
 
     def _algorithm(self) -> tuple[Any, dict[str, Any]]:
         """The library's class and its keyword arguments."""
@@ -263,8 +239,8 @@ class SB3Trainer(SB3Steps):
         """The library's model before its training, and whether it is of a team."""
         algorithm, settings = kind
         envs = self._training_envs(context, stack)
-        team = _is_team(envs)
-        on_policy = _on_policy(algorithm)
+        team = hasattr(envs, "slots")
+        on_policy = "rollout_buffer_class" in inspect.signature(algorithm.__init__).parameters
         if self.credit == "team" and not (team and on_policy):
             raise InvalidInput(
                 "credit='team' needs a PettingZoo parallel environment and an on-policy "
@@ -342,8 +318,7 @@ class SB3Trainer(SB3Steps):
         for _ in range(count):
             envs.append(self.make_env(context))
             stack.callback(envs[-1].close)
-        episodes = range(self.checkpoint_episodes)
-        seeds = [derive_seed(seed, Purpose.CHECKPOINT, episode) for episode in episodes]
+        seeds = checkpoint_seeds(seed, self.checkpoint_episodes)
         every = self.checkpoint_every or max(1, math.ceil(0.02 * self._length))
         return BestCheckpoint(envs, seeds, every, sampled=self.acting == "sampled")
 
@@ -385,11 +360,3 @@ def _monitored(make: Callable[[], Any]) -> Any:
     from stable_baselines3.common.monitor import Monitor
 
     return Monitor(make())
-
-
-def _is_team(envs: Any) -> bool:
-    return hasattr(envs, "slots")
-
-
-def _on_policy(algorithm: Any) -> bool:
-    return "rollout_buffer_class" in inspect.signature(algorithm.__init__).parameters

@@ -31,7 +31,8 @@ from mbtl.contexts import Context
 from mbtl.envs.rollout import Job, play_counted
 from mbtl.errors import InvalidInput
 from mbtl.files import whole_file
-from mbtl.seeds import Purpose, derive_seed
+from mbtl.seeds import Purpose, derive_seed, episode_seeds
+from mbtl.set_trainer import check_counted
 from mbtl.trainer import OnProgress, Reached, checked_returns
 from mbtl.training.isolation import isolated
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
@@ -66,25 +67,18 @@ class SB3Steps:
         saved: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Reached:
-        """Train until `steps` are done in all, rounded up to whole rollouts.
+        """Train until `steps` are done in all, rounded up to whole rollouts (`SteppingTrainer`).
 
         The policy has the latest weights, whatever `checkpoint` says: who counts steps evaluates
-        policies on the way, and the best of them serves.
-
-        Args:
-            context: to train on.
-            seed: of the training; the same seed gives the same policy.
-            steps: in all, 1..`whole_steps`; schedules follow the latter.
-            start: a model of this algorithm whose weights to begin with.
-            saved: file of the training, to go on from; None: it cannot go on later.
-            on_progress: told steps.
+        policies on the way, and the best of them serves. It may `start` from a model of this
+        algorithm.
 
         Raises:
             InvalidInput: this trainer counts episodes, or `start` has other weights.
             TrainingFailed: the weights or the actions became NaN.
         """
         trainer = cast("SB3Trainer", self)
-        _check_counted(trainer)
+        check_counted(trainer)
         assert trainer.timesteps is not None
         with ExitStack() as stack:
             stack.enter_context(isolated(trainer.threads))
@@ -113,12 +107,8 @@ class SB3Steps:
             return Reached(lightened(model), done)
 
     def check_on_set(self) -> None:
-        """Whether `train_on_steps` can do it.
-
-        Raises:
-            InvalidInput: this trainer counts episodes.
-        """
-        _check_counted(cast("SB3Trainer", self))
+        """See `mbtl.set_trainer.SetTrainer`."""
+        check_counted(cast("SB3Trainer", self))
 
     def train_on_steps(
         self,
@@ -132,32 +122,30 @@ class SB3Steps:
     ) -> Reached:
         """Train one policy on several contexts: every episode is in one drawn from them.
 
-        Args:
-            contexts: one or more.
-            seed: of the training; the same seed gives the same policy.
-            steps: in all, rounded up to whole rollouts.
-            marks: schedules of learning rates and exploration follow the last of them.
-            saved: as in `train_steps`.
-            on_progress: told steps.
-
-        Raises:
-            InvalidInput: this trainer counts episodes.
-            TrainingFailed: the weights or the actions became NaN.
+        As `train_steps`; schedules of learning rates and exploration follow the last of the marks.
         """
-        from mbtl.training.multitask import for_all_contexts
-
         self.check_on_set()
-        everywhere = for_all_contexts(cast("SB3Trainer", self), contexts)
-        return replace(everywhere, timesteps=marks[-1]).train_steps(
-            {}, seed, steps, saved=saved, on_progress=on_progress
-        )
+        everywhere = replace(self.for_all_contexts(contexts), timesteps=marks[-1])
+        return everywhere.train_steps({}, seed, steps, saved=saved, on_progress=on_progress)
+
+    def for_all_contexts(self, contexts: Sequence[Context]) -> SB3Trainer:
+        """The same trainer, whose every episode is in a context drawn uniformly from `contexts`.
+
+        Any algorithm trains so unchanged; the context that `train` is given is ignored. One policy
+        for all contexts is the baseline of cmdp-spec, 8.3.
+        """
+        from mbtl.envs.everywhere import Everywhere  # needs Gymnasium
+
+        trainer = cast("SB3Trainer", self)
+        return replace(trainer, make_env=Everywhere(trainer.make_env, tuple(contexts)))
 
     def evaluate_steps(
         self, policy: Any, contexts: Sequence[Context], seed: int
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
         trainer = cast("SB3Trainer", self)
-        jobs = [Job(partial(trainer.make_env, one), trainer._episodes(seed)) for one in contexts]
+        seeds = episode_seeds(seed, trainer.eval_episodes)
+        jobs = [Job(partial(trainer.make_env, one), seeds) for one in contexts]
         with isolated(trainer.threads):
             actor = actor_for(policy, sampled=trainer.acting == "sampled")
             most = trainer.n_eval_envs or EVALUATION_ENVS
@@ -181,14 +169,6 @@ class _Pausing:
             _freeze(self._model, self._saved)
             self._model.collect_rollouts, self._at = self, time.monotonic()
         return self._collect(*given, **named)
-
-
-def _check_counted(trainer: SB3Trainer) -> None:
-    if trainer.timesteps is None:
-        raise InvalidInput(
-            "only trainings that are counted in steps can be paid in steps, got "
-            f"episodes={trainer.episodes}; give timesteps, or count trainings instead"
-        )
 
 
 def _freeze(model: Any, saved: Path) -> None:

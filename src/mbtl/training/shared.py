@@ -109,20 +109,18 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
         """(observations, rewards, dones, infos) of all slots."""
         seen, _, _, infos = self.venv.step_wait()
-        steps = [info["slots"] for info in infos]
+        steps, own = [info["slots"] for info in infos], self._credit == "own"
+        dones = [step.dones if own else np.full(self.slots, step.ended) for step in steps]
         return (
             self._flat(seen),
             np.concatenate([step.rewards for step in steps]),
-            np.concatenate([self._dones(step) for step in steps]),
+            np.concatenate(dones),
             [info for step in steps for info in self._infos(step)],
         )
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Lives of agents are reported as a monitor does, but none is wrapped."""
         return [False] * len(list(self._get_indices(indices)))
-
-    def _dones(self, step: SlotStep) -> Any:
-        return step.dones if self._credit == "own" else np.full(self.slots, step.ended)
 
     def _infos(self, step: SlotStep) -> list[dict[str, Any]]:
         """An episode of the team that time cuts off goes on as its last agents see it.
@@ -189,13 +187,7 @@ class TeamRolloutBuffer(SharedRolloutBuffer):
     """
 
     def __init__(self, *args: Any, slots: int, **kwargs: Any) -> None:
-        """As the base class.
-
-        Args:
-            *args: as there.
-            slots: of one simulation.
-            **kwargs: as there.
-        """
+        """As the base class; `slots` are those of one simulation."""
         self._slots = slots
         super().__init__(*args, **kwargs)
 

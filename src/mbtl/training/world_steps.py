@@ -10,8 +10,8 @@ and the training can still go on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -20,7 +20,9 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput
+from mbtl.set_trainer import check_counted
 from mbtl.trainer import OnProgress, Progress, Reached
+from mbtl.training import engine
 
 if TYPE_CHECKING:
     from mbtl.training.world_trainer import WorldTrainer
@@ -51,36 +53,26 @@ class WorldSteps:
         saved: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Reached:
-        """Train until `steps` are done in all, rounded up to whole updates.
+        """Train until `steps` are done in all, rounded up to whole updates (`SteppingTrainer`).
 
         The policy has the latest weights, whatever `checkpoint` says: who counts steps evaluates
         policies on the way, and the best of them serves. A training evaluates itself only where
-        that can end it early, which is where a perfect return is one of episodes that last.
-
-        Args:
-            context: to train on.
-            seed: of the training; the same seed gives the same policy.
-            steps: in all, 1..`whole_steps`.
-            start: a policy to begin from; the critic, which no policy carries, begins anew.
-            saved: file of the training, to go on from; None: it cannot go on later.
-            on_progress: told steps.
+        that can end it early, which is where a perfect return is one of episodes that last. Where
+        it may `start` from a policy, the critic, which no policy carries, begins anew.
 
         Raises:
             InvalidInput: this trainer counts episodes, its world cannot be saved, or `start` has
                 another shape.
             TrainingFailed: the weights became NaN.
         """
-        import mbtl.training.jax as engine
-
         trainer = cast("WorldTrainer", self)
-        _check_counted(trainer)
+        check_counted(trainer)
         world, params = trainer._lessons([context])
         _check_storable(world, saved)
         recipe, checked = trainer.learner, _may_end(world)
-        begin = engine.start(world, recipe, [seed], params)
-        weights = None if start is None else _beginning(engine, start, begin.state.weights)
-        file = engine.SavedTraining(saved)
-        resume = file.load(lambda: begin)
+        file, weights = engine.SavedTraining(saved), None
+        if start is not None:
+            weights = _beginning(start, engine.start(world, recipe, [seed], params).best)
 
         def on_block(block: Any) -> None:
             at = int(block.training.updates)
@@ -92,7 +84,6 @@ class WorldSteps:
             if on_progress is not None:
                 metrics = {} if latest is None else {"episode_return": latest}
                 on_progress(Progress(block.steps, block.total, metrics))
-            file.save(block.training)
 
         training = engine.train(
             world,
@@ -106,11 +97,10 @@ class WorldSteps:
             acting=trainer._how,
             only_best=checked,
             weights=weights,
-            resume=resume,
+            saved=file,
             until=steps,
             judging=checked,
         )
-        file.save(training, done=True)
         done = int(training.updates) * trainer.update_length
         best = float(training.best_return[0])
         return Reached(
@@ -121,14 +111,10 @@ class WorldSteps:
         )
 
     def check_on_set(self) -> None:
-        """Whether `train_on_steps` can do it.
-
-        Raises:
-            InvalidInput: this trainer counts episodes, or does not learn by PPO.
-        """
+        """See `mbtl.set_trainer.SetTrainer`; it learns by PPO."""
         trainer = cast("WorldTrainer", self)
-        _check_counted(trainer)
-        _check_ppo(trainer)
+        check_counted(trainer)
+        check_ppo(trainer)
 
     def train_on_steps(
         self,
@@ -140,18 +126,11 @@ class WorldSteps:
         saved: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Reached:
-        """Train one policy on several contexts until `steps` are done in all.
+        """Train one policy on several contexts until `steps` are done in all (`SetTrainer`).
 
         Context-conditioned PPO, as the multi-task baseline: the copies of the world take turns in
-        the contexts. It does not evaluate itself, and never ends early.
-
-        Args:
-            contexts: two or more.
-            seed: of the training; the same seed and marks give the same policy.
-            steps: in all, rounded up to whole updates; at most the last mark.
-            marks: steps at which the learning rate has fallen to zero, rising.
-            saved: file of the training, to go on from; None: it cannot go on later.
-            on_progress: told steps.
+        the contexts. It does not evaluate itself, and never ends early. At the marks, the last of
+        which is the longest training, the learning rate has fallen to zero.
 
         Raises:
             InvalidInput: this trainer counts episodes or does not learn by PPO, its world cannot be
@@ -159,13 +138,50 @@ class WorldSteps:
             TrainingFailed: the weights became NaN.
         """
         trainer = cast("WorldTrainer", self)
-        _check_counted(trainer)
+        check_counted(trainer)
         if len(contexts) < 2:
             raise InvalidInput(
                 f"a training on several contexts takes two or more, got {len(contexts)}; use "
                 "train_steps for one"
             )
-        return _OnMany(trainer, contexts, seed, marks, saved, on_progress).until(steps)
+        world, params = trainer._lessons(contexts)
+        _check_storable(world, saved)
+        recipe = recipe_on_many(trainer, world, len(contexts))
+        unit, file = int(recipe.update_length), engine.SavedTraining(saved)
+        ends = [0, *(-(-mark // unit) for mark in marks)]  # of the stages from mark to mark
+        last = min(-(-steps // unit), ends[-1])
+
+        def fresh() -> Any:
+            return engine.start_multitask(world, recipe, [seed], params)
+
+        def on_block(block: Any) -> None:
+            if on_progress is not None:
+                on_progress(Progress(ends[stage] * unit + block.steps, ends[-1] * unit))
+            if block.steps < block.total:  # the end of a stage is the beginning of the next one
+                file.save(block.training)
+
+        training = file.load(fresh) or fresh()  # its `updates` count from the last mark on
+        stage = file.notes.setdefault(_STAGE, 0)
+        while ends[stage] + int(training.updates) < last:
+            length = ends[stage + 1] - ends[stage]
+            if length:
+                training = engine.train_multitask(
+                    world,
+                    recipe,
+                    [seed],
+                    params,
+                    length * unit,
+                    on_block=on_block,
+                    judging=False,
+                    resume=training,
+                    until=(last - ends[stage]) * unit,
+                )
+            if int(training.updates) == length:
+                training = training._replace(updates=training.updates * 0)
+                stage = file.notes[_STAGE] = stage + 1
+        file.save(training, done=True)
+        policies = engine.export_policies(world, training.state.weights, recipe.activation)
+        return Reached(policies[0], (ends[stage] + int(training.updates)) * unit)
 
     def evaluate_steps(
         self, policy: Any, contexts: Sequence[Context], seed: int
@@ -184,71 +200,13 @@ class WorldSteps:
                 f"only worlds of one agent count the steps of an episode, got {world!r}; count "
                 "trainings instead (a budget without cost=)"
             )
-        counting = replace(trainer, problem=_Counting(trainer.problem))
-        return returns, counting.evaluate(policy, contexts, seed)
+        from mbtl.worlds.counted import Counted
 
+        def counting(contexts: Sequence[Context]) -> tuple[Any, Any]:
+            world, params = trainer.problem(contexts)
+            return replace(world, env=Counted(world.env)), params
 
-class _OnMany:
-    """A training on several contexts, in stages from mark to mark."""
-
-    def __init__(
-        self,
-        trainer: WorldTrainer,
-        contexts: Sequence[Context],
-        seed: int,
-        marks: Sequence[int],
-        saved: Path | None,
-        on_progress: OnProgress | None,
-    ) -> None:
-        import mbtl.training.jax as engine
-
-        self._engine, self._seed, self._on_progress = engine, seed, on_progress
-        self._world, self._params = trainer._lessons(contexts)
-        _check_storable(self._world, saved)
-        self._recipe = recipe_on_many(trainer, self._world, len(contexts))
-        self._unit = int(self._recipe.update_length)
-        self._ends = [0, *(-(-mark // self._unit) for mark in marks)]
-        self._file = engine.SavedTraining(saved)
-
-    def until(self, steps: int) -> Reached:
-        """Stage after stage; `updates` of the training count from the last mark on."""
-        engine, world, recipe = self._engine, self._world, self._recipe
-        training = self._file.load(self._fresh) or self._fresh()
-        last = min(-(-steps // self._unit), self._ends[-1])
-        stage = self._file.notes.setdefault(_STAGE, 0)
-        while self._ends[stage] + int(training.updates) < last:
-            before, length = self._ends[stage], self._ends[stage + 1] - self._ends[stage]
-            if length:
-                training = engine.train_multitask(
-                    world,
-                    recipe,
-                    [self._seed],
-                    self._params,
-                    length * self._unit,
-                    on_block=self._on_block(before),
-                    judging=False,
-                    resume=training,
-                    until=(last - before) * self._unit,
-                )
-            if int(training.updates) == length:
-                training = training._replace(updates=training.updates * 0)
-                stage = self._file.notes[_STAGE] = stage + 1
-        self._file.save(training, done=True)
-        policies = engine.export_policies(world, training.state.weights, recipe.activation)
-        return Reached(policies[0], (self._ends[stage] + int(training.updates)) * self._unit)
-
-    def _fresh(self) -> Any:
-        return self._engine.start_multitask(self._world, self._recipe, [self._seed], self._params)
-
-    def _on_block(self, before: int) -> Callable[[Any], None]:
-        def on_block(block: Any) -> None:
-            if self._on_progress is not None:
-                done, total = before * self._unit + block.steps, self._ends[-1] * self._unit
-                self._on_progress(Progress(done, total))
-            if block.steps < block.total:  # the end of a stage is the beginning of the next one
-                self._file.save(block.training)
-
-        return on_block
+        return returns, replace(trainer, problem=counting).evaluate(policy, contexts, seed)
 
 
 def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo") -> Any:
@@ -260,41 +218,11 @@ def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo
     Raises:
         InvalidInput: the trainer does not learn by PPO.
     """
-    import mbtl.training.jax as engine
-
-    _check_ppo(trainer)
+    check_ppo(trainer)
     name = type(getattr(world, "env", world)).__name__
     if name in engine.MULTI_TASK:
         return engine.multitask_recipe(method, name)  # type: ignore[arg-type]  # it checks the name
     return engine.spread_recipe(method, trainer.learner, n)  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True)
-class Counted:
-    """An environment whose every step is worth 1, so that a return is a number of steps."""
-
-    env: Any
-
-    def __getattr__(self, name: str) -> Any:
-        if name == "env" or name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self.env, name)
-
-    def step(self, state: Any, action: Any, params: Any) -> Any:
-        """One step of the environment."""
-        moved = self.env.step(state, action, params)
-        return moved._replace(reward=moved.reward * 0.0 + 1.0)
-
-
-@dataclass(frozen=True)
-class _Counting:
-    """contexts -> the world of counted steps, and its parameters."""
-
-    problem: Callable[[Sequence[Context]], tuple[Any, Any]]
-
-    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
-        world, params = self.problem(contexts)
-        return replace(world, env=Counted(world.env)), params
 
 
 def _lasts(world: Any) -> str | None:
@@ -313,7 +241,8 @@ def _check_every(trainer: WorldTrainer, world: Any) -> int:
     return trainer.checkpoint_every or max(often, _CHECK_SHARE * dearest)
 
 
-def _check_ppo(trainer: WorldTrainer) -> None:
+def check_ppo(trainer: WorldTrainer) -> None:
+    """Refuse to learn on many contexts by anything else."""
     if trainer.algorithm != "PPO":
         raise InvalidInput(
             f"multi-task methods learn by PPO, got a recipe of {trainer.algorithm}; "
@@ -329,15 +258,7 @@ def _check_storable(world: Any, saved: Path | None) -> None:
         )
 
 
-def _check_counted(trainer: WorldTrainer) -> None:
-    if trainer.timesteps is None:
-        raise InvalidInput(
-            "only trainings that are counted in steps can be paid in steps, got a recipe of "
-            f"{trainer.episodes} episodes; count trainings instead (a budget without cost=)"
-        )
-
-
-def _beginning(engine: Any, policy: Any, fresh: Any) -> Any:
+def _beginning(policy: Any, fresh: Any) -> Any:
     """Weights of one training that acts as a policy does; its critic is a fresh one."""
     if not hasattr(policy, "weights"):
         raise InvalidInput(

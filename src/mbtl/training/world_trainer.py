@@ -19,8 +19,9 @@ from mbtl.checkpoints import Checkpoint, shares_of
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.portfolio import MLPPolicy
-from mbtl.seeds import episode_seed
+from mbtl.seeds import episode_seeds
 from mbtl.trainer import OnProgress, Progress, check_settings, checked_returns, even_groups
+from mbtl.training import engine
 from mbtl.training.world_steps import WorldSteps
 
 BY_STEPS = ("PPO", "A2C", "DQN")
@@ -115,8 +116,7 @@ class WorldTrainer(WorldSteps):
     @property
     def length(self) -> int:
         """Timesteps or episodes of one training."""
-        length: int = getattr(self, self.unit)
-        return length
+        return int(getattr(self, self.unit))
 
     @property
     def update_length(self) -> int:
@@ -130,8 +130,6 @@ class WorldTrainer(WorldSteps):
         Raises:
             UnknownName: no such recipe, or it has no such hyper-parameter.
         """
-        import mbtl.training.jax as engine
-
         named = engine.recipe_named(self.algorithm, str(self.recipe_name), self.unit)
         for name in self.hyperparameters:
             if name not in named.record:
@@ -171,8 +169,6 @@ class WorldTrainer(WorldSteps):
         already keeps a core busy, and a policy trained alone is, bit for bit, the one that a study
         trains; the others need company.
         """
-        import mbtl.training.jax as engine
-
         if (own := getattr(self.problem, "lanes", None)) is not None:
             return int(own)
         if not engine.on_cpu():
@@ -181,8 +177,6 @@ class WorldTrainer(WorldSteps):
 
     def groups(self, contexts: Sequence[Context], lanes: int) -> list[int]:
         """Sizes of the groups of consecutive contexts that are trained together."""
-        import mbtl.training.jax as engine
-
         if self.unit == "episodes" and engine.on_cpu():
             world, params = self.problem(contexts)
             if hasattr(world, "groups"):
@@ -219,48 +213,31 @@ class WorldTrainer(WorldSteps):
         keep: Sequence[str] = ("best", "final"),
         partial: Path | None = None,
     ) -> dict[str, list[MLPPolicy]]:
-        """Train one policy per (context, seed), all in one program.
+        """Train one policy per (context, seed), all in one program (`mbtl.trainer.ManyTrainer`).
 
-        Args:
-            contexts: P sources; repeat one to train it with several seeds.
-            seeds: P training seeds.
-            on_progress: told steps or episodes of one policy, and the mean of the latest
-                evaluations.
-            keep: names of checkpoints (`mbtl.checkpoints`); without "final" a training may need
-                fewer steps.
-            partial: file to save the training in now and then, and to go on from; remove it after.
-
-        Returns:
-            P policies under each name of `keep`.
+        Repeat a context to train it with several seeds. `on_progress` is told steps or episodes of
+        one policy, and the mean of the latest evaluations; without "final" among what to keep, a
+        training may need fewer of them.
         """
-        import mbtl.training.jax as engine
-
         world, params = self._lessons(contexts)
         recipe, marks = self.learner, shares_of(keep)
-        storable = getattr(world, "storable", True)  # else a training goes on in no other process
-        saved = engine.SavedTraining(partial if storable else None)
         training = engine.train(
             world,
             recipe,
             seeds,
             params,
             self.length,
-            on_block=self._on_block(on_progress, saved),
+            on_block=self._on_block(on_progress),
             checkpoint_every=self.checkpoint_every,
             checkpoint_episodes=self.checkpoint_episodes,
             acting=self._how,
             only_best="final" not in keep,
             marks=marks,
-            resume=saved.load(lambda: engine.start(world, recipe, seeds, params, marks=marks)),
+            saved=engine.SavedTraining(partial if getattr(world, "storable", True) else None),
         )
-        return {
-            name: engine.export_policies(
-                world,
-                engine.weights_of(training, Checkpoint.named(name), marks),
-                recipe.activation,
-            )
-            for name in keep
-        }
+        kept = [engine.weights_of(training, Checkpoint.named(name), marks) for name in keep]
+        each = [engine.export_policies(world, weights, recipe.activation) for weights in kept]
+        return dict(zip(keep, each, strict=True))
 
     def train_on_all(
         self,
@@ -274,20 +251,11 @@ class WorldTrainer(WorldSteps):
 
         It is judged on all of them 20 times, two episodes each.
 
-        Args:
-            contexts: of which to draw.
-            seed: training seed.
-            on_progress: told episodes, and the mean score on all contexts.
-            partial: see `train_many`.
-
         Raises:
             InvalidInput: there are no contexts.
         """
-        import mbtl.training.jax as engine
-
         if not contexts:
             raise InvalidInput("multi-task training takes at least one context, got none")
-        saved = engine.SavedTraining(partial)
         world, params = self._lessons(contexts)
         recipe = self.learner
         training = engine.train_multitask(
@@ -296,22 +264,20 @@ class WorldTrainer(WorldSteps):
             [seed],
             params,
             self.length,
-            on_block=self._on_block(on_progress, saved),
+            on_block=self._on_block(on_progress),
             checkpoint_every=math.ceil(self.length / _CHECKPOINTS),
             checkpoint_episodes=_EACH,
             acting=self._how,
-            resume=saved.load(lambda: engine.start_multitask(world, recipe, [seed], params)),
+            saved=engine.SavedTraining(partial),
         )
         weights = training.best if self.checkpoint == "best" else training.state.weights
         return engine.export_policies(world, weights, recipe.activation)[0]
 
     def untrained(self, context: Context) -> MLPPolicy:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
-        import mbtl.training.jax as engine
-
         world, params = self._lessons([context])
         recipe = self.learner
-        weights = engine.start(world, recipe, [0], params).state.weights
+        weights = engine.start(world, recipe, [0], params).best
         return engine.export_policies(world, weights, recipe.activation)[0]
 
     def _lessons(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
@@ -325,17 +291,16 @@ class WorldTrainer(WorldSteps):
             world = replace(world, reward=self.reward)
         return world if self.actions is None else world.lesson(self.actions), params
 
-    def _on_block(self, on_progress: OnProgress | None, saved: Any) -> Callable[[Any], None]:
-        """Tells where a training stands, and saves it."""
-        unit, metric = "episodes", "score"
-        if self.unit == "timesteps":
-            unit, metric = "steps", "episode_return"
+    def _on_block(self, on_progress: OnProgress | None) -> Callable[[Any], None] | None:
+        """Tells where a training stands."""
+        if on_progress is None:
+            return None
+        by_steps = self.unit == "timesteps"
+        unit, metric = ("steps", "episode_return") if by_steps else ("episodes", "score")
 
         def on_block(block: Any) -> None:
-            if on_progress is not None:
-                latest = float(np.mean(block.training.latest_return))
-                on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
-            saved.save(block.training)
+            latest = float(np.mean(block.training.latest_return))
+            on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
 
         return on_block
 
@@ -346,11 +311,6 @@ class WorldTrainer(WorldSteps):
 
         Episode e starts from the same random numbers for every policy and every target.
 
-        Args:
-            policy: what `train` or `load` gave.
-            contexts: the targets.
-            seed: what `mbtl.seeds.evaluation_seed` gave.
-
         Raises:
             TrainingFailed: a return is NaN or infinite.
         """
@@ -360,27 +320,19 @@ class WorldTrainer(WorldSteps):
         self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seed: int
     ) -> Array:
         """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`."""
-        import mbtl.training.jax as engine
-
         world, params = self.problem(contexts)
         actor, activation = engine.import_actor(list(policies)), policies[0].activation
-        return engine.evaluate(
-            world, actor, params, self._episodes(seed), activation=activation, how=self._how
-        )
+        seeds = episode_seeds(seed, self.eval_episodes)
+        return engine.evaluate(world, actor, params, seeds, activation=activation, how=self._how)
 
     def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
         """See `mbtl.trainer.ReferenceTrainer`."""
-        import mbtl.training.jax as engine
-
         world, params = self.problem(contexts)
-        return engine.reference_returns(world, params, self._episodes(seed))
+        return engine.reference_returns(world, params, episode_seeds(seed, self.eval_episodes))
 
     @property
     def _how(self) -> Literal["sampled", "mean"]:
         return self.acting or "mean"  # settled when it was made
-
-    def _episodes(self, seed: int) -> list[int]:
-        return [episode_seed(seed, episode) for episode in range(self.eval_episodes)]
 
     # ---- files -------------------------------------------------------------------------------
 

@@ -1,7 +1,8 @@
 """Physics in jax: simulations of many contexts at once; importing this starts jax (see `flags`).
 
-`world.py` says what a world is, `hosted.py` makes one of a native simulator. Each family has its
-files: `cartpole.py`, `pendulum.py`, and those of traffic.
+`world.py` says what a world is, `hosted.py` makes one of a native simulator. `beats.py` lives
+through whole episodes, `copies.py` steps simulations that start again one by one. Each family has
+its files: `cartpole.py`, `pendulum.py`, and those of traffic.
 """
 
 from __future__ import annotations

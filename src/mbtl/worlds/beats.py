@@ -11,7 +11,7 @@ Notation (shapes): n simulations, D decisions of the longest episode, B beats.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import jax
 import jax.numpy as jnp
@@ -121,17 +121,33 @@ class Decisions(NamedTuple):
 
 
 def lived(
-    twin: Holding, beats: Beats, state: Tree, params: Tree, decide: Decide
+    twin: World, length: Length, state: Tree, params: Tree, decide: Decide
 ) -> tuple[Tree, Decisions]:
     """The state after the longest episode, and what happened on the way.
 
     Args:
-        twin: the dynamics.
-        beats: of the longest episode; static.
+        twin: the dynamics; in beats a `Holding` world.
+        length: of the longest episode, in decisions that last equally long or in beats; static.
         state: at the first decision.
         params: of every simulation.
         decide: what agents are told.
     """
+    if isinstance(length, Beats):
+        return _in_beats(cast(Holding, twin), length, state, params, decide)
+
+    def one(state: Tree, number: jax.Array) -> tuple[Tree, Decisions]:
+        action, kept = decide(state, number)
+        moved = twin.step(state, action, params)
+        return moved.state, Decisions(kept, jnp.ones(len(action), bool), moved.reward, moved.done)
+
+    end: tuple[Tree, Decisions]
+    end = jax.lax.scan(one, state, jnp.arange(length, dtype=jnp.uint32))
+    return end
+
+
+def _in_beats(
+    twin: Holding, beats: Beats, state: Tree, params: Tree, decide: Decide
+) -> tuple[Tree, Decisions]:
     every, decisions = twin.beats(params, beats)
 
     def one(carry: tuple[Tree, Tree], now: jax.Array) -> tuple[tuple[Tree, Tree], Any]:
@@ -153,14 +169,37 @@ def lived(
     )
 
 
-def played(twin: Holding, beats: Beats, state: Tree, params: Tree, decide: Decide) -> Tree:
-    """The state after the longest episode, of which nothing is kept; `beats` may be traced."""
+def played(
+    twin: World, length: Length, state: Tree, params: Tree, told: Callable[[Tree, jax.Array], Any]
+) -> Tree:
+    """The state after the longest episode, of which nothing is kept.
+
+    It ends as soon as all episodes have, or after the last beat. The numbers of `length` may be
+    traced. `told`: state, number of the decision -> actions, or None where nobody advises.
+    """
+    if isinstance(length, Beats):
+        return _beaten(cast(Holding, twin), length, state, params, told)
+
+    def going_on(carry: tuple[jax.Array, Tree]) -> jax.Array:
+        return (carry[0] < length) & ~twin.over(carry[1]).all()
+
+    def one(carry: tuple[jax.Array, Tree]) -> tuple[jax.Array, Tree]:
+        number, state = carry
+        action = told(state, number)
+        moved = twin.drive(state, params) if action is None else twin.step(state, action, params)
+        return number + 1, moved.state
+
+    return jax.lax.while_loop(going_on, one, (jnp.int32(0), state))[1]
+
+
+def _beaten(
+    twin: Holding, beats: Beats, state: Tree, params: Tree, told: Callable[[Tree, jax.Array], Any]
+) -> Tree:
     every, _ = twin.beats(params, beats)
 
     def one(now: jax.Array, carry: tuple[Tree, Tree]) -> tuple[Tree, Tree]:
         state, held = carry
-        action, _ = decide(state, now // every)
-        moved, held = twin.beat(state, held, action, params, beats, now)
+        moved, held = twin.beat(state, held, told(state, now // every), params, beats, now)
         return moved.state, held
 
     return jax.lax.fori_loop(0, beats.total, one, (state, twin.held(state)))[0]

@@ -275,7 +275,11 @@ class Solo:
         """The states, but first ones where a simulation is over, (n,)."""
         if not hasattr(self.env, "restart"):
             fresh = self.start(noise, params)
-            played: Played = jax.tree.map(lambda s, n: jnp.where(over, s, n), fresh, state)
+
+            def anew(fresh: jax.Array, old: jax.Array) -> jax.Array:
+                return jnp.where(over.reshape(-1, *[1] * (old.ndim - 1)), fresh, old)
+
+            played: Played = jax.tree.map(anew, fresh, state)
             return played
         env = jax.vmap(self.env.restart, (0, 0, 0, _axis(params)))(state.env, over, noise, params)
         return Played(env, state.alive | over, jnp.where(over, 0.0, state.total))

@@ -13,19 +13,14 @@ from mbtl.worlds import flags as flags  # isort: skip  # first: it starts jax
 from mbtl.training.jax.algorithms import recipe_named
 from mbtl.training.jax.blocks import Block, Training, from_arrays, to_arrays, weights_of
 from mbtl.training.jax.episodic.episodes import actor_of, import_actor
-from mbtl.training.jax.evaluation import evaluate, on_cpu, reference_returns
+from mbtl.training.jax.evaluation import evaluate, evaluate_multitask, on_cpu, reference_returns
 from mbtl.training.jax.export import export_policies
-from mbtl.training.jax.loop import start, train
+from mbtl.training.jax.loop import start, start_multitask, train, train_multitask
 from mbtl.training.jax.multitask.run import (
     Judged,
     MultiTaskRun,
     multitask_settings,
     run_multitask,
-)
-from mbtl.training.jax.multitask.training import (
-    evaluate_multitask,
-    start_multitask,
-    train_multitask,
 )
 from mbtl.training.jax.recipes import (
     MULTI_TASK,

@@ -24,15 +24,7 @@ from mbtl.worlds.world import Solo
 
 
 def update(world: Solo, recipe: A2CRecipe, state: State, params: Tree, clock: Clock) -> State:
-    """`recipe.rollouts_per_update` rollouts with a gradient step on each.
-
-    Args:
-        world: the dynamics; static.
-        recipe: hyper-parameters; static.
-        state: one policy's.
-        params: its context.
-        clock: which update it is; decides the learning rate.
-    """
+    """`recipe.rollouts_per_update` rollouts with a gradient step on each."""
     shape = (recipe.rollouts_per_update, recipe.n_steps, recipe.n_envs)
     key, noise = draw(world, state.key, shape)
     rate = clock.rate(recipe.anneal)
@@ -69,9 +61,8 @@ def loss(world: Solo, recipe: A2CRecipe, weights: Weights, rollout: Rollout) -> 
     total = -(advantage * log_prob).mean()
     total += recipe.value_coef * jnp.square(target - value).mean()
     if recipe.entropy_coef:
-        total -= (
-            recipe.entropy_coef * networks.entropy(outputs, weights.log_std, world.action).mean()
-        )
+        spread = networks.entropy(outputs, weights.log_std, world.action)
+        total -= recipe.entropy_coef * spread.mean()
     return total
 
 

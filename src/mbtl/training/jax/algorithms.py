@@ -25,11 +25,11 @@ from typing import Any
 import jax
 
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.training.jax import a2c, dqn, ppo
+from mbtl.training.jax import a2c, dqn, networks, ppo
 from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.episodic import learning
 from mbtl.training.jax.episodic.recipes import TWIN_RECIPES, TwinRecipe
-from mbtl.training.jax.multitask import policies
+from mbtl.training.jax.multitask import moore, paco
 from mbtl.training.jax.recipes import (
     RECIPES,
     A2CRecipe,
@@ -43,27 +43,18 @@ from mbtl.worlds.world import Solo, World
 
 AnyRecipe = Recipe | TwinRecipe
 
-_WITH_COPIES: Mapping[type, Any] = {
-    PPORecipe: ppo,
-    A2CRecipe: a2c,
-    DQNRecipe: dqn,
-}
+_WITH_COPIES: Mapping[type, Any] = {PPORecipe: ppo, A2CRecipe: a2c, DQNRecipe: dqn}
+_WITH_VECTORS: Mapping[str, Any] = {"paco": paco, "moore": moore}
 
 
 def recipe_named(algorithm: str, name: str, unit: str = "timesteps") -> AnyRecipe:
-    """The recipe called `name`.
-
-    Args:
-        algorithm: "PPO", "A2C" or "DQN" by timesteps; "TRPO" or "PPO" by episodes.
-        name: one of `RECIPES[algorithm]`, or of `TWIN_RECIPES[algorithm]`.
-        unit: what the length of a training counts.
+    """The recipe called `name`: of `RECIPES[algorithm]`, or by episodes of `TWIN_RECIPES`.
 
     Raises:
         UnknownName: there is none.
     """
-    recipes: Mapping[str, Mapping[str, AnyRecipe]] = RECIPES
-    if unit == "episodes":
-        recipes = TWIN_RECIPES
+    recipes: Mapping[str, Mapping[str, AnyRecipe]]
+    recipes = TWIN_RECIPES if unit == "episodes" else RECIPES
     if algorithm not in recipes:
         raise unknown_name("algorithm with recipes", algorithm, recipes)
     if name not in recipes[algorithm]:
@@ -87,8 +78,11 @@ def init(
             f"{type(world).__name__}; learn from whole episodes, e.g. by TRPORecipe"
         )
     if isinstance(recipe, MultiTaskRecipe):
-        if weights is None:
-            weights = policies.first_weights(world, recipe, seeds, params)
+        if weights is None and recipe.has_vectors:
+            n_contexts, n_visible = params.visible.shape[1:]
+            shapes = n_contexts, world.n_features + n_visible - 1  # no place for the layers
+            make = _WITH_VECTORS[recipe.method].init_weights
+            weights = networks.stack([make(world, recipe, seed, *shapes) for seed in seeds])
         recipe = recipe.ppo
     return _WITH_COPIES[type(recipe)].init(world, recipe, seeds, params, weights)
 
@@ -96,15 +90,10 @@ def init(
 def update(
     world: World, recipe: AnyRecipe, decisions: Length, state: Any, params: Tree, clock: Clock
 ) -> Any:
-    """P policies after `recipe.update_length` more steps or episodes; can be traced.
+    """P policies after `recipe.update_length` more steps or episodes.
 
-    Args:
-        world: the dynamics; static.
-        recipe: hyper-parameters; static.
-        decisions: of an episode at most, or beats; static.
-        state: as `init` or the last update gave it.
-        params: of one context, (P, ...), or with a `MultiTaskRecipe` (P, N, ...).
-        clock: which update it is.
+    World, recipe and `decisions`, of an episode at most or in beats, are static. Parameters are of
+    one context, (P, ...), or of N for each policy, (P, N, ...).
     """
     if isinstance(recipe, TwinRecipe):
         return learning.update(world, recipe, decisions, state, params, clock)

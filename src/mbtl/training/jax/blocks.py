@@ -10,12 +10,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from mbtl.checkpoints import Checkpoint
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed
@@ -27,12 +27,7 @@ BLOCKS = 50
 
 
 class Along(NamedTuple):
-    """Weights kept on the way, leading axes (L, P).
-
-    Attributes:
-        best: of the best evaluation so far; before the first one the latest.
-        latest: as they were.
-    """
+    """Weights kept on the way, (L, P); before the first evaluation the best are the latest."""
 
     best: Weights
     latest: Weights
@@ -59,13 +54,9 @@ class Training(NamedTuple):
 
 
 class Block(NamedTuple):
-    """What `on_block` is told.
+    """What `on_block` is told: environment steps per policy, done and planned, and everything.
 
-    Attributes:
-        steps: environment steps done, per policy.
-        total: environment steps planned, per policy.
-        training: everything, e.g. to save it with `to_arrays`. Read it before returning: its
-            memory is used again by the next block.
+    Read the training before returning: its memory is used again by the next block.
     """
 
     steps: int
@@ -92,13 +83,7 @@ class Schedule(NamedTuple):
     def of(
         cls, length: int, unit: int, every: int | None = None, marks: Sequence[Fraction] = ()
     ) -> Schedule:
-        """From steps or episodes, rounded up to whole updates.
-
-        Args:
-            length: of the training.
-            unit: steps or episodes of an update.
-            every: between two evaluations; None for one every 2 % of the training.
-            marks: shares of the training.
+        """From steps or episodes, rounded up to whole updates; `every` None: each 2 % of them.
 
         Raises:
             InvalidInput: a mark is not a share.
@@ -137,27 +122,25 @@ def beginning(state: Any, marks: int = 0) -> Training:
 def in_blocks(
     schedule: Schedule,
     training: Training,
-    advance: Callable[[Training, int], tuple[Training, ArrayLike]],
+    learn: Callable[[Training, int], Training],
+    judge: Callable[[Training], Training] | None,
     on_block: Callable[[Block], None] | None = None,
     nothing_to_gain: Callable[[Training], bool] = lambda training: False,
-    *,
-    learn: Callable[[Training, int], tuple[Training, ArrayLike]] | None = None,
     until: int | None = None,
 ) -> Training:
     """Learn and be judged in turns, and keep the best weights.
 
-    A mark between two evaluations stops the learning there, but what is judged then does not count:
-    with and without marks the same weights are the best.
+    A mark between two evaluations stops the learning there, but nobody judges then: with and
+    without marks the same weights are the best.
 
     Args:
         schedule: when.
         training: from which to go on.
-        advance: training, number of updates -> training after them and `keep_better`, and (P,)
-            whether all weights are finite. It may use the memory of the first again.
+        learn: training, number of updates -> training after them, maybe in the same memory.
+        judge: training -> training after an evaluation and `keep_better`; None: nobody judges.
         on_block: told after each judgement, and once where nothing is left to do.
         nothing_to_gain: whether to end before the last update.
-        learn: as `advance`, but nobody judges; None: `advance`, and what it judges is forgotten.
-        until: updates after which to pause, to go on later as if nothing had been; None: the end.
+        until: updates after which to pause; None: the end.
 
     Raises:
         TrainingFailed: weights are no longer finite.
@@ -170,23 +153,16 @@ def in_blocks(
     while not over:
         end = min(done - done % schedule.every + schedule.every, schedule.total)
         for stop in schedule.between(done, min(end, last)):
-            kept = None if stop == end or learn is not None else _judged(training)
-            along, forward = training.along, learn if stop < end and learn else advance
-            training, finite = forward(training._replace(along=None), stop - done)
-            done = stop
-            check_finite(finite, done * schedule.unit)
-            training = training._replace(along=along, **(kept or {}))
-            training = _marked(training, schedule.marks_at(done))
+            along, count, done = training.along, stop - done, stop
+            training = learn(training._replace(along=None), count)
+            if judge is not None and done == end:
+                training = judge(training)
+            check_finite(training.state.weights, done * schedule.unit)
+            training = _marked(training._replace(along=along), schedule.marks_at(done))
         if on_block is not None and done == end:
             on_block(Block(done * schedule.unit, planned, training))
         over = done == last or nothing_to_gain(training)
     return _marked(training, schedule.marks_at(done, over=done == schedule.total or last > done))
-
-
-def _judged(training: Training) -> dict[str, Any]:
-    """A copy of what evaluations have found so far."""
-    fields = ("best", "best_return", "latest_return")
-    return {name: jax.tree.map(jnp.copy, getattr(training, name)) for name in fields}
 
 
 def _marked(training: Training, marks: Sequence[int]) -> Training:
@@ -200,15 +176,9 @@ def _marked(training: Training, marks: Sequence[int]) -> Training:
         return jnp.where(judged.reshape(-1, *[1] * (best.ndim - 1)), best, latest)
 
     latest = training.state.weights
-    best = jax.tree.map(so_far, training.best, latest)
-
-    def put(room: jax.Array, now: jax.Array) -> jax.Array:
-        return room.at[at].set(now)
-
-    along = training.along
-    return training._replace(
-        along=Along(jax.tree.map(put, along.best, best), jax.tree.map(put, along.latest, latest))
-    )
+    now = Along(jax.tree.map(so_far, training.best, latest), latest)
+    put = jax.tree.map(lambda room, now: room.at[at].set(now), training.along, now)
+    return training._replace(along=put)
 
 
 @partial(jax.jit)
@@ -226,19 +196,14 @@ def keep_better(training: Training, latest: jax.Array) -> Training:
     )
 
 
-def finite_policies(weights: Tree) -> jax.Array:
-    """(P,) whether all weights of a policy are finite."""
-    each = [jnp.isfinite(x.reshape(len(x), -1)).all(axis=1) for x in jax.tree.leaves(weights)]
-    return jnp.stack(each).all(axis=0)
-
-
-def check_finite(finite: ArrayLike, step: int) -> None:
+def check_finite(weights: Tree, step: int) -> None:
     """Refuse to go on with weights that are lost.
 
     Raises:
         TrainingFailed: one of the (P,) policies has weights that are not finite.
     """
-    finite = np.asarray(finite)
+    each = [jnp.isfinite(x.reshape(len(x), -1)).all(axis=1) for x in jax.tree.leaves(weights)]
+    finite = np.asarray(jnp.stack(each).all(axis=0))
     if not finite.all():
         bad = np.flatnonzero(~finite)
         raise TrainingFailed(
@@ -253,8 +218,7 @@ def weights_of(training: Training, checkpoint: Checkpoint, shares: Sequence[Frac
     if checkpoint.on_the_way and training.along is not None:
         mark = shares.index(checkpoint.share)
         kept = training.along.best if checkpoint.kind == "best" else training.along.latest
-        some: Weights = jax.tree.map(lambda x: x[mark], kept)
-        return some
+        return cast(Weights, jax.tree.map(lambda x: x[mark], kept))
     latest: Weights = training.state.weights
     return training.best if checkpoint.kind == "best" else latest
 
@@ -265,27 +229,17 @@ def to_arrays(training: Training) -> dict[str, NDArray[Any]]:
 
 
 def from_arrays(template: Training, arrays: Mapping[str, NDArray[Any]]) -> Training:
-    """What `to_arrays` took apart.
-
-    Args:
-        template: a beginning with the same arguments.
-        arrays: as saved.
+    """What `to_arrays` took apart; the template is a beginning with the same arguments.
 
     Raises:
         StorageError: the arrays belong to other arguments.
     """
     leaves, structure = jax.tree.flatten(template)
-    try:
-        loaded = [np.asarray(arrays[f"leaf_{i}"]) for i in range(len(leaves))]
-    except KeyError as error:
-        raise StorageError(
-            f"a saved training must hold {error}, which is missing; start anew"
-        ) from error
+    loaded = [arrays.get(f"leaf_{i}", np.array(None)) for i in range(len(leaves))]
     for old, new in zip(leaves, loaded, strict=True):
         if old.shape != new.shape or old.dtype != new.dtype:
             raise StorageError(
                 f"a saved training must fit its recipe and contexts, got {new.dtype}{new.shape} "
                 f"where {old.dtype}{old.shape} belongs; start anew"
             )
-    restored: Training = jax.tree.unflatten(structure, [jnp.asarray(x) for x in loaded])
-    return restored
+    return cast(Training, jax.tree.unflatten(structure, [jnp.asarray(x) for x in loaded]))

@@ -1,29 +1,23 @@
-"""Gradient steps of one policy, on all its weights as one vector: few large operations."""
+"""What gradient steps of all algorithms share: means over the rows that count, and Adam's step.
+
+A step is one of all weights of a policy as one vector: few large operations.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
+from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
+from mbtl.training.jax.recipes import DQNRecipe, PPORecipe
 from mbtl.worlds.environments import Tree
 
 
-class Adams(Protocol):
-    """The part of a recipe that says how Adam steps."""
-
-    @property
-    def learning_rate(self) -> float: ...  # noqa: D102
-    @property
-    def max_grad_norm(self) -> float: ...  # noqa: D102
-    @property
-    def adam_eps(self) -> float: ...  # noqa: D102
-
-
-def adam(recipe: Adams) -> optax.GradientTransformation:
+def adam(recipe: PPORecipe | DQNRecipe | EpisodicPPORecipe) -> optax.GradientTransformation:
     """Adam after clipping the norm of one policy's gradient; the step is -lr times Adam's."""
     return optax.chain(
         optax.clip_by_global_norm(recipe.max_grad_norm),
@@ -43,3 +37,14 @@ def descended(
     flat, unravel = ravel_pytree(gradient)
     steps, moments = optimizer.update(flat, moments)
     return jax.tree.map(jnp.add, weights, unravel(scale * steps)), moments
+
+
+def mean_of(x: jax.Array, weight: jax.Array) -> jax.Array:
+    """Mean of `x` weighted by `weight`; 0 without any."""
+    return (x * weight).sum() / jnp.maximum(weight.sum(), 1.0)
+
+
+def standard(x: jax.Array, weight: jax.Array) -> jax.Array:
+    """Mean 0 and standard deviation 1 over the rows that count."""
+    centred = x - mean_of(x, weight)
+    return centred / (jnp.sqrt(mean_of(jnp.square(centred), weight)) + 1e-8)

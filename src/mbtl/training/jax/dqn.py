@@ -14,13 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
-from jax.flatten_util import ravel_pytree
 
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
@@ -28,22 +26,20 @@ from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.descent import adam, descended
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.recipes import DQNRecipe
-from mbtl.training.jax.rollout import Copies, advance, first_copies, look
+from mbtl.training.jax.rollout import start
+from mbtl.worlds.copies import Copies, stepped
 from mbtl.worlds.environments import Discrete, Tree
 from mbtl.worlds.world import Solo
 
 
 class State(NamedTuple):
-    """All of one training: with the next `update`'s arguments it decides everything to come.
+    """All of one training, as `rollout.State`, with two more.
 
     Attributes:
         weights: the network of action values as `actor`: the largest value is the action.
         target: what `weights.actor` was when it was last copied.
-        optimizer: Adam's moments.
         replay: (N, 2 f + 3) ring of transitions: state before, state after, action, reward,
             terminated. Visible context features are constants of a policy and not in it.
-        copies: where the policy lives.
-        key: the policy's own random key.
     """
 
     weights: Weights
@@ -65,13 +61,9 @@ class Batch(NamedTuple):
 
 
 class Round(NamedTuple):
-    """What one round is given.
+    """What one round is given: steps done before it, and uniform random numbers.
 
-    Attributes:
-        step: environment steps done before it.
-        coin: (T, E) uniform, for the actions.
-        reset: (T, E, n_noise) uniform, for the states after a reset.
-        pick: (G, B) uniform, for the minibatches.
+    A coin for each action, (T, E), what resets need, (T, E, n_noise), and the minibatch, (G, B).
     """
 
     step: jax.Array
@@ -87,14 +79,7 @@ def init(
     params: Tree,
     weights: Weights | None = None,
 ) -> State:
-    """Networks, freshly reset environments and empty rings of all policies.
-
-    Args:
-        world: the dynamics.
-        recipe: hyper-parameters.
-        seeds: one per policy, 32 bits; decides its whole training.
-        params: one context per policy, leading axis.
-        weights: to begin from, also as the target, leading axis; None for fresh ones.
+    """As `rollout.start`, with empty rings; the weights to begin from are the first target, too.
 
     Raises:
         InvalidInput: actions are not discrete.
@@ -102,33 +87,17 @@ def init(
     widths = [world.n_features + params.visible.shape[-1], *recipe.hidden, _options(world)]
     if weights is None:
         weights = networks.stack([networks.init_q_network(seed, widths) for seed in seeds])
-    roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
-    state: State = _start(world, recipe, weights, roots, params)
-    return state
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-@partial(jax.vmap, in_axes=(None, None, 0, 0, 0))
-def _start(
-    world: Solo, recipe: DQNRecipe, weights: Weights, seed: jax.Array, params: Tree
-) -> State:
-    moments = adam(recipe).init(ravel_pytree(weights.actor)[0])
+    weights, moments, *lives = start(adam, world, recipe, seeds, params, weights)
     target = jax.tree.map(jnp.copy, weights.actor)  # memory of its own: a block takes over both
-    replay = jnp.zeros((recipe.buffer_size, 2 * world.n_features + 3))
-    copies = first_copies(world, recipe.n_envs, seed, params)
-    return State(weights, target, moments, replay, *copies)
+    replay = jnp.zeros((len(seeds), recipe.buffer_size, 2 * world.n_features + 3))
+    return State(weights, target, moments, replay, *lives)
 
 
 def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Clock) -> State:
     """`recipe.rounds_per_update` rounds of some steps and some gradient steps.
 
-    Args:
-        world: the dynamics; static.
-        recipe: hyper-parameters; static.
-        state: one policy's.
-        params: its context.
-        clock: which update it is; decides epsilon, the places in the ring, when the target is
-            copied, and by its key which transitions are learnt from.
+    The clock decides epsilon, the places in the ring, when the target is copied, and by its key
+    which transitions are learnt from.
     """
     n_rounds, per_round = recipe.rounds_per_update, recipe.steps_per_round
     shape = (n_rounds, recipe.train_freq, recipe.n_envs)
@@ -185,21 +154,18 @@ def explore(
     """T epsilon-greedy steps of the E copies, and their (T x E, 2 f + 3) rows of the ring."""
     network, n, f = state.weights.actor, _options(world), world.n_features
 
-    def step(carry: tuple[Copies, jax.Array], drawn: Any) -> Any:
-        copies, obs = carry
-        t, coin, reset = drawn
+    def act(obs: jax.Array, drawn: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        t, coin = drawn
         chance = epsilon(recipe, now.step + t * recipe.n_envs, total)
         random = jnp.minimum((coin / chance * n).astype(jnp.int32), n - 1)
         greedy = jnp.argmax(networks.apply(network, obs, recipe.activation), axis=-1)
         action = jnp.where(coin < chance, random, greedy)
-        copies, moved = advance(world, params, copies, action, reset)
-        scalars = jnp.stack([action, moved.reward, moved.terminated], axis=-1)
-        row = jnp.concatenate([obs[:, :f], moved.after[:, :f], scalars], axis=-1)
-        return (copies, look(world, params, copies)), row
+        return action, action
 
-    carry = (state.copies, look(world, params, state.copies))
-    steps = (jnp.arange(recipe.train_freq), now.coin, now.reset)
-    (copies, _), rows = jax.lax.scan(step, carry, steps)
+    drawn = (jnp.arange(recipe.train_freq), now.coin)
+    copies, obs, action, step = stepped(world, params, state.copies, act, drawn, now.reset)
+    scalars = jnp.stack([action, step.reward, step.terminated], axis=-1)
+    rows = jnp.concatenate([obs[..., :f], step.after[..., :f], scalars], axis=-1)
     return state._replace(copies=copies), rows.reshape(recipe.steps_per_round, -1)
 
 

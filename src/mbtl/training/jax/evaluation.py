@@ -15,12 +15,13 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.episodic.episodes import Acting, Actor, scores
-from mbtl.training.jax.recipes import Activation
+from mbtl.training.jax.episodic.episodes import Acting, Actor, actor_of, scores
+from mbtl.training.jax.multitask.table import seen
+from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
 from mbtl.worlds.environments import Tree
 from mbtl.worlds.world import World, context_of, in_a_row, of_simulations
 
@@ -79,13 +80,8 @@ def own_scores(
 ) -> jax.Array:
     """(P, E) scores of each policy on its own context, or on N of them in equal parts.
 
-    Args:
-        world: the dynamics.
-        activation: between the layers of the actors.
-        how: actions follow from a policy.
-        actor: of P policies.
-        seeds: (P, E), the first of them for the first context.
-        params: of one context, which serves all; (P, ...); or (P, N, ...).
+    Parameters are of one context, which serves all; (P, ...); or (P, N, ...). Of the (P, E) seeds
+    the first are for the first context.
     """
     drawn, actor = world.draws(seeds), actor._replace(critic=())
     if world.apart:
@@ -153,13 +149,42 @@ def evaluate(
     for p in range(0, n_policies, height):
         some = _take(actor, p, height)
         for c in range(0, n_contexts, width):
-            part = _block(world, activation, how, some, own, _take(params, c, width))
+            played = (world, activation, how, some)
+            if world.apart:
+                where = _take(params, c, width)
+                part = _vectorised((_CONTEXTS, _POLICIES), *played, own, world.draws(own), where)
+            else:  # one context at a time, as simulations cannot be told apart
+                everyone = np.tile(own, (height, 1))
+                part = own_scores(*played, everyone, context_of(params, c))[:, None]
             target = returns[p : p + height, c : c + width]
             target[...] = np.asarray(part)[: target.shape[0], : target.shape[1]]
             done += target.shape[0] * target.shape[1]
             if on_block is not None:
                 on_block(done, n_policies * n_contexts)
     return returns
+
+
+def evaluate_multitask(
+    world: World,
+    recipe: MultiTaskRecipe,
+    weights: Any,
+    params: Tree,
+    seeds: Sequence[int],
+    *,
+    places: ArrayLike | None = None,
+    on_block: Callable[[int, int], None] | None = None,
+) -> Array:
+    """Undiscounted returns of deterministic episodes, (S, C, E); see `evaluate`.
+
+    `places` are (C,) positions of the contexts on the axis in steps of the training's grid, e.g.
+    0.5 halfway between the first two; None where they are that grid.
+
+    Raises:
+        InvalidInput: there are no policies, contexts or episodes.
+    """
+    contexts, actor = seen(recipe, params, places), actor_of(weights)
+    activation = recipe.activation
+    return evaluate(world, actor, contexts, seeds, activation=activation, on_block=on_block)
 
 
 def reference_returns(world: World, params: Tree, seeds: Sequence[int]) -> dict[str, Array]:
@@ -180,19 +205,3 @@ def _take(tree: Tree, first: int, count: int) -> Tree:
         return np.asarray(leaf)[at]
 
     return jax.tree.map(part, tree)
-
-
-def _block(
-    world: World,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: NDArray[np.uint32],
-    params: Tree,
-) -> jax.Array:
-    """(P, C, E) scores; one context at a time where simulations cannot be told apart."""
-    if not world.apart:
-        everyone = np.tile(seeds, (len(actor.log_std), 1))
-        return own_scores(world, activation, how, actor, everyone, context_of(params, 0))[:, None]
-    pairs, drawn = (_CONTEXTS, _POLICIES), world.draws(seeds)
-    return _vectorised(pairs, world, activation, how, actor, seeds, drawn, params)

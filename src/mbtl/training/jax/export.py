@@ -54,18 +54,12 @@ def lawful(weights: Weights, law: Law, activation: Activation) -> Weights:
 
 
 def _policy(action: Discrete | Box, weights: Weights, activation: Activation) -> MLPPolicy:
-    n_inputs = weights.actor[0][0].shape[0]
-    return MLPPolicy(
-        weights=tuple(np.ascontiguousarray(w.T) for w, _ in weights.actor),
-        biases=tuple(np.array(b) for _, b in weights.actor),
-        activation=activation,
-        observation_shape=(n_inputs,),
-        head=_head(action, np.asarray(weights.log_std)),
-    )
-
-
-def _head(action: Discrete | Box, log_std: np.ndarray) -> DiscreteHead | BoxHead:
+    head: DiscreteHead | BoxHead
     if isinstance(action, Discrete):
-        return DiscreteHead((action.n,))
-    low, high = (np.array(bound, dtype=np.float32) for bound in (action.low, action.high))
-    return BoxHead(low, high, log_std=log_std)
+        head = DiscreteHead((action.n,))
+    else:
+        low, high = (np.array(bound, dtype=np.float32) for bound in (action.low, action.high))
+        head = BoxHead(low, high, log_std=np.asarray(weights.log_std))
+    layers = tuple(np.ascontiguousarray(w.T) for w, _ in weights.actor)
+    biases = tuple(np.array(b) for _, b in weights.actor)
+    return MLPPolicy(layers, biases, activation, (layers[0].shape[1],), head)

@@ -6,32 +6,29 @@ import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from mbtl.errors import InvalidInput
-from mbtl.seeds import Purpose, derive_seed
+from mbtl.seeds import checkpoint_seeds
 from mbtl.training.jax import algorithms
 from mbtl.training.jax.algorithms import AnyRecipe
-from mbtl.training.jax.blocks import (
-    Block,
-    Schedule,
-    Training,
-    beginning,
-    finite_policies,
-    in_blocks,
-    keep_better,
-)
+from mbtl.training.jax.blocks import Block, Schedule, Training, beginning, in_blocks, keep_better
 from mbtl.training.jax.clock import clock_at
 from mbtl.training.jax.episodic.episodes import Acting, actor_of
 from mbtl.training.jax.evaluation import own_scores
+from mbtl.training.jax.multitask.table import seen
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import check_lengths
+from mbtl.training.jax.saving import SavedTraining
 from mbtl.worlds.environments import Length, Tree
 from mbtl.worlds.world import World, in_a_row
+
+CHECKPOINT_EPISODES = 2
+"""Per context; over a hundred contexts that is twenty times what a single-task policy plays."""
 
 
 def start(
@@ -75,6 +72,7 @@ def train(
     weights: Weights | None = None,
     marks: Sequence[Fraction] = (),
     resume: Training | None = None,
+    saved: SavedTraining | None = None,
     until: int | None = None,
     judging: bool = True,
 ) -> Training:
@@ -107,6 +105,8 @@ def train(
         marks: (L,) shares of the training at which weights are kept, `along`; where it ends early,
             those of its end stand for all that were to come.
         resume: what an interrupted call had reached (given again with the same arguments).
+        saved: file to go on from, and to save the training in now and then and at the end; where
+            states mean nothing in another process (`storable`), only at the end.
         until: steps or episodes after which to pause, rounded up to whole updates; `resume` goes on
             from there, and the training is the same as without a pause: schedules follow `length`.
         judging: evaluate on the way. Without, `best` and its returns mean nothing.
@@ -129,46 +129,76 @@ def train(
     schedule = Schedule.of(length, recipe.update_length, checkpoint_every, marks)
     decisions = world.decisions(in_a_row(params))
     params = _in_jax(params)
-    tests = checkpoint_seeds(seeds, checkpoint_episodes)
+    best = world.max_return
+    tests = np.array([checkpoint_seeds(seed, checkpoint_episodes) for seed in seeds], np.uint32)
 
-    def updated(training: Training, count: int) -> Training:
-        after: Training = _updates(
-            world, recipe, decisions, training, params, count, schedule.total
-        )
-        return after
+    def learn(training: Training, count: int) -> Training:
+        args = (world, recipe, decisions, training, params, count, schedule.total)
+        return cast(Training, _updates(*args))
 
-    def learn(training: Training, count: int) -> tuple[Training, jax.Array]:
-        training = updated(training, count)
-        return training, finite_policies(training.state.weights)
-
-    def advance(training: Training, count: int) -> tuple[Training, jax.Array]:
-        training = updated(training, count)
+    def judge(training: Training) -> Training:
         actor = actor_of(training.state.weights)
         found = own_scores(world, recipe.activation, acting, actor, tests, params)
-        return judged(training, found.mean(axis=1))
+        return cast(Training, keep_better(training, found.mean(axis=1)))
 
     def nothing_to_gain(training: Training) -> bool:
-        return only_best and _at_most(world, training)
+        if not only_best or best is None:
+            return False
+        return bool((np.asarray(training.best_return) >= best).all())
 
-    training = start(world, recipe, seeds, params, weights, marks) if resume is None else resume
+    def told(block: Block) -> None:
+        if on_block is not None:
+            on_block(block)
+        if saved is not None and getattr(world, "storable", True):
+            saved.save(block.training)
+
+    fresh = partial(start, world, recipe, seeds, params, weights, marks)
+    if resume is None and saved is not None:
+        resume = saved.load(fresh)
     pause = None if until is None else math.ceil(until / recipe.update_length)
-    forward = advance if judging else learn
-    return in_blocks(
-        schedule, training, forward, on_block, nothing_to_gain, learn=learn, until=pause
+    judged = judge if judging else None
+    training = fresh() if resume is None else resume
+    training = in_blocks(schedule, training, learn, judged, told, nothing_to_gain, pause)
+    if saved is not None:
+        saved.save(training, done=True)
+    return training
+
+
+def start_multitask(
+    world: World, recipe: AnyRecipe, seeds: Sequence[int], params: Tree
+) -> Training:
+    """Trainings before their first update, e.g. as the template of `from_arrays`."""
+    return start(world, recipe, seeds, _copies(recipe, params, len(seeds)))
+
+
+def train_multitask(
+    world: World,
+    recipe: AnyRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    timesteps: int,
+    *,
+    checkpoint_episodes: int = CHECKPOINT_EPISODES,
+    **options: Any,
+) -> Training:
+    """Train S policies, each on all of N contexts: `train`, and its `options`.
+
+    The best checkpoint has the largest mean return over all contexts; returns of a `Training` are
+    such means. `timesteps` are over all contexts together, `checkpoint_episodes` of each context.
+
+    Raises:
+        InvalidInput: there are no seeds or contexts, or a number is below 1.
+        TrainingFailed: weights are no longer finite.
+    """
+    return train(
+        world,
+        recipe,
+        seeds,
+        _copies(recipe, params, len(seeds)),
+        timesteps,
+        checkpoint_episodes=checkpoint_episodes * len(params.visible),
+        **options,
     )
-
-
-def checkpoint_seeds(seeds: Sequence[int], episodes: int) -> Any:
-    """(P, episodes) of the evaluations of each training."""
-    numbers = range(episodes)
-    return np.array(
-        [[derive_seed(seed, Purpose.CHECKPOINT, e) for e in numbers] for seed in seeds], np.uint32
-    )
-
-
-def judged(training: Training, scores: jax.Array) -> tuple[Training, jax.Array]:
-    """After an evaluation with mean scores (P,): `keep_better`, and whether weights are finite."""
-    return keep_better(training, scores), finite_policies(training.state.weights)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)
@@ -197,16 +227,20 @@ def _fitting(weights: Weights, fresh: Weights) -> Weights:
             f"weights to begin from must have the shapes of this recipe and number of policies, "
             f"{needed}, got {given}"
         )
-    copy: Weights = jax.tree.map(lambda x: jnp.array(x, jnp.float32), weights)
-    return copy
-
-
-def _at_most(world: World, training: Training) -> bool:
-    if world.max_return is None:
-        return False
-    return bool((np.asarray(training.best_return) >= world.max_return).all())
+    return cast(Weights, jax.tree.map(lambda x: jnp.array(x, jnp.float32), weights))
 
 
 def _in_jax(params: Tree) -> Tree:
     """As arrays of jax; counts stay whole numbers."""
     return jax.tree.map(jnp.asarray, params)
+
+
+def _copies(recipe: AnyRecipe, params: Tree, n_seeds: int) -> Tree:
+    """(S, N, ...): all contexts for every policy."""
+    if len(params.visible) == 0 or n_seeds == 0:
+        raise InvalidInput(
+            "multi-task training needs at least one seed and context, "
+            f"got {n_seeds} and {len(params.visible)}"
+        )
+    each = seen(recipe, params)
+    return jax.tree.map(lambda x: np.broadcast_to(x, (n_seeds, *np.shape(x))), each)

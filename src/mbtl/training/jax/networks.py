@@ -9,7 +9,7 @@ together fast.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple, cast
 
@@ -17,10 +17,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mbtl.training.jax.recipes import Activation
+from mbtl.training.jax.recipes import Activation, ActorCritic
 from mbtl.worlds.environments import Box, Discrete, Tree
+from mbtl.worlds.world import World
 
 Network = tuple[tuple[jax.Array, jax.Array], ...]
+
+BENDS: Mapping[Activation, Callable[[jax.Array], jax.Array]] = {
+    "tanh": jnp.tanh, "relu": jax.nn.relu, "mish": jax.nn.mish,
+}  # fmt: skip
+"""The function between the layers."""
 
 
 class Weights(NamedTuple):
@@ -53,23 +59,12 @@ def init_weights(
 ) -> Weights:
     """Orthogonal weights with the gains of Stable-Baselines3.
 
-    sqrt(2) for hidden layers, 0.01 for the last of the actor, 1 for the last of the critic unless
-    told otherwise.
+    sqrt(2) for hidden layers, 0.01 for the last of the actor, `critic_gain` for the last of the
+    critic. Made by numpy in float32: the same on every device, and jax 0.10 can hang in a batch of
+    QR factorisations on a CPU (waiting for a task that never starts; 100 policies of 64-64 on two
+    cores).
 
-    Made by numpy: the same on every device, and jax 0.10 can hang in a batch of QR factorisations
-    on a CPU (waiting for a task that never starts; 100 policies of 64-64 on two cores).
-
-    Args:
-        seed: >= 0.
-        n_inputs: length of an observation.
-        action: the action space.
-        hidden: widths of the hidden layers, of both networks.
-        log_std: initial value of `Weights.log_std`.
-        critic_gain: of the critic's last layer.
-        first_action: bias of the actor's last layer, all but the mean action of a new policy.
-
-    Returns:
-        Numpy arrays in float32.
+    `first_action` is the bias of the actor's last layer, all but the mean action of a new policy.
     """
     rng = np.random.default_rng(seed)
     d = len(action.low) if isinstance(action, Box) else 0
@@ -82,15 +77,19 @@ def init_weights(
     )
 
 
+def fresh(
+    world: World, recipe: ActorCritic, seeds: Sequence[int], params: Tree, *more: float
+) -> list[Weights]:
+    """Weights of each policy as its recipe has them, `more` of `init_weights`."""
+    n_inputs = world.n_features + params.visible.shape[-1]
+    own = (n_inputs, world.action, recipe.hidden, recipe.log_std, *more)
+    return [init_weights(seed, *own) for seed in seeds]
+
+
 def init_q_network(seed: int, widths: Sequence[int]) -> Weights:
     """A network of action values as the actor; uniform in +-1 / sqrt(n_in), PyTorch's default.
 
-    Args:
-        seed: >= 0.
-        widths: of the observation, the hidden layers and the actions.
-
-    Returns:
-        Numpy arrays in float32; no critic.
+    `widths` are those of the observation, the hidden layers and the actions; there is no critic.
     """
     rng = np.random.default_rng(seed)
 
@@ -134,19 +133,12 @@ def apply(
     """(..., n_inputs) -> (..., n_outputs); a network that is no list of layers knows how itself."""
     if callable(network):
         return network(observations, activation)
-    bend = bend_of(activation)
+    bend = BENDS[activation]
     x = observations
     for weight, bias in network[:-1]:
         x = bend(x @ weight + bias)
     weight, bias = network[-1]
     return x @ weight + bias
-
-
-def bend_of(activation: Activation) -> Callable[[jax.Array], jax.Array]:
-    """The function between the layers."""
-    bends = {"tanh": jnp.tanh, "relu": jax.nn.relu, "mish": jax.nn.mish}
-    bend: Callable[[jax.Array], jax.Array] = bends[activation]
-    return bend
 
 
 def action_noise(key: jax.Array, shape: tuple[int, ...], action: Discrete | Box) -> jax.Array:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -22,9 +22,8 @@ from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.descent import adam
+from mbtl.training.jax.descent import adam, mean_of
 from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
-from mbtl.training.jax.estimates import mean_of
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import PPORecipe
 from mbtl.training.jax.rollout import Rollout, State, advantages, draw, play, start
@@ -82,29 +81,18 @@ init = partial(start, adam)
 def update(world: Solo, recipe: PPORecipe, state: State, params: Tree, clock: Clock) -> State:
     """One rollout and the gradient steps on it.
 
-    Args:
-        world: the dynamics; static.
-        recipe: hyper-parameters; static.
-        state: one policy's.
-        params: its context.
-        clock: which update it is. Its key gives the order of the minibatches, one for all policies:
-            sorting apart for each would cost a tenth of the training.
+    The clock's key gives the order of the minibatches, one for all policies: sorting apart for each
+    would cost a tenth of the training.
     """
     key, noise = draw(world, state.key, (recipe.n_steps, recipe.n_envs))
     state, rollout = play(world, recipe, state._replace(key=key), params, noise)
     how = learn_in_units if recipe.standardize else learn
-    weights, moments = how(world, recipe, state.weights, state.optimizer, rollout, clock)
-    return state._replace(weights=weights, optimizer=moments)
+    return how(world, recipe, state, rollout, clock)
 
 
 def learn_in_units(
-    world: Solo,
-    recipe: PPORecipe,
-    weights: Weights,
-    moments: Tree,
-    rollout: Rollout,
-    clock: Clock,
-) -> tuple[Weights, Tree]:
+    world: Solo, recipe: PPORecipe, state: State, rollout: Rollout, clock: Clock
+) -> State:
     """As `learn`, from standardised observations; see `units`.
 
     New weights are meant for those, too: the first rollout only shows the units.
@@ -112,26 +100,19 @@ def learn_in_units(
     units = Units.of(rollout.obs)
     obs, after = map(units.measured, (rollout.obs, rollout.after))
     rollout = rollout._replace(obs=obs, after=after)
-    entered = both(units.entered, weights)
-    learnt, changed = learn(world, recipe, entered, moments, rollout, clock)
+    entered = state._replace(weights=both(units.entered, state.weights))
+    learnt = learn(world, recipe, entered, rollout, clock)
     first = clock.progress == 0.0
-    learnt, changed = jax.tree.map(
-        lambda old, new: jnp.where(first, old, new), (weights, moments), (learnt, changed)
-    )
-    return both(units.left, learnt), changed
+    learnt = cast(State, jax.tree.map(partial(jnp.where, first), state, learnt))
+    return learnt._replace(weights=both(units.left, learnt.weights))
 
 
-def learn(
-    world: Solo,
-    recipe: PPORecipe,
-    weights: Weights,
-    moments: Tree,
-    rollout: Rollout,
-    clock: Clock,
-) -> tuple[Weights, Tree]:
-    """Weights and the optimiser's memory after the gradient steps on one rollout."""
-    batch, rate = learn_from(world, recipe, weights, rollout), clock.rate(recipe.anneal)
-    return descend(world.action, recipe, weights, moments, batch, clock.key, rate)[:2]
+def learn(world: Solo, recipe: PPORecipe, state: State, rollout: Rollout, clock: Clock) -> State:
+    """After the gradient steps on one rollout."""
+    batch, rate = learn_from(world, recipe, state.weights, rollout), clock.rate(recipe.anneal)
+    of_state = (state.weights, state.optimizer)
+    weights, moments, _ = descend(world.action, recipe, *of_state, batch, clock.key, rate)
+    return state._replace(weights=weights, optimizer=moments)
 
 
 def learn_from(world: Solo, recipe: PPORecipe, weights: Weights, rollout: Rollout) -> Batch:
@@ -155,15 +136,7 @@ def descend(
 ) -> tuple[Weights, Tree, jax.Array]:
     """Weights, the optimiser's memory and the last KL after all passes over the rows.
 
-    Args:
-        space: of actions; static.
-        recipe: hyper-parameters; static.
-        weights: of one policy.
-        moments: the optimiser's.
-        batch: the rows.
-        key: of their order.
-        scale: of the learning rate.
-        limits: of the steps; None for none but the clip of the ratio.
+    `key` decides the order of the rows, `scale` times the learning rate is that of the steps.
     """
     flat, unravel = ravel_pytree(weights)  # one vector: few large operations, not many small
     gradient = jax.grad(partial(loss, space, recipe), has_aux=True)

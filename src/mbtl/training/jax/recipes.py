@@ -14,6 +14,9 @@ Activation = Literal["tanh", "relu", "mish"]
 _STEPS_PER_CALL = 256
 """A2C and DQN learn every few steps: as many of those as give this many steps are one update."""
 
+_FREE = ("learning_starts",)
+"""Whole numbers of recipes that may be 0."""
+
 
 def check_lengths(**counts: int) -> None:
     """Refuse numbers that are below 1."""
@@ -37,13 +40,13 @@ class Learner:
     """
 
     unit: ClassVar[str]
-    counts: ClassVar[tuple[str, ...]]
     gamma: float = 0.99
     hidden: tuple[int, ...] = (64, 64)
     activation: Activation = "tanh"
 
     def __post_init__(self) -> None:
-        check_lengths(**{name: getattr(self, name) for name in self.counts})
+        counts = [one.name for one in fields(self) if one.type == "int" and one.name not in _FREE]
+        check_lengths(**{name: getattr(self, name) for name in counts})
 
     @property
     def record(self) -> dict[str, object]:
@@ -103,7 +106,6 @@ class PPORecipe(WithCopies, ActorCritic):
         InvalidInput: a count is below 1, or the minibatches do not fill the rollout.
     """
 
-    counts: ClassVar[tuple[str, ...]] = ("n_envs", "n_steps", "batch_size", "n_epochs")
     n_steps: int = 2048
     batch_size: int = 64
     n_epochs: int = 10
@@ -130,18 +132,15 @@ class PPORecipe(WithCopies, ActorCritic):
 
 @dataclass(frozen=True)
 class A2CRecipe(WithCopies, ActorCritic):
-    """Hyper-parameters of A2C; the defaults are those of Stable-Baselines3.
+    """Hyper-parameters of A2C, as in `PPORecipe`; the defaults are those of Stable-Baselines3.
 
     Attributes:
         n_steps: steps of each copy between two gradient steps.
-        entropy_coef: weight of the entropy bonus.
-        value_coef: weight of the value loss.
         rms_decay: of RMSprop's mean of squares.
         rms_eps: RMSprop's denominator offset.
         rms_like_tensorflow: RMSprop as it is there, not as in PyTorch; see `a2c.optimizer`.
     """
 
-    counts: ClassVar[tuple[str, ...]] = ("n_envs", "n_steps")
     n_steps: int = 5
     learning_rate: float = 7e-4
     gae_lambda: float = 1.0
@@ -183,9 +182,6 @@ class DQNRecipe(WithCopies):
         InvalidInput: a count is below 1, or rounds do not fill the replay.
     """
 
-    counts: ClassVar[tuple[str, ...]] = (
-        "n_envs", "train_freq", "gradient_steps", "batch_size", "buffer_size", "target_every",
-    )  # fmt: skip
     train_freq: int = 4
     gradient_steps: int = 1
     batch_size: int = 32
@@ -318,18 +314,14 @@ _N_PARTS: Mapping[MultiTaskMethod, int] = {"ppo": 1, "paco": 5, "moore": 4}
 
 
 def multitask_recipe(method: MultiTaskMethod, environment: str) -> MultiTaskRecipe:
-    """Our recipe for a hundred contexts.
-
-    Args:
-        method: "ppo", "paco" or "moore".
-        environment: name of the class, one of `MULTI_TASK`.
+    """Our recipe for a hundred contexts of an environment, by the name of its class.
 
     Raises:
         UnknownName: there is none.
     """
     if environment not in MULTI_TASK:
         raise unknown_name("environment with multi-task recipes", environment, MULTI_TASK)
-    return _by(method, MULTI_TASK[environment])
+    return MultiTaskRecipe(method, MULTI_TASK[environment], _N_PARTS.get(method, 1))
 
 
 def spread_recipe(method: MultiTaskMethod, one: PPORecipe, n_contexts: int) -> MultiTaskRecipe:
@@ -338,21 +330,11 @@ def spread_recipe(method: MultiTaskMethod, one: PPORecipe, n_contexts: int) -> M
     As many copies as there are contexts, if that leaves 16 steps of each: then every update learns
     from all contexts, by as many gradient steps per environment step as for one source.
 
-    Args:
-        method: "ppo", "paco" or "moore".
-        one: the recipe of one source.
-        n_contexts: N.
-
     Raises:
         UnknownName: no such method.
     """
     n_envs, n_steps = one.n_envs, one.n_steps
     while n_envs < n_contexts and n_steps % 2 == 0 and n_steps > _SHORTEST:
         n_envs, n_steps = 2 * n_envs, n_steps // 2
-    return _by(method, replace(one, n_envs=n_envs, n_steps=n_steps))
-
-
-def _by(method: MultiTaskMethod, ppo: PPORecipe) -> MultiTaskRecipe:
-    if method not in _N_PARTS:
-        raise unknown_name("multi-task method", method, _N_PARTS)
-    return MultiTaskRecipe(method, ppo, _N_PARTS[method])
+    ppo = replace(one, n_envs=n_envs, n_steps=n_steps)
+    return MultiTaskRecipe(method, ppo, _N_PARTS.get(method, 1))

@@ -1,9 +1,4 @@
-"""Copies of a world that start again one by one, and what an actor-critic's steps were worth there.
-
-PPO and A2C share it. With N contexts copies take turns: one queue for all, and whenever an episode
-ends, its copy starts the next context, 0, 1, ..., N - 1, 0, ...; of copies that end in the same
-step, the first goes first. So at any time no context has been started more than once more often
-than another, however long its episodes are and however many copies there are (cmdp-spec, 8.3).
+"""What an actor-critic does in copies of a world, and what its steps were worth; of PPO and A2C.
 
 Notation (shapes of one policy): T steps, E copies, o observation; the world has one agent.
     obs (T, E, o); action (T, E) or (T, E, d); reward, value, advantage (T, E)
@@ -13,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -23,35 +18,17 @@ from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.networks import Network
-from mbtl.training.jax.recipes import A2CRecipe, PPORecipe
+from mbtl.training.jax.recipes import A2CRecipe, ActorCritic, PPORecipe, WithCopies
+from mbtl.worlds.copies import Copies, first_copies, stepped
 from mbtl.worlds.environments import Tree
 from mbtl.worlds.world import Solo
-
-
-class Copies(NamedTuple):
-    """E simulations of one policy.
-
-    Attributes:
-        world: their states.
-        elapsed: (E,) steps since each was started.
-        context: (E,) which of N contexts each is in; None where there is one.
-        turn: the context of the next episode; None likewise.
-    """
-
-    world: Tree
-    elapsed: jax.Array
-    context: jax.Array | None
-    turn: jax.Array | None
 
 
 class State(NamedTuple):
     """All of one training: with the next `update`'s arguments it decides everything to come.
 
-    Attributes:
-        weights: the networks, with attributes `actor`, `critic` and `log_std`.
-        optimizer: what the optimiser remembers, over all weights as one vector.
-        copies: where the policy lives.
-        key: the policy's own random key.
+    The networks, what the optimiser remembers of all weights as one vector, where the policy lives,
+    and its own random key.
     """
 
     weights: Any
@@ -65,15 +42,6 @@ class Noise(NamedTuple):
 
     action: jax.Array
     reset: jax.Array
-
-
-class Step(NamedTuple):
-    """What a step of E copies gave; `after` is the observation before a reset."""
-
-    reward: jax.Array
-    terminated: jax.Array
-    done: jax.Array
-    after: jax.Array
 
 
 class Rollout(NamedTuple):
@@ -91,38 +59,28 @@ class Rollout(NamedTuple):
 def start(
     optimizer: Callable[[Any], optax.GradientTransformation],
     world: Solo,
-    recipe: PPORecipe | A2CRecipe,
+    recipe: WithCopies,
     seeds: Sequence[int],
     params: Tree,
     weights: Any = None,
 ) -> State:
     """Networks, an optimiser without memory and freshly started copies of all policies.
 
-    Args:
-        optimizer: makes the optimiser from the recipe; a module's function.
-        world: the dynamics.
-        recipe: hyper-parameters.
-        seeds: one per policy, 32 bits; decides its whole training.
-        params: (P, ...) one context per policy, or (P, N, ...).
-        weights: to begin from, leading axis; None for fresh ones.
+    Fresh networks are for actor-critics; `optimizer` makes what moves them from the recipe, and is
+    a module's function, since jax compiles it in.
     """
     if weights is None:
-        n_inputs = world.n_features + params.visible.shape[-1]
-        each = [
-            networks.init_weights(seed, n_inputs, world.action, recipe.hidden, recipe.log_std)
-            for seed in seeds
-        ]
-        weights = networks.stack(each)
+        assert isinstance(recipe, ActorCritic)
+        weights = networks.stack(networks.fresh(world, recipe, seeds, params))
     roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
-    state: State = _start(world, recipe, optimizer, weights, roots, params)
-    return state
+    return cast(State, _start(world, recipe, optimizer, weights, roots, params))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 @partial(jax.vmap, in_axes=(None, None, None, 0, 0, 0))
 def _start(
     world: Solo,
-    recipe: PPORecipe | A2CRecipe,
+    recipe: WithCopies,
     optimizer: Callable[[Any], optax.GradientTransformation],
     weights: Any,
     seed: jax.Array,
@@ -130,20 +88,6 @@ def _start(
 ) -> State:
     moments = optimizer(recipe).init(ravel_pytree(weights)[0])
     return State(weights, moments, *first_copies(world, recipe.n_envs, seed, params))
-
-
-def first_copies(
-    world: Solo, n_envs: int, seed: jax.Array, params: Tree
-) -> tuple[Copies, jax.Array]:
-    """Freshly started copies, and the key of what follows."""
-    key, reset_key = jax.random.split(jax.random.PRNGKey(seed))
-    noise = world.noise(reset_key, (n_envs,))
-    context = turn = None
-    if params.visible.ndim == 2:
-        n_contexts = params.visible.shape[0]
-        context, turn = jnp.arange(n_envs) % n_contexts, jnp.int32(n_envs % n_contexts)
-    states = world.start(noise, _own(params, context))
-    return Copies(states, jnp.zeros(n_envs, dtype=jnp.int32), context, turn), key
 
 
 def draw(world: Solo, key: jax.Array, shape: tuple[int, ...]) -> tuple[jax.Array, Noise]:
@@ -155,62 +99,19 @@ def draw(world: Solo, key: jax.Array, shape: tuple[int, ...]) -> tuple[jax.Array
     return key, noise
 
 
-def advance(
-    world: Solo, params: Tree, copies: Copies, action: jax.Array, noise: jax.Array
-) -> tuple[Copies, Step]:
-    """One step of the E copies; one that has ended starts anew from its noise."""
-    own = _own(params, copies.context)
-    moved = world.step(copies.world, action[:, None], own)
-    terminated = moved.done[:, 0]
-    done = terminated | (copies.elapsed + 1 >= world.decisions(params))
-    after = world.observe(moved.state, own).obs[:, 0]
-    context, turn = copies.context, copies.turn
-    if context is not None and turn is not None:
-        context, turn = take_turns(context, turn, done, params.visible.shape[0])
-    state = world.restart(moved.state, done, noise, _own(params, context))
-    elapsed = jnp.where(done, 0, copies.elapsed + 1)
-    if world.time_limit == "terminal":
-        terminated = done
-    return Copies(state, elapsed, context, turn), Step(moved.reward[:, 0], terminated, done, after)
-
-
-def look(world: Solo, params: Tree, copies: Copies) -> jax.Array:
-    """(E, o) what the agents see."""
-    return world.observe(copies.world, _own(params, copies.context)).obs[:, 0]
-
-
-def take_turns(
-    context: jax.Array, turn: jax.Array, done: jax.Array, n_contexts: int
-) -> tuple[jax.Array, jax.Array]:
-    """(E,) contexts after the copies that are done took the next ones, and whose turn is next."""
-    taken = jnp.cumsum(done)
-    context = jnp.where(done, (turn + taken - 1) % n_contexts, context)
-    return context, (turn + taken[-1]) % n_contexts
-
-
 def play(
     world: Solo, recipe: PPORecipe | A2CRecipe, state: State, params: Tree, noise: Noise
 ) -> tuple[State, Rollout]:
     """T steps of the E copies with sampled actions, from (T, E) noise; the key stays."""
     actor, log_std = state.weights.actor, state.weights.log_std
 
-    def step(carry: tuple[Copies, jax.Array], drawn: Noise) -> Any:
-        copies, obs = carry
+    def act(obs: jax.Array, drawn: jax.Array) -> tuple[jax.Array, Tree]:
         outputs = networks.apply(actor, obs, recipe.activation)
-        action = networks.sample(outputs, log_std, drawn.action, world.action)
-        applied = networks.to_environment(action, world.action)
-        copies, step = advance(world, params, copies, applied, drawn.reset)
-        return (copies, look(world, params, copies)), Rollout(obs, outputs, action, *step)
+        action = networks.sample(outputs, log_std, drawn, world.action)
+        return networks.to_environment(action, world.action), (outputs, action)
 
-    (copies, _), rollout = jax.lax.scan(
-        step, (state.copies, look(world, params, state.copies)), noise
-    )
-    return state._replace(copies=copies), rollout
-
-
-def _own(params: Tree, context: jax.Array | None) -> Tree:
-    """Parameters of the context of each copy, or of one context for all."""
-    return params if context is None else jax.tree.map(lambda x: x[context], params)
+    copies, obs, (outputs, action), step = stepped(world, params, state.copies, act, *noise)
+    return state._replace(copies=copies), Rollout(obs, outputs, action, *step)
 
 
 def advantages(

@@ -19,17 +19,13 @@ _SECONDS = 30.0
 
 
 class SavedTraining:
-    """The file of one training, or of several that are done together.
+    """The file of one training, or of several that are done together, and some `notes` along.
 
     Without a path nothing is saved. Whoever gave it removes the file, once what became of the
-    trainings is safe.
-
-    Attributes:
-        notes: numbers that are saved along, and found again by `load`.
+    trainings is safe. Notes are numbers by name, which `load` finds again.
     """
 
     def __init__(self, path: Path | None) -> None:
-        """Nothing is written yet."""
         self._path, self._at = path, time.monotonic()
         self.notes: dict[str, int] = {}
 
@@ -49,8 +45,7 @@ class SavedTraining:
     def load(self, template: Callable[[], Training]) -> Training | None:
         """What was saved; None where there is nothing that fits: then it starts anew.
 
-        Args:
-            template: gives the same training before its first update.
+        The template gives the same training before its first update.
         """
         if self._path is None:
             return None

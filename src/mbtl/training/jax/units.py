@@ -21,12 +21,7 @@ _CONSTANT = 1e-4
 
 
 class Units(NamedTuple):
-    """Per number of an observation.
-
-    Attributes:
-        mean: (o,) zero of the unit.
-        spread: (o,) size of the unit.
-    """
+    """Zero and size of the unit of each number of an observation, (o,) both."""
 
     mean: jax.Array
     spread: jax.Array

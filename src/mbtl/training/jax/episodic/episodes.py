@@ -1,4 +1,4 @@
-"""Whole episodes of a twin: recorded to learn from, or only scored.
+"""Whole episodes of a twin: recorded to learn from, or only scored; networks see who acts alone.
 
 Notation (shapes): P policies, E episodes each, D decisions, A agents; simulations are ordered
 policy by policy, n = P x E. All play in one context.
@@ -17,14 +17,11 @@ import numpy as np
 
 from mbtl.portfolio import BoxHead, MLPPolicy
 from mbtl.training.jax import networks
-from mbtl.training.jax.episodic.watching import Rows, each, watched
 from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation
-from mbtl.worlds import beats as beats_of
-from mbtl.worlds import random
-from mbtl.worlds.beats import Holding
+from mbtl.worlds import beats, random
 from mbtl.worlds.environments import Beats, Discrete, Length, Tree
-from mbtl.worlds.packing import most_rows
+from mbtl.worlds.packing import Agents, chunk_size, most_rows
 from mbtl.worlds.world import Crowd, World
 
 Acting = Literal["sampled", "mean", "random", "none"]
@@ -34,13 +31,7 @@ _ACTION = 1 << 20  # stream of random numbers, apart from those of the twins
 
 
 class Actor(NamedTuple):
-    """The acting part of P policies.
-
-    Attributes:
-        network: leading axis P.
-        log_std: (P, d) of a Gaussian, (P, 0) for discrete actions.
-        critic: leading axis P; () where nobody learns.
-    """
+    """The acting part of P policies, leading axis, and the critic; () where nobody learns."""
 
     network: Network
     log_std: jax.Array
@@ -60,6 +51,21 @@ def import_actor(policies: list[MLPPolicy]) -> Actor:
     )
     stds = [p.head.log_std if isinstance(p.head, BoxHead) else np.zeros(0) for p in policies]
     return Actor(network, jnp.asarray(np.stack(stds), jnp.float32))  # type: ignore[arg-type]
+
+
+class Rows(NamedTuple):
+    """Observations so far, (P, rows, f), and how many of the rows are used."""
+
+    obs: jax.Array
+    used: jax.Array
+
+
+class Watched(NamedTuple):
+    """A moment: who acts, (P, E, A), what networks say of it, (P, E, A, m) each; a crowd's rows."""
+
+    acting: jax.Array
+    found: tuple[jax.Array, ...]
+    row: jax.Array | None = None
 
 
 class Episodes(NamedTuple):
@@ -101,71 +107,11 @@ def record(
     params: Tree,
     hold: int = 1,
 ) -> Episodes:
-    """Play with sampled actions and keep everything.
+    """Play the episodes of (P, E) seeds with sampled actions and keep everything.
 
-    Args:
-        twin: the dynamics; static.
-        activation: between the layers of the actor; static.
-        decisions: of an episode at most, or beats; static.
-        actor: of P policies, with their critics.
-        seeds: (P, E) uint32, one per episode.
-        params: of one context, or of every simulation.
-        hold: decisions for which what is random in an action stays the same; static.
+    Parameters are of one context, or of every simulation. For `hold` decisions what is random in an
+    action stays the same. Static: the dynamics, the activation, how long episodes are, and `hold`.
     """
-    if isinstance(decisions, Beats):
-        return _in_beats(twin, activation, decisions, actor, seeds, params, hold)
-    shape, flat = seeds.shape, seeds.reshape(-1)
-    crowd = isinstance(twin, Crowd)
-    played = (actor.network, actor.critic) if crowd else (actor.network,)
-    watch = partial(watched, twin, activation, params, shape)
-
-    def split(x: jax.Array) -> jax.Array:
-        return x.reshape(*shape, *x.shape[1:])
-
-    def one(carry: tuple[Tree, Rows], moment: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
-        state, rows = carry
-        seen, rows = watch(played, state, rows)
-        action = _sampled(twin, actor, seen.found[0], flat, moment // hold)
-        applied = networks.to_environment(action, twin.action)
-        moved = twin.step(state, applied.reshape(-1, *action.shape[2:]), params)
-        now = map(split, (moved.reward, moved.done))
-        return (moved.state, rows), (seen.row, action, seen.acting, *now, *seen.found)
-
-    places = shape[1] * twin.agents
-    most = decisions * (most_rows(places) if crowd else places)
-    n_features = twin.n_features + params.visible.shape[-1]
-    rows = Rows(jnp.zeros((shape[0], most, n_features)), jnp.int32(0))
-    moments = jnp.arange(decisions, dtype=jnp.uint32)
-    (state, rows), by_moment = jax.lax.scan(one, (twin.start(flat, params), rows), moments)
-    row, action, acting, reward, done, *found = (jnp.moveaxis(x, 0, 1) for x in by_moment)
-    if not crowd:  # all rows at once are faster where none is empty
-        found.append(each(activation, actor.critic, rows.obs).reshape(*row.shape, 1))
-    last, _ = watch((actor.critic,), state)
-    return Episodes(
-        obs=rows.obs,
-        row=row,
-        outputs=found[0],
-        action=action,
-        value=found[1][..., 0],
-        acting=acting,
-        reward=reward,
-        done=done,
-        last_value=last.found[0][..., 0],
-        last_acting=last.acting & (twin.time_limit == "truncation"),
-        score=split(twin.score(state)),
-    )
-
-
-def _in_beats(
-    twin: Any,
-    activation: Activation,
-    beats: Beats,
-    actor: Actor,
-    seeds: jax.Array,
-    params: Tree,
-    hold: int,
-) -> Episodes:
-    """`record` where decisions last differently long."""
     shape, flat = seeds.shape, seeds.reshape(-1)
 
     def split(x: jax.Array) -> jax.Array:  # (n, ...) -> (P, E, ...)
@@ -174,30 +120,57 @@ def _in_beats(
     def by_policy(x: jax.Array) -> jax.Array:  # (D, n, ...) -> (P, D, E, ...)
         return jnp.moveaxis(x.reshape(len(x), *shape, *x.shape[2:]), 0, 1)
 
-    def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, Tree]:
-        seen = twin.observe(state, params)
-        outputs = each(activation, actor.network, split(seen.obs))
+    def told(outputs: jax.Array, number: jax.Array) -> tuple[jax.Array, jax.Array]:
         action = _sampled(twin, actor, outputs, flat, number // hold)
-        joint = (x.reshape(-1, *x.shape[2:]) for x in (outputs, action))
-        applied = networks.to_environment(action, twin.action)
-        return applied.reshape(-1, *action.shape[2:]), (seen.obs, seen.acting, *joint)
+        joint = action.reshape(-1, *action.shape[2:])
+        return networks.to_environment(joint, twin.action), joint
 
-    state, found = beats_of.lived(twin, beats, twin.start(flat, params), params, decide)
-    obs, acting, outputs, action = map(by_policy, found.kept)
-    row = jnp.arange(acting[0].size).reshape(acting.shape[1:])
-    last = twin.observe(state, params)
-    value, last_value = (each(activation, actor.critic, x)[..., 0] for x in (obs, split(last.obs)))
+    def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, Tree]:
+        obs, acting = twin.observe(state, params)
+        outputs = each(activation, actor.network, split(obs))
+        applied, action = told(outputs, number)
+        return applied, (obs, acting, outputs.reshape(-1, *outputs.shape[2:]), action)
+
+    def decide_packed(carry: tuple[Tree, Rows], number: jax.Array) -> tuple[Any, Tree]:
+        state, rows = carry
+        seen, rows = watch((actor.network, actor.critic), state, rows)
+        applied, action = told(seen.found[0], number)
+        moved = twin.step(state, applied, params)
+        kept = (seen.row, seen.acting, *seen.found)
+        return (moved.state, rows), (*kept, *map(split, (action, moved.reward, moved.done)))
+
+    state = twin.start(flat, params)
+    watch = partial(watched, twin, activation, params, shape)
+    if isinstance(twin, Crowd):
+        assert not isinstance(decisions, Beats)
+        places = shape[1] * twin.agents
+        n_features = twin.n_features + params.visible.shape[-1]
+        room = jnp.zeros((shape[0], decisions * most_rows(places), n_features))
+        carry = (state, Rows(room, jnp.int32(0)))
+        moments = jnp.arange(decisions, dtype=jnp.uint32)
+        (state, rows), kept = jax.lax.scan(decide_packed, carry, moments)
+        row, acting, outputs, value, action, reward, done = (jnp.moveaxis(x, 0, 1) for x in kept)
+        obs = rows.obs
+    else:
+        state, found = beats.lived(twin, decisions, state, params, decide)
+        obs, acting, outputs, action = map(by_policy, found.kept)
+        reward, done = by_policy(found.reward), by_policy(found.done)
+        value = each(activation, actor.critic, obs)
+        row = jnp.broadcast_to(jnp.arange(acting[0].size).reshape(acting.shape[1:]), acting.shape)
+        acting &= by_policy(found.due)[..., None]
+        obs = obs.reshape(len(obs), -1, obs.shape[-1])
+    last, _ = watch((actor.critic,), state)
     return Episodes(
-        obs=obs.reshape(len(obs), -1, obs.shape[-1]),
-        row=jnp.broadcast_to(row, acting.shape),
+        obs=obs,
+        row=row,
         outputs=outputs,
         action=action,
-        value=value,
-        acting=acting & by_policy(found.due)[..., None],
-        reward=by_policy(found.reward),
-        done=by_policy(found.done),
-        last_value=last_value,
-        last_acting=split(last.acting) & (twin.time_limit == "truncation"),
+        value=value[..., 0],
+        acting=acting,
+        reward=reward,
+        done=done,
+        last_value=last.found[0][..., 0],
+        last_acting=last.acting & (twin.time_limit == "truncation"),
         score=split(twin.score(state)),
     )
 
@@ -219,12 +192,14 @@ def scores(
     soon as all episodes have. The numbers of `decisions` need not be static.
     """
     shape, flat = seeds.shape, seeds.reshape(-1)
-    watch = partial(watched, twin, activation, params, shape, (actor.network,))
 
-    def told(state: Tree, moment: jax.Array) -> jax.Array:
+    def told(state: Tree, moment: jax.Array) -> jax.Array | None:
+        if how == "none":
+            return None
         if how == "random":
             return twin.any_actions(flat, moment)
-        (outputs,) = watch(state)[0].found
+        played = (actor.network,)
+        (outputs,) = watched(twin, activation, params, shape, played, state)[0].found
         if how == "sampled":
             action = _sampled(twin, actor, outputs, flat, moment)
             action = networks.to_environment(action, twin.action)
@@ -232,38 +207,71 @@ def scores(
             action = networks.mode(outputs, twin.action)
         return action.reshape(-1, *action.shape[2:])
 
-    def going_on(carry: tuple[jax.Array, Tree]) -> jax.Array:
-        return (carry[0] < decisions) & ~twin.over(carry[1]).all()
-
-    def next_one(carry: tuple[jax.Array, Tree]) -> tuple[jax.Array, Tree]:
-        moment, state = carry
-        if how == "none":
-            return moment + 1, twin.drive(state, params).state
-        return moment + 1, twin.step(state, told(state, moment), params).state
-
-    def decide(state: Tree, number: jax.Array) -> tuple[jax.Array, None]:
-        return told(state, number), None
-
     state = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
-    if isinstance(decisions, Beats):
-        state = beats_of.played(cast(Holding, twin), decisions, state, params, decide)
-    else:
-        _, state = jax.lax.while_loop(going_on, next_one, (jnp.int32(0), state))
-    return twin.score(state).reshape(shape)
+    return twin.score(beats.played(twin, decisions, state, params, told)).reshape(shape)
 
 
 def _sampled(
     twin: World, actor: Actor, outputs: jax.Array, seeds: jax.Array, moment: jax.Array
 ) -> jax.Array:
     """(P, E, A) or (P, E, A, d) actions, not clipped."""
-    policies, episodes = outputs.shape[:2]
     if isinstance(twin.action, Discrete):
-        draw = random.uniform(seeds, _ACTION, moment, twin.agents)
-        noise = draw.T.reshape(policies, episodes, twin.agents)
+        d, draw = (), random.uniform(seeds, _ACTION, moment, twin.agents)
     else:
-        d = actor.log_std.shape[-1]
-        draw = random.normal(seeds, _ACTION, moment, twin.agents * d)
-        noise = draw.T.reshape(policies, episodes, twin.agents, d)
-    each = partial(networks.sample, action=twin.action)
-    actions: jax.Array = jax.vmap(each)(outputs, actor.log_std, noise)
-    return actions
+        d = actor.log_std.shape[-1:]
+        draw = random.normal(seeds, _ACTION, moment, twin.agents * d[0])
+    noise = draw.T.reshape(*outputs.shape[:2], twin.agents, *d)
+    one = partial(networks.sample, action=twin.action)
+    return cast(jax.Array, jax.vmap(one)(outputs, actor.log_std, noise))
+
+
+def watched(
+    twin: World,
+    activation: Activation,
+    params: Tree,
+    shape: tuple[int, ...],
+    played: tuple[Network, ...],
+    state: Tree,
+    rows: Rows | None = None,
+) -> tuple[Watched, Any]:
+    """Networks of P policies, `shape` (P, E), applied to what their agents see; 0 where none is.
+
+    `rows` is where to keep the observations of a crowd; None to keep none.
+    """
+    if not isinstance(twin, Crowd):
+        obs, acting = twin.observe(state, params)
+        acting = acting.reshape(*shape, -1)
+        obs = obs.reshape(*acting.shape, -1)
+        return Watched(acting, tuple(each(activation, network, obs) for network in played)), rows
+    used = jnp.int32(0) if rows is None else rows.used
+
+    def kept(rows: Rows | None, obs: jax.Array, at: jax.Array) -> Rows | None:
+        if rows is None:
+            return None
+        return rows._replace(obs=jax.lax.dynamic_update_slice(rows.obs, obs, (0, at, 0)))
+
+    acting = twin.acting(state).reshape(*shape, -1)
+    agents = Agents.of(acting)
+    size = chunk_size(acting[0].size)
+
+    def chunk(carry: tuple[jax.Array, Any, Any]) -> tuple[jax.Array, Any, Any]:
+        start, found, rows = carry
+        obs = twin.views(state, params, *agents.chunk(start, size))
+        new = (each(activation, network, obs) for network in played)
+        found = tuple(agents.spread(x, start, into) for x, into in zip(new, found, strict=True))
+        return start + size, found, kept(rows, obs, used + start)
+
+    def more(carry: tuple[jax.Array, Any, Any]) -> jax.Array:
+        return carry[0] < agents.most
+
+    nothing = tuple(jnp.zeros((*acting.shape, network[-1][1].shape[-1])) for network in played)
+    end, found, rows = jax.lax.while_loop(more, chunk, (jnp.int32(0), nothing, rows))
+    if rows is not None:
+        rows = rows._replace(used=used + end)
+    return Watched(acting, found, used + agents.number), rows
+
+
+def each(activation: Activation, network: Network, obs: jax.Array) -> jax.Array:
+    """(P, ..., f) -> (P, ..., m), each policy its own."""
+    one = partial(networks.apply, activation=activation)
+    return cast(jax.Array, jax.vmap(one)(network, obs))

@@ -31,13 +31,7 @@ _EPISODE, _CONTEXT = 1 << 21, 1 << 22
 
 
 class State(NamedTuple):
-    """P policies between two updates.
-
-    Attributes:
-        weights: leading axis P.
-        memory: the algorithm's, leading axis P.
-        seed: (P,) uint32.
-    """
+    """P policies between two updates, leading axis; the memory is the algorithm's."""
 
     weights: Weights
     memory: Tree
@@ -49,19 +43,8 @@ def init(
 ) -> State:
     """P policies before their first update; fresh unless given weights."""
     if weights is None:
-        n_inputs = world.n_features + params.visible.shape[-1]
-        each = [
-            networks.init_weights(
-                seed,
-                n_inputs,
-                world.action,
-                recipe.hidden,
-                recipe.log_std,
-                recipe.critic_gain,
-                recipe.first_action,
-            )
-            for seed in seeds
-        ]
+        more = recipe.critic_gain, recipe.first_action
+        each = networks.fresh(world, recipe, seeds, params, *more)
         weights = networks.stack([begun(world, recipe, one) for one in each])
     memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))(weights)
     return State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))

@@ -12,36 +12,19 @@ time.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import clock_at
-from mbtl.training.jax.descent import adam
+from mbtl.training.jax.descent import adam, standard
 from mbtl.training.jax.episodic.episodes import Episodes
 from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
-from mbtl.training.jax.episodic.returns import Returns, advantages
-from mbtl.training.jax.estimates import standard
+from mbtl.training.jax.episodic.returns import Memory, Returns, advantages
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.ppo import Batch, Limits, descend
-from mbtl.worlds.environments import Box, Discrete, Tree
-
-
-class Memory(NamedTuple):
-    """What one policy keeps between updates, beside its weights.
-
-    Attributes:
-        moments: the state of Adam.
-        returns: running statistics of rewards and returns.
-        kl_coef: weight of the KL penalty.
-    """
-
-    moments: Tree
-    returns: Returns
-    kl_coef: jax.Array
+from mbtl.worlds.environments import Box, Discrete
 
 
 def start(recipe: EpisodicPPORecipe, weights: Weights) -> Memory:

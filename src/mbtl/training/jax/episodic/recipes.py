@@ -64,13 +64,6 @@ class TRPORecipe(TwinRecipe):
             bounds: the gradient is biased, and pulls a mean that has left the bounds back.
     """
 
-    counts: ClassVar[tuple[str, ...]] = (
-        "n_episodes",
-        "cg_steps",
-        "backtracks",
-        "critic_passes",
-        "hold",
-    )
     gamma: float = 0.999
     gae_lambda: float = 1.0
     max_kl: float = 0.01
@@ -90,25 +83,20 @@ class TRPORecipe(TwinRecipe):
 class EpisodicPPORecipe(TwinRecipe):
     """Hyper-parameters of PPO on whole episodes; the defaults are those of cmdp-spec, 6.3.
 
+    Those that are not explained here are as in `PPORecipe`.
+
     Attributes:
         rows: decisions to learn from per update, drawn at random where there are more.
         minibatches: per pass; divides `rows`.
-        n_epochs: passes per update.
-        learning_rate: Adam's.
-        clip_range: trust region of the probability ratio.
         value_clip: largest move of a value per update.
-        value_coef: weight of the value loss.
-        entropy_coef: weight of the entropy bonus.
         kl_coef: first weight of the KL penalty; raised and lowered by the KL of the last update. 0:
             no penalty, for ever.
         target_kl: the update ends when a minibatch is farther than this.
-        max_grad_norm: the gradient is scaled down to this norm.
 
     Raises:
         InvalidInput: a count is below 1, or the minibatches do not fill the rows.
     """
 
-    counts: ClassVar[tuple[str, ...]] = ("n_episodes", "hold", "rows", "minibatches", "n_epochs")
     adam_eps: ClassVar[float] = 1e-8
     rows: int = 8000
     minibatches: int = 40

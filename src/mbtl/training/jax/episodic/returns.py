@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from mbtl.training.jax.descent import mean_of
 from mbtl.training.jax.episodic.episodes import Episodes
 from mbtl.training.jax.episodic.recipes import TwinRecipe
-from mbtl.training.jax.estimates import mean_of
+from mbtl.worlds.environments import Tree
 
 
 class Returns(NamedTuple):
@@ -61,6 +62,14 @@ class Returns(NamedTuple):
         )
 
 
+class Memory(NamedTuple):
+    """What a policy keeps between updates beside its weights; a penalty's weight only for PPO."""
+
+    moments: Tree
+    returns: Returns
+    kl_coef: jax.Array | tuple[()] = ()
+
+
 def advantages(
     recipe: TwinRecipe, returns: Returns, lived: Episodes
 ) -> tuple[jax.Array, jax.Array, Returns]:
@@ -69,11 +78,6 @@ def advantages(
     delta = r + gamma V(next) - V(obs). A life that has ended is worth nothing more; one that the
     end of the episode cut off is worth V of what its agent saw last. A team (`of_team`) lives
     until the episode ends, and an agent's advantage is what the team's return exceeds V(obs) by.
-
-    Args:
-        recipe: what a return is.
-        returns: running statistics before these episodes.
-        lived: of one policy, axes (D, E, A).
 
     Returns:
         (D, E, A) advantages, (D, E, A) targets of the critic, and the statistics after.

@@ -11,7 +11,6 @@ Notation (shapes of one policy): D decisions, E episodes, A agents, f features.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,11 +18,12 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
+from mbtl.training.jax.descent import mean_of, standard
 from mbtl.training.jax.episodic.episodes import Episodes
 from mbtl.training.jax.episodic.recipes import TRPORecipe
-from mbtl.training.jax.episodic.returns import Returns, advantages
-from mbtl.training.jax.estimates import mean_of, standard
+from mbtl.training.jax.episodic.returns import Memory, Returns, advantages
 from mbtl.training.jax.networks import Network, Weights
+from mbtl.training.jax.ppo import Batch
 from mbtl.worlds.environments import Box, Discrete, Tree
 
 Search = tuple[jax.Array, jax.Array, jax.Array]
@@ -31,29 +31,6 @@ Search = tuple[jax.Array, jax.Array, jax.Array]
 
 Residual = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 """Of conjugate gradients: solution, residual, direction, squared norm of the residual."""
-
-
-class Batch(NamedTuple):
-    """Rows to learn from, (rows, ...); `weight` is 1 where an agent decided, else 0."""
-
-    obs: jax.Array
-    outputs: jax.Array
-    action: jax.Array
-    advantage: jax.Array
-    target: jax.Array
-    weight: jax.Array
-
-
-class Memory(NamedTuple):
-    """What one policy keeps between updates, beside its weights.
-
-    Attributes:
-        critic: the state of the critic's optimiser.
-        returns: running statistics of rewards and returns.
-    """
-
-    critic: Tree
-    returns: Returns
 
 
 def start(recipe: TRPORecipe, weights: Weights) -> Memory:
@@ -69,27 +46,24 @@ def learn(
     lived: Episodes,
     number: jax.Array,
 ) -> tuple[Weights, Memory]:
-    """One update of the actor and `critic_passes` steps of the critic.
+    """One update of the actor and `critic_passes` steps of the critic, on all rows.
 
-    Args:
-        action: the action space; static.
-        recipe: hyper-parameters; static.
-        weights: of one policy.
-        memory: what `start` or the last update gave.
-        lived: its episodes, without the axis of policies.
-        number: of the update; unused, as nothing is drawn.
+    The episodes are without the axis of policies. Nothing is drawn, so the number of the update
+    does not matter.
     """
     advantage, target, returns = advantages(recipe, memory.returns, lived)
     actions = lived.action
     if recipe.clip_actions:
         actions = networks.to_environment(actions, action)
-    rows = (lived.obs[lived.row], lived.outputs, actions, advantage, target, lived.acting)
+    log_prob = networks.log_prob(lived.outputs, weights.log_std, actions, action)
+    weight = lived.acting.astype(jnp.float32)
+    learnt = (lived.obs[lived.row], actions, log_prob, advantage, target)
+    rows = (*learnt, lived.outputs, lived.value, weight)
     batch = Batch(*(x.reshape(-1, *x.shape[3:]) for x in rows))
-    batch = batch._replace(weight=batch.weight.astype(jnp.float32))
     if recipe.normalize_advantage:
         batch = batch._replace(advantage=standard(batch.advantage, batch.weight))
     actor, log_std = _natural_step(action, recipe, weights, batch)
-    critic, moments = _fit_critic(recipe, weights.critic, memory.critic, batch)
+    critic, moments = _fit_critic(recipe, weights.critic, memory.moments, batch)
     return Weights(actor, critic, log_std), Memory(moments, returns)
 
 
@@ -100,7 +74,6 @@ def _natural_step(
     action: Discrete | Box, recipe: TRPORecipe, weights: Weights, batch: Batch
 ) -> tuple[Network, jax.Array]:
     flat, unravel = ravel_pytree((weights.actor, weights.log_std))
-    old_log_prob = networks.log_prob(batch.outputs, weights.log_std, batch.action, action)
 
     def outputs_of(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
         actor, log_std = unravel(theta)
@@ -108,7 +81,7 @@ def _natural_step(
 
     def surrogate(theta: jax.Array) -> jax.Array:
         outputs, log_std = outputs_of(theta)
-        ratio = jnp.exp(networks.log_prob(outputs, log_std, batch.action, action) - old_log_prob)
+        ratio = jnp.exp(networks.log_prob(outputs, log_std, batch.action, action) - batch.log_prob)
         return mean_of(ratio * batch.advantage, batch.weight)
 
     def divergence(theta: jax.Array) -> jax.Array:
@@ -150,10 +123,7 @@ def conjugate_gradients(
 ) -> jax.Array:
     """Approximate solution x of A x = b for a positive definite A, from x = 0.
 
-    Args:
-        product: x -> A x.
-        b: (n,).
-        steps: iterations; those after the residual has vanished change nothing.
+    `product` is x -> A x; iterations after the residual has vanished change nothing.
     """
 
     def one(_: int, carry: Residual) -> Residual:

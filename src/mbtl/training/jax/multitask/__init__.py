@@ -7,8 +7,7 @@
 Methods: `ppo` is context-conditioned PPO, an ordinary policy that reads the context in its
 observation; `paco` composes a network per context (`paco.py`); `moore` mixes orthogonal
 representations per context (`moore.py`). All three learn by the same PPO from the same rollouts,
-in which contexts take turns (`mbtl.training.jax.rollout`).
+in which contexts take turns (`mbtl.worlds.copies`).
 
-The training loop knows these as one more algorithm, so nothing that trains is imported here: it is
-in `training.py` and `run.py` and, like everything public, in `mbtl.training.jax`.
+The training loop knows these as one more algorithm, so nothing that trains is imported here.
 """

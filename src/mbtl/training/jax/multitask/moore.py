@@ -52,7 +52,7 @@ class Mixture(NamedTuple):
 
     def __call__(self, observations: jax.Array, activation: Activation) -> jax.Array:
         """(..., o + 1) -> (..., n_outputs)."""
-        bend = networks.bend_of(activation)
+        bend = networks.BENDS[activation]
         seen, place = observations[..., :-1], observations[..., -1]
         weights = rows_at(self.task_weights, place)
         # an expert at a time: one batched product over all of them is slower on a CPU
@@ -67,13 +67,7 @@ class Mixture(NamedTuple):
 
 
 class MOOREWeights(NamedTuple):
-    """Everything that is learned.
-
-    Attributes:
-        actor: observation with place -> logits, or the mean of a Gaussian.
-        critic: observation with place -> value.
-        log_std: (d,) of the Gaussian, as in `networks.Weights`; the same in all contexts.
-    """
+    """Everything that is learned, as in `networks.Weights`; `log_std` is the same everywhere."""
 
     actor: Mixture
     critic: Mixture
@@ -98,34 +92,19 @@ def orthonormal(vectors: Sequence[jax.Array]) -> list[jax.Array]:
 def init_weights(
     world: Solo, recipe: MultiTaskRecipe, seed: int, n_contexts: int, n_inputs: int
 ) -> MOOREWeights:
-    """Orthogonal layers, gains as in `networks.init_weights`; hats as task weights.
-
-    Returns:
-        Numpy arrays in float32.
-    """
+    """Orthogonal layers, gains as in `networks.init_weights`; hats as task weights."""
     rng = np.random.default_rng(seed)
-    hidden = recipe.ppo.hidden
+    hidden, n_parts = recipe.ppo.hidden, recipe.n_parts
+
+    def layer(n_in: int, n_out: int) -> Any:
+        each = [networks.orthogonal(rng, n_in, n_out, math.sqrt(2.0)) for _ in range(n_parts)]
+        return np.stack(each), np.zeros((n_parts, n_out), dtype=np.float32)
 
     def mixture(n_outputs: int, gain: float) -> Mixture:
-        widths = [n_inputs, *hidden]
-        experts: Any = tuple(
-            (
-                np.stack(
-                    [
-                        networks.orthogonal(rng, n_in, n_out, math.sqrt(2.0))
-                        for _ in range(recipe.n_parts)
-                    ]
-                ),
-                np.zeros((recipe.n_parts, n_out), dtype=np.float32),
-            )
-            for n_in, n_out in itertools.pairwise(widths)
-        )
-        head: Any = (
-            networks.orthogonal(rng, hidden[-1], n_outputs, gain),
-            np.zeros(n_outputs, dtype=np.float32),
-        )
-        table: Any = initial_table(n_contexts, recipe.n_parts)
-        return Mixture(experts, table, head)
+        experts = tuple(layer(*pair) for pair in itertools.pairwise([n_inputs, *hidden]))
+        head: Any = networks.orthogonal(rng, hidden[-1], n_outputs, gain)
+        table: Any = initial_table(n_contexts, n_parts)
+        return Mixture(experts, table, (head, np.zeros(n_outputs, dtype=np.float32)))
 
     plain = networks.init_weights(seed, 1, world.action, (), recipe.ppo.log_std)
     return MOOREWeights(

@@ -22,12 +22,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from mbtl.training.jax import networks
 from mbtl.training.jax.multitask.table import initial_table, rows_at
-from mbtl.training.jax.networks import Network, Weights
+from mbtl.training.jax.networks import Network
 from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
 from mbtl.worlds.world import Solo
 
@@ -46,7 +45,7 @@ class Composed(NamedTuple):
     def __call__(self, observations: jax.Array, activation: Activation) -> jax.Array:
         """(..., o + 1) -> (..., n_outputs)."""
         mixture = rows_at(self.vectors, observations[..., -1])
-        bend = networks.bend_of(activation)
+        bend = networks.BENDS[activation]
         x = observations[..., :-1]
         for weight, bias in self.sets[:-1]:
             x = bend(_composed_layer(mixture, x, weight, bias))
@@ -54,13 +53,9 @@ class Composed(NamedTuple):
 
 
 class PaCoWeights(NamedTuple):
-    """Everything that is learned; `actor` and `critic` are networks as elsewhere.
+    """Everything that is learned: parameter sets, and (N, K) vectors that actor and critic share.
 
-    Attributes:
-        actor_sets: parameter sets of the actor.
-        critic_sets: parameter sets of the critic.
-        log_std: (d,) of the Gaussian, as in `networks.Weights`; the same in all contexts.
-        vectors: (N, K) compositional vectors, of both.
+    `actor` and `critic` are networks as elsewhere; `log_std` is the same in all contexts.
     """
 
     actor_sets: Network
@@ -82,11 +77,7 @@ class PaCoWeights(NamedTuple):
 def init_weights(
     world: Solo, recipe: MultiTaskRecipe, seed: int, n_contexts: int, n_inputs: int
 ) -> PaCoWeights:
-    """K independent networks as `networks.init_weights` makes them, and hats as vectors.
-
-    Returns:
-        Numpy arrays in float32.
-    """
+    """K independent networks as `networks.init_weights` makes them, and hats as vectors."""
     ppo, n_sets = recipe.ppo, recipe.n_parts
     seeds = np.random.SeedSequence(seed).generate_state(n_sets)
     each = [
@@ -96,18 +87,6 @@ def init_weights(
     sets: Any = jax.tree.map(lambda *leaves: np.stack(leaves), *each)
     vectors: Any = initial_table(n_contexts, n_sets)
     return PaCoWeights(sets.actor, sets.critic, each[0].log_std, vectors)
-
-
-def compose(weights: PaCoWeights, places: jax.Array) -> Weights:
-    """Ordinary networks at `places` (C,), leading axis; they see observations without place."""
-    mixture = rows_at(weights.vectors, places)
-
-    def mix(part: jax.Array) -> jax.Array:
-        return jnp.tensordot(mixture, part, axes=1)
-
-    log_std = jnp.broadcast_to(weights.log_std, (len(mixture), *weights.log_std.shape))
-    actor, critic = (jax.tree.map(mix, x) for x in (weights.actor_sets, weights.critic_sets))
-    return Weights(actor, critic, log_std)
 
 
 def _composed_layer(

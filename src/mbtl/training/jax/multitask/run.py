@@ -12,6 +12,7 @@ import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,14 +22,10 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.files import claimed_folder
-from mbtl.seeds import MATRIX_TRIAL, episode_seed, evaluation_seed, training_seed
-from mbtl.training.jax.blocks import Block, Training
-from mbtl.training.jax.multitask.training import (
-    CHECKPOINT_EPISODES,
-    evaluate_multitask,
-    start_multitask,
-    train_multitask,
-)
+from mbtl.seeds import MATRIX_TRIAL, episode_seeds, evaluation_seed, training_seed
+from mbtl.training.jax.blocks import Block
+from mbtl.training.jax.evaluation import evaluate_multitask
+from mbtl.training.jax.loop import CHECKPOINT_EPISODES, train_multitask
 from mbtl.training.jax.recipes import MultiTaskRecipe
 from mbtl.training.jax.saving import SavedTraining
 from mbtl.worlds.environments import Tree
@@ -38,11 +35,9 @@ CHECKPOINTS = ("best", "final")
 
 
 class Judged(NamedTuple):
-    """When a policy is judged on all contexts; the best one is kept.
+    """When a policy is judged, by as many episodes of each context; the best one is kept.
 
-    Attributes:
-        episodes: of each context.
-        every: environment steps between two times; None: 50 times in all.
+    `every` is environment steps between two times, None for 50 times in all.
     """
 
     episodes: int = CHECKPOINT_EPISODES
@@ -102,7 +97,7 @@ def run_multitask(
     judged: Judged = USUAL,
     on_progress: OnProgress | None = None,
 ) -> MultiTaskRun:
-    """Train one policy per seed on all contexts and evaluate it on each.
+    """Train one policy per seed on all of N contexts and evaluate it on each.
 
     Evaluations play the episodes of the transfer matrix of the same seed, so that baselines and
     portfolios are compared on common random numbers.
@@ -129,73 +124,50 @@ def run_multitask(
         )
     place = Path(folder)
     settings = multitask_settings(world, recipe, params, timesteps, episodes, judged)
-    rows: dict[str, list[tuple[Array, Array]]] = {name: [] for name in CHECKPOINTS}
+    rows: dict[str, list[Array]] = {name: [] for name in CHECKPOINTS}
     records = []
     with claimed_folder(place, settings, "a multi-task run"):
         for seed in seeds:
             begin = time.monotonic()
-            training = _trained(world, recipe, params, seed, timesteps, place, judged, on_progress)
+            # sources are 0..N-1, so this training is none of theirs
+            own = training_seed(seed, MATRIX_TRIAL, len(params.visible))
+            training = train_multitask(
+                world,
+                recipe,
+                [own],
+                params,
+                timesteps,
+                checkpoint_every=judged.every,
+                checkpoint_episodes=judged.episodes,
+                on_block=on_progress and partial(_on_block, on_progress, seed),
+                saved=SavedTraining(place / f"seed{seed}.npz"),
+            )
             seconds = round(time.monotonic() - begin, 1)
             play = evaluation_seed(seed, MATRIX_TRIAL)
-            numbers = [episode_seed(play, e) for e in range(episodes)]
+            numbers = episode_seeds(play, episodes)
             for name, weights in (("best", training.best), ("final", training.state.weights)):
-                found = evaluate_multitask(world, recipe, weights, params, numbers)[0]
-                spread = found.std(axis=1, ddof=min(1, episodes - 1))
-                rows[name].append((found.mean(axis=1), spread))
+                rows[name] += [*evaluate_multitask(world, recipe, weights, params, numbers)]
             records.append(
                 {
                     **settings,
                     "trainer": "mbtl-jax-multitask",
                     "seed": seed,
-                    "training_seed": _seed_of(params, seed),
+                    "training_seed": own,
                     "steps": int(training.updates) * recipe.update_length,
                     "checkpoint_return": float(training.best_return[0]),
                     "train_seconds_of_last_run": seconds,
                 }
             )
+    found, freedom = {name: np.stack(rows[name]) for name in CHECKPOINTS}, min(1, episodes - 1)
     return MultiTaskRun(
-        {name: np.stack([mean for mean, _ in rows[name]]) for name in CHECKPOINTS},
-        {name: np.stack([std for _, std in rows[name]]) for name in CHECKPOINTS},
+        {name: each.mean(axis=2) for name, each in found.items()},
+        {name: each.std(axis=2, ddof=freedom) for name, each in found.items()},
         tuple(records),
     )
 
 
-def _trained(
-    world: World,
-    recipe: MultiTaskRecipe,
-    params: Tree,
-    seed: int,
-    timesteps: int,
-    folder: Path,
-    judged: Judged,
-    on_progress: OnProgress | None,
-) -> Training:
-    """The training of one seed, from where it was; from its end, where that alone can be stored."""
-    saved, seeds = SavedTraining(folder / f"seed{seed}.npz"), [_seed_of(params, seed)]
-    storable = getattr(world, "storable", True)
-
-    def on_block(block: Block) -> None:
-        if on_progress is not None:
-            on_progress(seed, block.steps, block.total, float(block.training.latest_return[0]))
-        if storable or block.steps == block.total:
-            saved.save(block.training, done=block.steps == block.total)
-
-    return train_multitask(
-        world,
-        recipe,
-        seeds,
-        params,
-        timesteps,
-        checkpoint_every=judged.every,
-        checkpoint_episodes=judged.episodes,
-        on_block=on_block,
-        resume=saved.load(lambda: start_multitask(world, recipe, seeds, params)),
-    )
-
-
-def _seed_of(params: Tree, root: int) -> int:
-    """Sources are 0..N-1, so this is none of theirs."""
-    return training_seed(root, MATRIX_TRIAL, len(params.visible))
+def _on_block(on_progress: OnProgress, seed: int, block: Block) -> None:
+    on_progress(seed, block.steps, block.total, float(block.training.latest_return[0]))
 
 
 def _digest(params: Tree) -> str:

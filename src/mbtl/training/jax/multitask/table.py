@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mbtl.training.jax.recipes import MultiTaskRecipe
 from mbtl.worlds.environments import Tree
 
 
@@ -38,8 +39,6 @@ def initial_table(n_contexts: int, n_parts: int) -> NDArray[np.float32]:
     """
     knots = np.linspace(0.0, 1.0, n_parts)
     position = np.linspace(0.0, 1.0, n_contexts)[:, None]
-    if n_parts == 1:
-        return np.ones((n_contexts, 1), dtype=np.float32)
     hats = np.maximum(0.0, 1.0 - np.abs(position - knots) * (n_parts - 1))
     return hats.astype(np.float32)
 
@@ -47,11 +46,15 @@ def initial_table(n_contexts: int, n_parts: int) -> NDArray[np.float32]:
 def with_place(params: Tree, places: ArrayLike | None = None) -> Any:
     """Parameters of C contexts with their places as the last visible feature.
 
-    Args:
-        params: of contexts, leading axis.
-        places: (C,) positions in grid steps; None where the contexts are the whole grid.
+    `places` are (C,) positions in grid steps; None where the contexts are the whole grid.
     """
     n = len(params.visible)
     at = np.arange(n) if places is None else np.asarray(places)
     column = at.astype(np.float64).reshape(n, 1)
     return params._replace(visible=np.concatenate([np.asarray(params.visible), column], axis=1))
+
+
+def seen(recipe: Any, params: Tree, places: ArrayLike | None = None) -> Tree:
+    """Contexts as the networks see them: those with a vector per context need their places."""
+    needs = isinstance(recipe, MultiTaskRecipe) and recipe.has_vectors
+    return with_place(params, places) if needs else params

@@ -1,0 +1,233 @@
+"""The walker in jax: Box2D's step by step, and what its parts promise."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+
+import mbtl.worlds as worlds
+
+import jax  # isort: skip
+import jax.numpy as jnp  # isort: skip
+
+from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState, ground
+from mbtl.worlds.walker import body as parts
+from mbtl.worlds.walker import walker as twin
+from mbtl.worlds.walker.contact import Box, apart, touch
+
+ENV = BipedalWalker()
+WORLD = worlds.Solo(ENV)
+
+
+def params(gravity=10.0, friction=2.5, scale=30.0, n=None):
+    values = (jnp.float32(gravity), jnp.float32(friction), jnp.float32(scale), jnp.zeros(0))
+    if n is None:
+        return WalkerParams(*values)
+    return WalkerParams(*(jnp.broadcast_to(v, (n, *v.shape)) for v in values))
+
+
+@pytest.fixture(scope="module")
+def box2d():
+    pytest.importorskip("Box2D", reason="the envs extra is not installed")
+    from mbtl.cmdps.locomotion import walker_body
+
+    return walker_body
+
+
+@pytest.fixture(scope="module")
+def played():
+    """Steps of some walkers under one action: (sum of rewards, alive) after n steps."""
+
+    @jax.jit
+    def play(noise, actions, own):
+        def one(state, action):
+            moved = WORLD.step(state, jnp.broadcast_to(action, (len(noise), 1, 4)), own)
+            return moved.state, moved.state.alive
+
+        return jax.lax.scan(one, WORLD.start(noise, own), actions)
+
+    return play
+
+
+def lucks(box2d, n):
+    return np.random.default_rng(0).random((n, box2d.ROUGH + box2d.PATCHES + 1))
+
+
+# ---- the ground ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", [3.0, 30.0, 300.0])
+def test_the_ground_is_box2d_s(box2d, scale):
+    for luck in lucks(box2d, 3):
+        ours = ground.heights(jnp.asarray(luck[:-1], jnp.float32), jnp.float32(scale))
+        np.testing.assert_allclose(ours, box2d.heights(luck, scale), atol=1e-4)
+
+
+def test_ranges_of_level_ground_are_those_of_geometry():
+    level = jnp.full(ground.POINTS, ground.HEIGHT)
+    found = ground.ranges(level, jnp.array([20.0, ground.HEIGHT + 2.0]))
+    turns = 1.5 * np.arange(ground.RAYS) / ground.RAYS
+    np.testing.assert_allclose(
+        found, np.minimum(2.0 / np.cos(turns) / ground.REACH, 1.0), atol=1e-5
+    )
+
+
+# ---- the body --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", [1.0, 30.0, 100.0])
+def test_the_inverse_is_that_of_the_mass_matrix(scale):
+    angles = jnp.array([0.1, 0.4, -0.5, -0.3, -1.0])
+    now = parts.body(jnp.array([5.0, 7.0]), angles, jnp.float32(scale))
+    each = np.stack([parts.speeds(now, jnp.eye(7)[i]) for i in range(7)])  # (7, 5, 3)
+    inertia = np.stack([now.masses, now.masses, now.moments], axis=1)
+    mass = np.einsum("iab,jab,ab->ij", each, each, inertia)
+    np.testing.assert_allclose(mass @ np.asarray(now.inverse), np.eye(7), atol=2e-3)
+
+
+def test_bodies_move_as_their_speeds_say():
+    centre, angles = jnp.array([5.0, 7.0]), jnp.array([0.1, 0.4, -0.5, -0.3, -1.0])
+    u, short = jnp.array([0.5, -1.0, 0.3, 1.0, -2.0, 0.7, 1.5]), 1e-2
+    ends = [
+        parts.body(centre + side * short * u[:2], angles + side * short * u[2:], jnp.float32(30.0))
+        for side in (-0.5, 0.5)
+    ]
+    now = parts.body(centre, angles, jnp.float32(30.0))
+    moved = (ends[1].centres - ends[0].centres) / short
+    np.testing.assert_allclose(parts.speeds(now, u)[:, :2], moved, atol=2e-3)
+
+
+def test_momentum_of_bodies_that_the_joints_hold_gives_their_motion_back():
+    now = parts.body(jnp.zeros(2), jnp.array([0.1, 0.4, -0.5, -0.3, -1.0]), jnp.float32(30.0))
+    u = jnp.array([0.5, -1.0, 0.3, 1.0, -2.0, 0.7, 1.5])
+    again = now.inverse @ parts.momentum(now, parts.speeds(now, u))
+    np.testing.assert_allclose(again, u, atol=1e-4)
+
+
+def test_masses_are_box2d_s(box2d):
+    walker = box2d.Walker(box2d.Constants(10.0, 2.5, 20.0), lucks(box2d, 1)[0])
+    now = parts.body(jnp.zeros(2), jnp.zeros(5), jnp.float32(20.0))
+    np.testing.assert_allclose(now.masses, [b.mass for b in walker.bodies], rtol=1e-5)
+    centre = walker.bodies[0].localCenter
+    np.testing.assert_allclose(parts.offset(jnp.float32(20.0)), tuple(centre), atol=1e-5)
+
+
+# ---- contacts --------------------------------------------------------------------------------
+
+PIECE = jnp.array([[0.0, 0.0], [2.0, 0.0]])
+
+
+def test_a_box_that_lies_in_the_ground_touches_with_both_ends():
+    lying = Box(jnp.array([1.0, 0.09]), jnp.float32(np.pi / 2), jnp.float32(0.2))
+    found = touch(lying, PIECE)
+    assert found.valid.all()
+    np.testing.assert_allclose(found.gaps, [-0.03, -0.03], atol=1e-5)
+    np.testing.assert_allclose(
+        sorted(found.points[:, 0]), 1.0 + np.array([-1, 1]) * 17 / 30, atol=1e-4
+    )
+    np.testing.assert_allclose(found.normals, [[0.0, 1.0]] * 2, atol=1e-6)
+
+
+def test_a_box_beside_or_above_a_piece_does_not_touch_it():
+    lying = jnp.float32(np.pi / 2)
+    for x, y, far in ((1.0, 0.5, 0.4), (3.0, 0.0, 1.0 - 17 / 30)):
+        box = Box(jnp.array([x, y]), lying, jnp.float32(0.2))
+        assert not touch(box, PIECE).valid.any()
+        assert float(apart(box, PIECE)) == pytest.approx(far, abs=1e-5)
+
+
+# ---- the step --------------------------------------------------------------------------------
+
+
+def test_a_step_is_box2d_s(box2d):
+    """From Box2D's own states, under a gait with noise: without contact, and with."""
+    heuristics = pytest.importorskip("gymnasium.envs.box2d.bipedal_walker").BipedalWalkerHeuristics
+    step = jax.jit(
+        lambda state, action: twin._moved(
+            state, jnp.sign(action) * twin.SPEEDS, twin.TORQUE * jnp.abs(action), params()
+        )
+    )
+    rng, off, on = np.random.default_rng(0), [], []
+    for luck in lucks(box2d, 3):
+        walker, gait = box2d.Walker(box2d.Constants(10.0, 2.5, 30.0), luck), heuristics()
+        gait.a = np.zeros(4)
+        heights = jnp.asarray(box2d.heights(luck, 30.0), jnp.float32)
+        seen, _, _ = box2d.advance([walker], np.zeros((1, 4), np.float32))
+        first, touching = jnp.zeros(4, jnp.int32), jnp.zeros((4, 4), bool)
+        for number in range(120):
+            action = gait.step_heuristic(seen[0]) + rng.normal(0.0, 0.3, 4)
+            action = np.clip(action, -1.0, 1.0).astype(np.float32)
+            state = WalkerState(*_pose(walker), heights, first, touching, jnp.zeros(2, bool))
+            new = step(state, jnp.asarray(action))
+            first, touching = new.first, new.touching
+            seen, _, over = box2d.advance([walker], action[None])
+            if over[0]:
+                break
+            if number > 2:  # before, Box2D's legs are not where its joints hold them
+                _, angles, moving = _pose(walker)
+                error = (np.abs(new.angles - angles).max(), np.abs(new.moving - moving).max())
+                (on if touching.any() else off).append(error)
+    assert (len(off), len(on)) > (30, 60)
+    off, on = np.array(off), np.array(on)
+    np.testing.assert_array_less(np.quantile(off, 0.8, axis=0), [0.01, 0.01])
+    np.testing.assert_array_less(np.median(on, axis=0), [0.005, 0.01])
+    np.testing.assert_array_less(np.quantile(on, 0.8, axis=0), [0.03, 0.5])
+
+
+def _pose(walker):
+    bodies = walker.bodies
+    centre = jnp.array(tuple(bodies[0].worldCenter), jnp.float32)
+    angles = jnp.array([body.angle for body in bodies], jnp.float32)
+    moving = [(*tuple(body.linearVelocity), body.angularVelocity) for body in bodies]
+    return centre, angles, jnp.array(moving, jnp.float32)
+
+
+# ---- the environment -------------------------------------------------------------------------
+
+
+def test_unguided_it_stands_still_at_little_cost(played):
+    noise = jnp.asarray(np.random.default_rng(0).random((3, 2)), jnp.float32)
+    end, alive = played(noise, jnp.tile(jnp.array(ENV.idle), (1000, 1)), params(n=3))
+    assert alive.all()
+    assert ((np.asarray(end.total) > -20.0) & (np.asarray(end.total) < 0.0)).all()
+
+
+def test_a_walker_that_falls_loses_a_hundred_and_the_episode(played):
+    noise = jnp.asarray(np.random.default_rng(0).random((3, 2)), jnp.float32)
+    push = jnp.tile(jnp.array([1.0, 1.0, -1.0, -1.0]), (150, 1))
+    end, alive = played(noise, push, params(n=3))
+    assert not alive[-1].any()
+    assert (np.asarray(end.total) < -80.0).all()
+
+
+def test_every_axis_changes_what_happens(played):
+    noise = jnp.asarray(np.random.default_rng(0).random((1, 2)), jnp.float32)
+    walk = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (60, 4)), jnp.float32)
+    ends = [
+        np.asarray(played(noise, walk, params(n=1, **own))[0].env.angles)
+        for own in ({}, {"gravity": 5.0}, {"friction": 0.1}, {"scale": 20.0})
+    ]
+    assert all(np.abs(end - ends[0]).max() > 0.05 for end in ends[1:])
+
+
+def test_an_action_that_is_no_number_ends_the_episode():
+    state = ENV.initial(jnp.array([0.3, 0.4]), params())
+    assert bool(ENV.step(state, jnp.array([jnp.nan, 0.0, 0.0, 0.0]), params()).terminated)
+
+
+def test_a_large_hull_lies_on_the_ground_at_once():
+    state = ENV.initial(jnp.array([0.3, 0.4]), params(scale=1.0))
+    step = ENV.step(state, jnp.zeros(4), params(scale=1.0))
+    assert (bool(step.terminated), float(step.reward)) == (True, -100.0)
+
+
+def test_it_shows_what_box2d_s_environment_shows(box2d):
+    walker = box2d.Walker(box2d.Constants(10.0, 2.5, 30.0), lucks(box2d, 1)[0])
+    for _ in range(3):
+        expected, _, _ = box2d.advance([walker], np.zeros((1, 4), np.float32))
+    heights = jnp.asarray(walker.ground[1], jnp.float32)
+    heights = jnp.append(heights, heights[-1])
+    feet = jnp.array([walker.contact[2], walker.contact[4]])
+    none = jnp.zeros(4, jnp.int32), jnp.zeros((4, 4), bool)
+    seen = ENV.observe(WalkerState(*_pose(walker), heights, *none, feet), params())
+    np.testing.assert_allclose(seen, expected[0], atol=2e-5)
