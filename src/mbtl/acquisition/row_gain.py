@@ -52,7 +52,8 @@ class RowGain:
         model: posterior of transfer.
         targets: (T,) context indices.
         best: (T,) generalisation performance so far.
-        seen: best performance seen anywhere.
+        seen: best performance seen anywhere; inf: the model is trusted beyond it, then there are no
+            ceilings either.
         weights: (T,) of the targets, sum 1.
         risk: share of the targets, the worst of them, that V is the mean of.
     """
@@ -75,6 +76,8 @@ class RowGain:
         """(M, T) expected gain of each candidate on each target, without weights."""
         mean, std = self.model.predict(candidates, self.targets)
         gain = unit_improvement((mean - self.best) / std)
+        if np.isinf(self.seen):
+            return np.asarray(std * gain)
         for height, weight in zip(*_quadrature(), strict=True):
             gain -= weight * unit_improvement((mean - self._top(height)) / std)
         return np.asarray(np.maximum(std * gain, 0.0))
@@ -124,6 +127,8 @@ class RowGain:
 
     def _top(self, height: float | Array) -> Array:
         """No policy does better on the targets if ceilings are so many deviations high."""
+        if np.isinf(self.seen):
+            return np.asarray(self.seen)
         mean, std = self._ceilings
         return np.asarray(np.maximum(np.minimum(mean + height * std, self.seen), self.best))
 

@@ -43,10 +43,12 @@ class Beliefs:
 
     def row_gain(self, targets: Indices) -> RowGain:
         """What one more training may bring on these targets."""
-        best = self._best(targets) if self.trend is None else self._best_by_trend(targets)
         weights = self.problem.weights[targets] / self.problem.weights[targets].sum()
-        model, seen = self.trend or self.model, float(self.y.max())
-        return RowGain(model, targets, best, seen, weights, self.problem.risk)
+        risk = self.problem.risk
+        if self.trend is not None:  # it says itself what a training on a target gives there
+            return RowGain(self.trend, targets, self._best_by_trend(targets), np.inf, weights, risk)
+        seen = float(self.y.max())
+        return RowGain(self.model, targets, self._best(targets), seen, weights, risk)
 
     def _best(self, targets: Indices) -> Array:
         """(T,) the best so far, and what is expected of pending picks."""
