@@ -81,7 +81,7 @@ class Auto:
         finalists: candidates that are judged a second time, on more targets; 0: none.
         final_targets: targets of that.
         cover: with 3, every third pick explores the largest untested region, whatever the model
-            says; with 0 none does.
+            says, unless straight lines are the model; with 0 none does.
     """
 
     prior: TransferPrior | None = None
