@@ -39,6 +39,7 @@ from mbtl.benchmark.replay import replay
 from mbtl.benchmark.sd_worlds import sd_worlds
 from mbtl.benchmark.shipped import load_by_id, shipped_matrices
 from mbtl.benchmark.summary import trainings_to
+from mbtl.models.linear_trend import LinearTrend, fit_linear_trend
 from mbtl.selectors import Auto
 
 DRAWS = 2000
@@ -82,6 +83,11 @@ class OneCeiling(RowGain):
         return np.maximum(self.seen + margin, self.best)
 
 
+def never(*data: Any) -> LinearTrend:
+    """The trend, unlikelier than anything."""
+    return replace(fit_linear_trend(*data), log_likelihood=-np.inf)
+
+
 VARIANTS: dict[str, Variant] = {
     WHOLE: Variant({}, {}),
     "25 targets": Variant({"most_targets": 25}, {"mbtl.selectors.auto._ROWS": 1000}),
@@ -89,6 +95,7 @@ VARIANTS: dict[str, Variant] = {
     "no cover": Variant({"cover": 0}, {}),
     "cover every 2nd": Variant({"cover": 2}, {}),
     "cover every 4th": Variant({"cover": 4}, {}),
+    "no straight lines": Variant({}, {"mbtl.selectors.auto.fit_linear_trend": never}),
     "no floor": Variant({}, {"mbtl.selectors.auto.floor_of": lambda y: float(y.min())}),
     "pairs always quiet": Variant({}, {"mbtl.models.transfer_gp._NOISIER": 1.0}),
     "one ceiling": Variant({}, {"mbtl.selectors.auto_beliefs.RowGain": OneCeiling}),

@@ -394,3 +394,79 @@ def test_a_model_of_another_study_is_not_mistaken_for_this_one():
         forget()
         fresh = Auto(cover=0).propose(problem, history, RNG)
         assert kept == fresh
+
+
+def straight(steps, source, *, quality=0.0, fall=0.03, scatter=0.02):
+    """A row of a world of straight lines, the same for a source every time."""
+    noise = scatter * np.random.default_rng(source).standard_normal(len(steps))
+    away = np.abs(steps - steps[source]).sum(axis=1)
+    return 0.6 + quality * steps[source].sum() - fall * away + noise
+
+
+def after(problem, sources, **world):
+    history = History(problem.n)
+    for source in sources:
+        history = history.with_row(source, straight(problem.steps, source, **world))
+    return history
+
+
+def cube():
+    grid = {mbtl.Linear(f"x{q}", 0.0, 1.0): 5 for q in range(3)}
+    return SelectionProblem.of(mbtl.ContextSpace.grid(grid), budget=20)
+
+
+def test_straight_lines_lead_to_the_best_source_far_from_all_tried():
+    """Sources are better the farther up on every axis, and better than transfer costs."""
+    problem = cube()
+    history = after(problem, [62, 31, 38, 93, 85], quality=0.05, fall=0.01)
+    proposal = Auto().propose(problem, history, RNG)
+    assert proposal.reason == "largest expected gain by straight lines"
+    assert tuple(problem.steps[proposal.source]) == (4.0, 4.0, 4.0)
+
+
+def test_where_distance_is_all_straight_lines_space_better_than_chance():
+    problem = cube()
+    history = after(problem, [62])
+    while len(history) < 12:
+        source = Auto().propose(problem, history, RNG).source
+        history = history.with_row(source, straight(problem.steps, source))
+    away = np.abs(problem.steps[:, None] - problem.steps).sum(axis=2)
+    orders = [RNG.permutation(problem.n)[:12] for _ in range(200)]
+    chance = [away[order].min(axis=0).mean() for order in orders]
+    assert away[list(history.sources)].min(axis=0).mean() < np.quantile(chance, 0.1)
+
+
+def test_straight_lines_are_not_believed_before_every_slope_is_known():
+    problem = cube()
+    early = Auto(cover=0).propose(problem, after(problem, [62, 31]), RNG)
+    assert early.reason == "largest expected gain"
+
+
+def test_a_step_is_no_straight_line():
+    problem, history = line(100), History(100)
+    for source in (49, 20, 75):
+        history = history.with_row(source, reach(100, source, 60, 10))
+    proposal = Auto(cover=0).propose(problem, history, RNG)
+    assert proposal.reason == "largest expected gain"
+
+
+def test_straight_lines_count_pending_picks_and_gaps_in_rows():
+    problem = cube()
+    history = after(problem, [62, 31, 38, 93, 85])
+    first = Auto().propose(problem, history, RNG)
+    assert first.reason.endswith("by straight lines")
+    second = Auto().propose(problem, history.with_pending(first.source), RNG)
+    assert np.abs(problem.steps[first.source] - problem.steps[second.source]).sum() > 2
+    rows = history.rows.copy()
+    rows[:, ::3] = np.nan
+    partial = Auto().propose(problem, replace(history, rows=rows), RNG)
+    assert partial.reason.endswith("by straight lines")
+    assert np.isfinite(partial.acquisition)
+
+
+def test_the_outlook_is_that_of_the_straight_lines():
+    problem = cube()
+    history = after(problem, [62, 31, 38, 93, 85], quality=0.05, fall=0.01, scatter=0.01)
+    outlook = Auto().outlook(problem, history, np.arange(problem.n))
+    assert outlook.mean == pytest.approx(0.6 + 0.05 * problem.steps.sum(axis=1), abs=0.05)
+    assert outlook.gain.argmax() == Auto().propose(problem, history, RNG).source

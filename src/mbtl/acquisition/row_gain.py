@@ -15,20 +15,33 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.acquisition.gain import unit_improvement
 from mbtl.arrays import Array
-from mbtl.models.transfer_gp import TransferGP
-from mbtl.models.transfer_kernel import NEW
+from mbtl.models.transfer_kernel import NEW, Pairs
 from mbtl.objective import worst_share_mean
 
 _CEILINGS = 7
 """Points at which the height of the ceilings is taken (Gauss-Hermite)."""
 _DRAWS = 4000
 """Samples of a row: the standard error of a chance is below 0.01."""
+
+
+class RowModel(Protocol):
+    """A posterior of rows, such as `mbtl.models.TransferGP`."""
+
+    def predict(self, sources: Pairs, targets: Pairs, /) -> tuple[Array, Array]:
+        """Mean and standard deviation (M, T) of J for new trainings."""
+
+    def predict_pairs(self, pairs: Pairs, /) -> tuple[Array, Array]:
+        """Mean and standard deviation (m,) of J at pairs (m, 3)."""
+
+    def draws(self, sources: Pairs, targets: Pairs, n: int, rng: np.random.Generator, /) -> Array:
+        """(n, M, T) samples of the rows of new trainings."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +52,13 @@ class RowGain:
         model: posterior of transfer.
         targets: (T,) context indices.
         best: (T,) generalisation performance so far.
-        seen: best performance seen anywhere.
+        seen: best performance seen anywhere; inf: the model is trusted beyond it, then there are no
+            ceilings either.
         weights: (T,) of the targets, sum 1.
         risk: share of the targets, the worst of them, that V is the mean of.
     """
 
-    model: TransferGP
+    model: RowModel
     targets: NDArray[np.intp]
     best: Array
     seen: float
@@ -62,6 +76,8 @@ class RowGain:
         """(M, T) expected gain of each candidate on each target, without weights."""
         mean, std = self.model.predict(candidates, self.targets)
         gain = unit_improvement((mean - self.best) / std)
+        if np.isinf(self.seen):
+            return np.asarray(std * gain)
         for height, weight in zip(*_quadrature(), strict=True):
             gain -= weight * unit_improvement((mean - self._top(height)) / std)
         return np.asarray(np.maximum(std * gain, 0.0))
@@ -111,6 +127,8 @@ class RowGain:
 
     def _top(self, height: float | Array) -> Array:
         """No policy does better on the targets if ceilings are so many deviations high."""
+        if np.isinf(self.seen):
+            return np.asarray(self.seen)
         mean, std = self._ceilings
         return np.asarray(np.maximum(np.minimum(mean + height * std, self.seen), self.best))
 

@@ -7,6 +7,10 @@ and candidates are searched: some spread over the space, then ever nearer to the
 axes the best few are judged again on more targets.
 
 Every third pick is none of the model's: it goes where the sources leave the most uncovered.
+
+Where straight lines explain the rows better (`mbtl.models.linear_trend`), they are the model: all
+picks are by their gain, on all targets up to a thousand, since lines cost little and leave no
+region unknown.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models.columns import Columns
+from mbtl.models.linear_trend import LinearTrend, fit_linear_trend
 from mbtl.models.priors import PRIORS, prior_without
 from mbtl.models.transfer_kernel import NEW, TransferPrior
 from mbtl.selectors.auto_beliefs import (
@@ -54,6 +59,8 @@ _ROWS = 20
 """Rows of which all targets are used: a model grows while its targets stay, so they change once."""
 _MANY = 20_000
 """Contexts through which every round of the search may look."""
+_TREND_TARGETS = 1000
+"""Targets at most where straight lines are the model: a bound on memory."""
 _LONELY = "largest untested region"
 _LEFT = 25
 """Candidates, and targets, that stand for all when it is asked what is left to gain."""
@@ -74,7 +81,7 @@ class Auto:
         finalists: candidates that are judged a second time, on more targets; 0: none.
         final_targets: targets of that.
         cover: with 3, every third pick explores the largest untested region, whatever the model
-            says; with 0 none does.
+            says, unless straight lines are the model; with 0 none does.
     """
 
     prior: TransferPrior | None = None
@@ -119,9 +126,9 @@ class Auto:
         beliefs, everyone = self._beliefs(problem, history), np.arange(problem.n)
         own = np.column_stack([everyone, everyone, np.full(problem.n, NEW)])
         gain = np.full(problem.n, np.nan)
-        row_gain = beliefs.row_gain(beliefs.targets)
+        row_gain = self._judged(problem, beliefs)
         gain[candidates] = row_gain.expected(candidates)
-        return Outlook("auto", *beliefs.model.predict_pairs(own), gain, row_gain.drawn)
+        return Outlook("auto", *row_gain.model.predict_pairs(own), gain, row_gain.drawn)
 
     def _choose(
         self, problem: SelectionProblem, history: History, mask: Mask, beliefs: Beliefs
@@ -130,14 +137,16 @@ class Auto:
         if problem.costs is not None:  # their unit must not matter to what counts as a tie
             costs = problem.costs / problem.costs.mean()
         wide = _spread(problem, np.flatnonzero(problem.weights > 0), self.final_targets)
-        outlook = first = beliefs.row_gain(beliefs.targets)
-        if not problem.is_line and self.finalists and len(wide) > len(beliefs.targets):
+        outlook = first = self._judged(problem, beliefs)
+        if not problem.is_line and self.finalists and len(wide) > len(first.targets):
             # a few targets on several axes are a sample, with its luck; on a line they are even
             outlook = beliefs.row_gain(wide)
         search = partial(
             _search, problem, np.flatnonzero(mask), self.most_candidates, costs, history.pending
         )
-        lonely = self._least_covered(problem, history, wide, search, costs)
+        lonely = None
+        if beliefs.trend is None:
+            lonely = self._least_covered(problem, history, wide, search, costs)
         if lonely is not None and problem.least_gain is None and problem.least_left is None:
             return _covering(lonely, outlook)
         candidates, gain = search(first.expected)
@@ -199,7 +208,16 @@ class Auto:
         model = conditioned(places, prior, pairs, y, known)
         waiting = np.asarray(history.pending, dtype=np.intp)
         expect(model, pending_pairs(problem, waiting, targets, len(history)))
-        return Beliefs(problem, history, targets, y, floor, model)
+        trend = fit_linear_trend(problem.steps, pairs, y, known)
+        likelier = trend.log_likelihood > model.log_likelihood
+        return Beliefs(problem, history, targets, y, floor, model, trend if likelier else None)
+
+    def _judged(self, problem: SelectionProblem, beliefs: Beliefs) -> RowGain:
+        """The gain on the targets by which candidates are searched."""
+        if beliefs.trend is None:
+            return beliefs.row_gain(beliefs.targets)
+        counted = np.flatnonzero(problem.weights > 0)
+        return beliefs.row_gain(_spread(problem, counted, _TREND_TARGETS))
 
 
 def _largest(
@@ -218,6 +236,8 @@ def _largest(
         source = farthest_open(problem, [*history.sources, *history.pending], mask)
         return Proposal(source, "no predicted gain anywhere: far from what was tried", 0.0)
     reason = "largest expected gain"
+    if isinstance(outlook.model, LinearTrend):
+        reason += " by straight lines"
     if problem.costs is not None:
         reason += " per cost"
     if source in history.sources:

@@ -12,6 +12,7 @@ from mbtl.acquisition import RowGain
 from mbtl.arrays import Array
 from mbtl.history import History
 from mbtl.models.growing import Growing
+from mbtl.models.linear_trend import LinearTrend
 from mbtl.models.transfer_gp import likely_noise
 from mbtl.models.transfer_kernel import Pairs, Places, TransferPrior, grid_pairs
 from mbtl.selectors.base import SelectionProblem
@@ -26,7 +27,11 @@ _STEP = np.log(1.25)
 
 @dataclass(frozen=True)
 class Beliefs:
-    """The model after the rows told (values `y`), and what is expected of pending picks."""
+    """The model after the rows told (values `y`), and what is expected of pending picks.
+
+    Attributes:
+        trend: the linear trend, where it explains the rows better than the model; else None.
+    """
 
     problem: SelectionProblem
     history: History
@@ -34,9 +39,19 @@ class Beliefs:
     y: Array
     floor: float
     model: Growing
+    trend: LinearTrend | None = None
 
     def row_gain(self, targets: Indices) -> RowGain:
         """What one more training may bring on these targets."""
+        weights = self.problem.weights[targets] / self.problem.weights[targets].sum()
+        risk = self.problem.risk
+        if self.trend is not None:  # it says itself what a training on a target gives there
+            return RowGain(self.trend, targets, self._best_by_trend(targets), np.inf, weights, risk)
+        seen = float(self.y.max())
+        return RowGain(self.model, targets, self._best(targets), seen, weights, risk)
+
+    def _best(self, targets: Indices) -> Array:
+        """(T,) the best so far, and what is expected of pending picks."""
         best = np.maximum(self.history.best[targets], self.floor)
         if self.model.noisy or not np.isfinite(self.history.rows[:, targets]).all():
             # the best of noisy or missing entries is what the model believes them to be
@@ -44,8 +59,18 @@ class Beliefs:
         waiting = np.asarray(self.history.pending, dtype=np.intp)
         if len(waiting):
             best = np.maximum(best, self.model.means(waiting, targets).max(axis=0))
-        weights = self.problem.weights[targets] / self.problem.weights[targets].sum()
-        return RowGain(self.model, targets, best, float(self.y.max()), weights, self.problem.risk)
+        return best
+
+    def _best_by_trend(self, targets: Indices) -> Array:
+        """(T,) the same, by the trend."""
+        assert self.trend is not None
+        told, rows = self.history, np.maximum(self.history.rows[:, targets], self.floor)
+        known = None if told.errors is None else np.square(told.errors[:, targets])
+        sources, waiting = (np.asarray(s, dtype=np.intp) for s in (told.sources, told.pending))
+        best = self.trend.believed(sources, targets, rows, known).max(axis=0)
+        if len(waiting):
+            best = np.maximum(best, self.trend.predict(waiting, targets)[0].max(axis=0))
+        return np.asarray(best)
 
     def _believed(self, targets: Indices) -> Array:
         """(k, T) means of the rows told."""
