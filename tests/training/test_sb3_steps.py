@@ -70,7 +70,7 @@ def test_a_training_on_several_contexts_extended_twice_is_the_whole_one(algorith
     assert same(reached[-1].policy, whole)
     assert not same(reached[0].policy, whole)
     assert len(one.evaluate(reached[-1].policy, contexts, seed=1)) == 3
-    with pytest.raises(InvalidInput, match="got episodes=4"):
+    with pytest.raises(InvalidInput, match="got a recipe of 4 episodes"):
         replace(one, timesteps=None, episodes=4).check_on_set()
 
 
@@ -118,5 +118,5 @@ def test_episodes_of_evaluations_are_counted():
 def test_trainings_of_episodes_are_refused():
     one = SB3Trainer(cartpole, episodes=3)
     assert one.whole_steps is None
-    with pytest.raises(InvalidInput, match="got episodes=3"):
+    with pytest.raises(InvalidInput, match="got a recipe of 3 episodes"):
         one.train_steps(POLE, 0, 64)
