@@ -37,6 +37,7 @@ from mbtl.cmdps.locomotion.walker_body import (
 )
 from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState
 from mbtl.worlds.walker import walker as twin
+from mbtl.worlds.walker.motion import moved
 
 NOMINAL = Constants(10.0, 2.5, 30.0)
 CONTEXTS = [
@@ -80,7 +81,7 @@ def steps(episodes: int) -> None:
 
     own = params(NOMINAL)
     step = jax.jit(
-        lambda state, action: twin._moved(
+        lambda state, action: moved(
             state, jnp.sign(action) * twin.SPEEDS, twin.TORQUE * jnp.abs(action), own
         )
     )

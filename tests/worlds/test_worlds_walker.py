@@ -14,6 +14,7 @@ from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState, ground
 from mbtl.worlds.walker import body as parts
 from mbtl.worlds.walker import walker as twin
 from mbtl.worlds.walker.contact import Box, apart, touch
+from mbtl.worlds.walker.motion import moved
 
 ENV = BipedalWalker()
 WORLD = worlds.Solo(ENV)
@@ -143,7 +144,7 @@ def test_a_step_is_box2d_s(box2d):
     """From Box2D's own states, under a gait with noise: without contact, and with."""
     heuristics = pytest.importorskip("gymnasium.envs.box2d.bipedal_walker").BipedalWalkerHeuristics
     step = jax.jit(
-        lambda state, action: twin._moved(
+        lambda state, action: moved(
             state, jnp.sign(action) * twin.SPEEDS, twin.TORQUE * jnp.abs(action), params()
         )
     )
