@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.checkpoints import Checkpoint
-from mbtl.errors import InvalidInput, StorageError, TrainingFailed
+from mbtl.errors import InvalidInput, StorageError, TrainingFailed, few
 from mbtl.training.jax.networks import Weights
 from mbtl.worlds.environments import Tree
 
@@ -235,7 +235,10 @@ def from_arrays(template: Training, arrays: Mapping[str, NDArray[Any]]) -> Train
         StorageError: the arrays belong to other arguments.
     """
     leaves, structure = jax.tree.flatten(template)
-    loaded = [arrays.get(f"leaf_{i}", np.array(None)) for i in range(len(leaves))]
+    names = [f"leaf_{i}" for i in range(len(leaves))]
+    if missing := [name for name in names if name not in arrays]:
+        raise StorageError(f"a saved training must hold {few(missing)}; start anew")
+    loaded = [np.asarray(arrays[name]) for name in names]
     for old, new in zip(leaves, loaded, strict=True):
         if old.shape != new.shape or old.dtype != new.dtype:
             raise StorageError(
