@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from line_of_nine import PROBLEM, STEPS, N
 
 from mbtl.actions import (
     Evaluate,
@@ -13,19 +14,10 @@ from mbtl.actions import (
     Pilot,
     Policy,
     Start,
-    StepProblem,
     Wait,
 )
 from mbtl.actions.base import Trail, Training
-from mbtl.contexts import ContextSpace, Linear
-from mbtl.selectors.base import SelectionProblem
 
-N = 9
-SPACE = ContextSpace.grid({Linear("x", 0.0, 8.0): [float(i) for i in range(N)]})
-PROBLEM = StepProblem(
-    SelectionProblem.of(SPACE, budget=N), np.array([100, 200, 400]), 1e6, episodes=1, horizon=10
-)
-STEPS = PROBLEM.selection.steps
 RNG = np.random.default_rng(0)
 
 

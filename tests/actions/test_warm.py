@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+import line_of_nine
 import numpy as np
 import pytest
+from line_of_nine import STEPS, N
 
 from mbtl.actions import (
     Committee,
@@ -12,21 +14,13 @@ from mbtl.actions import (
     FixedLength,
     Policy,
     Start,
-    StepProblem,
     Stop,
     Warm,
 )
 from mbtl.actions.base import Trail, Training
 from mbtl.actions.warm import gains_per_step, server_of
-from mbtl.contexts import ContextSpace, Linear
-from mbtl.selectors.base import SelectionProblem
 
-N = 9
-SPACE = ContextSpace.grid({Linear("x", 0.0, 8.0): [float(i) for i in range(N)]})
-PROBLEM = StepProblem(
-    SelectionProblem.of(SPACE, budget=N), np.array([100, 200, 400]), 1e6, 1, 10, np.array([50, 100])
-)
-STEPS = PROBLEM.selection.steps
+PROBLEM = replace(line_of_nine.PROBLEM, lengths_on_all=np.array([50, 100]))
 RNG = np.random.default_rng(0)
 WARM = Warm(selector=None, evaluation=Evaluation())
 

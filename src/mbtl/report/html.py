@@ -17,7 +17,7 @@ from mbtl.errors import InvalidInput, missing_extra
 from mbtl.files import whole_file
 from mbtl.report.content import content
 from mbtl.report.packing import compressed, packed
-from mbtl.report.parts import details, number, provenance, section, table
+from mbtl.report.parts import details, number, opening, provenance, section, table
 from mbtl.report.step_article import step_article
 from mbtl.report.step_subject import KIND, StepSubject, step_content
 from mbtl.report.subject import Subject
@@ -104,10 +104,12 @@ def _article(i: int, item: dict[str, Any]) -> str:
     told = [pick for pick in item["picks"] if pick["status"] == "told"]
     state = "finished" if item["finished"] else "under way"
     parts = [
-        f'<article data-item="{i}"{" hidden" if i else ""}>',
-        f"<h1>{e(item['name'])}</h1>",
-        f'<p class="facts">{e(item["selector"])}, {len(told)} trainings, {item["n"]} contexts'
-        f"{', ' + state if item['kind'] == 'study' else ''}</p>",
+        *opening(
+            i,
+            item["name"],
+            f"{item['selector']}, {len(told)} trainings, {item['n']} contexts"
+            f"{', ' + state if item['kind'] == 'study' else ''}",
+        ),
         *(f"<p>{e(line)}</p>" for line in item["sentences"]),
     ]
     if told:

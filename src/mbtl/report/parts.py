@@ -8,6 +8,15 @@ from collections.abc import Sequence
 from typing import Any
 
 
+def opening(i: int, name: str, facts: str) -> list[str]:
+    """The beginning of article `i`, of which only the first is shown at once."""
+    return [
+        f'<article data-item="{i}"{" hidden" if i else ""}>',
+        f"<h1>{html.escape(name)}</h1>",
+        f'<p class="facts">{html.escape(facts)}</p>',
+    ]
+
+
 def section(kind: str, title: str, said: str) -> str:
     """A picture with its title; scripts draw it."""
     note = f"<p>{html.escape(said)}</p>" if said else ""

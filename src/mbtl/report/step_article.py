@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from typing import Any
 
-from mbtl.report.parts import details, number, provenance, section, table
+from mbtl.report.parts import details, number, opening, provenance, section, table
 from mbtl.study.steps.summary import counted
 
 
@@ -14,10 +14,12 @@ def step_article(i: int, item: dict[str, Any]) -> str:
     e = html.escape
     state = "finished" if item["finished"] else "under way"
     parts = [
-        f'<article data-item="{i}"{" hidden" if i else ""}>',
-        f"<h1>{e(item['name'])}</h1>",
-        f'<p class="facts">strategy {e(item["selector"])}, {e(item["progress"])}, '
-        f"{len(item['trainings'])} trainings, {item['n']} contexts, {state}</p>",
+        *opening(
+            i,
+            item["name"],
+            f"strategy {item['selector']}, {item['progress']}, "
+            f"{len(item['trainings'])} trainings, {item['n']} contexts, {state}",
+        ),
         *(f"<p>{e(line[0].upper() + line[1:])}.</p>" for line in item["sentences"]),
         _bill(item),
     ]

@@ -15,14 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mbtl.worlds.walker.ground import _NOMINAL_SCALE
+from mbtl.worlds.walker.ground import NOMINAL_SCALE
 
 HULL = np.array([(-30.0, 9.0), (6.0, 9.0), (34.0, 1.0), (34.0, -8.0), (-30.0, -8.0)])
 """Corners at scale 1 [m]."""
-LEG_HEIGHT = 34.0 / _NOMINAL_SCALE
-LEG_DOWN = -8.0 / _NOMINAL_SCALE
+LEG_HEIGHT = 34.0 / NOMINAL_SCALE
+LEG_DOWN = -8.0 / NOMINAL_SCALE
 """Where the hips are on the hull [m]."""
-WIDTHS = np.array([1.0, 0.8, 1.0, 0.8], np.float32) * np.float32(8.0 / _NOMINAL_SCALE)
+WIDTHS = np.array([1.0, 0.8, 1.0, 0.8], np.float32) * np.float32(8.0 / NOMINAL_SCALE)
 """Of thigh, shin, thigh and shin [m]."""
 _HALF = LEG_HEIGHT / 2.0
 

@@ -20,7 +20,6 @@ SKIN = 0.02
 """Box2D's shapes touch when they are so near; both have a skin of half of it [m]."""
 PIECES = 4
 """Of ground that a part can lie on."""
-_MARGIN = 0.02
 
 
 class Box(NamedTuple):
@@ -62,7 +61,7 @@ def below(box: Box, heights: jax.Array, moved: Box | None = None) -> tuple[jax.A
         - jnp.abs(jnp.sin(one.angle)) * LEG_HEIGHT / 2.0
         for one in boxes
     ]
-    first = ground.number(jnp.stack(left).min() - _MARGIN, PIECES)
+    first = ground.number(jnp.stack(left).min() - SKIN, PIECES)
     points = ground.pieces(heights, first, PIECES)
     return first, jnp.stack([points[:-1], points[1:]], axis=1)
 

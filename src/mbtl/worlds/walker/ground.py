@@ -13,19 +13,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-_NOMINAL_SCALE = 30.0
-STEP = 14.0 / _NOMINAL_SCALE
+NOMINAL_SCALE = 30.0
+STEP = 14.0 / NOMINAL_SCALE
 """Length of a piece of ground [m]."""
 POINTS = 200
 FLAT = 20
 """Pieces of flat ground at the beginning; the walker starts in their middle."""
-HEIGHT = 400.0 / _NOMINAL_SCALE / 4.0
+HEIGHT = 400.0 / NOMINAL_SCALE / 4.0
 """Of the ground [m], on average."""
 END = (POINTS - 10) * STEP
 """Where an episode is won [m]."""
 ROUGH, PATCHES = POINTS - FLAT - 1, (POINTS - FLAT) // 5 + 1
 """Numbers that slopes and the distances of level pieces take."""
-REACH = 160.0 / _NOMINAL_SCALE
+REACH = 160.0 / NOMINAL_SCALE
 """Of the range finder [m]."""
 RAYS = 10
 _NEAR = math.ceil(REACH / STEP) + 2
