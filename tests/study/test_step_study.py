@@ -37,7 +37,9 @@ class Script:
         return self.actions[done] if done < len(self.actions) else Stop()
 
 
-@pytest.mark.parametrize("strategy", ["pilot", "fixed", "halving", "asha", "committee", "warm"])
+@pytest.mark.parametrize(
+    "strategy", ["pilot", "fixed", "halving", "asha", "committee", "warm", "population"]
+)
 def test_what_is_charged_is_what_ran(strategy):
     trainer = Slow()
     study = opened(trainer, strategy=strategy)
@@ -73,7 +75,7 @@ def test_all_weights_that_a_training_passed_are_at_hand():
     assert first.steps < WHOLE
 
 
-@pytest.mark.parametrize("strategy", ["pilot", "committee", "warm"])
+@pytest.mark.parametrize("strategy", ["pilot", "committee", "warm", "population"])
 def test_killed_at_any_moment_a_study_ends_as_if_undisturbed(tmp_path, strategy):
     calm = opened(Slow(), strategy=strategy)
     calm.run(progress=False)

@@ -48,7 +48,9 @@ def together(folder, count=3, **settings):
     return opened(Slow(), folder, **settings), trainers
 
 
-@pytest.mark.parametrize("strategy", ["pilot", "fixed", "halving", "asha", "committee", "warm"])
+@pytest.mark.parametrize(
+    "strategy", ["pilot", "fixed", "halving", "asha", "committee", "warm", "population"]
+)
 def test_what_workers_have_run_is_charged_once_and_nothing_is_done_twice(tmp_path, strategy):
     study, trainers = together(tmp_path, strategy=strategy, budget=250_000)
     prices = study.state.prices
@@ -181,9 +183,12 @@ def test_an_answer_under_an_old_lease_is_refused(tmp_path):
     assert outcome(study) == outcome(calm)
 
 
-def test_a_strategy_that_does_not_work_in_parallel_is_asked_when_nothing_is_under_way(tmp_path):
-    study, _ = together(tmp_path, strategy="warm", budget=150_000)
-    calm = opened(Slow(), strategy="warm")
+@pytest.mark.parametrize("strategy", ["warm", "population"])
+def test_a_strategy_that_does_not_work_in_parallel_is_asked_when_nothing_is_under_way(
+    tmp_path, strategy
+):
+    study, _ = together(tmp_path, strategy=strategy, budget=150_000)
+    calm = opened(Slow(), strategy=strategy)
     calm.run(progress=False, report=False)
     assert study.state.spent == calm.state.spent
     np.testing.assert_array_equal(study.state.returns, calm.state.returns)

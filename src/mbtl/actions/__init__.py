@@ -19,6 +19,7 @@ from mbtl.actions.evaluation import Evaluation
 from mbtl.actions.fixed import FixedLength
 from mbtl.actions.halving import Halving
 from mbtl.actions.pilot import Pilot
+from mbtl.actions.population import Population
 from mbtl.actions.warm import Warm
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "Halving",
     "Pilot",
     "Policy",
+    "Population",
     "Start",
     "StartOn",
     "StepProblem",
