@@ -5,12 +5,12 @@
 
 What a training becomes that begins from a policy is in no shipped curve, so these trainings are
 real, by the preset `quick` (100,000 steps a whole one). Every strategy picks contexts by the
-paper's MBTL, evaluates for a tenth of a training, and gets the steps of --wholes whole trainings, all
-in. V is of ten fresh episodes of every policy on every context, routed by the episodes that chose;
-it is read at equal steps. Rows of studies that are done are kept in --folder; the same command goes
-on where it was, and prints the table. Its column *less* is V at the end less that of the same
-lengths from scratch where there is such a line, else of whole trainings from scratch; the
-interval is Student's of 95 %, paired over seeds.
+paper's MBTL, evaluates for a tenth of a training, and gets the steps of --wholes whole trainings,
+all in. V is of ten fresh episodes of every policy on every context, routed by the episodes that
+chose; it is read at equal steps. Rows of studies that are done are kept in --folder; the same
+command goes on where it was, and prints the table. Its column *less* is V at the end less that of
+the same strategy without the weights of others where there is such a line, else of whole trainings
+from scratch; the interval is Student's of 95 %, paired over seeds.
 """
 
 from __future__ import annotations

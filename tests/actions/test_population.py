@@ -1,6 +1,7 @@
 """Population: who is given up, whose weights are copied where, and in what order."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -103,20 +104,24 @@ def test_a_member_is_worth_what_v_would_lose_without_all_of_its_policies():
     trail = with_members(tent(4, 0.5), tent(0, 0.5), tent(8, 0.5))
     worth = missed_without(PROBLEM, trail, trail.policies)
     # the middle one is ahead by 0.2, 0.4 and 0.2 on three contexts; an outer one by 0.4 and 0.2
-    assert {j: w[0] for j, w in worth.items()} == pytest.approx({0: 0.8 / 9, 1: 0.6 / 9, 2: 0.6 / 9})
+    assert [worth[j][0] for j in range(3)] == pytest.approx([0.8 / 9, 0.6 / 9, 0.6 / 9])
     assert [worth[j][1] for j in (0, 1)] == pytest.approx([0.5 - 2.0 / 9, 0.1])
     longer = trail.with_training(1, Training(0, 1, 200), 100.0)
     longer = seen(longer, 1, 1, tent(0, 0.6))  # its earlier self is no substitute
     worth = missed_without(PROBLEM, longer, longer.policies)
     assert worth[1][0] == pytest.approx((0.5 + 0.3 + 0.1) / 9)
     assert missed_without(PROBLEM, longer, longer.policies[:3])[1][0] == pytest.approx(0.6 / 9)
+    worse = seen(trail.with_training(1, Training(0, 1, 200), 100.0), 1, 1, tent(0, 0.1))
+    assert missed_without(PROBLEM, worse, worse.policies)[1][0] == pytest.approx(0.6 / 9)
 
 
 def test_the_others_go_on_and_a_copy_takes_the_place_of_whom_v_misses_least():
     trail, strategy = with_members(tent(4, 0.5), tent(0, 0.45), tent(8, 0.6)), people()
     assert strategy.decide(PROBLEM, trail, RNG) == Extend(0, 1)
     trail = trail.with_training(0, Training(4, 1, 200), 100.0)
-    trail = seen(trail, 0, 1, tent(4, 0.3))  # it got worse: the round's plan stays
+    now_best = seen(trail, 0, 1, tent(8, 0.9))  # better than training 2 all over: the plan stays
+    assert strategy.decide(PROBLEM, now_best, RNG) == Extend(2, 1)
+    trail = seen(trail, 0, 1, tent(4, 0.3))  # it got worse
     assert strategy.decide(PROBLEM, trail, RNG) == Extend(2, 1)
     trail = trail.with_training(2, Training(8, 1, 200), 100.0)
     trail = seen(trail, 2, 1, tent(8, 0.61))
@@ -126,10 +131,13 @@ def test_the_others_go_on_and_a_copy_takes_the_place_of_whom_v_misses_least():
 
 
 def test_an_own_return_counts_for_nothing():
-    """The member that is best at home adds nothing: the others are as good all over its row."""
-    proud = np.full(N, -1.0)
-    proud[4] = 0.9
-    trail = with_members(proud, np.full(N, 0.9), np.full(N, 0.2) + np.eye(N)[8])
+    """Nor does a mean: of three the first is good at home and everywhere, but so is the second.
+
+    The third one is worst at home and on average, and alone on one context.
+    """
+    poor = np.full(N, -1.0)
+    poor[2] = 1.0
+    trail = with_members(np.full(N, 0.9), np.full(N, 0.95), poor)
     strategy = people()
     assert strategy.staying(PROBLEM, trail, 3, 3) == [1, 2]
     assert strategy.decide(PROBLEM, trail, RNG) == Extend(1, 1)
@@ -169,7 +177,7 @@ def test_in_every_round_each_member_has_one_piece():
     trails, _ = played(people(3), Adds())
     policies = trails[-1].policies
     rounds = [policies[i : i + 3] for i in range(0, 3 * (N // 2), 3)]
-    for before, after in zip(rounds, rounds[1:], strict=False):
+    for before, after in pairwise(rounds):
         had = [policy.training for policy in after]
         assert len(set(had)) == 3
         old = {policy.training for policy in before} & set(had)
@@ -202,12 +210,15 @@ def test_where_no_context_is_left_those_go_on_that_v_would_miss_then_it_stops():
     assert people(4).decide(PROBLEM, end, RNG) == Stop()
     last_start = max(i for i, a in enumerate(actions) if isinstance(a, Start))
     assert all(isinstance(a, Extend | Evaluate) for a in actions[last_start + 1 :])
+    rows = [tent(s, 1.0 if s == 3 else 0.5) for s in range(N)]
+    trail = with_members(*rows, sources=range(N), ended=(6, 7))
+    assert people(2).decide(PROBLEM, trail, RNG) == Extend(3, 1)  # its last members have ended
 
 
 def test_there_are_no_more_members_than_contexts():
-    trails, _ = played(people(50), Adds(), most=2 * N + 2)
+    trails, _ = played(people(50), Adds(), most=2 * N + 4)
     assert len(trails[-1].trainings) == N
-    assert trails[-1].trainings[0].length == 1  # the second round has begun
+    assert [t.length for t in trails[-1].trainings[:3]] == [1, 1, 0]  # the second round has begun
 
 
 def test_it_decides_by_the_trail_alone():

@@ -1,11 +1,11 @@
-"""A study with warm starts in Stable-Baselines3: what is interrupted ends as what is not."""
+"""Studies with warm starts in Stable-Baselines3: what is interrupted ends as what is not."""
 
 import numpy as np
 import pytest
 from training_envs import cartpole
 
 import mbtl
-from mbtl.actions import Policy, Warm
+from mbtl.actions import Policy, Population, Warm
 from mbtl.seeds import training_seed
 from mbtl.study.steps.callbacks import StepCallback
 from mbtl.training import SB3Trainer
@@ -14,11 +14,14 @@ SPACE = mbtl.ContextSpace.grid({mbtl.Linear("length", 0.3, 1.0): 5})
 PPO = {"n_steps": 64, "batch_size": 32, "n_epochs": 2, "learning_rate": lambda left: 1e-3 * left}
 
 
-def opened(folder=None):
+WARM = Warm(turns=0, length=1, selector=None)
+
+
+def opened(folder=None, strategy=WARM):
     trainer = SB3Trainer(cartpole, timesteps=512, hyperparameters=PPO, eval_episodes=1)
     return mbtl.create_study(
         SPACE, cost="steps", budget=2_600, trainer=trainer, lengths=(128, 256, 512), episodes=1,
-        horizon=200, bounds=(0.0, 200.0), strategy=Warm(turns=0, length=1, selector=None), seed=4,
+        horizon=200, bounds=(0.0, 200.0), strategy=strategy, seed=4,
         load_if_exists=True, storage=None if folder is None else folder / "study.db",
     )  # fmt: skip
 
@@ -69,3 +72,30 @@ def test_interrupted_a_warm_started_training_is_bit_for_bit_the_undisturbed_one(
     alone = calm.trainer.train_steps(context, seed, 256, start=parent).policy
     assert same(alone, model_of(calm, 1, 1))
     assert not same(calm.trainer.train_steps(context, seed, 256).policy, alone)
+
+
+def test_an_interrupted_population_is_bit_for_bit_the_undisturbed_one(tmp_path):
+    people = Population(size=2, selector=None)
+
+    class StopsACopy(StepCallback):
+        """Before the first copy trains, which was decided already."""
+
+        def on_training(self, study, training, source, to):
+            if training == 2:
+                raise Interrupt
+
+    calm = opened(strategy=people)
+    calm.run(progress=False, report=False)
+    with pytest.raises(Interrupt):
+        opened(tmp_path, people).run(progress=False, report=False, callbacks=[StopsACopy()])
+    study = opened(tmp_path, people)
+    study.run(progress=False, report=False)
+    starts = [t.start for t in study.state.trainings]
+    assert starts[:2] == [None, None]
+    assert len(starts) > 2
+    assert None not in starts[2:]
+    assert starts == [t.start for t in calm.state.trainings]
+    for policy in calm.state.policies:
+        one, other = (model_of(s, policy.training, policy.length) for s in (calm, study))
+        assert same(one, other)
+    np.testing.assert_array_equal(calm.state.returns, study.state.returns)

@@ -1,4 +1,4 @@
-"""A study with warm starts in the jax engine: what is interrupted ends as what is not."""
+"""Studies with warm starts in the jax engine: what is interrupted ends as what is not."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ pytest.importorskip("jax", reason="the jax extra is not installed")
 pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
 import mbtl
-from mbtl.actions import Policy, Warm
+from mbtl.actions import Policy, Population, Warm
 from mbtl.cmdps import get_cmdp
 from mbtl.seeds import training_seed
 from mbtl.study.steps.callbacks import StepCallback
@@ -38,11 +38,14 @@ class Stops(StepCallback):
             raise Interrupt
 
 
-def opened(folder=None):
+WARM = Warm(turns=0, length=1, selector=None)
+
+
+def opened(folder=None, strategy=WARM):
     trainer = PROBLEM.trainer_for("quick", timesteps=1_024, hyperparameters=SMALL)
     return mbtl.create_study(
         PROBLEM, cost="steps", budget=16_000, trainer=trainer, lengths=LENGTHS, episodes=1,
-        strategy=Warm(turns=0, length=1, selector=None), seed=4, load_if_exists=True,
+        strategy=strategy, seed=4, load_if_exists=True,
         storage=None if folder is None else folder / "study.db",
     )  # fmt: skip
 
@@ -74,6 +77,33 @@ def test_interrupted_a_warm_started_training_is_bit_for_bit_the_undisturbed_one(
     starts = [t.start for t in study.state.trainings]
     assert starts[:2] == [None, Policy(0, 2)]
     assert starts == [t.start for t in calm.state.trainings]
+    for policy in calm.state.policies:
+        assert same(weights(calm, policy), weights(study, policy))
+    np.testing.assert_array_equal(calm.state.returns, study.state.returns)
+    assert calm.state.spent == study.state.spent
+
+
+def test_an_interrupted_population_is_bit_for_bit_the_undisturbed_one(tmp_path):
+    class StopsACopy(StepCallback):
+        """Before the first copy trains, which was decided already."""
+
+        def on_training(self, study, training, source, to):
+            if training == 2:
+                raise Interrupt
+
+    people = Population(size=2, selector=None)
+    calm = opened(strategy=people)
+    calm.run(progress=False, report=False)
+    with pytest.raises(Interrupt):
+        opened(tmp_path, people).run(progress=False, report=False, callbacks=[StopsACopy()])
+    study = opened(tmp_path, people)
+    study.run(progress=False, report=False)
+    starts = [t.start for t in study.state.trainings]
+    assert starts[:2] == [None, None]
+    assert len(starts) > 2
+    assert None not in starts[2:]
+    assert starts == [t.start for t in calm.state.trainings]
+    assert any(t.steps > LENGTHS[0] for t in study.state.trainings)  # others go on
     for policy in calm.state.policies:
         assert same(weights(calm, policy), weights(study, policy))
     np.testing.assert_array_equal(calm.state.returns, study.state.returns)

@@ -106,6 +106,8 @@ def missed_without(
     A training counts with all its policies: its latest one is not replaced by an earlier self.
 
     Args:
+        problem: whose weights count.
+        trail: with the rows of the policies.
         policies: the first k of the trail.
 
     Returns:

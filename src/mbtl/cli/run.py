@@ -146,7 +146,9 @@ def run(
     ] = None,
     strategy: Annotated[
         str | None,
-        typer.Option(help="With --steps: pilot (default), fixed, halving, asha, committee, warm."),
+        typer.Option(
+            help="With --steps: pilot (default), fixed, halving, asha, committee, warm, population."
+        ),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

@@ -20,8 +20,8 @@ STRATEGIES: Mapping[str, Strategy] = {
 """`pilot` learns the length from its first training; `fixed` trains all to the end; `halving` goes
 on with those that V would miss most, `asha` with those that are best at home; `committee` lets a
 pilot's specialists and one policy for all contexts take turns; `warm` lets trainings from scratch
-and ones that begin with the weights of others take turns; `population` trains five at once, of which
-the one that V would miss least is replaced by a copy of a better one on another context."""
+and ones that begin with the weights of others take turns; `population` trains five side
+by side and replaces the one that V would miss least by a copy of a better one on a new context."""
 
 DEFAULT = "pilot"
 """The simplest that the shipped transfer curves support (docs/steps.md)."""
