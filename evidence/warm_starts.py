@@ -1,7 +1,7 @@
 """Warm starts, live: studies paid in steps that begin trainings with the weights of others.
 
     python evidence/warm_starts.py [--cmdp pendulum-length --cmdp cartpole-length] [--seeds 3]
-    python evidence/warm_starts.py --wholes 32 --seeds 10 --line scratch --line warm --line popul
+    python evidence/warm_starts.py --wholes 32 --line scratch --line warm --line population
 
 What a training becomes that begins from a policy is in no shipped curve, so these trainings are
 real, by the preset `quick` (100,000 steps a whole one). Every strategy picks contexts by the
