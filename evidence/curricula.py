@@ -2,13 +2,14 @@
 
     .venv/bin/python evidence/curricula.py [--cmdp pendulum-mass] [--write]
 
-Context-conditioned PPO, the context shown, ten seeds together; each length is a training of its
-own, as in `step_policies.py`, whose last weights count. Contexts take turns (domain randomisation),
-or a curriculum chooses them from the episodes of the training: nobody judges on the way and none
-plays more, so equal lengths are equal steps, all in. V is the mean performance over all contexts on
-fresh episodes, the same for all curricula; "worst" is the mean performance of the context where
-that is lowest. Writes docs/data/curricula.json; goes on where it was, and prints the table.
-`--write` puts it into docs/steps.md.
+Context-conditioned PPO, the context shown, all seeds together; each length is a training of its
+own, as in `step_policies.py`, whose last weights count. Domain randomisation is there twice:
+contexts in turn, as everywhere else, and drawn evenly in the order of a curriculum. A curriculum
+chooses from the episodes of the training: nobody judges on the way and none plays more, so equal
+lengths are equal steps, all in. V is the mean performance over all contexts on fresh episodes, the
+same for all; "worst" is the mean performance of the context where that is lowest. Writes
+docs/data/curricula.json; goes on where it was, and prints the table. `--write` puts it into
+docs/steps.md.
 
 Notation (shapes): S seeds, N contexts, E episodes.
 """
@@ -35,32 +36,30 @@ from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seed, evaluation_seed, tra
 DOCS = Path(__file__).parents[1] / "docs"
 FILE = DOCS / "data/curricula.json"
 BEGIN, END = "<!-- begin: table of evidence/curricula.py -->", "<!-- end -->"
-SEEDS, EPISODES = 10, 20
+EPISODES = 20
 LENGTHS = (
-    ("cartpole-length", "1/4"), ("pendulum-length", "1"), ("pendulum-mass", "1"),
-    ("pendulum-timestep", "1"), ("cartpole-masscart", "1/4"), ("cartpole-masspole", "1/4"),
-    ("cartpole-length", "1"), ("cartpole-length", "1/8"), ("cartpole-masscart", "1"),
-    ("cartpole-masspole", "1"), ("pendulum-length", "2"), ("pendulum-mass", "2"),
-    ("pendulum-timestep", "2"),
+    ("cartpole-length", "1/4", 10), ("pendulum-length", "1", 10), ("pendulum-mass", "1", 5),
+    ("cartpole-masscart", "1/4", 5), ("pendulum-timestep", "1", 5), ("cartpole-masspole", "1/4", 5),
+    ("cartpole-length", "1", 5), ("cartpole-length", "1/8", 10), ("cartpole-masscart", "1", 5),
+    ("cartpole-masspole", "1", 5),
 )  # fmt: skip
-"""CMDPs and shares of a whole training, in this order: some of each before the dear ones."""
-TURNS = "turns"
+"""CMDPs, shares of a whole training, and seeds; the dear ones last."""
+TURNS, EVEN = "turns", "even"
 RULES: dict[str, Curriculum | None] = {
     TURNS: None,
+    EVEN: Learnability(uniform=1.0),
     "learnability": Learnability(),
-    "learnability of performance": Learnability(of_success=False),
     "regret": Regret(),
+    "learnability of performance": Learnability(of_success=False),
 }
-BOTH = "cartpole-length"
-"""Where both kinds of learnability are tried; on Pendulum, where nothing succeeds, they are one."""
+"""`EVEN` has the order of a curriculum and no preference: the others differ from it by their
+weights alone."""
+CHOOSING = ("learnability", "regret")
+ONCE = {("cartpole-length", "1/4"): "learnability of performance"}
+"""Tried there, too; on Pendulum, where nothing succeeds, it is learnability."""
 
 
-def rules_of(cmdp_id: str) -> list[str]:
-    """Names of those that differ there."""
-    return [name for name in RULES if cmdp_id == BOTH or name != "learnability of performance"]
-
-
-def ends(cmdp_id: str, share: str, rule: str) -> dict[str, Any]:
+def ends(cmdp_id: str, share: str, n_seeds: int, rule: str) -> dict[str, Any]:
     """Steps, and what the policies of all seeds are worth on fresh episodes."""
     import jax
 
@@ -75,13 +74,13 @@ def ends(cmdp_id: str, share: str, rule: str) -> dict[str, Any]:
     recipe = engine.multitask_recipe("ppo", type(world.env).__name__)
     n = len(cmdp.space.contexts)
     steps = round((cmdp.preset("paper").timesteps or 0) * float(Fraction(share)))
-    seeds = [training_seed(seed, MATRIX_TRIAL, n) for seed in range(SEEDS)]
+    seeds = [training_seed(seed, MATRIX_TRIAL, n) for seed in range(n_seeds)]
     begin = time.process_time()
     training = engine.train_multitask(world, recipe, seeds, params, steps, judging=False)
     past = training.state.copies.past
     top = None if past is None else np.sort(np.asarray(past.played), axis=1)[:, -n // 10 :]
     plain, performance = world if curriculum is None else engine.Solo(world.env), []
-    for seed in range(SEEDS):
+    for seed in range(n_seeds):
         play = evaluation_seed(seed, MATRIX_TRIAL, Purpose.REPORT)
         numbers = [episode_seed(play, e) for e in range(EPISODES)]
         own = jax.tree.map(lambda x, seed=seed: x[seed : seed + 1], training.state.weights)
@@ -110,45 +109,50 @@ def difference(ours: list[float], theirs: list[float]) -> str:
     return f"{gap.mean():+.3f} [{gap.mean() - half:+.3f}, {gap.mean() + half:+.3f}]"
 
 
-def table(kept: dict[str, list[dict[str, Any]]]) -> list[str]:
+Kept = dict[str, list[dict[str, Any]]]
+
+
+def table(kept: Kept) -> list[str]:
     """By CMDP and length; only what has all its rules."""
     columns = [
-        "CMDP", "trained for", "million steps", "V, contexts in turn", "worst context",
-        *(f"{rule}: {what}" for rule in ("learnability", "regret")
-          for what in ("V less that", "worst context less that")),
+        "CMDP", "trained for", "million steps", "seeds", "V, in turn", "V, even", "worst, even",
+        "V: even less in turn", *(f"V: {rule} less even" for rule in CHOOSING),
+        *(f"worst: {rule} less even" for rule in CHOOSING),
     ]  # fmt: skip
     lines = ["| " + " | ".join(columns) + " |", "|---" * len(columns) + "|"]
-    for cmdp_id, rows in sorted(kept.items()):
-        for share in sorted({row["share"] for row in rows}, key=Fraction):
-            by_rule = {row["rule"]: row for row in rows if row["share"] == share}
-            if set(by_rule) != set(rules_of(cmdp_id)):
-                continue
-            turns = by_rule[TURNS]
-            cells = [f"{share} whole", f"{turns['steps'] / 1e6:.2f}"]
-            cells += [f"{np.mean(turns[what]):.3f}" for what in ("V", "worst")]
-            for rule in ("learnability", "regret"):
-                mine = by_rule[rule]
-                assert mine["steps"] == turns["steps"]
-                cells += [difference(mine[what], turns[what]) for what in ("V", "worst")]
-            lines.append(f"| {cmdp_id} | {' | '.join(cells)} |")
+    for (cmdp_id, share), found in by_length(kept).items():
+        if not found.keys() >= {TURNS, EVEN, *CHOOSING}:
+            continue
+        turns, even = found[TURNS], found[EVEN]
+        assert len({row["steps"] for row in found.values()}) == 1
+        cells = [f"{share} whole", f"{even['steps'] / 1e6:.2f}", str(len(even["V"]))]
+        cells += [f"{np.mean(x):.3f}" for x in (turns["V"], even["V"], even["worst"])]
+        cells.append(difference(even["V"], turns["V"]))
+        for what in ("V", "worst"):
+            cells += [difference(found[rule][what], even[what]) for rule in CHOOSING]
+        lines.append(f"| {cmdp_id} | {' | '.join(cells)} |")
     return lines
 
 
-def others(kept: dict[str, list[dict[str, Any]]]) -> list[str]:
-    """Learnability of performance where there is success, and how uneven episodes were."""
+def uneven(kept: Kept) -> list[str]:
+    """How many of the episodes were in the contexts that were played most."""
     lines = []
-    for cmdp_id, rows in sorted(kept.items()):
-        for row in rows:
-            turns = [r for r in rows if r["share"] == row["share"] and r["rule"] == TURNS]
-            if row["rule"] == TURNS or not turns:
-                continue
-            gaps = [difference(row[what], turns[0][what]) for what in ("V", "worst")]
-            tenth = np.mean(row["of the tenth played most"])
-            lines.append(
-                f"{cmdp_id}, {row['share']} whole, {row['rule']}: V {gaps[0]}, worst {gaps[1]}; "
-                f"{tenth:.0%} of the episodes in the tenth of the contexts played most"
-            )
+    for (cmdp_id, share), found in by_length(kept).items():
+        for rule, row in found.items():
+            if rule != TURNS:
+                tenth = np.mean(row["of the tenth played most"])
+                gap = difference(row["V"], found[TURNS]["V"]) if TURNS in found else "-"
+                lines.append(f"{cmdp_id}, {share} whole, {rule}: {tenth:.1%}; V less turns {gap}")
     return lines
+
+
+def by_length(kept: Kept) -> dict[tuple[str, str], dict[str, dict[str, Any]]]:
+    """Rows by rule, for each CMDP and length in the order of the table."""
+    keys = {(cmdp_id, row["share"]) for cmdp_id, rows in kept.items() for row in rows}
+    return {
+        (cmdp_id, share): {row["rule"]: row for row in kept[cmdp_id] if row["share"] == share}
+        for cmdp_id, share in sorted(keys, key=lambda key: (key[0], Fraction(key[1])))
+    }
 
 
 def main() -> None:
@@ -156,20 +160,23 @@ def main() -> None:
     parser.add_argument("--cmdp", action="append")
     parser.add_argument("--write", action="store_true", help="put the table into docs/steps.md")
     args = parser.parse_args()
-    kept: dict[str, list[dict[str, Any]]] = json.loads(FILE.read_text()) if FILE.is_file() else {}
-    for cmdp_id, share in () if args.write else LENGTHS:
-        for rule in rules_of(cmdp_id) if cmdp_id in (args.cmdp or dict(LENGTHS)) else ():
+    kept: Kept = json.loads(FILE.read_text()) if FILE.is_file() else {}
+    for cmdp_id, share, n_seeds in () if args.write else LENGTHS:
+        extra = ONCE.get((cmdp_id, share))
+        for rule in (TURNS, EVEN, *CHOOSING, *([extra] if extra else [])):
+            if args.cmdp and cmdp_id not in args.cmdp:
+                continue
             done = kept.setdefault(cmdp_id, [])
             if any((one["share"], one["rule"]) == (share, rule) for one in done):
                 continue
-            done.append(found := ends(cmdp_id, share, rule))
+            done.append(found := ends(cmdp_id, share, n_seeds, rule))
             FILE.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
             measure.note(
                 f"{cmdp_id}, {share} of a training, {rule}: V {np.mean(found['V']):.3f}, worst "
                 f"{np.mean(found['worst']):.3f}, {found['processor_seconds']} s"
             )
     lines = table(kept)
-    print("\n".join([*lines, "", *others(kept)]))
+    print("\n".join([*lines, "", *uneven(kept)]))
     if args.write:
         page = DOCS / "steps.md"
         head, rest = page.read_text(encoding="utf-8").split(BEGIN)
