@@ -40,8 +40,7 @@ EPISODES = 20
 LENGTHS = (
     ("cartpole-length", "1/4", 10), ("pendulum-length", "1", 10), ("pendulum-mass", "1", 5),
     ("cartpole-masscart", "1/4", 5), ("pendulum-timestep", "1", 5), ("cartpole-masspole", "1/4", 5),
-    ("cartpole-length", "1", 5), ("cartpole-length", "1/8", 10), ("cartpole-masscart", "1", 5),
-    ("cartpole-masspole", "1", 5),
+    ("cartpole-length", "1", 3), ("cartpole-masscart", "1", 3), ("cartpole-masspole", "1", 3),
 )  # fmt: skip
 """CMDPs, shares of a whole training, and seeds; the dear ones last."""
 TURNS, EVEN = "turns", "even"

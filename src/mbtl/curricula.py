@@ -97,9 +97,9 @@ class Regret:
 
     Source: Jiang, Grefenstette, Rocktaeschel, "Prioritized Level Replay", ICML 2021 (ranks,
         staleness); Jiang et al., "Replay-Guided Adversarial Environment Design", NeurIPS 2021
-        (MaxMC, half of the levels are new; temperature and staleness as for its mazes). There the
-        critic's values stand for the present return, which here is that of recent episodes; and
-        every episode is learnt from.
+        (MaxMC, half of the levels are new; temperature and staleness as in its code for mazes).
+        There the critic's values stand for the present return, which here is that of recent
+        episodes; and new levels are only scored, while every episode is learnt from here.
     """
 
     uniform: float = 0.5
