@@ -138,9 +138,8 @@ def uneven(kept: Kept) -> list[str]:
     lines = []
     for (cmdp_id, share), found in by_length(kept).items():
         for rule, row in found.items():
-            line = (
-                f"{cmdp_id}, {share} whole, {rule}: V of seeds 0 to 2 {np.mean(row['V'][:3]):.3f}"
-            )
+            first = np.mean(row["V"][:3])
+            line = f"{cmdp_id}, {share} whole, {rule}: V of seeds 0 to 2 {first:.3f}"
             if rule != TURNS:
                 line += f"; a tenth got {np.mean(row['of the tenth played most']):.1%} of episodes"
             lines.append(line)
