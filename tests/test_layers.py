@@ -27,6 +27,7 @@ CORE = [
     "seeds",
     "contexts",
     "objective",
+    "curricula",
     "checkpoints",
     "trainer",
     "set_trainer",

@@ -15,6 +15,8 @@ from mbtl.benchmark.on_all import InSimulator
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json
 from mbtl.cmdps import CMDP, get_cmdp
 from mbtl.cmdps.registry import preset_on_all, visibility_on_all
+from mbtl.cmdps.taught import with_curriculum
+from mbtl.curricula import curriculum_named
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.provenance import check_made_by, here
 from mbtl.training import SB3Trainer, WorldTrainer
@@ -28,6 +30,14 @@ def multitask(
         typer.Option(
             help="ppo (context-conditioned), paco or moore; in traffic, and by default, the "
             "algorithm of the CMDP."
+        ),
+    ] = None,
+    curriculum: Annotated[
+        str | None,
+        typer.Option(
+            help="learnability or regret: which contexts the next episodes begin in follows from "
+            "how the last ones went; default: contexts take turns.",
+            show_default=False,
         ),
     ] = None,
     factor: Annotated[
@@ -89,22 +99,31 @@ def multitask(
     cmdp = get_cmdp(cmdp_id, visibility=visibility or usual, engine=engine)
     usual_preset = preset_on_all(cmdp_id)
     job = _job(cmdp, method, factor, preset or usual_preset, timesteps, episodes, eval_episodes)
+    if curriculum is not None:
+        pupil = with_curriculum(job.trainer, curriculum, cmdp.normalisation)
+        assert isinstance(job, InJax)  # the others count episodes, or are none of this engine
+        job = replace(job, trainer=pupil)
     if engine == get_cmdp(cmdp_id).settings["engine"]:
         engine = None
-    given = {"method": method, "factor": factor if factor > 1 else None,
+    given = {"method": method, "curriculum": curriculum,
+             "factor": factor if factor > 1 else None,
              "preset": None if preset == usual_preset else preset, "engine": engine,
-             "visibility": other,
-             "timesteps": timesteps, "episodes": episodes,
+             "visibility": other, "timesteps": timesteps, "episodes": episodes,
              "eval-episodes": eval_episodes}  # fmt: skip
     words = [f"--{name} {value}" for name, value in given.items() if value is not None]
     command = " ".join(["mbtl matrix multitask", cmdp_id, *words, "--seeds 1 --first-seed"])
-    name = "-".join(filter(None, (job.method, other, f"x{factor}" if factor > 1 else None)))
+    name = "-".join(
+        filter(None, (job.method, curriculum, other, f"x{factor}" if factor > 1 else None))
+    )
     files = {
         seed: multitask_file(out, cmdp.id, name, seed)
         for seed in range(first_seed, first_seed + seeds)
     }
     there = {seed for seed, file in files.items() if file.is_file()}
-    settings = {"switches": dict(cmdp.settings), **job.settings}
+    chosen: dict[str, Any] = {"switches": dict(cmdp.settings)}
+    if curriculum is not None:
+        chosen["curriculum"] = repr(curriculum_named(curriculum))
+    settings = {**chosen, **job.settings}
     for seed in there:  # before anything is trained
         check_made_by(files[seed], read_multitask(files[seed]).provenance[0], settings)
     results = []
@@ -112,7 +131,7 @@ def multitask(
         if seed in there:
             console.print(f"{file}: there already", markup=False)
         else:
-            _one(cmdp, job, name, seed, f"{command} {seed}", out=out, work=work)
+            _one(cmdp.id, job, name, seed, {**chosen, "command": f"{command} {seed}"}, out, work)
         results.append(_shown(cmdp, file))
     if as_json:
         print_json({"baselines": results})
@@ -167,42 +186,40 @@ def _job(
 
 
 def _one(
-    cmdp: CMDP,
+    cmdp: str,
     job: InJax | InSimulator,
     name: str,
     seed: int,
-    command: str,
-    *,
+    chosen: dict[str, Any],
     out: Path,
     work: Path,
 ) -> None:
-    """One seed: train, evaluate, write its file."""
+    """One seed: train, evaluate, write its file; `chosen` goes into its provenance."""
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=30),
         TextColumn("{task.fields[note]}", markup=False),
         TimeRemainingColumn(),
     )
-    begin, origin = time.perf_counter(), here()  # of the code that runs, not of later commits
+    begin, code = time.perf_counter(), here()  # of the code that runs, not of later commits
     with Progress(*columns, console=console, transient=True) as bar:
-        label, log = f"{cmdp.id} {name} seed {seed}", LongWork(console)
+        label, log = f"{cmdp} {name} seed {seed}", LongWork(console)
         task = bar.add_task(label, total=job.length, note="")
 
         def on_step(done: int, total: int, note: str) -> None:
             bar.update(task, completed=done, total=total, note=note)
             log.say(f"{label}: {done:,} of {total:,}  {note}")
 
-        folder = work / f"multitask-{cmdp.id}-{name}-seed{seed}"
+        folder = work / f"multitask-{cmdp}-{name}-seed{seed}"
         returns, std, record = job.run(seed, folder, on_step)
     provenance = {
-        **origin,
+        **code,
         **record,
-        "problem": cmdp.id,
-        "switches": dict(cmdp.settings),
-        "command": command,
+        **chosen,
+        "problem": cmdp,
         "wall_seconds_of_last_run": round(time.perf_counter() - begin, 1),
     }
-    save_multitask(returns, std, provenance, out, cmdp.id, name, seed)
+    save_multitask(returns, std, provenance, out, cmdp, name, seed)
 
 
 def _shown(cmdp: CMDP, file: Path) -> dict[str, Any]:
