@@ -25,7 +25,7 @@ import optax
 from mbtl.cmdps.traffic import corridor, eco
 from mbtl.training.jax import networks
 from mbtl.worlds.environments import Box
-from mbtl.worlds.traffic.signal import Light
+from mbtl.worlds.traffic.light import Light
 
 HIDDEN = (64, 64)
 ROWS = 512

@@ -80,7 +80,7 @@ def main() -> None:
     args = parser.parse_args()
     from mbtl.cmdps import get_cmdp
 
-    cmdp = get_cmdp(args.cmdp)
+    cmdp = get_cmdp(args.cmdp, engine="sumo")
     axis, values = CONTEXTS[args.cmdp]
     contexts = [{axis: value} for value in values]
     trainers = ways(cmdp, args.episodes, args.eval_episodes)

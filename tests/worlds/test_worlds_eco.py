@@ -20,7 +20,7 @@ from mbtl.errors import ContextMismatch
 from mbtl.worlds.traffic import lane
 from mbtl.worlds.traffic.eco_state import EcoParams
 from mbtl.worlds.traffic.lane import Ahead, Cars, Incomer
-from mbtl.worlds.traffic.signal import Light
+from mbtl.worlds.traffic.light import Light
 
 CAR = {"length": 5.0, "min_gap": 2.0, "tau": 1.0, "accel": 2.6, "decel": 4.5}
 

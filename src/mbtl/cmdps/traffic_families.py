@@ -1,6 +1,6 @@
 """The traffic part of the table of our CMDPs (cmdp-spec, sections 2, 5, 6 and 7).
 
-SUMO is the simulator of all ten; families that have a twin are simulated there by default. Nothing
+SUMO is the simulator of all ten, and all have a twin, in which they are simulated by default. Nothing
 here imports an environment.
 """
 
@@ -227,6 +227,17 @@ _SIGNAL_PPO = Preset(
     description="the paper's episodes, by PPO on whole episodes instead of DQN",
 )
 
+_SIGNAL_TWIN = {
+    "standard": replace(
+        _SIGNAL_PPO, eval_episodes=10,
+        description="the paper's episodes, by PPO on whole episodes, in the twin",
+    ),
+    "quick": replace(
+        _SIGNAL_PPO, budget=8, episodes=40, eval_episodes=4, checkpoint_every=40,
+        description="a first look, in the twin",
+    ),
+}  # fmt: skip
+
 # ---- eco-driving -----------------------------------------------------------------------------
 
 _PPO: Mapping[str, Any] = {
@@ -326,6 +337,7 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
         bounds=(-100.0, 0.0),
         theta=0.001,
         presets=_SIGNAL,
+        jax=TwinFamily("mbtl.cmdps.traffic.twins:SignalProblem", _SIGNAL_TWIN),
         in_processes={"standard": _SIGNAL_PPO},
         simulator="sumo",
         visibility="hidden",

@@ -13,7 +13,9 @@ _GOLDEN = 0x9E3779B9
 _MULTIPLIERS = (0x7FEB352D, 0x846CA68B)  # found by C. Wellons's search for low bias
 
 
-def bits(seed: jax.Array, stream: int, moment: jax.Array, count: int) -> jax.Array:
+def bits(
+    seed: jax.Array, stream: int, moment: jax.Array, count: int, of: int | None = None
+) -> jax.Array:
     """Random integers of 32 bits.
 
     Args:
@@ -21,19 +23,22 @@ def bits(seed: jax.Array, stream: int, moment: jax.Array, count: int) -> jax.Arr
         stream: what they are for; keeps uses apart.
         moment: scalar integer, e.g. the number of the simulation step; or (n,).
         count: numbers per simulation, e.g. one per car.
+        of: so many belong to a moment, of which the first ones are drawn; None: all.
 
     Returns:
         (count, n) uint32.
     """
-    first = jnp.atleast_1d(moment.astype(jnp.uint32)) * jnp.uint32(count)
+    first = jnp.atleast_1d(moment.astype(jnp.uint32)) * jnp.uint32(of or count)
     index = first[None, :] + jnp.arange(count, dtype=jnp.uint32)[:, None]
     place = _mix(index + jnp.uint32((stream * _GOLDEN) & 0xFFFFFFFF))
     return _mix(_mix(seed + jnp.uint32(_GOLDEN))[None, :] ^ place)
 
 
-def uniform(seed: jax.Array, stream: int, moment: jax.Array, count: int) -> jax.Array:
+def uniform(
+    seed: jax.Array, stream: int, moment: jax.Array, count: int, of: int | None = None
+) -> jax.Array:
     """(count, n) uniform in (0, 1); arguments as in `bits`."""
-    high = bits(seed, stream, moment, count) >> 9
+    high = bits(seed, stream, moment, count, of) >> 9
     return (high.astype(jnp.float32) + 0.5) * jnp.float32(2.0**-23)
 
 

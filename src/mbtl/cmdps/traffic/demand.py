@@ -15,11 +15,13 @@ from mbtl.arrays import Array
 STRAIGHT_SHARE = 0.75
 SHAPE = 2.0
 LENGTH, DECELERATION = 5.0, 4.5
+MIN_GAP, ACCELERATION, SIGMA, MAX_SPEED = 2.5, 1.0, 0.5, 25.0
+"""Of all cars, with a reaction time of 1 s."""
 
 _CROWDED = 3.0
 """A draw with a number beyond this comes within three quarters of the time, or less."""
 
-_CLEARANCE = 0.1
+CLEARANCE = 0.1
 """From the start of the road to a car that enters [m]."""
 
 _CHECKS = "collision leaderGap followerGap junction stop arrivalSpeed speedLimit"
@@ -75,7 +77,7 @@ def stopping_distance(speed: float) -> float:
     """
     steps = int(speed / DECELERATION)
     braking = steps * speed - DECELERATION * steps * (steps + 1) / 2.0
-    return LENGTH + _CLEARANCE + speed + braking
+    return LENGTH + CLEARANCE + speed + braking
 
 
 def routes(
@@ -100,8 +102,9 @@ def routes(
         for k, (time, (a, b)) in enumerate(zip(times, directions(rng, n), strict=True))
     )
     kind = (
-        f'<vType id="car" carFollowModel="Krauss" accel="1" decel="{DECELERATION:g}" '
-        f'length="{LENGTH:g}" minGap="2.5" sigma="0.5" tau="1" maxSpeed="25" '
+        f'<vType id="car" carFollowModel="Krauss" accel="{ACCELERATION:g}" '
+        f'decel="{DECELERATION:g}" length="{LENGTH:g}" minGap="{MIN_GAP:g}" sigma="{SIGMA:g}" '
+        f'tau="1" maxSpeed="{MAX_SPEED:g}" '
         f'speedFactor="1" speedDev="0"/>'
     )
     return f"<routes>{kind}{ways}{cars}</routes>"

@@ -40,6 +40,10 @@ CELLS = np.array([7.0, 14.0, 21.0, 28.0, 40.0, 60.0, 100.0, 160.0, 400.0, 750.0]
 BOX = 16.8
 """Half width of the intersection [m]."""
 RIGHT_SPEED, LEFT_SPEED = 6.51, 11.36
+RIGHT_WAY, LEFT_WAY = 9.0, 30.0
+"""Of cars through the box [m], as the twin has it; SUMO draws its own."""
+HALTED = 0.1
+"""Cars that are not faster stand [m/s]."""
 SHORTEST = 7.5
 """A car and the gap before it [m]."""
 PATIENCE = 120
@@ -224,7 +228,7 @@ class Signal(TrafficEnv):
         reward, self._waiting = self._waiting - total, total
         self._decisions += 1
         self._waiting_sum += total
-        self._queue_sum += sum(speed < 0.1 for speed in speeds)
+        self._queue_sum += sum(speed < HALTED for speed in speeds)
         self._speed_sum += sum(speeds)
         self._seen += len(speeds)
         return reward
@@ -251,17 +255,26 @@ class Signal(TrafficEnv):
         return ["--waiting-time-memory", str(SECONDS), "--collision.action", "warn"]
 
     def _network(self) -> Path:
-        length, inflow = self.features["length"], self.features["inflow"]
-        entry = demand.entry_speed(self.features["speed"])
-        stop = demand.stopping_distance(entry)
-        if length < SHORTEST or length <= stop:
-            raise ContextMismatch(
-                f"an approach must hold a car that enters at {entry:g} m/s and stops at the light, "
-                f"more than {max(SHORTEST, stop):g} m, got a length of {length:g} m"
-            )
-        if inflow < 2 or not inflow.is_integer():
-            raise ContextMismatch(f"inflow is a number of cars >= 2, got {inflow!r}")
-        return _crossing(length, self.features["speed"])
+        check_context(self.features)
+        return _crossing(self.features["length"], self.features["speed"])
+
+
+def check_context(features: Mapping[str, float]) -> None:
+    """Refuse what no intersection can be.
+
+    Raises:
+        ContextMismatch: a road too short to stop on, or an inflow that is no number of cars.
+    """
+    length, inflow = features["length"], features["inflow"]
+    entry = demand.entry_speed(features["speed"])
+    stop = demand.stopping_distance(entry)
+    if length < SHORTEST or length <= stop:
+        raise ContextMismatch(
+            f"an approach must hold a car that enters at {entry:g} m/s and stops at the light, "
+            f"more than {max(SHORTEST, stop):g} m, got a length of {length:g} m"
+        )
+    if inflow < 2 or not float(inflow).is_integer():
+        raise ContextMismatch(f"inflow is a number of cars >= 2, got {inflow!r}")
 
 
 def cell_of(distance: Array, edges: Array) -> NDArray[np.intp]:

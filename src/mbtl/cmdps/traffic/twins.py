@@ -16,6 +16,10 @@ from mbtl.cmdps.traffic.advisory import Actions, Seen
 from mbtl.contexts import Context
 
 
+_ROWS = 64
+"""Cars of a lane of the signal's twin at the nominal demand: half a kilometre that stands."""
+
+
 @dataclass(frozen=True)
 class RingProblem:
     """contexts -> twin of the ring and its parameters (`mbtl.cmdps.engines.TwinProblem`).
@@ -106,7 +110,7 @@ class EcoProblem:
         from mbtl.worlds.traffic.arrivals import Demand, Kind
         from mbtl.worlds.traffic.eco import EcoTwin
         from mbtl.worlds.traffic.eco_state import Costs, EcoParams, Look, Road, Stops
-        from mbtl.worlds.traffic.signal import Light
+        from mbtl.worlds.traffic.light import Light
 
         west, south = corridor.FEEDERS["AB"], corridor.FEEDERS["AA"]
         shortest = population.CONTROLLED_LENGTH + population.CONTROLLED.min_gap
@@ -244,6 +248,71 @@ class RampProblem:
             stale=self.obs == "stale",
         )
         return twin, _holds(contexts, ramp.Ramp.FEATURES, self.unit, self.visibility)
+
+
+@dataclass(frozen=True)
+class SignalProblem:
+    """contexts -> twin of the traffic signal and its parameters (`engines.TwinProblem`).
+
+    Attributes:
+        unit: varied features and their value at multiplier 1.
+        visibility: what of the context the policy sees.
+        time_limit: how the end of an episode is reported.
+    """
+
+    unit: Mapping[str, float] = field(default_factory=dict)
+    visibility: Visibility = "hidden"
+    time_limit: TimeLimit = "truncation"
+
+    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, list[Any]]:
+        """The twin, and the parameters of each context.
+
+        Raises:
+            ContextMismatch: a road too short to stop on, or an inflow that is no number of cars.
+        """
+        import jax.numpy as jnp
+
+        from mbtl.cmdps.traffic import demand, signal
+        from mbtl.worlds.traffic.crossing import CrossingTwin
+        from mbtl.worlds.traffic.crossing_state import CrossingParams, Turn
+        from mbtl.worlds.traffic.krauss import Krauss
+
+        nominal = signal.Signal.FEATURES
+        every = [full_context(nominal, context) for context in contexts]
+        for features in every:
+            signal.check_context(features)
+        cars = max([nominal["inflow"], *(features["inflow"] for features in every)])
+        size = 2 ** max(0, math.ceil(math.log2(cars / nominal["inflow"])))  # few programs
+        twin = CrossingTwin(
+            driver=Krauss(demand.ACCELERATION, demand.DECELERATION, demand.SIGMA),
+            car=demand.LENGTH,
+            min_gap=demand.MIN_GAP,
+            max_speed=demand.MAX_SPEED,
+            entry_speed=demand.entry_speed(math.inf),
+            clearance=demand.CLEARANCE,
+            left=Turn(signal.LEFT_SPEED, signal.LEFT_WAY),
+            right=Turn(signal.RIGHT_SPEED, signal.RIGHT_WAY),
+            straight=demand.STRAIGHT_SHARE,
+            green=signal.GREEN,
+            yellow=signal.YELLOW,
+            total_seconds=signal.SECONDS,
+            cells=tuple(signal.CELLS.tolist()),
+            nominal_length=nominal["length"],
+            halted=signal.HALTED,
+            easing=0.5 * demand.ACCELERATION,
+            jam=signal.JAM,
+            cars=size * int(nominal["inflow"]),
+            rows=_ROWS + _ROWS // 2 * (size - 1),
+            time_limit=self.time_limit,
+        )
+        params = [
+            CrossingParams(
+                *(jnp.float32(features[name]) for name in ("length", "inflow", "speed")),
+                jnp.asarray(visible_features(features, self.unit, self.visibility), jnp.float32),
+            )
+            for features in every
+        ]
+        return twin, params
 
 
 def _holds(

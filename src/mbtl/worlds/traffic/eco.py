@@ -38,7 +38,7 @@ from mbtl.worlds.traffic.eco_state import (
 )
 from mbtl.worlds.traffic.eco_view import view
 from mbtl.worlds.traffic.lane import Cars, Incomer
-from mbtl.worlds.traffic.signal import Light
+from mbtl.worlds.traffic.light import Light
 from mbtl.worlds.world import Moved, Seeded, Seen, everyone
 
 _FIRST_CARS = jnp.uint32(1 << 20)  # moment of random numbers, apart from those of steps

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.worlds.traffic.eco_state import EcoParams, EcoState, Look, Road
-from mbtl.worlds.traffic.signal import Light
+from mbtl.worlds.traffic.light import Light
 
 _SIDES = 4  # neighbours on other lanes: as there are none, the car itself
 
