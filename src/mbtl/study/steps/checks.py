@@ -9,6 +9,7 @@ from mbtl.actions import Policy
 from mbtl.errors import InvalidInput, StudyMismatch
 from mbtl.set_trainer import SetTrainer
 from mbtl.settings import first_difference
+from mbtl.study.steps.kept import check_artifacts
 from mbtl.trainer import SteppingTrainer, Trainer, recipe_of
 
 if TYPE_CHECKING:
@@ -16,7 +17,13 @@ if TYPE_CHECKING:
 
 
 def check_trainer(study: StepStudy, trainer: Trainer) -> None:
-    """Refuse, before anything is spent, a trainer that cannot do what will be asked."""
+    """Refuse, before anything is spent, a trainer that cannot do what will be asked.
+
+    Raises:
+        InvalidInput: so it is.
+        StudyMismatch: it has another recipe, or the policies are kept elsewhere.
+    """
+    check_artifacts(study)
     spec = study.spec
     if not isinstance(trainer, SteppingTrainer):
         if len(spec.lengths) > 1:

@@ -20,6 +20,7 @@ from mbtl.study.events import OPENED, Event
 from mbtl.study.given import pair_of
 from mbtl.study.places import fixed_url, policy_store
 from mbtl.study.problem import Problem, facts_of
+from mbtl.study.steps.kept import check_artifacts, marked
 from mbtl.study.steps.spec import StepSpec
 from mbtl.study.steps.strategies import DEFAULT, strategy_named
 from mbtl.study.steps.study import StepStudy
@@ -128,13 +129,18 @@ def create_step_study(
     address = None if storage is None else fixed_url(storage)
     log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
     store = policy_store(address, artifacts)
-    opened = {"spec": spec.to_json(), "version": __version__, "uid": uuid.uuid4().hex[:8]}
+    given: dict[str, Any] = {"store": store, "name": name, "trainer": facts.trainer}
+    if next(iter(log.read()), None) is not None:
+        return _existing(log, spec, chosen, storage, load_if_exists, **given)
+    uid = uuid.uuid4().hex[:8]
+    opened = {"spec": spec.to_json(), "version": __version__, "uid": uid}
+    if store is not None and address is not None:
+        opened["kept"] = marked(store, uid)
     try:
         log.append(Event(OPENED, opened), after=0)
-    except Conflict:
-        return _existing(log, spec, chosen, storage, load_if_exists, store=store, name=name,
-                         trainer=facts.trainer)  # fmt: skip
-    return StepStudy(log, chosen, store=store, name=name, trainer=facts.trainer)
+    except Conflict:  # another process made it at the same moment
+        return _existing(log, spec, chosen, storage, load_if_exists, **given)
+    return StepStudy(log, chosen, **given)
 
 
 def _lengths(given: Sequence[int] | None, trainer: Trainer | None) -> tuple[int, ...]:
@@ -180,6 +186,7 @@ def _existing(
             f"a stored study goes on only with the settings it was made with: {key} was {old!r}, "
             f"got {new!r}; repeat the old setting, or start afresh with --new (or another name)"
         )
+    check_artifacts(study)
     if spec.budget > study.spec.budget:
         study.extend(spec.budget)
     return study
