@@ -47,14 +47,14 @@ class SetTrainer(SteppingTrainer, Protocol):
 
 
 def check_counted(trainer: Any) -> None:
-    """Refuse to pay a training in steps that is counted in episodes.
+    """Refuse to train on several contexts by a recipe that counts episodes.
 
     Raises:
-        InvalidInput: it is.
+        InvalidInput: it does.
     """
     if trainer.timesteps is None:
         raise InvalidInput(
-            "only trainings that are counted in steps can be paid in steps, got a recipe of "
-            f"{trainer.episodes} episodes; give timesteps, or count trainings instead (a budget "
-            "without cost=)"
+            "one policy for several contexts is paid in steps by recipes that count steps, got "
+            f"one of {trainer.episodes} episodes; give timesteps, or choose another strategy, such "
+            "as 'pilot'"
         )

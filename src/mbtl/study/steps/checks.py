@@ -10,6 +10,7 @@ from mbtl.errors import InvalidInput, StudyMismatch
 from mbtl.set_trainer import SetTrainer
 from mbtl.settings import first_difference
 from mbtl.study.steps.kept import check_artifacts
+from mbtl.study.steps.prices import whole_length
 from mbtl.trainer import SteppingTrainer, Trainer, recipe_of
 
 if TYPE_CHECKING:
@@ -32,16 +33,21 @@ def check_trainer(study: StepStudy, trainer: Trainer) -> None:
                 f"{len(spec.lengths)} lengths; give a train function that takes `steps` and "
                 "`start` (docs/spending.md), or make the study with lengths=[<one>]"
             )
-    elif trainer.whole_steps is None:
-        raise InvalidInput(
-            "only trainings that are counted in steps can be paid in steps, got a trainer that "
-            "counts episodes; make the study without cost='steps'"
-        )
-    elif isinstance(trainer.whole_steps, int) and trainer.whole_steps < spec.lengths[-1]:
-        raise InvalidInput(
-            f"the last length is that of a whole training, got {spec.lengths[-1]:,} where the "
-            f"trainer has {trainer.whole_steps:,}; use the same trainer"
-        )
+    else:
+        whole = whole_length(trainer, spec.horizon)
+        if whole is None:
+            raise InvalidInput(
+                f"the length of a training is a number of steps or episodes, and "
+                f"{type(trainer).__name__} has neither whole_steps nor episodes; give it one, or "
+                "count trainings (without cost='steps')"
+            )
+        if whole < spec.lengths[-1]:
+            raise InvalidInput(
+                f"the last length is that of a whole training, got {spec.lengths[-1]:,} where the "
+                f"trainer has {whole:,}; use the same trainer"
+            )
+        if len(spec.lengths) > 1 and not study.is_finished and hasattr(trainer, "check_pausing"):
+            trainer.check_pausing([study.space.context(0)])
     if getattr(study.strategy, "trains_on_all", False):
         if not isinstance(trainer, SetTrainer):
             raise InvalidInput(

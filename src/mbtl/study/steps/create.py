@@ -21,11 +21,12 @@ from mbtl.study.given import pair_of
 from mbtl.study.places import fixed_url, policy_store
 from mbtl.study.problem import Problem, facts_of
 from mbtl.study.steps.kept import check_artifacts, marked
+from mbtl.study.steps.prices import whole_length
 from mbtl.study.steps.spec import StepSpec
 from mbtl.study.steps.strategies import DEFAULT, strategy_named
 from mbtl.study.steps.study import StepStudy
 from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog
-from mbtl.trainer import SteppingTrainer, Trainer
+from mbtl.trainer import Trainer
 from mbtl.version import __version__
 
 EPISODES = 10
@@ -74,7 +75,8 @@ def create_step_study(
         strategy: "pilot", "fixed", "halving", "asha", or an object with `name` and `decide`.
         lengths: environment steps at which a training may pause, rising; None: the whole length of
             the trainer's and its halves down to 8,000. Plain functions need it: one length for
-            `train(context, seed)`, any for one that takes `steps`.
+            `train(context, seed)`, any for one that takes `steps`. Where a recipe counts episodes
+            these are steps of so many of the longest ones, and what was played is charged.
         episodes: of a policy on a target; None: 10.
         horizon: most steps of an episode; None: the CMDP's.
         bounds: (low, high) of the returns, or `Bounds`; None: the CMDP's, else the range so far.
@@ -114,7 +116,7 @@ def create_step_study(
         facts.space,
         whole("budget", budget),
         describe_selector(chosen),  # type: ignore[arg-type]  # any record with a name
-        _lengths(lengths, facts.trainer),
+        _lengths(lengths, facts.trainer, whole("horizon", longest)),
         EPISODES if episodes is None else whole("episodes", episodes),
         whole("horizon", longest),
         pair_of("bounds", aim),
@@ -143,13 +145,13 @@ def create_step_study(
     return StepStudy(log, chosen, **given)
 
 
-def _lengths(given: Sequence[int] | None, trainer: Trainer | None) -> tuple[int, ...]:
+def _lengths(given: Sequence[int] | None, trainer: Trainer | None, horizon: int) -> tuple[int, ...]:
     if given is not None:
         found = tuple(whole("a length", length) for length in given)
         if not found or found[0] < 1 or any(a >= b for a, b in pairwise(found)):
             raise InvalidInput(f"lengths are numbers of steps >= 1 that rise, got {list(given)}")
         return found
-    total = trainer.whole_steps if isinstance(trainer, SteppingTrainer) else None
+    total = None if trainer is None else whole_length(trainer, horizon)
     if total is None:
         what = "no trainer" if trainer is None else type(trainer).__name__
         raise InvalidInput(

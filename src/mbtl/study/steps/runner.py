@@ -36,7 +36,7 @@ from mbtl.study.steps.callbacks import StepCallback
 from mbtl.study.steps.checks import check_start, check_trainer, with_episodes
 from mbtl.study.steps.claims import LEASE, Claim, Claims, Lost
 from mbtl.study.steps.evaluation import evaluated, report_fresh, weights_of
-from mbtl.study.steps.prices import next_mark, price_of
+from mbtl.study.steps.prices import next_mark, price_of, units_to
 from mbtl.study.steps.state import UnderWay
 from mbtl.study.steps.summary import StepResult, verdict_of
 from mbtl.study.storage import Conflict
@@ -283,9 +283,10 @@ class _Worker:
                 contexts, seed, marks[mark], marks=marks[first:], saved=file, on_progress=progress,
             )  # fmt: skip
         seed = training_seed(spec.seed, spec.trial, source, repeat)
-        context, steps = spec.space.context(source), marks[mark]
+        context = spec.space.context(source)
         if not isinstance(self.trainer, SteppingTrainer):
-            return Reached(self.trainer.train(context, seed, progress), steps)
+            return Reached(self.trainer.train(context, seed, progress), marks[mark])
+        steps = units_to(marks[mark], self.trainer, spec.horizon)
         saved = file if len(spec.lengths) > 1 else None
         begun = state.start_of(held)
         # also of one that goes on: where its state is lost, it is trained again from there
