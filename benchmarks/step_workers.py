@@ -51,13 +51,15 @@ class Sleeps:
     whole_steps = WHOLE
 
     def train(self, context, seed, on_progress=None):
+        """A whole training."""
         return self.train_steps(context, seed, WHOLE).policy
 
     def train_steps(self, context, seed, steps, *, start=None, saved=None, on_progress=None):
+        """Unit by unit; simulators differ in speed."""
         done = 0
         if saved is not None and saved.exists():
             done = json.loads(saved.read_text())
-        slow = np.random.default_rng(seed).uniform(0.75, 1.25)  # simulators differ
+        slow = np.random.default_rng(seed).uniform(0.75, 1.25)
         while done < steps:
             done += UNIT
             self.steps += UNIT
@@ -70,6 +72,7 @@ class Sleeps:
         return Reached(np.array([context["x"], 1.0 - np.exp(-done / 8_000)]), done)
 
     def evaluate_steps(self, policy, contexts, seed):
+        """Returns, and as long as the policy is good."""
         x, skill = policy
         away = np.array([[abs(c["x"] - x)] * self.eval_episodes for c in contexts])
         returns = np.clip(skill - away, 0.0, 1.0)
@@ -79,13 +82,16 @@ class Sleeps:
         return returns, steps
 
     def evaluate(self, policy, contexts, seed):
+        """Returns alone."""
         return self.evaluate_steps(policy, contexts, seed)[0]
 
     def save(self, policy, folder):
+        """Two numbers."""
         np.save(folder / "policy.npy", policy)
         return True
 
     def load(self, folder):
+        """Those."""
         return np.load(folder / "policy.npy")
 
     def _sleep(self, what: str, steps: float) -> None:

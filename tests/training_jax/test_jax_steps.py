@@ -193,7 +193,7 @@ def test_a_training_of_episodes_extended_twice_is_the_whole_one(algorithm, tmp_p
 
 
 def test_one_policy_for_all_is_refused_where_episodes_are_counted():
-    with pytest.raises(InvalidInput, match="got one of 12 episodes; .* such as 'pilot'"):
+    with pytest.raises(InvalidInput, match=r"got one of 12 episodes; .* such as 'pilot'"):
         RING.check_on_set()
 
 
