@@ -187,9 +187,16 @@ def test_a_training_of_episodes_extended_twice_is_the_whole_one(algorithm, tmp_p
     assert same(reached[-1].policy, whole)
     assert {(p.unit, p.total) for p in told} == {("steps", 120)}
     assert told[-1].step == 120
+    warm = trainer.train_steps({"hold": 38.0}, 1, 2, start=whole).policy
+    cold = trainer.train_steps({"hold": 38.0}, 1, 2).policy
+    assert 0 < _apart(warm, whole) < 0.2 < _apart(cold, whole)
     returns, steps = trainer.evaluate_steps(whole, [HOLD, {"hold": 8.0}], 5)
     assert np.array_equal(returns, trainer.evaluate(whole, [HOLD, {"hold": 8.0}], 5))
     assert steps.tolist() == [[10.0, 10.0], [50.0, 50.0]]
+
+
+def _apart(one, other):
+    return max(abs(a - b).max() for a, b in zip(one.weights, other.weights, strict=True))
 
 
 def test_one_policy_for_all_is_refused_where_episodes_are_counted():

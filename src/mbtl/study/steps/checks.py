@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from mbtl.actions import Policy
 from mbtl.errors import InvalidInput, StudyMismatch
 from mbtl.set_trainer import SetTrainer
-from mbtl.settings import first_difference
+from mbtl.settings import as_json, first_difference
 from mbtl.study.steps.kept import check_artifacts
 from mbtl.study.steps.prices import whole_length
 from mbtl.trainer import SteppingTrainer, Trainer, recipe_of
@@ -60,7 +60,8 @@ def check_trainer(study: StepStudy, trainer: Trainer) -> None:
     if getattr(study.strategy, "starts_warm", False) and not _begins_from_others(trainer):
         raise _no_start(study.strategy.name)
     known = spec.settings.get("recipe")
-    if known is not None and (found := first_difference(known, recipe_of(trainer))):
+    own = as_json("the recipe of a trainer", recipe_of(trainer))
+    if known is not None and (found := first_difference(known, own)):
         raise StudyMismatch(
             f"a study is run with the recipe it was made with: {found[0]} was {found[1]!r}, got "
             f"{found[2]!r}; use the same trainer, or start another study"
