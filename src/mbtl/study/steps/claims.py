@@ -10,11 +10,12 @@ from __future__ import annotations
 import contextlib
 import random
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from mbtl.actions import Evaluate
 from mbtl.arrays import Array
 from mbtl.errors import MbtlError, StorageError
 from mbtl.study.events import Kind
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 LEASE = 60.0
 """Seconds for which a worker may be silent before others take its action over."""
 _ANSWERS = ("claimed", "released", "trained", "evaluated", "halted", "failed")
+_COME_TO = frozenset(("trained", "evaluated", "claimed", "released"))
+_DECIDED = _COME_TO | {"decided"}
+"""News beside which a decision still stands, and those beside which an evaluation does."""
 _LOOK, _LONGEST_LOOK = 0.05, 2.0
 """Seconds between looks at what others do: often at first, seldom while nothing happens."""
 
@@ -77,11 +81,33 @@ class Claims:
     ) -> None:
         self._keeper.__exit__(kind, error, trace)
 
-    def decided(self, work: Work, seconds: float, after: int) -> Claim | None:
-        """Record a decision that follows from event `after`; None: others were faster."""
-        claim = Claim(self._study.state.decisions, self._token())
-        record = {"number": claim.number, "action": record_of(work), "seconds": seconds}
-        return self._taken(claim, "decided", record, after)
+    def decided(
+        self, work: Work, seconds: float, after: int, is_paid: Callable[[Work], bool]
+    ) -> Claim | None:
+        """Record a decision that follows from event `after`; None: others were faster.
+
+        What others have only come to meanwhile does not speak against it: they might have come to
+        it a moment later. Where they have decided, too, it is decided again, since two would begin
+        on the same context; but a policy that waits for its evaluation still does.
+
+        Args:
+            work: what was decided.
+            seconds: that it took.
+            after: the event that it follows from.
+            is_paid: whether there are still steps for it.
+        """
+        study = self._study
+        while True:
+            claim = Claim(study.state.decisions, self._token())
+            record = {"number": claim.number, "action": record_of(work), "seconds": seconds}
+            taken = self._taken(claim, "decided", record, after)
+            if taken is not None:
+                return taken
+            news = {event.kind for event in study.log.read(after) if event.seq <= study.state.seq}
+            waits = isinstance(work, Evaluate) and work.policy.training not in study.trail.busy
+            if news - (_DECIDED if waits else _COME_TO) or not is_paid(work):
+                return None
+            after = study.state.seq
 
     def abandoned(self) -> Claim | None:
         """Take over an action that nobody works on any more; None: there is none."""
