@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import random
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -35,6 +35,8 @@ _ANSWERS = ("claimed", "released", "trained", "evaluated", "halted", "failed")
 _COME_TO = frozenset(("trained", "evaluated", "claimed", "released"))
 _DECIDED = _COME_TO | {"decided"}
 """News beside which a decision still stands, and those beside which an evaluation does."""
+_LATE = 20
+"""Events that a worker writes in turn after one that came too late."""
 _LOOK, _LONGEST_LOOK = 0.05, 2.0
 """Seconds between looks at what others do: often at first, seldom while nothing happens."""
 
@@ -67,7 +69,7 @@ class Claims:
     def __init__(self, study: StepStudy, seconds: float) -> None:
         self._study, self._seconds = study, seconds
         self._keeper = Keeper(study, seconds, _ANSWERS, "decision")
-        self._pause = _LOOK
+        self._pause, self._late = _LOOK, 0
 
     def __enter__(self) -> Claims:
         self._keeper.__enter__()
@@ -98,16 +100,19 @@ class Claims:
         """
         study = self._study
         while True:
-            claim = Claim(study.state.decisions, self._token())
-            record = {"number": claim.number, "action": record_of(work), "seconds": seconds}
-            taken = self._taken(claim, "decided", record, after)
-            if taken is not None:
-                return taken
-            news = {event.kind for event in study.log.read(after) if event.seq <= study.state.seq}
-            waits = isinstance(work, Evaluate) and work.policy.training not in study.trail.busy
-            if news - (_DECIDED if waits else _COME_TO) or not is_paid(work):
-                return None
-            after = study.state.seq
+            with self._turn():
+                if study.state.seq > after:
+                    news = {e.kind for e in study.log.read(after) if e.seq <= study.state.seq}
+                    busy = study.trail.busy
+                    waits = isinstance(work, Evaluate) and work.policy.training not in busy
+                    if news - (_DECIDED if waits else _COME_TO) or not is_paid(work):
+                        return None
+                    after = study.state.seq
+                claim = Claim(study.state.decisions, self._token())
+                record = {"number": claim.number, "action": record_of(work), "seconds": seconds}
+                taken = self._taken(claim, "decided", record, after)
+                if taken is not None:
+                    return taken
 
     def abandoned(self) -> Claim | None:
         """Take over an action that nobody works on any more; None: there is none."""
@@ -150,12 +155,14 @@ class Claims:
         study, answer = self._study, {"decision": claim.number, "token": claim.token}
         while True:
             state = study.refresh()
-            held = self.held(claim)
-            named = {"training": state.number_of(held)} if kind in ("trained", "halted") else {}
-            try:
-                study.append(kind, {**data, **named, **answer}, arrays, after=state.seq)
-            except Conflict:
-                continue
+            with self._turn():
+                held = self.held(claim)
+                named = {"training": state.number_of(held)} if kind in ("trained", "halted") else {}
+                try:
+                    study.append(kind, {**data, **named, **answer}, arrays, after=state.seq)
+                except Conflict:
+                    self._late = _LATE
+                    continue
             break
         if claim.number not in study.state.under_way:
             self._keeper.drop(claim)
@@ -191,6 +198,20 @@ class Claims:
         """Something has happened."""
         self._pause = _LOOK
 
+    @contextlib.contextmanager
+    def _turn(self) -> Iterator[None]:
+        """Who came too late lately waits for a turn to write, where the database can make others.
+
+        Then it knows what others have written meanwhile.
+        """
+        if not self._late:
+            yield
+            return
+        self._late -= 1
+        with self._study.log.turn():
+            self._study.refresh()
+            yield
+
     def _token(self) -> str:
         return new_token() if self._study.is_durable else ""
 
@@ -199,6 +220,7 @@ class Claims:
         try:
             self._study.append(kind, {**data, **(holder if claim.token else {})}, after=after)
         except Conflict:
+            self._late = _LATE
             self._study.refresh()
             return None
         self._keeper.hold(claim)
