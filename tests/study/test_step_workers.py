@@ -214,6 +214,53 @@ def test_a_budget_raised_meanwhile_is_spent_by_those_that_run(tmp_path):
     assert study.state.spent > 150_000
 
 
+class Disturbed:
+    """Begins on one context; while it decides, another worker records something."""
+
+    name, in_parallel = "disturbed", True
+
+    def __init__(self, news):
+        self.news, self.asked = news, 0
+
+    def decide(self, problem, trail, rng):
+        self.asked += 1
+        if self.news is not None:
+            self.news()
+            self.news = None
+        return Wait() if 2 in trail.begun else Start(2, 0)
+
+
+CAME_TO_A_MARK = {
+    "training": 0, "source": 5, "mark": 0, "steps": 8_000, "checks": 0, "ended": False,
+    "policy": None, "sha256": None, "seconds": 1.0, "decision": 0, "token": "theirs",
+}  # fmt: skip
+THEIRS = {"token": "theirs", "worker": "other-1", "lease": 600.0, "seconds": 0.0}
+
+
+def decision(number, source):
+    return {"number": number, "action": {"do": "start", "source": source, "length": 3}, **THEIRS}
+
+
+@pytest.mark.parametrize(
+    ("kind", "data", "asked", "begun"),
+    [
+        ("trained", CAME_TO_A_MARK, 2, [5, 2]),
+        ("decided", decision(1, 7), 3, [5, 7, 2]),
+        ("decided", decision(1, 2), 2, [5, 2]),
+    ],
+    ids=["a mark", "another context", "the same context"],
+)
+def test_a_decision_stands_unless_others_have_decided_meanwhile(tmp_path, kind, data, asked, begun):
+    other = opened(Slow(), tmp_path, strategy=Disturbed(None), budget=400_000)
+    other.append("decided", decision(0, 5))
+    strategy = Disturbed(lambda: other.append(kind, data))
+    study = opened(Slow(), tmp_path, strategy=strategy, budget=400_000)
+    study.run(progress=False, report=False, wait=False)
+    decided = [e.data["action"] for e in study.events() if e.kind == "decided"]
+    assert [one["source"] for one in decided if one["do"] == "start"] == begun
+    assert strategy.asked == asked  # the last time for nothing more
+
+
 def elsewhere(folder, store):
     """The study as a worker opens it that was given other artifacts."""
     return mbtl.StepStudy.load(folder / "study.db", trainer=Slow(), artifacts=store)

@@ -97,12 +97,15 @@ class _Worker:
         """One action after another, until the study is finished, or others have the last ones."""
         waiting = False
         while self.study.refresh().stopped is None:
+            seq = self.study.state.seq
             claim = self.claims.abandoned() or self._decide()
             if claim is not None:
                 waiting = False
                 self.claims.work_again()
                 self._carry_out(claim)
-            elif self.study.state.stopped is None and self.study.state.under_way:
+            elif self.study.state.seq > seq:
+                continue  # others were faster, or the study was stopped
+            elif self.study.state.under_way:
                 if not wait:
                     return
                 if not waiting:
