@@ -11,7 +11,7 @@ import hashlib
 import json
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -166,19 +166,6 @@ class SteppingTrainer(Trainer, Protocol):
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, n_episodes)."""
         ...
-
-
-def in_steps(on_progress: OnProgress | None, played: Callable[[], int]) -> OnProgress | None:
-    """Reports of a training that counts episodes, in the environment steps `played` so far."""
-    if on_progress is None:
-        return None
-
-    def told(progress: Progress) -> None:
-        steps = played()
-        total = round(steps * progress.total / max(progress.step, 1))
-        on_progress(replace(progress, step=steps, total=total, unit="steps"))
-
-    return told
 
 
 @runtime_checkable

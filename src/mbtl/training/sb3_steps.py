@@ -32,8 +32,8 @@ from mbtl.envs.rollout import Job, play_counted
 from mbtl.errors import InvalidInput
 from mbtl.files import whole_file
 from mbtl.seeds import Purpose, derive_seed, episode_seeds
-from mbtl.set_trainer import check_counted
-from mbtl.trainer import OnProgress, Reached, checked_returns, in_steps
+from mbtl.set_trainer import check_counted, in_steps
+from mbtl.trainer import OnProgress, Reached, checked_returns
 from mbtl.training.isolation import isolated
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
 from mbtl.training.watch import EVALUATION_ENVS, Watch, actor_for
