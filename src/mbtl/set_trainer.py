@@ -1,14 +1,18 @@
-"""The contract of trainers that also train one policy on several contexts, counted in steps."""
+"""The contract of trainers that also train one policy on several contexts, counted in steps.
+
+And what counts in episodes, in steps.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput
-from mbtl.trainer import OnProgress, Reached, SteppingTrainer
+from mbtl.trainer import OnProgress, Progress, Reached, SteppingTrainer
 
 
 @runtime_checkable
@@ -47,14 +51,27 @@ class SetTrainer(SteppingTrainer, Protocol):
 
 
 def check_counted(trainer: Any) -> None:
-    """Refuse to pay a training in steps that is counted in episodes.
+    """Refuse to train on several contexts by a recipe that counts episodes.
 
     Raises:
-        InvalidInput: it is.
+        InvalidInput: it does.
     """
     if trainer.timesteps is None:
         raise InvalidInput(
-            "only trainings that are counted in steps can be paid in steps, got a recipe of "
-            f"{trainer.episodes} episodes; give timesteps, or count trainings instead (a budget "
-            "without cost=)"
+            "one policy for several contexts is paid in steps by recipes that count steps, got "
+            f"one of {trainer.episodes} episodes; give timesteps, or choose another strategy, such "
+            "as 'pilot'"
         )
+
+
+def in_steps(on_progress: OnProgress | None, played: Callable[[], int]) -> OnProgress | None:
+    """Reports of a training that counts episodes, in the environment steps `played` so far."""
+    if on_progress is None:
+        return None
+
+    def told(progress: Progress) -> None:
+        steps = played()
+        total = round(steps * progress.total / max(progress.step, 1))
+        on_progress(replace(progress, step=steps, total=total, unit="steps"))
+
+    return told

@@ -125,6 +125,9 @@ class Reached:
 class SteppingTrainer(Trainer, Protocol):
     """A trainer whose trainings pause at any number of steps, and go on later from there.
 
+    One that counts episodes has no `whole_steps`, and an attribute `episodes`: those of a whole
+    training. It pauses at a number of those, and says how many steps they were.
+
     Extending is exact where the trainer says so: a training that was extended is then the same as
     one of the whole length. So schedules (learning rate, exploration) follow `whole_steps`, never
     the length that a training happens to have so far.
@@ -150,7 +153,7 @@ class SteppingTrainer(Trainer, Protocol):
         Args:
             context: to train on.
             seed: of the training.
-            steps: in all, 1..`whole_steps`.
+            steps: in all, 1..`whole_steps`; or episodes, 1..`episodes`, where those are counted.
             start: a policy of this trainer to begin from; None: from scratch.
             saved: file of the training's state. Where it is there, the training goes on from it;
                 when this returns it holds the new one. None: the training cannot go on later.

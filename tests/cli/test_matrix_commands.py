@@ -291,6 +291,17 @@ def test_show_and_list_say_of_what_the_numbers_are(mbtl_command, problem):
     )
 
 
+def test_show_numbers_seeds_as_their_provenance_does(mbtl_command, problem):
+    assert mbtl_command(*BUILD, "--seeds", 2)[0] == 0
+    file = "matrices/cartpole-length-seed1.npz"
+    (row,) = json.loads(mbtl_command("matrix", "show", file, "--json")[1])["seeds"]
+    assert row["seed"] == 1
+    nameless = TransferMatrix.of([[[1.0, 0.0], [0.0, 1.0]]] * 2, provenance={"seed": 7})
+    nameless.save(problem / "two.npz")  # one number for two seeds says nothing
+    rows = json.loads(mbtl_command("matrix", "show", "two.npz", "--json")[1])["seeds"]
+    assert [row["seed"] for row in rows] == [0, 1]
+
+
 def test_show_knows_the_scale_of_the_paper_and_shows_any(mbtl_command, tmp_path):
     matrix = TransferMatrix.of(
         [[[-90.0, 10.0, 60.0]]], sources=[0], bounds=(-150, 300), contexts=[[8.0], [9.0], [10.0]],

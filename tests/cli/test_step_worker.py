@@ -86,6 +86,7 @@ def test_a_master_makes_the_study_follows_its_workers_and_sums_up(mbtl_command, 
         ("own.py:problem", ["--selector", "mbtl", "--retries", "1"], 2,
          "paid in steps, where --selector and --retries mean nothing"),
         ("own.py:other", [], 1, "is a study of 'slow', got 'other'"),
+        ("own.py:problem", ["--artifacts", "elsewhere"], 2, "are not in"),
     ],
 )  # fmt: skip
 def test_what_means_nothing_costs_a_line(

@@ -273,3 +273,16 @@ def test_lengths_halve_down_to_the_shortest_that_says_something():
     assert lengths_of(1_000_000)[0] == 15_625
     assert lengths_of(5_000_192)[::9] == (9_766, 5_000_192)
     assert lengths_of(5_000) == (5_000,)
+
+
+@pytest.mark.parametrize("budget", [30_000, 45_000])
+def test_a_pilot_that_the_budget_halted_goes_on_when_that_is_raised(budget):
+    study = opened(Slow(), budget=budget)
+    study.run(progress=False)
+    (pilot,) = study.state.trainings
+    assert pilot.halted
+    assert 0 < pilot.length < len(study.spec.lengths) - 1
+    study.extend(150_000)
+    study.run(progress=False)
+    assert study.state.trainings[0].length == len(study.spec.lengths) - 1
+    assert len(study.state.trainings) > 1

@@ -14,7 +14,7 @@ from step_problem import Slow, opened, outcome
 
 import mbtl
 from mbtl.actions import Evaluate, Extend, Policy, Start, Stop, Wait
-from mbtl.errors import InvalidInput
+from mbtl.errors import InvalidInput, StudyMismatch
 from mbtl.study.steps.callbacks import StepCallback
 from mbtl.study.storage import Conflict
 
@@ -217,6 +217,100 @@ def test_a_budget_raised_meanwhile_is_spent_by_those_that_run(tmp_path):
     study.run(progress=False, callbacks=[Extends()])
     assert study.spec.budget == 250_000
     assert study.state.spent > 150_000
+
+
+class Disturbed:
+    """Begins on one context; while it decides, another worker records something."""
+
+    name, in_parallel = "disturbed", True
+
+    def __init__(self, news):
+        self.news, self.asked = news, 0
+
+    def decide(self, problem, trail, rng):
+        self.asked += 1
+        if self.news is not None:
+            self.news()
+            self.news = None
+        return Wait() if 2 in trail.begun else Start(2, 0)
+
+
+CAME_TO_A_MARK = {
+    "training": 0, "source": 5, "mark": 0, "steps": 8_000, "checks": 0, "ended": False,
+    "policy": None, "sha256": None, "seconds": 1.0, "decision": 0, "token": "theirs",
+}  # fmt: skip
+THEIRS = {"token": "theirs", "worker": "other-1", "lease": 600.0, "seconds": 0.0}
+
+
+def decision(number, source):
+    return {"number": number, "action": {"do": "start", "source": source, "length": 3}, **THEIRS}
+
+
+@pytest.mark.parametrize(
+    ("kind", "data", "asked", "begun"),
+    [
+        ("trained", CAME_TO_A_MARK, 2, [5, 2]),
+        ("decided", decision(1, 7), 3, [5, 7, 2]),
+        ("decided", decision(1, 2), 2, [5, 2]),
+    ],
+    ids=["a mark", "another context", "the same context"],
+)
+def test_a_decision_stands_unless_others_have_decided_meanwhile(tmp_path, kind, data, asked, begun):
+    other = opened(Slow(), tmp_path, strategy=Disturbed(None), budget=400_000)
+    other.append("decided", decision(0, 5))
+    strategy = Disturbed(lambda: other.append(kind, data))
+    study = opened(Slow(), tmp_path, strategy=strategy, budget=400_000)
+    study.run(progress=False, report=False, wait=False)
+    decided = [e.data["action"] for e in study.events() if e.kind == "decided"]
+    assert [one["source"] for one in decided if one["do"] == "start"] == begun
+    assert strategy.asked == asked  # the last time for nothing more
+
+
+def elsewhere(folder, store):
+    """The study as a worker opens it that was given other artifacts."""
+    return mbtl.StepStudy.load(folder / "study.db", trainer=Slow(), artifacts=store)
+
+
+@pytest.mark.parametrize("kind", ["folder", "memory"])
+def test_a_worker_with_other_artifacts_is_told_before_it_takes_an_action(tmp_path, kind):
+    if kind == "memory":
+        pytest.importorskip("fsspec")
+    wrong = {"folder": tmp_path / "wrong", "memory": f"memory://{tmp_path.name}"}[kind]
+    right = {"folder": tmp_path / "right", "memory": f"memory://right-{tmp_path.name}"}[kind]
+    study = opened(Slow(), tmp_path, artifacts=right)
+    for given in (wrong, None):
+        worker = elsewhere(tmp_path, given)
+        with pytest.raises(StudyMismatch, match=rf"are not in .*was .*{tmp_path.name}") as caught:
+            worker.run(progress=False)
+        assert "--artifacts" in str(caught.value)
+        with pytest.raises(StudyMismatch, match="one place"):
+            opened(Slow(), tmp_path, artifacts=given)
+    assert [event.kind for event in study.events()] == ["opened"]
+    elsewhere(tmp_path, right).run(progress=False)
+    assert elsewhere(tmp_path, wrong).run(progress=False).study.is_finished  # nothing to be kept
+
+
+def test_artifacts_are_the_same_wherever_they_are_found(tmp_path):
+    """A folder that machines share has other names on each, and a study may be moved."""
+    opened(Slow(), tmp_path, artifacts=tmp_path / "here")
+    (tmp_path / "here").rename(tmp_path / "there")
+    assert elsewhere(tmp_path, tmp_path / "there").run(progress=False).study.is_finished
+
+
+def test_a_study_of_before_is_known_by_its_first_policy(tmp_path, monkeypatch):
+    monkeypatch.setattr("mbtl.study.steps.create.marked", lambda store, uid: {})
+    study = opened(Slow(), tmp_path)
+    assert not study.state.kept
+
+    class Stops(StepCallback):
+        def on_trained(self, study, training):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        study.run(progress=False, callbacks=[Stops()])
+    with pytest.raises(StudyMismatch, match="give the study's own --artifacts"):
+        elsewhere(tmp_path, tmp_path / "wrong").run(progress=False)
+    assert elsewhere(tmp_path, None).run(progress=False).study.is_finished
 
 
 def test_what_follows_from_an_older_state_is_not_recorded(tmp_path):

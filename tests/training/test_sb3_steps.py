@@ -70,7 +70,7 @@ def test_a_training_on_several_contexts_extended_twice_is_the_whole_one(algorith
     assert same(reached[-1].policy, whole)
     assert not same(reached[0].policy, whole)
     assert len(one.evaluate(reached[-1].policy, contexts, seed=1)) == 3
-    with pytest.raises(InvalidInput, match="got a recipe of 4 episodes"):
+    with pytest.raises(InvalidInput, match="got one of 4 episodes"):
         replace(one, timesteps=None, episodes=4).check_on_set()
 
 
@@ -115,8 +115,28 @@ def test_episodes_of_evaluations_are_counted():
     assert np.array_equal(returns, steps)  # a point per step
 
 
-def test_trainings_of_episodes_are_refused():
-    one = SB3Trainer(cartpole, episodes=3)
+@pytest.mark.parametrize(
+    ("algorithm", "changes"),
+    [("PPO", {}), ("PPO", {"n_envs": 2}), ("DQN", {}), ("DQN", {"normalize_reward": True})],
+    ids=["PPO", "two environments", "DQN", "rewards normalised"],
+)
+def test_a_training_of_episodes_extended_twice_is_the_whole_one(algorithm, changes, tmp_path):
+    """Also where a rate falls: it follows the episodes."""
+    falls = {**(PPO if algorithm == "PPO" else DQN), "learning_rate": lambda left: 1e-3 * left}
+    one = replace(
+        trainer(algorithm=algorithm, **changes), timesteps=None, episodes=25, hyperparameters=falls
+    )
     assert one.whole_steps is None
-    with pytest.raises(InvalidInput, match="got a recipe of 3 episodes"):
-        one.train_steps(POLE, 0, 64)
+    whole = one.train(POLE, seed=3)
+    file, told = tmp_path / "training", []
+    reached = [
+        one.train_steps(POLE, 3, episodes, saved=file, on_progress=told.append)
+        for episodes in (4, 11, 25)
+    ]
+    steps = [r.steps for r in reached]
+    assert steps == sorted(set(steps))
+    assert steps[-1] in (whole.num_timesteps, whole.num_timesteps - one.n_envs)  # one is begun
+    assert same(reached[-1].policy, whole)
+    assert not same(reached[0].policy, whole)
+    assert {p.unit for p in told} == {"steps"}
+    assert told[-1].step == steps[-1]

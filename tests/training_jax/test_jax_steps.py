@@ -160,8 +160,55 @@ class _Silent:
         return engine.Solo(_Double()), self.problem(contexts)[1]
 
 
-def test_trainings_of_episodes_are_refused():
-    trainer = WorldTrainer(CARTPOLE.problem, episodes=10)
+RING = get_cmdp("ring-acc", engine="jax").trainer_for(
+    "quick", episodes=12, eval_episodes=2, hyperparameters={"hidden": (8,)}
+)
+HOLD = {"hold": 40.0}
+"""Ten decisions in an episode of 400 s."""
+
+
+@pytest.mark.parametrize("algorithm", ["TRPO", "PPO"])
+def test_a_training_of_episodes_extended_twice_is_the_whole_one(algorithm, tmp_path):
+    trainer = RING
+    if algorithm == "PPO":
+        own = {"hidden": (8,), "rows": 16, "minibatches": 4, "n_episodes": 2}
+        trainer = replace(RING, algorithm="PPO", recipe_name="fast", hyperparameters=own)
     assert trainer.whole_steps is None
-    with pytest.raises(InvalidInput, match="recipe of 10 episodes"):
-        trainer.train_steps(POLE, 0, 100)
+    whole = replace(trainer, checkpoint="final").train(HOLD, seed=3)
+    file, told = tmp_path / "training.npz", []
+    reached = [
+        trainer.train_steps(HOLD, 3, episodes, saved=file, on_progress=told.append)
+        for episodes in (2, 5, 12)
+    ]
+    unit = trainer.update_length
+    assert [r.steps for r in reached] == [10 * -(-n // unit) * unit for n in (2, 5, 12)]
+    assert [r.checks for r in reached] == [0, 0, 0]
+    assert not same(reached[0].policy, reached[1].policy)
+    assert same(reached[-1].policy, whole)
+    assert {(p.unit, p.total) for p in told} == {("steps", 120)}
+    assert told[-1].step == 120
+    warm = trainer.train_steps({"hold": 38.0}, 1, 2, start=whole).policy
+    cold = trainer.train_steps({"hold": 38.0}, 1, 2).policy
+    assert 0 < _apart(warm, whole) < 0.2 < _apart(cold, whole)
+    returns, steps = trainer.evaluate_steps(whole, [HOLD, {"hold": 8.0}], 5)
+    assert np.array_equal(returns, trainer.evaluate(whole, [HOLD, {"hold": 8.0}], 5))
+    assert steps.tolist() == [[10.0, 10.0], [50.0, 50.0]]
+
+
+def _apart(one, other):
+    return max(abs(a - b).max() for a, b in zip(one.weights, other.weights, strict=True))
+
+
+def test_one_policy_for_all_is_refused_where_episodes_are_counted():
+    with pytest.raises(InvalidInput, match=r"got one of 12 episodes; .* such as 'pilot'"):
+        RING.check_on_set()
+
+
+def test_a_world_that_lives_in_one_process_is_refused_before_it_is_trained():
+    class Elsewhere:
+        storable = False
+
+    trainer = WorldTrainer(lambda contexts: (Elsewhere(), None), episodes=4)
+    with pytest.raises(InvalidInput, match="one in Elsewhere lives in one process; choose another"):
+        trainer.check_pausing([HOLD])
+    CARTPOLE.check_pausing([POLE])

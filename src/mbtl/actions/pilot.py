@@ -61,6 +61,9 @@ class Pilot:
         if not trail.trainings:
             source = next_source(self.selector, problem, trail, rng)
             return Stop() if source is None else Start(source, last)
+        pilot = trail.trainings[0]
+        if pilot.length < last and not pilot.ended:  # the budget had ended, and was raised
+            return Extend(0, last)
         length, watched = self._length(problem, trail)
         if watched is not None:
             targets = np.flatnonzero(np.isfinite(trail.rows[0])).tolist()
@@ -80,7 +83,7 @@ class Pilot:
     def _length(self, problem: StepProblem, trail: Trail) -> tuple[int, int | None]:
         """The mark that others go to, as far as it is known; the pilot's mark to evaluate next."""
         last, pilot = len(problem.lengths) - 1, trail.trainings[0]
-        end = int(np.searchsorted(problem.lengths, pilot.steps))
+        end = int(np.searchsorted(problem.lengths, pilot.steps)) if pilot.ended else last
         rows = {p.length: row for p, row in zip(trail.policies, trail.filled, strict=True)
                 if p.training == 0}  # fmt: skip
         if end == 0:

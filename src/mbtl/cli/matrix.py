@@ -61,12 +61,12 @@ def show(
     """
     source = scaled(open_matrix(matrix), bounds)
     rows = []
-    for seed in range(source.n_seeds):
-        known = levels(source, seed)
+    for place, seed in enumerate(_seeds(source)):
+        known = levels(source, place)
         rows.append(
             {
                 "seed": seed,
-                **reference_levels(source, seed),
+                **reference_levels(source, place),
                 "grand_mean": known.grand_mean,
                 "independent": known.independent,
                 "oracle_transfer": known.oracle_transfer,
@@ -140,6 +140,14 @@ def _episodes(matrix: TransferMatrix) -> str:
     if matrix.episodes is not None:
         return " + ".join(map(str, matrix.episodes))
     return str(matrix.records[0].get("recipe", {}).get("eval_episodes", "-"))
+
+
+def _seeds(source: RowSource) -> list[int]:
+    """The numbers of the seeds, as the provenance has them; else from 0 on."""
+    records = source.records if isinstance(source, TransferMatrix) else []
+    known = [record.get("seed") for record in records]
+    told = [seed for seed in known if isinstance(seed, int)]
+    return told if len(set(told)) == source.n_seeds else list(range(source.n_seeds))
 
 
 def _facts(source: RowSource) -> dict[str, Any]:

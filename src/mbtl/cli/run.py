@@ -172,11 +172,11 @@ def run(
             "--stop-value": stop_value, "--stop-gain": stop_gain, "--repeats": repeats != 1,
             "--eval-targets": eval_targets, "--costs": costs, "--cost-budget": cost_budget,
             "--risk": risk != 1.0, "--stop-on-failure": stop_on_failure,
-            "--retry-failed": retry_failed, "--episodes": episodes, "--all": whole_budget,
+            "--retry-failed": retry_failed, "--all": whole_budget,
         }  # fmt: skip
         check_steps(steps, [k for k, given in meant_for_trainings.items() if given])
         wish = StepWish(problem, steps_of(str(steps)), strategy, preset, seed, engine, timesteps,
-                        eval_episodes, tensorboard, artifacts, workers)  # fmt: skip
+                        episodes, eval_episodes, tensorboard, artifacts, workers)  # fmt: skip
         run_steps(wish, study, new=new, failures=stop_after_failures, as_json=as_json)
         return
     check_options(parallel, stop_after_failures=stop_after_failures)

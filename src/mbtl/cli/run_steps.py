@@ -17,6 +17,7 @@ from mbtl.errors import InvalidInput, MissingExtra, StorageError
 from mbtl.plot import policy_map, policy_shares, save
 from mbtl.report.step_text import show_steps
 from mbtl.study.steps.create import create_step_study
+from mbtl.study.steps.prices import episodes_of, units_to
 from mbtl.study.steps.strategies import DEFAULT, strategy_named
 from mbtl.study.steps.study import StepStudy
 from mbtl.study.steps.summary import counted
@@ -38,6 +39,7 @@ class StepWish:
         seed: root of all randomness.
         engine: of the simulation; None: the fastest there is.
         timesteps: of a whole training; None: the preset's.
+        episodes: likewise, where those are counted.
         eval_episodes: of a policy on a target; None: the default.
         tensorboard: folder for training scalars.
         artifacts: folder or URL of the policies.
@@ -51,6 +53,7 @@ class StepWish:
     seed: int
     engine: str | None
     timesteps: int | None
+    episodes: int | None
     eval_episodes: int | None
     tensorboard: Path | None
     artifacts: str | None
@@ -95,7 +98,9 @@ def run_steps(
     """Make the study or go on with it, spend its steps, and sum up."""
     cmdp = resolve_cmdp(wish.problem, engine=wish.engine)
     strategy = strategy_named(wish.strategy or DEFAULT)  # before a study is set aside
-    given = {"timesteps": wish.timesteps, "tensorboard": wish.tensorboard}
+    given = {
+        "timesteps": wish.timesteps, "episodes": wish.episodes, "tensorboard": wish.tensorboard,
+    }  # fmt: skip
     overrides = {name: value for name, value in given.items() if value is not None}
     trainer = cmdp.trainer_for(wish.preset, **overrides)
     name = f"{cmdp.id}-{wish.preset or cmdp.default_preset}-steps-seed{wish.seed}"
@@ -121,7 +126,7 @@ def run_steps(
         name=folder.resolve().name,
         load_if_exists=True,
     )
-    _announce(study, folder)
+    _announce(study, trainer, folder)
     if url is not None:
         follow(study, command(url, study.name, wish.problem, wish.engine, "", artifacts))
     with plain_warnings(), StepProgress(console) as live:
@@ -129,13 +134,16 @@ def run_steps(
     _finish(study, trainer, folder, as_json=as_json)
 
 
-def _announce(study: StepStudy, folder: Path) -> None:
+def _announce(study: StepStudy, trainer: Trainer, folder: Path) -> None:
     spec, spent = study.spec, study.state.spent
-    marks = ", ".join(counted(length) for length in spec.lengths)
+    marks, unit = [counted(length) for length in spec.lengths], "steps"
+    if episodes_of(trainer) is not None:
+        marks = [str(units_to(length, trainer, spec.horizon)) for length in spec.lengths]
+        unit = f"episodes of up to {spec.horizon} steps"
     going_on = f", going on after {counted(spent)}" if spent and not study.is_finished else ""
     console.print(
-        f"{spec.problem}: {study.space!r}, {counted(spec.budget)} steps for trainings of {marks} "
-        f"steps, study in {folder}{going_on}",
+        f"{spec.problem}: {study.space!r}, {counted(spec.budget)} steps for trainings of "
+        f"{', '.join(marks)} {unit}, study in {folder}{going_on}",
         markup=False,
         highlight=False,
         soft_wrap=True,

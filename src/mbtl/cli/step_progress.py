@@ -15,6 +15,7 @@ from mbtl.actions import Policy, StartOn
 from mbtl.cli.common import LongWork
 from mbtl.contexts.words import describe_set
 from mbtl.study.steps.callbacks import PrintSteps
+from mbtl.study.steps.prices import share_of
 from mbtl.study.steps.state import UnderWay
 from mbtl.study.steps.study import StepStudy
 from mbtl.study.steps.summary import begun_from, condition, counted, where_of
@@ -108,7 +109,7 @@ class StepProgress(PrintSteps):
             steps = float(course.steps)
             if self._under_way is not None and self._under_way[0] == number:
                 steps = max(steps, self._under_way[1])
-            most = float(state.lengths_of(number)[-1])
+            most = state.lengths_of(number)[-1] * share_of(state, number)
             bar = ProgressBar(most, min(steps, most), width=16)
             where = where_of(study, number)
             table.add_row(str(number + 1), Text(where), bar, counted(steps), kind, Text(why))

@@ -13,6 +13,7 @@ import numpy as np
 from mbtl.report.content import axes_of, served_by
 from mbtl.report.step_text import PAID_FOR, found_lines
 from mbtl.study.steps.pieces import Piece, pieces
+from mbtl.study.steps.prices import share_of
 from mbtl.study.steps.study import StepStudy
 from mbtl.study.steps.summary import StepSummary, counted
 
@@ -70,7 +71,11 @@ def step_content(subject: StepSubject) -> dict[str, Any]:
         "budget": summary.budget,
         "bill": _bill(subject),
         "trainings": [
-            {**asdict(one), "seconds": course.seconds, "whole": study.state.lengths_of(j)[-1]}
+            {
+                **asdict(one),
+                "seconds": course.seconds,
+                "whole": study.state.lengths_of(j)[-1] * share_of(study.state, j),
+            }
             for j, (one, course) in enumerate(
                 zip(summary.trainings, study.state.trainings, strict=True)
             )

@@ -31,8 +31,6 @@ _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every", "n_eval_envs")
 EPISODE = "episode"
 """Value of a hyperparameter: the steps of one episode, which the environment must tell."""
 
-_FOREVER = 1 << 62
-
 
 @dataclass(frozen=True)
 class SB3Trainer(SB3Steps):
@@ -129,11 +127,10 @@ class SB3Trainer(SB3Steps):
         with ExitStack() as stack:
             stack.enter_context(isolated(self.threads))
             best = self._best_checkpoint(context, seed, stack)
-            model, team = self._model(algorithm, context, seed, stack)
-            ends = None if self.episodes is None else "score" if team else "episode"
-            watch = Watch(model, self._length, on_progress, best, ends=ends)
-            steps = _FOREVER if self.timesteps is None else self.timesteps
-            learn(model, steps, watch, run_name(context, seed))
+            model = self._model(algorithm, context, seed, stack)
+            none = None if self.episodes is None else 0
+            watch = Watch(model, self._length, on_progress, best, none)
+            learn(model, self.timesteps, watch, run_name(context, seed))
             if best is not None:
                 best.visit(model, watch.done, last=True)
                 best.restore(model)
@@ -162,7 +159,7 @@ class SB3Trainer(SB3Steps):
         with ExitStack() as stack, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what the library says of fewer environments
             stack.enter_context(isolated(self.threads))
-            return lightened(one._model(algorithm, context, 0, stack)[0])
+            return lightened(one._model(algorithm, context, 0, stack))
 
     def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
         """What episodes are worth (see `mbtl.envs.rollout`), (n_targets, eval_episodes).
@@ -235,8 +232,8 @@ class SB3Trainer(SB3Steps):
 
     def _model(
         self, kind: tuple[Any, dict[str, Any]], context: Context, seed: int, stack: ExitStack
-    ) -> tuple[Any, bool]:
-        """The library's model before its training, and whether it is of a team."""
+    ) -> Any:
+        """The library's model before its training."""
         algorithm, settings = kind
         envs = self._training_envs(context, stack)
         team = hasattr(envs, "slots")
@@ -266,7 +263,7 @@ class SB3Trainer(SB3Steps):
         model.action_space.seed(action_seed(seed))
         if self.tensorboard is None:
             log_nowhere(model)
-        return model, team
+        return model
 
     def _policy(self, on_policy: bool) -> str | type:
         if not (self.clip_actions and on_policy):

@@ -12,6 +12,9 @@ from mbtl.training.watch import Watch
 _GONE = (EOFError, BrokenPipeError, ConnectionResetError)
 """What the end of another process looks like from here."""
 
+_FOREVER = 1 << 62
+"""Steps of a training that counts its episodes."""
+
 
 def log_nowhere(model: Any) -> None:
     """Keep the library from making an empty temporary folder for each training."""
@@ -27,10 +30,11 @@ def run_name(context: Context, seed: int) -> str:
     return "".join(c if c.isalnum() or c in "=.,_-" else "_" for c in name)
 
 
-def learn(model: Any, timesteps: int, watch: Watch, name: str, *, anew: bool = True) -> None:
-    """Learn, and turn a divergence into an error that names it; not `anew`: go on."""
+def learn(model: Any, total: int | None, watch: Watch, name: str, *, anew: bool = True) -> None:
+    """Learn, and turn a divergence into an error that names it; not `anew`: go on to the total."""
+    left = (_FOREVER if total is None else total) - (0 if anew else int(model.num_timesteps))
     try:
-        model.learn(timesteps, callback=watch, tb_log_name=name, reset_num_timesteps=anew)
+        model.learn(left, callback=watch, tb_log_name=name, reset_num_timesteps=anew)
     except _GONE as error:
         raise SimulationFailed(
             f"a training needs its simulators, got the end of a process ({type(error).__name__}) "

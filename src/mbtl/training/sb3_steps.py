@@ -32,7 +32,7 @@ from mbtl.envs.rollout import Job, play_counted
 from mbtl.errors import InvalidInput
 from mbtl.files import whole_file
 from mbtl.seeds import Purpose, derive_seed, episode_seeds
-from mbtl.set_trainer import check_counted
+from mbtl.set_trainer import check_counted, in_steps
 from mbtl.trainer import OnProgress, Reached, checked_returns
 from mbtl.training.isolation import isolated
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
@@ -67,43 +67,47 @@ class SB3Steps:
         saved: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Reached:
-        """Train until `steps` are done in all, rounded up to whole rollouts (`SteppingTrainer`).
+        """Train until `steps` or episodes are done, up to whole rollouts (`SteppingTrainer`).
 
         The policy has the latest weights, whatever `checkpoint` says: who counts steps evaluates
         policies on the way, and the best of them serves. It may `start` from a model of this
         algorithm.
 
         Raises:
-            InvalidInput: this trainer counts episodes, or `start` has other weights.
+            InvalidInput: `start` has other weights.
             TrainingFailed: the weights or the actions became NaN.
         """
         trainer = cast("SB3Trainer", self)
-        check_counted(trainer)
-        assert trainer.timesteps is not None
+        none = None if trainer.episodes is None else 0
         with ExitStack() as stack:
             stack.enter_context(isolated(trainer.threads))
-            model = None if saved is None else _thawed(trainer, context, seed, saved, stack)
-            anew = model is None
+            found = None if saved is None else _thawed(trainer, context, seed, saved, stack)
+            model, episodes = found or (None, none)
             if model is None:
-                model, _ = trainer._model(trainer._algorithm(), context, seed, stack)
+                model = trainer._model(trainer._algorithm(), context, seed, stack)
                 if start is not None:
                     _begin_with(model, start)
             if trainer.tensorboard is None:
                 log_nowhere(model)
-            watch = Watch(model, trainer.timesteps, on_progress, None)
-            left = trainer.timesteps - int(model.num_timesteps)
-            if left > 0 and model.num_timesteps < steps:
-                model.collect_rollouts = _Pausing(model, steps, saved)
+
+            def played() -> int:  # of a team the library counts the steps of every place
+                return int(model.num_timesteps) // getattr(model.env, "slots", 1)
+
+            told = on_progress if none is None else in_steps(on_progress, played)
+            watch = Watch(model, trainer._length, told, None, episodes)
+            if watch.done < steps:
+                model.collect_rollouts = _Pausing(model, watch, steps, saved)
+                name = run_name(context, seed)
                 try:
-                    learn(model, left, watch, run_name(context, seed), anew=anew)
+                    learn(model, trainer.timesteps, watch, name, anew=found is None)
                 except _Paused:
                     pass
                 finally:
                     del model.collect_rollouts
                 if saved is not None:
-                    _freeze(model, saved)
-            done = int(model.num_timesteps)
-            watch.report(done)
+                    _freeze(model, watch, saved)
+            watch.report(watch.done)
+            done = watch.done if none is None else played()
             return Reached(lightened(model), done)
 
     def check_on_set(self) -> None:
@@ -155,23 +159,26 @@ class SB3Steps:
 
 
 class _Pausing:
-    """Collects rollouts until so many steps are done; then the training pauses."""
+    """Collects rollouts until so many steps or episodes are done; then the training pauses."""
 
-    def __init__(self, model: Any, steps: int, saved: Path | None) -> None:
-        self._model, self._steps, self._saved = model, steps, saved
+    def __init__(self, model: Any, watch: Watch, steps: int, saved: Path | None) -> None:
+        self._model, self._watch, self._steps, self._saved = model, watch, steps, saved
         self._collect, self._at = model.collect_rollouts, time.monotonic()
+        self._planned = model._total_timesteps if watch.episodes else 0  # `learn` plans anew
 
     def __call__(self, *given: Any, **named: Any) -> Any:
-        if self._model.num_timesteps >= self._steps:
+        if self._planned:  # schedules go on as they were
+            self._model._total_timesteps, self._planned = self._planned, 0
+        if self._watch.done >= self._steps:
             raise _Paused
         if self._saved is not None and time.monotonic() - self._at >= _SECONDS:
             del self._model.collect_rollouts
-            _freeze(self._model, self._saved)
+            _freeze(self._model, self._watch, self._saved)
             self._model.collect_rollouts, self._at = self, time.monotonic()
         return self._collect(*given, **named)
 
 
-def _freeze(model: Any, saved: Path) -> None:
+def _freeze(model: Any, watch: Watch, saved: Path) -> None:
     """Write a training that is between two rollouts; it stays as it is."""
     import cloudpickle
     import torch
@@ -180,6 +187,7 @@ def _freeze(model: Any, saved: Path) -> None:
     inner = envs if normalize is None else normalize.venv
     content = {
         "model": model,
+        "episodes": watch.episodes,
         "normalize": normalize,
         "returns": None if normalize is None else normalize.returns,
         "envs": inner if _can_be_copied(inner) else None,
@@ -201,8 +209,8 @@ def _freeze(model: Any, saved: Path) -> None:
 
 def _thawed(
     trainer: SB3Trainer, context: Context, seed: int, saved: Path, stack: ExitStack
-) -> Any | None:
-    """The training in a file; None where there is none."""
+) -> tuple[Any, int | None] | None:
+    """The training in a file, and its episodes; None where there is none."""
     import torch
 
     try:
@@ -227,7 +235,7 @@ def _thawed(
     random.setstate(content["random"])
     np.random.set_state(content["numpy"])  # noqa: NPY002
     torch.set_rng_state(content["torch"])
-    return model
+    return model, content.get("episodes")
 
 
 def _can_be_copied(envs: Any) -> bool:

@@ -74,8 +74,8 @@ class BestCheckpoint:
 class Watch:
     """Callback of one training, called after every environment step.
 
-    The unit of training is the environment step, or the episode where `ends` says which key of an
-    info comes once per episode: "episode", or "score" where many agents share one.
+    The unit of training is the environment step; or the episode, where the `episodes` so far are
+    given: a key of an info comes once with each.
     """
 
     def __init__(
@@ -84,31 +84,31 @@ class Watch:
         total: int,
         on_progress: OnProgress | None,
         best: BestCheckpoint | None,
-        *,
-        ends: str | None = None,
+        episodes: int | None = None,
     ) -> None:
-        self._model, self._total, self._ends = model, total, ends
-        self._on_progress, self._best = on_progress, best
+        self._model, self._total, self._on_progress, self._best = model, total, on_progress, best
+        ends = "score" if hasattr(model.env, "slots") else "episode"  # of a team
+        self._ends = None if episodes is None else ends
         self._interval = max(1, total // REPORTS)
-        self._due, self._episodes = self._interval, 0
+        self._due, self.episodes = self._interval, episodes
         self._scores: deque[float] = deque(maxlen=_RECENT)
 
     @property
     def done(self) -> int:
         """Units so far."""
-        return self._episodes if self._ends else int(self._model.num_timesteps)
+        return int(self._model.num_timesteps) if self.episodes is None else self.episodes
 
     def __call__(self, given: dict[str, Any], _globals: dict[str, Any]) -> bool:
         """Form of a Stable-Baselines3 function callback; False: enough."""
         # one step into the next episode: what ends on the last step has been learnt from by then
-        enough = self._ends is not None and self._episodes >= self._total
+        enough = self.episodes is not None and self.episodes >= self._total
         infos = given.get("infos", ())
         self._scores.extend(float(info["score"]) for info in infos if "score" in info)
-        if self._ends is not None:
+        if self.episodes is not None:
             ended = sum(self._ends in info for info in infos)
             if ended:
-                self._episodes += ended
-                self._foresee()
+                self.episodes += ended
+                self._foresee(self.episodes)
         if self._best is not None:
             self._best.visit(self._model, self.done)
         if self.done >= self._due:
@@ -116,9 +116,9 @@ class Watch:
             self.report(min(self.done, self._total))
         return not enough
 
-    def _foresee(self) -> None:
+    def _foresee(self, episodes: int) -> None:
         """Schedules of the library run over steps: as many as the episodes so far make likely."""
-        steps = self._model.num_timesteps * self._total / self._episodes
+        steps = self._model.num_timesteps * self._total / episodes
         self._model._total_timesteps = max(int(steps), self._model.num_timesteps)
 
     def report(self, step: int) -> None:

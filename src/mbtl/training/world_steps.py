@@ -15,8 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
-
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput
@@ -53,7 +51,7 @@ class WorldSteps:
         saved: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Reached:
-        """Train until `steps` are done in all, rounded up to whole updates (`SteppingTrainer`).
+        """Train until `steps` or episodes are done, up to whole updates (`SteppingTrainer`).
 
         The policy has the latest weights, whatever `checkpoint` says: who counts steps evaluates
         policies on the way, and the best of them serves. A training evaluates itself only where
@@ -61,15 +59,15 @@ class WorldSteps:
         it may `start` from a policy, the critic, which no policy carries, begins anew.
 
         Raises:
-            InvalidInput: this trainer counts episodes, its world cannot be saved, or `start` has
-                another shape.
+            InvalidInput: its world cannot be saved, or `start` has another shape.
             TrainingFailed: the weights became NaN.
         """
         trainer = cast("WorldTrainer", self)
-        check_counted(trainer)
         world, params = trainer._lessons([context])
-        _check_storable(world, saved)
+        if saved is not None:
+            _check_storable(world)
         recipe, checked = trainer.learner, _may_end(world)
+        each = 1 if trainer.episodes is None else engine.counted.decisions_of(world, params)
         file, weights = engine.SavedTraining(saved), None
         if start is not None:
             weights = _beginning(start, engine.start(world, recipe, [seed], params).best)
@@ -83,7 +81,7 @@ class WorldSteps:
                 file.notes[_CHECKED_AT] = at
             if on_progress is not None:
                 metrics = {} if latest is None else {"episode_return": latest}
-                on_progress(Progress(block.steps, block.total, metrics))
+                on_progress(Progress(block.steps * each, block.total * each, metrics))
 
         training = engine.train(
             world,
@@ -101,7 +99,7 @@ class WorldSteps:
             until=steps,
             judging=checked,
         )
-        done = int(training.updates) * trainer.update_length
+        done = int(training.updates) * trainer.update_length * each
         best = float(training.best_return[0])
         return Reached(
             engine.export_policies(world, training.state.weights, recipe.activation)[0],
@@ -109,6 +107,10 @@ class WorldSteps:
             file.notes.get(_CHECKS, 0),
             ended=checked and best >= cast(float, world.max_return),
         )
+
+    def check_pausing(self, contexts: Sequence[Context]) -> None:
+        """Refuse, before anything is spent, worlds whose trainings cannot be saved."""
+        _check_storable(cast("WorldTrainer", self).problem(contexts)[0])
 
     def check_on_set(self) -> None:
         """See `mbtl.set_trainer.SetTrainer`; it learns by PPO."""
@@ -145,7 +147,8 @@ class WorldSteps:
                 "train_steps for one"
             )
         world, params = trainer._lessons(contexts)
-        _check_storable(world, saved)
+        if saved is not None:
+            _check_storable(world)
         recipe = recipe_on_many(trainer, world, len(contexts))
         unit, file = int(recipe.update_length), engine.SavedTraining(saved)
         ends = [0, *(-(-mark // unit) for mark in marks)]  # of the stages from mark to mark
@@ -189,24 +192,11 @@ class WorldSteps:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
         trainer = cast("WorldTrainer", self)
         returns = trainer.evaluate(policy, contexts, seed)
-        world, _ = trainer.problem(list(contexts))
-        lasts = _lasts(world)
-        if lasts == "return":
-            return returns, returns.copy()
-        if lasts == "horizon":
-            return returns, np.full(returns.shape, float(world.env.horizon))
-        if not hasattr(world, "env"):
-            raise InvalidInput(
-                f"only worlds of one agent count the steps of an episode, got {world!r}; count "
-                "trainings instead (a budget without cost=)"
-            )
-        from mbtl.worlds.counted import Counted
-
-        def counting(contexts: Sequence[Context]) -> tuple[Any, Any]:
-            world, params = trainer.problem(contexts)
-            return replace(world, env=Counted(world.env)), params
-
-        return returns, replace(trainer, problem=counting).evaluate(policy, contexts, seed)
+        steps = engine.counted.known_steps(trainer.problem, contexts, returns)
+        if steps is None:
+            counting = replace(trainer, problem=engine.counted.Counting(trainer.problem))
+            steps = counting.evaluate(policy, contexts, seed)
+        return returns, steps
 
 
 def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo") -> Any:
@@ -225,18 +215,15 @@ def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo
     return engine.spread_recipe(method, trainer.learner, n)  # type: ignore[arg-type]
 
 
-def _lasts(world: Any) -> str | None:
-    return getattr(getattr(world, "env", None), "lasts", None)
-
-
 def _may_end(world: Any) -> bool:
     """Whether a training can be found to have nothing left to gain."""
-    return world.max_return is not None and _lasts(world) == "return"
+    lasts = getattr(getattr(world, "env", None), "lasts", None)
+    return world.max_return is not None and lasts == "return"
 
 
 def _check_every(trainer: WorldTrainer, world: Any) -> int:
     """Steps between two evaluations of itself: every 2 %, and they cost a twentieth at most."""
-    dearest = trainer.checkpoint_episodes * int(world.env.horizon)
+    dearest = trainer.checkpoint_episodes * (int(world.env.horizon) if trainer.timesteps else 1)
     often = -(-trainer.length // _CHECK_TIMES)
     return trainer.checkpoint_every or max(often, _CHECK_SHARE * dearest)
 
@@ -250,11 +237,12 @@ def check_ppo(trainer: WorldTrainer) -> None:
         )
 
 
-def _check_storable(world: Any, saved: Path | None) -> None:
-    if saved is not None and not getattr(world, "storable", True):
+def _check_storable(world: Any) -> None:
+    """Refuse a world whose state lives in one process."""
+    if not getattr(world, "storable", True):
         raise InvalidInput(
-            f"a training in {world!r} lives in one process and cannot be saved, so it cannot "
-            "go on later; give no file, or train whole trainings (a budget without cost=)"
+            f"a training that pauses is saved, and one in {type(world).__name__} lives in one "
+            "process; choose another --engine, or count trainings (without --steps or cost=)"
         )
 
 

@@ -1,9 +1,54 @@
-"""An environment in which a return is a number of steps: what evaluations cost."""
+"""Steps of episodes: known beforehand, by the return, or counted in an environment of their own.
+
+Notation (shapes): T contexts, E episodes.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.contexts import Context
+
+Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
+"""contexts -> world and parameters."""
+
+
+def decisions_of(world: Any, params: Any) -> int:
+    """Decisions of an episode in one context; of the longest where a world ends when it ends."""
+    length = world.decisions(params)
+    return int(getattr(length, "decisions", length))
+
+
+def known_steps(problem: Problem, contexts: Sequence[Context], returns: Array) -> Array | None:
+    """(T, E) steps of the episodes that had these returns; None: they must be counted.
+
+    A world of several agents says how long its episodes are.
+    """
+    world, _ = problem(list(contexts))
+    if not hasattr(world, "env"):
+        each = [[float(decisions_of(*problem([one])))] for one in contexts]
+        return np.array(each) + np.zeros_like(returns)
+    lasts = getattr(world.env, "lasts", None)
+    if lasts == "return":
+        return returns.copy()
+    return np.full(returns.shape, float(world.env.horizon)) if lasts == "horizon" else None
+
+
+@dataclass(frozen=True)
+class Counting:
+    """A problem in which a return is a number of steps."""
+
+    problem: Problem
+
+    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
+        """The same contexts."""
+        world, params = self.problem(contexts)
+        return replace(world, env=Counted(world.env)), params
 
 
 @dataclass(frozen=True)

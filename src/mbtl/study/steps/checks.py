@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 from mbtl.actions import Policy
 from mbtl.errors import InvalidInput, StudyMismatch
 from mbtl.set_trainer import SetTrainer
-from mbtl.settings import first_difference
+from mbtl.settings import as_json, first_difference
+from mbtl.study.steps.kept import check_artifacts
+from mbtl.study.steps.prices import whole_length
 from mbtl.trainer import SteppingTrainer, Trainer, recipe_of
 
 if TYPE_CHECKING:
@@ -16,7 +18,13 @@ if TYPE_CHECKING:
 
 
 def check_trainer(study: StepStudy, trainer: Trainer) -> None:
-    """Refuse, before anything is spent, a trainer that cannot do what will be asked."""
+    """Refuse, before anything is spent, a trainer that cannot do what will be asked.
+
+    Raises:
+        InvalidInput: so it is.
+        StudyMismatch: it has another recipe, or the policies are kept elsewhere.
+    """
+    check_artifacts(study)
     spec = study.spec
     if not isinstance(trainer, SteppingTrainer):
         if len(spec.lengths) > 1:
@@ -25,16 +33,21 @@ def check_trainer(study: StepStudy, trainer: Trainer) -> None:
                 f"{len(spec.lengths)} lengths; give a train function that takes `steps` and "
                 "`start` (docs/spending.md), or make the study with lengths=[<one>]"
             )
-    elif trainer.whole_steps is None:
-        raise InvalidInput(
-            "only trainings that are counted in steps can be paid in steps, got a trainer that "
-            "counts episodes; make the study without cost='steps'"
-        )
-    elif isinstance(trainer.whole_steps, int) and trainer.whole_steps < spec.lengths[-1]:
-        raise InvalidInput(
-            f"the last length is that of a whole training, got {spec.lengths[-1]:,} where the "
-            f"trainer has {trainer.whole_steps:,}; use the same trainer"
-        )
+    else:
+        whole = whole_length(trainer, spec.horizon)
+        if whole is None:
+            raise InvalidInput(
+                f"the length of a training is a number of steps or episodes, and "
+                f"{type(trainer).__name__} has neither whole_steps nor episodes; give it one, or "
+                "count trainings (without cost='steps')"
+            )
+        if whole < spec.lengths[-1]:
+            raise InvalidInput(
+                f"the last length is that of a whole training, got {spec.lengths[-1]:,} where the "
+                f"trainer has {whole:,}; use the same trainer"
+            )
+        if len(spec.lengths) > 1 and not study.is_finished and hasattr(trainer, "check_pausing"):
+            trainer.check_pausing([study.space.context(0)])
     if getattr(study.strategy, "trains_on_all", False):
         if not isinstance(trainer, SetTrainer):
             raise InvalidInput(
@@ -47,7 +60,8 @@ def check_trainer(study: StepStudy, trainer: Trainer) -> None:
     if getattr(study.strategy, "starts_warm", False) and not _begins_from_others(trainer):
         raise _no_start(study.strategy.name)
     known = spec.settings.get("recipe")
-    if known is not None and (found := first_difference(known, recipe_of(trainer))):
+    own = as_json("the recipe of a trainer", recipe_of(trainer))
+    if known is not None and (found := first_difference(known, own)):
         raise StudyMismatch(
             f"a study is run with the recipe it was made with: {found[0]} was {found[1]!r}, got "
             f"{found[2]!r}; use the same trainer, or start another study"

@@ -10,11 +10,12 @@ from __future__ import annotations
 import contextlib
 import random
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from mbtl.actions import Evaluate
 from mbtl.arrays import Array
 from mbtl.errors import MbtlError, StorageError
 from mbtl.study.events import Kind
@@ -31,6 +32,11 @@ if TYPE_CHECKING:
 LEASE = 60.0
 """Seconds for which a worker may be silent before others take its action over."""
 _ANSWERS = ("claimed", "released", "trained", "evaluated", "halted", "failed")
+_COME_TO = frozenset(("trained", "evaluated", "claimed", "released"))
+_DECIDED = _COME_TO | {"decided"}
+"""News beside which a decision still stands, and those beside which an evaluation does."""
+_LATE = 20
+"""Events that a worker writes in turn after one that came too late."""
 _LOOK, _LONGEST_LOOK = 0.05, 2.0
 """Seconds between looks at what others do: often at first, seldom while nothing happens."""
 
@@ -63,7 +69,7 @@ class Claims:
     def __init__(self, study: StepStudy, seconds: float) -> None:
         self._study, self._seconds = study, seconds
         self._keeper = Keeper(study, seconds, _ANSWERS, "decision")
-        self._pause = _LOOK
+        self._pause, self._late = _LOOK, 0
 
     def __enter__(self) -> Claims:
         self._keeper.__enter__()
@@ -77,11 +83,36 @@ class Claims:
     ) -> None:
         self._keeper.__exit__(kind, error, trace)
 
-    def decided(self, work: Work, seconds: float, after: int) -> Claim | None:
-        """Record a decision that follows from event `after`; None: others were faster."""
-        claim = Claim(self._study.state.decisions, self._token())
-        record = {"number": claim.number, "action": record_of(work), "seconds": seconds}
-        return self._taken(claim, "decided", record, after)
+    def decided(
+        self, work: Work, seconds: float, after: int, is_paid: Callable[[Work], bool]
+    ) -> Claim | None:
+        """Record a decision that follows from event `after`; None: others were faster.
+
+        What others have only come to meanwhile does not speak against it: they might have come to
+        it a moment later. Where they have decided, too, it is decided again, since two would begin
+        on the same context; but a policy that waits for its evaluation still does.
+
+        Args:
+            work: what was decided.
+            seconds: that it took.
+            after: the event that it follows from.
+            is_paid: whether there are still steps for it.
+        """
+        study = self._study
+        while True:
+            with self._turn():
+                if study.state.seq > after:
+                    news = {e.kind for e in study.log.read(after) if e.seq <= study.state.seq}
+                    busy = study.trail.busy
+                    waits = isinstance(work, Evaluate) and work.policy.training not in busy
+                    if news - (_DECIDED if waits else _COME_TO) or not is_paid(work):
+                        return None
+                    after = study.state.seq
+                claim = Claim(study.state.decisions, self._token())
+                record = {"number": claim.number, "action": record_of(work), "seconds": seconds}
+                taken = self._taken(claim, "decided", record, after)
+                if taken is not None:
+                    return taken
 
     def abandoned(self) -> Claim | None:
         """Take over an action that nobody works on any more; None: there is none."""
@@ -124,12 +155,14 @@ class Claims:
         study, answer = self._study, {"decision": claim.number, "token": claim.token}
         while True:
             state = study.refresh()
-            held = self.held(claim)
-            named = {"training": state.number_of(held)} if kind in ("trained", "halted") else {}
-            try:
-                study.append(kind, {**data, **named, **answer}, arrays, after=state.seq)
-            except Conflict:
-                continue
+            with self._turn():
+                held = self.held(claim)
+                named = {"training": state.number_of(held)} if kind in ("trained", "halted") else {}
+                try:
+                    study.append(kind, {**data, **named, **answer}, arrays, after=state.seq)
+                except Conflict:
+                    self._late = _LATE
+                    continue
             break
         if claim.number not in study.state.under_way:
             self._keeper.drop(claim)
@@ -165,6 +198,20 @@ class Claims:
         """Something has happened."""
         self._pause = _LOOK
 
+    @contextlib.contextmanager
+    def _turn(self) -> Iterator[None]:
+        """Who came too late lately waits for a turn to write, where the database can make others.
+
+        Then it knows what others have written meanwhile.
+        """
+        if not self._late:
+            yield
+            return
+        self._late -= 1
+        with self._study.log.turn():
+            self._study.refresh()
+            yield
+
     def _token(self) -> str:
         return new_token() if self._study.is_durable else ""
 
@@ -173,6 +220,7 @@ class Claims:
         try:
             self._study.append(kind, {**data, **(holder if claim.token else {})}, after=after)
         except Conflict:
+            self._late = _LATE
             self._study.refresh()
             return None
         self._keeper.hold(claim)

@@ -20,11 +20,13 @@ from mbtl.study.events import OPENED, Event
 from mbtl.study.given import pair_of
 from mbtl.study.places import fixed_url, policy_store
 from mbtl.study.problem import Problem, facts_of
+from mbtl.study.steps.kept import check_artifacts, marked
+from mbtl.study.steps.prices import whole_length
 from mbtl.study.steps.spec import StepSpec
 from mbtl.study.steps.strategies import DEFAULT, strategy_named
 from mbtl.study.steps.study import StepStudy
 from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog
-from mbtl.trainer import SteppingTrainer, Trainer
+from mbtl.trainer import Trainer
 from mbtl.version import __version__
 
 EPISODES = 10
@@ -74,7 +76,8 @@ def create_step_study(
             object with `name` and `decide`.
         lengths: environment steps at which a training may pause, rising; None: the whole length of
             the trainer's and its halves down to 8,000. Plain functions need it: one length for
-            `train(context, seed)`, any for one that takes `steps`.
+            `train(context, seed)`, any for one that takes `steps`. Where a recipe counts episodes
+            these are steps of so many of the longest ones, and what was played is charged.
         episodes: of a policy on a target; None: 10.
         horizon: most steps of an episode; None: the CMDP's.
         bounds: (low, high) of the returns, or `Bounds`; None: the CMDP's, else the range so far.
@@ -114,7 +117,7 @@ def create_step_study(
         facts.space,
         whole("budget", budget),
         describe_selector(chosen),  # type: ignore[arg-type]  # any record with a name
-        _lengths(lengths, facts.trainer),
+        _lengths(lengths, facts.trainer, whole("horizon", longest)),
         EPISODES if episodes is None else whole("episodes", episodes),
         whole("horizon", longest),
         pair_of("bounds", aim),
@@ -129,22 +132,27 @@ def create_step_study(
     address = None if storage is None else fixed_url(storage)
     log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
     store = policy_store(address, artifacts)
-    opened = {"spec": spec.to_json(), "version": __version__, "uid": uuid.uuid4().hex[:8]}
+    given: dict[str, Any] = {"store": store, "name": name, "trainer": facts.trainer}
+    if next(iter(log.read()), None) is not None:
+        return _existing(log, spec, chosen, storage, load_if_exists, **given)
+    uid = uuid.uuid4().hex[:8]
+    opened = {"spec": spec.to_json(), "version": __version__, "uid": uid}
+    if store is not None and address is not None:
+        opened["kept"] = marked(store, uid)
     try:
         log.append(Event(OPENED, opened), after=0)
-    except Conflict:
-        return _existing(log, spec, chosen, storage, load_if_exists, store=store, name=name,
-                         trainer=facts.trainer)  # fmt: skip
-    return StepStudy(log, chosen, store=store, name=name, trainer=facts.trainer)
+    except Conflict:  # another process made it at the same moment
+        return _existing(log, spec, chosen, storage, load_if_exists, **given)
+    return StepStudy(log, chosen, **given)
 
 
-def _lengths(given: Sequence[int] | None, trainer: Trainer | None) -> tuple[int, ...]:
+def _lengths(given: Sequence[int] | None, trainer: Trainer | None, horizon: int) -> tuple[int, ...]:
     if given is not None:
         found = tuple(whole("a length", length) for length in given)
         if not found or found[0] < 1 or any(a >= b for a, b in pairwise(found)):
             raise InvalidInput(f"lengths are numbers of steps >= 1 that rise, got {list(given)}")
         return found
-    total = trainer.whole_steps if isinstance(trainer, SteppingTrainer) else None
+    total = None if trainer is None else whole_length(trainer, horizon)
     if total is None:
         what = "no trainer" if trainer is None else type(trainer).__name__
         raise InvalidInput(
@@ -181,6 +189,7 @@ def _existing(
             f"a stored study goes on only with the settings it was made with: {key} was {old!r}, "
             f"got {new!r}; repeat the old setting, or start afresh with --new (or another name)"
         )
+    check_artifacts(study)
     if spec.budget > study.spec.budget:
         study.extend(spec.budget)
     return study

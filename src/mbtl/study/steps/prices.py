@@ -1,4 +1,8 @@
-"""What the work under way is going to cost, so that several workers do not spend the same steps."""
+"""What the work under way is going to cost, so that several workers do not spend the same steps.
+
+A recipe that counts episodes has marks in steps, too: those of so many of the longest episodes.
+How many steps a training really had is known when it was played, and that is charged.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from typing import TYPE_CHECKING
 from mbtl.actions import Evaluate, StartOn
 from mbtl.actions.evaluation import LEAST, target_price
 from mbtl.study.steps.state import StepState, UnderWay
+from mbtl.trainer import SteppingTrainer, Trainer
 
 if TYPE_CHECKING:
     from mbtl.study.steps.study import StepStudy
@@ -24,7 +29,41 @@ def price_of(study: StepStudy, held: UnderWay) -> float:
         return price * len(work.targets)
     done = 0 if held.training is None else state.trainings[held.training].steps
     after = min(LEAST, study.space.n) * price
-    return max(state.marks_of(held)[next_mark(state, held)] - done, 0) + after
+    share = 1.0 if held.training is None else share_of(state, held.training)
+    return max(state.marks_of(held)[next_mark(state, held)] * share - done, 0.0) + after
+
+
+def share_of(state: StepState, training: int) -> float:
+    """Steps that a training has had by its last mark, as a share of what that can be at most.
+
+    Below 1 where episodes are counted and were shorter than the longest.
+    """
+    course, reached = state.trainings[training], state.reached(training)
+    if reached < 0 or course.ended:
+        return 1.0
+    return min(course.steps / state.lengths_of(training)[reached], 1.0)
+
+
+def whole_length(trainer: Trainer, horizon: int) -> int | None:
+    """Environment steps of a whole training, at most; None: it does not say."""
+    if not isinstance(trainer, SteppingTrainer):
+        return None
+    if trainer.whole_steps is None and (episodes := episodes_of(trainer)) is not None:
+        unit = int(getattr(trainer, "update_length", 1))
+        return -(-episodes // unit) * unit * horizon
+    return trainer.whole_steps
+
+
+def episodes_of(trainer: Trainer) -> int | None:
+    """Episodes of a whole training; None: steps are counted."""
+    episodes = getattr(trainer, "episodes", None)
+    return int(episodes) if episodes and getattr(trainer, "whole_steps", None) is None else None
+
+
+def units_to(mark: int, trainer: Trainer, horizon: int) -> int:
+    """A mark as a trainer counts it: in steps, or in episodes."""
+    episodes = episodes_of(trainer)
+    return mark if episodes is None else min(-(-mark // horizon), episodes)
 
 
 def next_mark(state: StepState, held: UnderWay) -> int:

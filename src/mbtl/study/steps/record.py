@@ -1,7 +1,8 @@
-"""Actions as a log has them."""
+"""Actions and failures as a log has them."""
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Mapping
 from typing import Any
 
@@ -46,3 +47,10 @@ def action_of(record: Mapping[str, Any]) -> Work:
             policy = Policy(record["training"], record["length"])
             return Evaluate(policy, tuple(record["targets"]))
     raise ValueError(f"no action is called {record['do']!r}")
+
+
+def failure(error: Exception, steps: float, source: int) -> dict[str, Any]:
+    """What went wrong, the steps that it cost, and the context."""
+    text = "".join(traceback.format_exception(error))
+    reason = f"{type(error).__name__}: {error}"
+    return {"reason": reason, "steps": float(steps), "source": source, "traceback": text[-4000:]}

@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import shutil
 import time
-import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,12 +22,7 @@ import numpy as np
 from mbtl.actions import Action, Evaluate, Extend, Policy, Start, StartOn, Stop, Wait
 from mbtl.actions.base import middle_of
 from mbtl.actions.evaluation import WHERE_IT_MATTERS, Evaluation, target_price
-from mbtl.errors import (
-    InvalidInput,
-    MissingExtra,
-    StorageError,
-    TrainingFailed,
-)
+from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
 from mbtl.seeds import evaluation_seed, selection_rng, training_seed
 from mbtl.selectors.targets import spread_targets
 from mbtl.set_trainer import SetTrainer
@@ -36,16 +30,12 @@ from mbtl.study.steps.callbacks import StepCallback
 from mbtl.study.steps.checks import check_start, check_trainer, with_episodes
 from mbtl.study.steps.claims import LEASE, Claim, Claims, Lost
 from mbtl.study.steps.evaluation import evaluated, report_fresh, weights_of
-from mbtl.study.steps.prices import next_mark, price_of
+from mbtl.study.steps.prices import next_mark, price_of, units_to
+from mbtl.study.steps.record import Work, failure
 from mbtl.study.steps.state import UnderWay
 from mbtl.study.steps.summary import StepResult, verdict_of
 from mbtl.study.storage import Conflict
-from mbtl.trainer import (
-    Progress,
-    Reached,
-    SteppingTrainer,
-    Trainer,
-)
+from mbtl.trainer import Progress, Reached, SteppingTrainer, Trainer
 
 if TYPE_CHECKING:
     from mbtl.study.steps.study import StepStudy
@@ -107,12 +97,15 @@ class _Worker:
         """One action after another, until the study is finished, or others have the last ones."""
         waiting = False
         while self.study.refresh().stopped is None:
+            seq = self.study.state.seq
             claim = self.claims.abandoned() or self._decide()
             if claim is not None:
                 waiting = False
                 self.claims.work_again()
                 self._carry_out(claim)
-            elif self.study.state.stopped is None and self.study.state.under_way:
+            elif self.study.state.seq > seq:
+                continue  # others were faster, or the study was stopped
+            elif self.study.state.under_way:
                 if not wait:
                     return
                 if not waiting:
@@ -163,9 +156,9 @@ class _Worker:
             return None
         if isinstance(action, Start) and action.start is not None:
             check_start(study, self.trainer, action.start)
-        if others and not isinstance(action, Evaluate) and not self._has_room(UnderWay(action)):
+        if others and not self._is_paid(action):
             return None  # others may end early, or leave so much that this is the last training
-        return self.claims.decided(action, seconds, seq)
+        return self.claims.decided(action, seconds, seq, self._is_paid)
 
     def _affordable(self, action: Evaluate) -> Evaluate | None:
         """The evaluation, on as many targets as there are steps for; None: on too few."""
@@ -183,6 +176,13 @@ class _Worker:
             return None
         source = trail.trainings[action.policy.training].source
         return Evaluate(action.policy, spread_targets(problem.selection, source, count))
+
+    def _is_paid(self, action: Work) -> bool:
+        """Whether the steps for an action are there, beside what others are at."""
+        if isinstance(action, Evaluate):
+            return self._affordable(action) == action
+        training = action.training if isinstance(action, Extend) else None
+        return self._has_room(UnderWay(action, training))
 
     @property
     def _left(self) -> float:
@@ -283,9 +283,10 @@ class _Worker:
                 contexts, seed, marks[mark], marks=marks[first:], saved=file, on_progress=progress,
             )  # fmt: skip
         seed = training_seed(spec.seed, spec.trial, source, repeat)
-        context, steps = spec.space.context(source), marks[mark]
+        context = spec.space.context(source)
         if not isinstance(self.trainer, SteppingTrainer):
-            return Reached(self.trainer.train(context, seed, progress), steps)
+            return Reached(self.trainer.train(context, seed, progress), marks[mark])
+        steps = units_to(marks[mark], self.trainer, spec.horizon)
         saved = file if len(spec.lengths) > 1 else None
         begun = state.start_of(held)
         # also of one that goes on: where its state is lost, it is trained again from there
@@ -363,7 +364,7 @@ class _Worker:
     # ---- failures ----------------------------------------------------------------------------
 
     def _failed(self, claim: Claim, error: Exception, steps: float, source: int) -> None:
-        self.claims.answer(claim, "failed", _trouble(error, steps, source))
+        self.claims.answer(claim, "failed", failure(error, steps, source))
         self._check_failures(error)
 
     def _check_failures(self, error: Exception) -> None:
@@ -390,9 +391,3 @@ class _Latest:
         self.steps = progress.step if progress.unit == "steps" else self.steps
         self._worker.claims.said(self._claim, progress)
         self._worker._tell("on_progress", self._training, progress)
-
-
-def _trouble(error: Exception, steps: float, source: int) -> dict[str, Any]:
-    text = "".join(traceback.format_exception(error))
-    reason = f"{type(error).__name__}: {error}"
-    return {"reason": reason, "steps": float(steps), "source": source, "traceback": text[-4000:]}

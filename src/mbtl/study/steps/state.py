@@ -150,6 +150,8 @@ class StepState:
     version: str = ""
     uid: str = ""
     created_at: float = 0.0
+    kept: Mapping[str, str] = field(default_factory=dict)
+    """Where the policies are, as `kept.marked` left it; empty where nothing was."""
     decisions: int = 0
     under_way: dict[int, UnderWay] = field(default_factory=dict)
     """What was decided and is not done, by the number of its decision."""
@@ -280,7 +282,7 @@ class StepState:
     def _opened(self, data: Mapping[str, Any], event: Event) -> None:
         self.spec = StepSpec.from_json(data["spec"])
         self.version, self.uid = data["version"], data["uid"]
-        self.created_at = event.time
+        self.created_at, self.kept = event.time, dict(data.get("kept") or {})
 
     def _decided(self, data: Mapping[str, Any], event: Event) -> None:
         work = action_of(data["action"])

@@ -34,6 +34,7 @@ from mbtl.training.jax.recipes import (
     spread_recipe,
 )
 from mbtl.training.jax.saving import SavedTraining
+from mbtl.worlds import counted
 from mbtl.worlds.cartpole import CartPole
 from mbtl.worlds.environments import Box, Discrete, Environment, Step
 from mbtl.worlds.hosted import hosted
@@ -63,6 +64,7 @@ __all__ = [
     "World",
     "actor_of",
     "context_of",
+    "counted",
     "evaluate",
     "evaluate_multitask",
     "export_policies",
