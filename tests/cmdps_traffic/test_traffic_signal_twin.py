@@ -1,4 +1,4 @@
-"""The signal's twin is SUMO: second by second within what a driver's luck can do, and in the mean."""
+"""The signal's twin is SUMO: second by second but for the luck of drivers, and in the mean."""
 
 import numpy as np
 import pytest

@@ -174,5 +174,5 @@ def test_a_jam_ends_the_episode():
 
 @pytest.mark.parametrize("features", [{"length": 5.0}, {"inflow": 10.5}, {"inflow": 1.0}])
 def test_what_is_no_intersection_is_refused(features):
-    with pytest.raises(ContextMismatch, match="approach must hold|number of cars"):
+    with pytest.raises(ContextMismatch, match=r"approach must hold|number of cars"):
         SignalProblem()([features])

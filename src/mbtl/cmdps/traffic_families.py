@@ -1,6 +1,6 @@
 """The traffic part of the table of our CMDPs (cmdp-spec, sections 2, 5, 6 and 7).
 
-SUMO is the simulator of all ten, and all have a twin, in which they are simulated by default. Nothing
+SUMO is the simulator of all ten. All have a twin, in which they are simulated by default. Nothing
 here imports an environment.
 """
 

@@ -62,6 +62,7 @@ stand as for traffic that flows. Not earlier: whoever tries phases at random in 
 soon at `LOWEST` and still has the peak to learn."""
 
 _PHASES = (("NS", False), ("NS", True), ("WE", False), ("WE", True))
+PHASES = len(_PHASES)
 _PLACES = {"W": (-1, 0), "N": (0, 1), "E": (1, 0), "S": (0, -1)}
 _LANES = [(f"{a}_in_{lane}", 2 * k + (lane == LEFT_LANE)) for k, a in enumerate(APPROACHES)
           for lane in range(LANES)]  # fmt: skip
@@ -107,7 +108,7 @@ class Signal(TrafficEnv):
         self._jam = jam
         self._edges = CELLS * (self.features["length"] / self.FEATURES["length"])
         self.observation_space = self._space([0.0] * 80, [1.0] * 80)
-        self.action_space = Discrete(len(_PHASES))
+        self.action_space = Discrete(PHASES)
 
     # ---- episodes ----------------------------------------------------------------------------
 
@@ -157,7 +158,7 @@ class Signal(TrafficEnv):
         """
         self._check_running()
         phase = int(action)
-        if phase != action or not 0 <= phase < len(_PHASES):
+        if phase != action or not 0 <= phase < PHASES:
             raise InvalidInput(f"a phase is 0, 1, 2 or 3, got {action!r}")
         info: dict[str, Any] = {}
         with self.simulation.guard() as api:

@@ -15,7 +15,6 @@ from mbtl.cmdps.traffic import advisory, ring
 from mbtl.cmdps.traffic.advisory import Actions, Seen
 from mbtl.contexts import Context
 
-
 _ROWS = 64
 """Cars of a lane of the signal's twin at the nominal demand: half a kilometre that stands."""
 
@@ -273,6 +272,7 @@ class SignalProblem:
         import jax.numpy as jnp
 
         from mbtl.cmdps.traffic import demand, signal
+        from mbtl.worlds.environments import Discrete
         from mbtl.worlds.traffic.crossing import CrossingTwin
         from mbtl.worlds.traffic.crossing_state import CrossingParams, Turn
         from mbtl.worlds.traffic.krauss import Krauss
@@ -301,14 +301,19 @@ class SignalProblem:
             halted=signal.HALTED,
             easing=0.5 * demand.ACCELERATION,
             jam=signal.JAM,
+            action=Discrete(signal.PHASES),
             cars=size * int(nominal["inflow"]),
             rows=_ROWS + _ROWS // 2 * (size - 1),
             time_limit=self.time_limit,
         )
         params = [
             CrossingParams(
-                *(jnp.float32(features[name]) for name in ("length", "inflow", "speed")),
-                jnp.asarray(visible_features(features, self.unit, self.visibility), jnp.float32),
+                length=jnp.float32(features["length"]),
+                inflow=jnp.float32(features["inflow"]),
+                speed=jnp.float32(features["speed"]),
+                visible=jnp.asarray(
+                    visible_features(features, self.unit, self.visibility), jnp.float32
+                ),
             )
             for features in every
         ]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax
@@ -80,6 +81,7 @@ class CrossingTwin(Seeded):
         halted: a car that is not faster stands [m/s].
         easing: a car that accelerates more does not wait [m/s^2].
         jam: score at which an episode ends.
+        action: a phase.
         cars: of an episode at most.
         rows: cars of a lane at most; while there are as many, none enters.
         few: rows that are computed while no simulation needs more, ascending.
@@ -104,11 +106,11 @@ class CrossingTwin(Seeded):
     halted: float
     easing: float
     jam: float
+    action: Discrete
     cars: int
     rows: int
     few: tuple[int, ...] = (12, 16, 24, 40)
     away: float = 40.0
-    action: Discrete = Discrete(4)
     time_limit: TimeLimit = "truncation"
     agents: int = 1
     drives: bool = False
@@ -340,10 +342,7 @@ class CrossingTwin(Seeded):
         scaled = (params.length - x) * (self.nominal_length / params.length)
         scaled = jnp.where(on_road, scaled, -1.0)
         edges = (0.0, *self.cells[:-1], _FAR)
-        inside = [
-            ((scaled >= low) & (scaled < high)).any(axis=0)
-            for low, high in zip(edges[:-1], edges[1:], strict=True)
-        ]
+        inside = [((scaled >= low) & (scaled < high)).any(axis=0) for low, high in pairwise(edges)]
         cells = jnp.stack(inside).reshape(len(inside), APPROACHES, LANES, -1)
         groups = jnp.stack([cells[:, :, :LEFT].any(axis=2), cells[:, :, LEFT]], axis=2)
         return groups.transpose(3, 1, 2, 0).reshape(x.shape[2], -1).astype(jnp.float32)

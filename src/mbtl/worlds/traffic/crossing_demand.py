@@ -9,6 +9,7 @@ Notation (shapes): n simulations, N cars of each at most, K of one lane, 16 lane
 from __future__ import annotations
 
 import math
+
 import jax
 import jax.numpy as jnp
 

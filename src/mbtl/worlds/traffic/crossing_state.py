@@ -1,4 +1,4 @@
-"""What the signal twin knows of its intersections; notation as in `mbtl.worlds.traffic.crossing`."""
+"""What the signal twin knows of intersections; notation as in `mbtl.worlds.traffic.crossing`."""
 
 from __future__ import annotations
 
@@ -124,5 +124,6 @@ def moved_up(queues: Queues, most: int) -> Queues:
         return jnp.where(gone & step > 0, jnp.concatenate([field[step:], tail]), field)
 
     for bit in range(most.bit_length()):
-        queues = Queues(*(by(1 << bit, f, nobody) for f, nobody in zip(queues, VACANT, strict=True)))
+        fields = zip(queues, VACANT, strict=True)
+        queues = Queues(*(by(1 << bit, field, nobody) for field, nobody in fields))
     return queues
