@@ -9,11 +9,11 @@ default PPO on Gymnasium's environment, and the recipe of the CMDP in the engine
 walkers and with those in jax. Rates are steps per second of processor time, added up over cores,
 with learning and all else.
 `learning` trains --who in the nominal context for as many --steps: `ours`, the recipe of the CMDP
-with the walker in jax; `same`, Stable-Baselines3's PPO with that recipe on Gymnasium's environment; and
-`default`, its PPO with its defaults. It prints, --looks times on the way, what policies return in
-Gymnasium's environment (mean actions, the same ten fresh episodes of 1000 steps) and the seconds of
-processor time that the trainings took, with compiling, without these looks. Trainings of the same
-kind take turns, so that an interrupted run has equal steps of all.
+with the walker in jax; `same`, Stable-Baselines3's PPO with that recipe on Gymnasium's environment;
+and `default`, its PPO with its defaults. It prints, --looks times on the way, what policies return
+in Gymnasium's environment (mean actions, the same ten fresh episodes of 1000 steps) and the seconds
+of processor time that the trainings took, with compiling, without these looks. Trainings of the
+same kind take turns, so that an interrupted run has equal steps of all.
 """
 
 from __future__ import annotations
