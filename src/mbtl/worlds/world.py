@@ -246,6 +246,11 @@ class Solo:
         return bool(getattr(self.env, "storable", True))
 
     @property
+    def ends_early(self) -> bool:
+        """Whether an episode may be shorter than another, and its states can be moved."""
+        return self.storable and getattr(self.env, "lasts", None) != "horizon"
+
+    @property
     def drives(self) -> bool:
         """Whether the environment has an action that is none, `idle`."""
         return hasattr(self.env, "idle")
