@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mbtl.worlds.walker import ground
-from mbtl.worlds.walker.body import LEG_HEIGHT, across, dot, turned
+from mbtl.worlds.walker.body import LEG_HEIGHT, across, dot, sin_cos, turned
 
 SKIN = 0.02
 """Box2D's shapes touch when they are so near; both have a skin of half of it [m]."""
@@ -63,12 +63,11 @@ def below(box: Box, heights: jax.Array, moved: Box | None = None) -> tuple[jax.A
 
     Of boxes (parts, n) of n walkers, and their ground, (200, n).
     """
-    left = [
-        one.centre[0]
-        - jnp.abs(jnp.cos(one.angle)) * one.width / 2.0
-        - jnp.abs(jnp.sin(one.angle)) * LEG_HEIGHT / 2.0
-        for one in ([box] if moved is None else [box, moved])
-    ]
+    left = []
+    for one in [box] if moved is None else [box, moved]:
+        sin, cos = sin_cos(one.angle)
+        reach = jnp.abs(cos) * one.width / 2.0 + jnp.abs(sin) * (LEG_HEIGHT / 2.0)
+        left.append(one.centre[0] - reach)
     first = ground.number(jnp.minimum(left[0], left[-1]) - SKIN, PIECES)
     at = first + np.arange(PIECES + 1)[:, None, None]  # (m + 1, parts, n)
     points = jnp.stack([at.astype(jnp.float32) * ground.STEP, heights[at, np.arange(at.shape[-1])]])
