@@ -113,12 +113,16 @@ def _arrival(far: Any) -> tuple[jax.Array, jax.Array]:
     low, high = jnp.zeros_like(at_low), jnp.ones_like(at_low)
     near = at_low < _STOP + _TOLERANCE
     hit = (at_low > 0.0) & (near | (at_high < _STOP))
-    share = low
-    for _ in range(_LOOKS):
+
+    def look(_: int, found: Any) -> Any:
+        share, low, high, at_low, at_high = found
         fall = jnp.maximum(at_low - at_high, 1e-9)
         share = jnp.clip(low + (at_low - _STOP) / fall * (high - low), low, high)
         now = far(share)
         before = now > _STOP
         low, at_low = jnp.where(before, share, low), jnp.where(before, now, at_low)
         high, at_high = jnp.where(before, high, share), jnp.where(before, at_high, now)
+        return share, low, high, at_low, at_high
+
+    share = jax.lax.fori_loop(0, _LOOKS, look, (low, low, high, at_low, at_high))[0]
     return jnp.where(near, 0.0, share), hit
