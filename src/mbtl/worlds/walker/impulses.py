@@ -42,8 +42,8 @@ class Rows(NamedTuple):
         return cls(row, effect, jnp.where(valid, 1.0 / jnp.where(valid, size, 1.0), 0.0))
 
     def along(self, number: int, u: jax.Array) -> jax.Array:
-        """How fast the thing moves along one of them."""
-        return dot(self.row[number], u)
+        """How fast the thing moves along one of them; in a round, where each sum is one kernel."""
+        return (self.row[number] * u).sum(axis=0)
 
 
 class Ground(NamedTuple):
@@ -74,13 +74,13 @@ class Ground(NamedTuple):
         """One round of moving things out of the ground, `share` of the overlap at a time."""
         away = self.away
         for i in range(len(gaps)):
-            wrong = share * (gaps[i] + away.along(i, moved) + SLOP)
+            wrong = share * (gaps[i] + dot(away.row[i], moved) + SLOP)
             moved = moved - away.effect[i] * (jnp.clip(wrong, -FURTHEST, 0.0) * away.ease[i])
         return moved
 
     def overlap(self, moved: jax.Array, gaps: jax.Array) -> jax.Array:
         """The deepest one that is left, <= 0 [m]."""
-        left = jnp.stack([gaps[i] + self.away.along(i, moved) for i in range(len(gaps))])
+        left = gaps + dot(jnp.swapaxes(self.away.row, 0, 1), moved[:, None])
         return jnp.where(self.away.ease > 0.0, left, 0.0).min(axis=0)
 
 

@@ -239,7 +239,7 @@ def _mended(limits: Rows, beyond: jax.Array, earth: Ground, gaps: jax.Array) -> 
         done = (number > 0) & (earth.overlap(moved, gaps) >= -3.0 * SLOP)
         further = moved
         for i in range(len(beyond)):
-            wrong = beyond[i] + limits.along(i, further) + _SLACK
+            wrong = beyond[i] + dot(limits.row[i], further) + _SLACK
             push = jnp.clip(wrong, -_MOST_TURN, 0.0) * limits.ease[i]
             further = further - limits.effect[i] * push
         return jnp.where(done, moved, earth.lift(further, gaps, _SHARE))
