@@ -1,8 +1,8 @@
 """Whole episodes of many simulations, of which those that have ended make room.
 
-Simulations are played a part of an episode at a time, in blocks of few sizes, each of which is one
-compiled program. Between two parts what has ended leaves, and what goes on moves together if that
-saves a block. Who is played with whom decides nothing, so every episode is the same as without.
+Simulations are played a part of an episode at a time, in blocks of one size, hence by one compiled
+program. Between two parts those that go on move together, if that saves a block. Who is played with
+whom decides nothing, so every episode is the same as without.
 
 Notation (shapes): H policies, N episodes of each, W of them in a block; simulations of a block are
 ordered policy by policy, (H x W, ...).
@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.worlds.environments import Tree
 
-_FEWER = 4
-"""A small block is as many times smaller than a large one."""
+_SHARE, _BLOCKS, _LANES = 3, 8, 16
+"""A block has a third of the episodes that it may have, or an eighth of all if that is more; a
+multiple of what a processor computes at once, so that no place in it is computed otherwise."""
 
 
 class Episodes(NamedTuple):
@@ -46,14 +47,10 @@ class Episodes(NamedTuple):
     seen: Callable[[Tree], tuple[Any, Any]]
 
 
-def widths(count: int, most: int) -> list[int]:
-    """Of the blocks for `count` episodes of each policy, at most `most` in a block."""
-    few = -(-most // _FEWER)
-    large, left = divmod(count, most)
-    small = -(-left // few)
-    if small * few >= most:
-        large, small = large + 1, 0
-    return [most] * large + [few] * small
+def size(count: int, most: int) -> int:
+    """Of the blocks for `count` episodes of each policy, where `most` may be in one."""
+    wanted = max(most // _SHARE, -(-count // _BLOCKS))
+    return min(count, most, -(-wanted // _LANES) * _LANES)
 
 
 def scores(
@@ -61,12 +58,14 @@ def scores(
 ) -> Array:
     """(H, N) scores; `on_part` is told how many of the H x N episodes have ended, now and then."""
     found = np.empty((episodes.policies, episodes.each))
-    sizes = widths(episodes.each, most)
-    numbers = np.arange(sum(sizes))
+    width = size(episodes.each, most)
+    numbers = np.arange(-(-episodes.each // width) * width)
     numbers[episodes.each :] = -1  # nobody's
-    each = _cut(np.tile(numbers, (episodes.policies, 1)), sizes)
+    each = _cut(np.tile(numbers, (episodes.policies, 1)), width)
     blocks = [(one, episodes.start(np.maximum(one, 0))) for one in each]
     for now in range(0, episodes.length, episodes.part):
+        if not blocks:
+            break
         stop, going = min(now + episodes.part, episodes.length), []
         for i, (own, state) in enumerate(blocks):
             state = episodes.go_on(state, np.maximum(own, 0), now, stop)
@@ -77,29 +76,27 @@ def scores(
             going.append((own >= 0) & ~over)
         alive = np.concatenate(going, axis=1)
         on_part(found.size - (int(alive.sum()) if stop < episodes.length else 0))
-        blocks = _closed_up(blocks, alive, most)
-        if not blocks:
-            break
+        blocks = _closed_up(blocks, alive, width)
     return found
 
 
-def _cut(whole: Any, sizes: list[int]) -> list[Any]:
+def _cut(whole: Any, width: int) -> list[Any]:
     """Along the second axis."""
-    return np.split(whole, np.cumsum(sizes)[:-1], axis=1)
+    return np.split(whole, whole.shape[1] // width, axis=1)
 
 
 def _closed_up(
-    blocks: list[tuple[NDArray[Any], Tree]], alive: NDArray[np.bool_], most: int
+    blocks: list[tuple[NDArray[Any], Tree]], alive: NDArray[np.bool_], width: int
 ) -> list[tuple[NDArray[Any], Tree]]:
-    """The blocks, or fewer and smaller ones for those that are alive, where that is enough."""
-    sizes = widths(int(alive.sum(axis=1).max()), most)
-    if not sizes or sum(sizes) >= alive.shape[1]:
-        return blocks if sizes else []
-    order = np.argsort(~alive, axis=1, kind="stable")[:, : sum(sizes)]
+    """The blocks, or fewer of them where that is enough for those that are alive."""
+    enough = -(-int(alive.sum(axis=1).max()) // width)
+    if enough in (0, len(blocks)):
+        return blocks[:enough]
+    order = np.argsort(~alive, axis=1, kind="stable")[:, : enough * width]
 
     def chosen(whole: NDArray[Any]) -> list[NDArray[Any]]:  # (H, all, ...) -> of each block
         at = order.reshape(*order.shape, *[1] * (whole.ndim - 2))
-        return _cut(np.take_along_axis(whole, at, axis=1), sizes)
+        return _cut(np.take_along_axis(whole, at, axis=1), width)
 
     def parted(*leaves: jax.Array) -> list[NDArray[Any]]:  # (H x W, ...) each
         wide = [np.asarray(x).reshape(len(alive), -1, *x.shape[1:]) for x in leaves]
