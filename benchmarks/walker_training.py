@@ -138,13 +138,16 @@ def looks_of(recipe: Any, steps: int, looks: int) -> tuple[int, int]:
     return every * looks, every
 
 
-def judged(policy: Any) -> float:
-    """Mean return in Gymnasium's environment, of the same episodes for all."""
+def judged(policy: Any, shown: Any = ()) -> float:
+    """Mean return in Gymnasium's environment, of the same episodes for all.
+
+    `shown` is what the policy sees of its context.
+    """
     env, returns = gymnasium_walker(), []
     for episode in range(EPISODES):
         seen, over, total = env.reset(seed=10_000 + episode)[0], False, 0.0
         while not over:
-            action, _ = policy.predict(seen, deterministic=True)
+            action, _ = policy.predict(np.append(seen, shown), deterministic=True)
             seen, reward, ended, out, _ = env.step(action)
             total, over = total + float(reward), ended or out
         returns.append(total)
@@ -170,7 +173,8 @@ def our_learning(seed: int, steps: int, looks: int) -> Iterator[Look]:
         )  # fmt: skip
         spent += time.process_time() - begin
         latest = engine.weights_of(training, Checkpoint.named("final"), ())
-        yield done, spent, judged(engine.export_policies(world, latest, recipe.activation)[0])
+        (policy,) = engine.export_policies(world, latest, recipe.activation)
+        yield done, spent, judged(policy, params.visible[0])
 
 
 def sb3_learning(same: bool, seed: int, steps: int, looks: int) -> Iterator[Look]:

@@ -11,7 +11,8 @@ ordered policy by policy, (H x W, ...).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
@@ -19,32 +20,19 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.worlds.environments import Tree
+from mbtl.worlds.world import Solo
 
 _SHARE, _BLOCKS, _LANES = 3, 8, 16
 """A block has a third of the episodes that it may have, or an eighth of all if that is more; a
 multiple of what a processor computes at once, so that no place in it is computed otherwise."""
 
 
-class Episodes(NamedTuple):
-    """What is played.
+PARTS = 20
+"""Of an episode, between which those that have ended make room."""
 
-    Attributes:
-        policies: H.
-        each: N.
-        length: decisions of an episode at most.
-        part: of them between two looks at what has ended.
-        start: (H, W) numbers of episodes -> their first states.
-        go_on: states, (H, W) numbers, first decision, and the one to stop at -> states then.
-        seen: states -> (H x W,) scores so far, and which of them have ended.
-    """
-
-    policies: int
-    each: int
-    length: int
-    part: int
-    start: Callable[[NDArray[Any]], Tree]
-    go_on: Callable[[Tree, NDArray[Any], int, int], Tree]
-    seen: Callable[[Tree], tuple[Any, Any]]
+Play = Callable[[Tree, NDArray[np.uint32], Tree, int, int], Tree]
+"""States, their (H, W) seeds and their parameters, first decision, and the one to stop at -> states
+then."""
 
 
 def size(count: int, most: int) -> int:
@@ -54,30 +42,64 @@ def size(count: int, most: int) -> int:
 
 
 def scores(
-    episodes: Episodes, most: int, on_part: Callable[[int], None] = lambda ended: None
+    world: Solo,
+    params: Tree,
+    seeds: NDArray[np.uint32],
+    policies: int,
+    most: int,
+    play: Play,
+    on_part: Callable[[int], None] = lambda ended: None,
 ) -> Array:
-    """(H, N) scores; `on_part` is told how many of the H x N episodes have ended, now and then."""
-    found = np.empty((episodes.policies, episodes.each))
-    width = size(episodes.each, most)
-    numbers = np.arange(-(-episodes.each // width) * width)
-    numbers[episodes.each :] = -1  # nobody's
-    each = _cut(np.tile(numbers, (episodes.policies, 1)), width)
-    blocks = [(one, episodes.start(np.maximum(one, 0))) for one in each]
-    for now in range(0, episodes.length, episodes.part):
+    """(H, N) scores of H policies in the episodes of all contexts and seeds, context by context.
+
+    Args:
+        world: the dynamics.
+        params: of the contexts, leading axis.
+        seeds: of the episodes in each.
+        policies: H.
+        most: simulations of a policy at once.
+        play: plays a part of the episodes.
+        on_part: told how many of the H x N episodes have ended, now and then.
+    """
+    drawn, where = world.draws(seeds), jax.tree.map(np.asarray, params)
+    length = world.decisions(params)
+    part = -(-length // PARTS) if world.ends_early else length
+
+    def contexts(own: NDArray[Any]) -> Tree:
+        return jax.tree.map(lambda x: x[own.ravel() // len(seeds)], where)
+
+    each = len(seeds) * len(params.visible)
+    found, width = np.empty((policies, each)), size(each, most)
+    numbers = np.arange(-(-each // width) * width)
+    numbers[each:] = -1  # nobody's
+    blocks: list[tuple[NDArray[Any], Tree]] = []
+    for own in _cut(np.tile(numbers, (policies, 1)), width):
+        blocks.append((own, _start(world, drawn[own.ravel() % len(seeds)], contexts(own))))
+    for now in range(0, length, part):
         if not blocks:
             break
-        stop, going = min(now + episodes.part, episodes.length), []
+        stop, going = min(now + part, length), []
         for i, (own, state) in enumerate(blocks):
-            state = episodes.go_on(state, np.maximum(own, 0), now, stop)
+            state = play(state, seeds[own % len(seeds)], contexts(own), now, stop)
             blocks[i] = own, state
-            score, over = (np.asarray(x).reshape(own.shape) for x in episodes.seen(state))
+            score, over = (np.asarray(x).reshape(own.shape) for x in _seen(world, state))
             policy, place = np.nonzero(own >= 0)
             found[policy, own[policy, place]] = score[policy, place]
             going.append((own >= 0) & ~over)
         alive = np.concatenate(going, axis=1)
-        on_part(found.size - (int(alive.sum()) if stop < episodes.length else 0))
+        on_part(found.size - (int(alive.sum()) if stop < length else 0))
         blocks = _closed_up(blocks, alive, width)
     return found
+
+
+@partial(jax.jit, static_argnums=0)
+def _start(world: Solo, drawn: jax.Array, params: Tree) -> Tree:
+    return world.start(drawn, params)
+
+
+@partial(jax.jit, static_argnums=0)
+def _seen(world: Solo, state: Tree) -> tuple[jax.Array, jax.Array]:
+    return world.score(state), world.over(state)
 
 
 def _cut(whole: Any, width: int) -> list[Any]:

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.episodic import episodes
-from mbtl.training.jax.episodic.episodes import Acting, Actor, actor_of, scores
+from mbtl.training.jax.episodic.episodes import Acting, Actor, actor_of, go_on, scores
 from mbtl.training.jax.multitask.table import seen
 from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
 from mbtl.worlds import ends
@@ -29,9 +28,6 @@ from mbtl.worlds.world import World, context_of, in_a_row, of_simulations
 
 CPU_ROWS = 400
 """Simulations of one small agent played together on a CPU: their activations stay in its cache."""
-
-PARTS = 20
-"""Of an episode, after each of which those that have ended make room."""
 
 DEVICE_ROWS = 1 << 20
 """The same on an accelerator: 256 MB for each layer of 64 units."""
@@ -122,8 +118,12 @@ def evaluate(
             told(done + ended * count // (height * len(seeds)), n_policies * n_contexts)
 
         if world.apart:
-            played = _apart(world, activation, how, some, own, params, height)
-            place[...] = ends.scores(played, width, on_part).reshape(height, *place.shape[1:])[:count]
+
+            def play(state: Tree, own: Any, where: Tree, *when: int, some: Actor = some) -> Tree:
+                return go_on(world, activation, how, some, own, where, state, *when)
+
+            found = ends.scores(world, params, own, height, width, play, on_part)
+            place[...] = found.reshape(height, *place.shape[1:])[:count]
             continue
         everyone = np.tile(own, (height, 1))
         for c in range(n_contexts):  # one at a time, as simulations cannot be told apart
@@ -132,45 +132,6 @@ def evaluate(
             place[:, c] = np.asarray(part)[:count]
             on_part((c + 1) * height * len(seeds))
     return returns
-
-
-def _apart(
-    world: World,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: NDArray[np.uint32],
-    params: Tree,
-    height: int,
-) -> ends.Episodes:
-    """Episodes of `height` policies on all contexts, of one context after the other."""
-    drawn, where = world.draws(seeds), jax.tree.map(np.asarray, params)
-    length, of_play = world.decisions(params), (world, activation, how, actor)
-    assert isinstance(length, int)
-
-    def contexts(numbers: NDArray[Any]) -> Tree:
-        return jax.tree.map(lambda x: x[numbers.reshape(-1) // len(seeds)], where)
-
-    def start(numbers: NDArray[Any]) -> Tree:
-        return _start(world, drawn[numbers.reshape(-1) % len(seeds)], contexts(numbers))
-
-    def go_on(state: Tree, numbers: NDArray[Any], first: int, stop: int) -> Tree:
-        own = seeds[numbers % len(seeds)]
-        return episodes.go_on(*of_play, own, contexts(numbers), state, first, stop)
-
-    part = -(-length // PARTS) if world.ends_early else length
-    whole = height, len(seeds) * len(params.visible), length, part
-    return ends.Episodes(*whole, start, go_on, partial(_seen, world))
-
-
-@partial(jax.jit, static_argnums=0)
-def _start(world: World, drawn: jax.Array, params: Tree) -> Tree:
-    return world.start(drawn, params)
-
-
-@partial(jax.jit, static_argnums=0)
-def _seen(world: World, state: Tree) -> tuple[jax.Array, jax.Array]:
-    return world.score(state), world.over(state)
 
 
 def evaluate_multitask(

@@ -92,7 +92,10 @@ def sin_cos(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 def turned(angle: jax.Array, x: Any, y: Any) -> jax.Array:
     """(2, ...) the vector (x, y), turned."""
-    sin, cos = sin_cos(angle)
+    return _turned(*sin_cos(angle), x, y)
+
+
+def _turned(sin: jax.Array, cos: jax.Array, x: Any, y: Any) -> jax.Array:
     return jnp.stack([cos * x - sin * y, sin * x + cos * y])
 
 
@@ -116,11 +119,11 @@ def body(centre: jax.Array, angles: jax.Array, scale: jax.Array) -> Body:
         scale: of the context.
     """
     cx, cy = offset(scale)
-    origin = centre - turned(angles[0], cx, cy)
-    to_hip = turned(angles[0], -cx, LEG_DOWN - cy)
+    sin, cos = sin_cos(angles)
+    origin = centre - _turned(sin[0], cos[0], cx, cy)
+    to_hip = _turned(sin[0], cos[0], -cx, LEG_DOWN - cy)
     hip = centre + to_hip
-    sin, cos = sin_cos(angles[1:])
-    down = _HALF * jnp.stack([sin, -cos])  # (2, 4), of each part
+    down = _HALF * jnp.stack([sin[1:], -cos[1:]])  # (2, 4), of each part
     thighs, shins = down[:, 0::2], down[:, 1::2]
     knees = hip[:, None] + 2.0 * thighs
     legs = jnp.stack([hip[:, None] + thighs, knees + shins], axis=2)  # (2, legs, parts)

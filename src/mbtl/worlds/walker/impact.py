@@ -109,7 +109,7 @@ def landed(
 
 def _arrival(far: Any) -> tuple[jax.Array, jax.Array]:
     """Share of the way at which `far` falls to `_STOP`, and whether it does; by false position."""
-    at_low, at_high = far(jnp.float32(0.0)), far(jnp.float32(1.0))
+    at_low, at_high = jax.vmap(far)(jnp.array([0.0, 1.0]))
     low, high = jnp.zeros_like(at_low), jnp.ones_like(at_low)
     near = at_low < _STOP + _TOLERANCE
     hit = (at_low > 0.0) & (near | (at_high < _STOP))
