@@ -1,9 +1,10 @@
 """BipedalWalker: what a step costs, and what training gives, beside Stable-Baselines3.
 
-    python benchmarks/walker_training.py [--part step rate learning] [--steps 1000000] [--seeds 3]
+    python benchmarks/walker_training.py [--part PARTS] [--steps 1000000] [--seeds 3]
 
 `step` is of one core: Gymnasium's BipedalWalker-v3, our environment alone, our walkers together,
 and what of that is Box2D, all with walking actions; the lower tenth of many short measurements.
+`twin` is a step of 160 walkers in jax, without networks, and how long it is compiled.
 `rate` trains for --seconds on every core at once, one process each: Stable-Baselines3 with its
 default PPO on Gymnasium's environment, and the recipe of the CMDP in the engine, with Box2D's
 walkers and with those in jax. Rates are steps per second of processor time, added up over cores,
@@ -99,6 +100,36 @@ def step_costs() -> dict[str, float]:
         found[f"our walkers, {n} together"] = least(together)
         found[f"of which Box2D, {n} together"] = least(alone)
     return found
+
+
+def twin_costs(n: int = 160, steps: int = 40) -> tuple[float, float]:
+    """Of n walkers in jax: microseconds of processor time of a step, and seconds of compiling."""
+    os.environ.update(NPROC="1", MBTL_COMPILATION_CACHE="off")
+    import mbtl.worlds as worlds
+    from mbtl.worlds.walker import BipedalWalker, WalkerParams
+
+    import jax  # isort: skip  # after mbtl, which sets its flags
+    import jax.numpy as jnp  # isort: skip
+
+    world, rng = worlds.Solo(BipedalWalker()), np.random.default_rng(0)
+    own = WalkerParams(*(jnp.full(n, x) for x in (10.0, 2.5, 30.0)), jnp.zeros((n, 0)))
+    action = jnp.asarray(rng.uniform(-1.0, 1.0, (n, 1, 4)), jnp.float32)
+    state = world.start(jnp.asarray(rng.random((n, 2)), jnp.float32), own)
+
+    def together(state: Any, count: Any) -> Any:
+        def one(_: Any, now: Any) -> Any:
+            return world.step(now, action, own).state
+
+        return jax.lax.fori_loop(0, count, one, state)
+
+    begin = time.process_time()
+    compiled = jax.jit(together).lower(state, 1).compile()
+    compiling, costs = time.process_time() - begin, []
+    for _ in range(5):
+        begin = time.process_time()
+        jax.block_until_ready(compiled(state, steps))
+        costs.append((time.process_time() - begin) / steps / n)
+    return min(costs) * 1e6, compiling
 
 
 def least(seconds: list[float]) -> float:
@@ -235,7 +266,7 @@ def learning(who: str, seeds: int, steps: int, looks: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parts = ("step", "rate", "learning")
+    parts = ("step", "twin", "rate", "learning")
     parser.add_argument("--part", nargs="+", choices=parts, default=list(parts))
     parser.add_argument("--seconds", type=float, default=60.0, help="of a rate")
     parser.add_argument("--who", nargs="+", choices=WHO, default=list(WHO), help="that learn")
@@ -248,6 +279,11 @@ def main() -> None:
         theirs = costs["Gymnasium's BipedalWalker"]
         for name, cost in costs.items():
             print(f"{name:32s} {cost:6.1f} us a step, {theirs / cost:4.1f} x", flush=True)
+    if "twin" in args.part:
+        cost, compiling = twin_costs()
+        print(
+            f"in jax, 160 together: {cost:.1f} us a step, compiled in {compiling:.0f} s", flush=True
+        )
     if "rate" in args.part:
         theirs = sum(on_every_core(sb3_rate, args.seconds))
         print(
