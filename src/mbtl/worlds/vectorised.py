@@ -12,9 +12,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.custom_batching import custom_vmap
+from jax import custom_batching
 
 from mbtl.worlds.environments import Tree
+
+
+_custom_vmap: Any = custom_batching.custom_vmap  # without types
 
 
 def batch_last(many: Callable[..., Tree]) -> Callable[..., Tree]:
@@ -23,9 +26,8 @@ def batch_last(many: Callable[..., Tree]) -> Callable[..., Tree]:
     Args:
         many: function of n simulations; n is the last axis of all arrays that it takes and gives.
     """
-    together = custom_vmap(many)
+    together = _custom_vmap(many)
 
-    @together.def_vmap
     def further(size: int, batched: Any, *args: Any) -> tuple[Tree, Tree]:  # (size, ..., n)
         def joined(x: jax.Array) -> jax.Array:
             return jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)
@@ -36,19 +38,21 @@ def batch_last(many: Callable[..., Tree]) -> Callable[..., Tree]:
         found = jax.tree.map(parted, together(*jax.tree.map(joined, _all(size, batched, args))))
         return found, jax.tree.map(lambda _: True, found)
 
-    @custom_vmap
     def one(*args: Any) -> Tree:
         found = together(*jax.tree.map(lambda x: jnp.asarray(x)[..., None], args))
         return jax.tree.map(lambda x: x[..., 0], found)
 
-    @one.def_vmap
     def first(size: int, batched: Any, *args: Any) -> tuple[Tree, Tree]:  # (size, ...)
         last = partial(jnp.moveaxis, source=0, destination=-1)
         found = together(*jax.tree.map(last, _all(size, batched, args)))
         found = jax.tree.map(partial(jnp.moveaxis, source=-1, destination=0), found)
         return found, jax.tree.map(lambda _: True, found)
 
-    return one
+    together.def_vmap(further)
+    alone = _custom_vmap(one)
+    alone.def_vmap(first)
+    vectorised: Callable[..., Tree] = alone
+    return vectorised
 
 
 def _all(size: int, batched: Any, args: Any) -> Any:
