@@ -16,7 +16,6 @@ from jax import custom_batching
 
 from mbtl.worlds.environments import Tree
 
-
 _custom_vmap: Any = custom_batching.custom_vmap  # without types
 
 
