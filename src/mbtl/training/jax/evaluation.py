@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ from mbtl.training.jax.multitask.table import seen
 from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
 from mbtl.worlds import ends
 from mbtl.worlds.environments import Tree
-from mbtl.worlds.world import World, context_of, in_a_row, of_simulations
+from mbtl.worlds.world import Solo, World, context_of, in_a_row, of_simulations
 
 CPU_ROWS = 400
 """Simulations of one small agent played together on a CPU: their activations stay in its cache."""
@@ -122,7 +122,7 @@ def evaluate(
             def play(state: Tree, own: Any, where: Tree, *when: int, some: Actor = some) -> Tree:
                 return go_on(world, activation, how, some, own, where, state, *when)
 
-            found = ends.scores(world, params, own, height, width, play, on_part)
+            found = ends.scores(cast(Solo, world), params, own, height, width, play, on_part)
             place[...] = found.reshape(height, *place.shape[1:])[:count]
             continue
         everyone = np.tile(own, (height, 1))

@@ -210,7 +210,8 @@ def _of_parts(bodies: jax.Array) -> jax.Array:
 def _rows(now: Body, points: Touch) -> tuple[jax.Array, jax.Array]:
     """(c, 7) rows along the ground and away from it."""
     hip, turn = now.hip[:, None], across(now.hip - now.centres[:, 0])[:, None]
-    along, away = [], []
+    along: list[jax.Array] = []
+    away: list[jax.Array] = []
     for begin, stop, part in _GROUPS:
         leg, shin = (part - 1) // 2, part % 2 == 0
         at, normals = points.points[:, begin:stop], points.normals[:, begin:stop]
