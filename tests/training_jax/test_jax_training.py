@@ -262,6 +262,7 @@ def test_the_size_of_blocks_does_not_change_returns(trained):
 def test_episodes_that_end_make_room_and_change_nothing(trained, monkeypatch):
     env, params, _, training = trained
     given = env, engine.actor_of(training.best), params, range(40)
+    monkeypatch.setattr(engine.Solo, "ends_early", True)
     closed_up = engine.evaluate(*given, rows=48)
     monkeypatch.setattr(ends, "PARTS", 1)
     np.testing.assert_array_equal(closed_up, engine.evaluate(*given, rows=48))

@@ -247,8 +247,11 @@ class Solo:
 
     @property
     def ends_early(self) -> bool:
-        """Whether an episode may be shorter than another, and its states can be moved."""
-        return self.storable and getattr(self.env, "lasts", None) != "horizon"
+        """Whether many episodes are much shorter than others, and their states can be moved.
+
+        Not where the environment says how long they are (`lasts`): those are played in one part.
+        """
+        return self.storable and not hasattr(self.env, "lasts")
 
     @property
     def drives(self) -> bool:
