@@ -1,16 +1,20 @@
 """BipedalWalker: what a step costs, and what training gives, beside Stable-Baselines3.
 
-    python benchmarks/walker_training.py [--part step rate learning] [--steps 1000000] [--seeds 1]
+    python benchmarks/walker_training.py [--part PARTS] [--steps 1000000] [--seeds 3]
 
 `step` is of one core: Gymnasium's BipedalWalker-v3, our environment alone, our walkers together,
 and what of that is Box2D, all with walking actions; the lower tenth of many short measurements.
+`twin` is a step of 160 walkers in jax, without networks, and how long it is compiled.
 `rate` trains for --seconds on every core at once, one process each: Stable-Baselines3 with its
 default PPO on Gymnasium's environment, and the recipe of the CMDP in the engine, with Box2D's
 walkers and with those in jax. Rates are steps per second of processor time, added up over cores,
 with learning and all else.
-`learning` trains Stable-Baselines3's and the walker in jax in the nominal context for as many
---steps, one after the other, and prints what policies return on the way, both in Box2D: mean
-actions, fresh episodes of 1000 steps.
+`learning` trains --who in the nominal context for as many --steps: `ours`, the recipe of the CMDP
+with the walker in jax; `same`, Stable-Baselines3's PPO with that recipe on Gymnasium's environment;
+and `default`, its PPO with its defaults. It prints, --looks times on the way, what policies return
+in Gymnasium's environment (mean actions, the same ten fresh episodes of 1000 steps) and the seconds
+of processor time that the trainings took, with compiling, without these looks. Trainings of the
+same kind take turns, so that an interrupted run has equal steps of all.
 """
 
 from __future__ import annotations
@@ -18,9 +22,10 @@ from __future__ import annotations
 import measure  # noqa: F401  first: threads
 
 import argparse  # isort: skip
-import functools
 import os
 import time
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,6 +34,7 @@ from rates import CORES, on_every_core
 
 HORIZON, EPISODES = 1000, 10
 NOMINAL = {"gravity": 10.0}
+WHO = ("ours", "same", "default")
 
 
 def gymnasium_walker() -> Any:
@@ -96,6 +102,36 @@ def step_costs() -> dict[str, float]:
     return found
 
 
+def twin_costs(n: int = 160, steps: int = 40) -> tuple[float, float]:
+    """Of n walkers in jax: microseconds of processor time of a step, and seconds of compiling."""
+    os.environ.update(NPROC="1", MBTL_COMPILATION_CACHE="off")
+    import mbtl.worlds as worlds
+    from mbtl.worlds.walker import BipedalWalker, WalkerParams
+
+    import jax  # isort: skip  # after mbtl, which sets its flags
+    import jax.numpy as jnp  # isort: skip
+
+    world, rng = worlds.Solo(BipedalWalker()), np.random.default_rng(0)
+    own = WalkerParams(*(jnp.full(n, x) for x in (10.0, 2.5, 30.0)), jnp.zeros((n, 0)))
+    action = jnp.asarray(rng.uniform(-1.0, 1.0, (n, 1, 4)), jnp.float32)
+    state = world.start(jnp.asarray(rng.random((n, 2)), jnp.float32), own)
+
+    def together(state: Any, count: Any) -> Any:
+        def one(_: Any, now: Any) -> Any:
+            return world.step(now, action, own).state
+
+        return jax.lax.fori_loop(0, count, one, state)
+
+    begin = time.process_time()
+    compiled = jax.jit(together).lower(state, 1).compile()
+    compiling, costs = time.process_time() - begin, []
+    for _ in range(5):
+        begin = time.process_time()
+        jax.block_until_ready(compiled(state, steps))
+        costs.append((time.process_time() - begin) / steps / n)
+    return min(costs) * 1e6, compiling
+
+
 def least(seconds: list[float]) -> float:
     """Microseconds: the lower tenth, which other processes on the machine disturb least."""
     return float(np.quantile(seconds, 0.1)) * 1e6
@@ -123,66 +159,131 @@ def our_rate(engine: str, seconds: float, barrier: Any) -> float:
 # ---- learning --------------------------------------------------------------------------------
 
 
-def our_learning(seed: int, steps: int) -> list[tuple[int, float, float]]:
-    """(steps, processor seconds, mean return of the latest policy in Box2D) on the way."""
+Look = tuple[int, float, float]
+"""Steps so far, seconds of processor time that they took, mean return of the latest policy."""
+
+
+def looks_of(recipe: Any, steps: int, looks: int) -> tuple[int, int]:
+    """Steps of a whole training and between two looks, in whole updates of our recipe."""
+    every = steps // looks // recipe.update_length * recipe.update_length
+    return every * looks, every
+
+
+def judged(policy: Any, shown: Any = ()) -> float:
+    """Mean return in Gymnasium's environment, of the same episodes for all.
+
+    `shown` is what the policy sees of its context.
+    """
+    env, returns = gymnasium_walker(), []
+    for episode in range(EPISODES):
+        seen, over, total = env.reset(seed=10_000 + episode)[0], False, 0.0
+        while not over:
+            action, _ = policy.predict(np.append(seen, shown), deterministic=True)
+            seen, reward, ended, out, _ = env.step(action)
+            total, over = total + float(reward), ended or out
+        returns.append(total)
+    return float(np.mean(returns))
+
+
+def our_learning(seed: int, steps: int, looks: int) -> Iterator[Look]:
+    """Of the walker in jax."""
+    os.environ["NPROC"] = "1"
     import mbtl.training.jax as engine
     from mbtl.checkpoints import Checkpoint
     from mbtl.cmdps import get_cmdp
 
     trainer = get_cmdp("walker-gravity", engine="jax").trainer
-    judge = get_cmdp("walker-gravity", engine="gymnasium-jax").trainer_for(eval_episodes=EPISODES)
-    world, params = trainer.problem([NOMINAL])
-    begin, found = time.process_time(), []
-
-    def on_block(block: engine.Block) -> None:
-        now = time.process_time() - begin
-        latest = engine.weights_of(block.training, Checkpoint.named("final"), ())
-        (policy,) = engine.export_policies(world, latest, trainer.learner.activation)
-        found.append((block.steps, now, float(judge.evaluate(policy, [NOMINAL], seed).mean())))
-        print(
-            f"  ours, seed {seed}: {block.steps} steps, {now:.0f} s, {found[-1][2]:.0f}", flush=True
-        )
-
-    engine.train(
-        world, trainer.learner, [seed], params, steps,
-        checkpoint_every=steps // 10, checkpoint_episodes=EPISODES, on_block=on_block,
-    )  # fmt: skip
-    return found
+    recipe, (world, params) = trainer.learner, trainer.problem([NOMINAL])
+    total, every = looks_of(recipe, steps, looks)
+    training, spent = None, 0.0
+    for done in range(every, total + 1, every):
+        begin = time.process_time()
+        training = engine.train(
+            world, recipe, [seed], params, total,
+            resume=training, until=done, judging=False,
+        )  # fmt: skip
+        spent += time.process_time() - begin
+        latest = engine.weights_of(training, Checkpoint.named("final"), ())
+        (policy,) = engine.export_policies(world, latest, recipe.activation)
+        yield done, spent, judged(policy, params.visible[0])
 
 
-def sb3_learning(seed: int, steps: int) -> list[tuple[int, float, float]]:
-    """Likewise."""
-    model, env = sb3_model(seed), gymnasium_walker()
-    begin, found = time.process_time(), []
-    for _ in range(10):
-        model.learn(steps // 10, reset_num_timesteps=False)
-        now, returns = time.process_time() - begin, []
-        for episode in range(EPISODES):
-            seen, over, total = env.reset(seed=10_000 + episode)[0], False, 0.0
-            while not over:
-                action, _ = model.predict(seen, deterministic=True)
-                seen, reward, ended, out, _ = env.step(action)
-                total, over = total + float(reward), ended or out
-            returns.append(total)
-        found.append((model.num_timesteps, now, float(np.mean(returns))))
-        line = f"{found[-1][0]} steps, {now:.0f} s, {found[-1][2]:.0f}"
-        print(f"  Stable-Baselines3, seed {seed}: {line}", flush=True)
-    return found
+def sb3_learning(same: bool, seed: int, steps: int, looks: int) -> Iterator[Look]:
+    """Of Stable-Baselines3, with our recipe or its own."""
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.env_util import make_vec_env
+    from torch import nn
+
+    from mbtl.cmdps import get_cmdp
+
+    torch.set_num_threads(1)
+    recipe = get_cmdp("walker-gravity", engine="jax").trainer.learner
+    total, every = looks_of(recipe, steps, looks)
+    if same:
+        assert (recipe.activation, recipe.standardize) == ("tanh", False)
+        model = PPO(
+            "MlpPolicy", make_vec_env(gymnasium_walker, recipe.n_envs, seed=seed), device="cpu",
+            seed=seed, n_steps=recipe.n_steps, batch_size=recipe.batch_size,
+            n_epochs=recipe.n_epochs, gamma=recipe.gamma, gae_lambda=recipe.gae_lambda,
+            clip_range=recipe.clip_range, ent_coef=recipe.entropy_coef, vf_coef=recipe.value_coef,
+            max_grad_norm=recipe.max_grad_norm, normalize_advantage=recipe.normalize_advantage,
+            learning_rate=recipe.learning_rate,
+            policy_kwargs={
+                "net_arch": list(recipe.hidden), "activation_fn": nn.Tanh,
+                "log_std_init": recipe.log_std, "optimizer_kwargs": {"eps": recipe.adam_eps},
+            },
+        )  # fmt: skip
+        if recipe.anneal:  # over the whole training, of which `learn` knows a part at a time
+            left = total + recipe.update_length
+            model.lr_schedule = lambda _: (
+                recipe.learning_rate * (left - model.num_timesteps) / total
+            )
+    else:
+        model = sb3_model(seed)
+    spent = 0.0
+    for done in range(every, total + 1, every):
+        begin = time.process_time()
+        model.learn(every, reset_num_timesteps=False)
+        spent += time.process_time() - begin
+        assert model.num_timesteps == done
+        yield done, spent, judged(model)
+
+
+def learning(who: str, seeds: int, steps: int, looks: int) -> None:
+    """Prints a line per look: steps, mean return and seconds of each seed."""
+    made = {
+        "ours": our_learning,
+        "same": partial(sb3_learning, True),
+        "default": partial(sb3_learning, False),
+    }[who]
+    print(f"{who}: steps; returns by seed, mean; processor seconds of all seeds", flush=True)
+    for together in zip(*(made(seed, steps, looks) for seed in range(seeds)), strict=True):
+        returns, spent = [look[2] for look in together], sum(look[1] for look in together)
+        each = " ".join(f"{x:7.1f}" for x in returns)
+        print(f"{together[0][0]:8d}; {each}, {np.mean(returns):7.1f}; {spent:6.0f}", flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parts = ("step", "rate", "learning")
+    parts = ("step", "twin", "rate", "learning")
     parser.add_argument("--part", nargs="+", choices=parts, default=list(parts))
     parser.add_argument("--seconds", type=float, default=60.0, help="of a rate")
+    parser.add_argument("--who", nargs="+", choices=WHO, default=list(WHO), help="that learn")
     parser.add_argument("--steps", type=int, default=1_000_000, help="of a training")
-    parser.add_argument("--seeds", type=int, default=1, help="trainings of each")
+    parser.add_argument("--looks", type=int, default=10, help="at a training")
+    parser.add_argument("--seeds", type=int, default=3, help="trainings of each")
     args = parser.parse_args()
     if "step" in args.part:
         costs = step_costs()
         theirs = costs["Gymnasium's BipedalWalker"]
         for name, cost in costs.items():
             print(f"{name:32s} {cost:6.1f} us a step, {theirs / cost:4.1f} x", flush=True)
+    if "twin" in args.part:
+        cost, compiling = twin_costs()
+        print(
+            f"in jax, 160 together: {cost:.1f} us a step, compiled in {compiling:.0f} s", flush=True
+        )
     if "rate" in args.part:
         theirs = sum(on_every_core(sb3_rate, args.seconds))
         print(
@@ -193,8 +294,8 @@ def main() -> None:
             rate = sum(on_every_core(our_rate, engine, args.seconds))
             print(f"{name}: {rate:.0f}, {rate / theirs:.1f} x", flush=True)
     if "learning" in args.part:
-        for seed, work in ((s, w) for s in range(args.seeds) for w in (our_learning, sb3_learning)):
-            functools.partial(work, seed, args.steps)()
+        for who in args.who:
+            learning(who, args.seeds, args.steps, args.looks)
 
 
 if __name__ == "__main__":

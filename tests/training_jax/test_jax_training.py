@@ -20,6 +20,7 @@ from mbtl.errors import InvalidInput, StorageError, TrainingFailed, UnknownName
 from mbtl.portfolio import MLPPolicy
 from mbtl.training.jax import blocks, networks, ppo
 from mbtl.training.jax.rollout import draw, play
+from mbtl.worlds import ends
 from mbtl.worlds.environments import Box, Discrete
 from mbtl.worlds.flags import settings
 
@@ -249,11 +250,22 @@ def test_the_size_of_blocks_does_not_change_returns(trained):
     params = jax.tree.map(lambda x: np.concatenate([x, x[:1]]), params)
     blocks = []
     small = engine.evaluate(env, actor, params, seeds, rows=6, on_block=lambda *b: blocks.append(b))
-    assert blocks == [(2, 6), (3, 6), (5, 6), (6, 6)]
+    assert blocks == sorted(blocks)
+    assert {planned for _, planned in blocks} == {6}
+    assert blocks[-1] == (6, 6)
     np.testing.assert_allclose(small, engine.evaluate(env, actor, params, seeds), rtol=1e-3)
     np.testing.assert_array_equal(small[:, 0], small[:, 2])
     actors = engine.import_actor(engine.export_policies(env, training.best))
     np.testing.assert_array_equal(small, engine.evaluate(env, actors, params, seeds, rows=6))
+
+
+def test_episodes_that_end_make_room_and_change_nothing(trained, monkeypatch):
+    env, params, _, training = trained
+    given = env, engine.actor_of(training.best), params, range(40)
+    monkeypatch.setattr(engine.Solo, "ends_early", True)
+    closed_up = engine.evaluate(*given, rows=48)
+    monkeypatch.setattr(ends, "PARTS", 1)
+    np.testing.assert_array_equal(closed_up, engine.evaluate(*given, rows=48))
 
 
 def test_exported_policies_act_as_in_jax_and_survive_saving(trained, tmp_path):
@@ -344,6 +356,7 @@ def test_who_has_started_jax_without_them_is_told_so_once():
 
 HUNDRED = """
 import mbtl.training.jax as engine
+from mbtl.training.jax import evaluation
 env = engine.Solo(engine.CartPole())
 from mbtl.cmdps import cartpole
 constants = cartpole.derive(cartpole.CartPole.FEATURES)

@@ -246,6 +246,14 @@ class Solo:
         return bool(getattr(self.env, "storable", True))
 
     @property
+    def ends_early(self) -> bool:
+        """Whether many episodes are much shorter than others, and their states can be moved.
+
+        Not where the environment says how long they are (`lasts`): those are played in one part.
+        """
+        return self.storable and not hasattr(self.env, "lasts")
+
+    @property
     def drives(self) -> bool:
         """Whether the environment has an action that is none, `idle`."""
         return hasattr(self.env, "idle")

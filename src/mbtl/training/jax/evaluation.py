@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import jax
 import jax.numpy as jnp
@@ -19,11 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.episodic.episodes import Acting, Actor, actor_of, scores
+from mbtl.training.jax.episodic.episodes import Acting, Actor, actor_of, go_on, scores
 from mbtl.training.jax.multitask.table import seen
 from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
+from mbtl.worlds import ends
 from mbtl.worlds.environments import Tree
-from mbtl.worlds.world import World, context_of, in_a_row, of_simulations
+from mbtl.worlds.world import Solo, World, context_of, in_a_row, of_simulations
 
 CPU_ROWS = 400
 """Simulations of one small agent played together on a CPU: their activations stay in its cache."""
@@ -40,36 +41,6 @@ def on_cpu() -> bool:
     return bool(jax.default_backend() == "cpu")
 
 
-Axes = tuple[int | None, int | None, int | None, int | None]
-"""Of `jax.vmap`, for an actor, the seeds of its episodes, what they draw, and a context."""
-
-_ALL: Axes = (0, 0, 0, 0)
-_CONTEXTS: Axes = (None, None, None, 0)
-_POLICIES: Axes = (0, None, None, None)
-
-
-@partial(jax.jit, static_argnums=(0, 1, 2, 3))
-def _vectorised(
-    axes: tuple[Axes, ...],
-    world: World,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: jax.Array,
-    drawn: jax.Array,
-    params: Tree,
-) -> jax.Array:
-    """(..., E) scores in one program; innermost axis first."""
-
-    def one(actor: Actor, seeds: jax.Array, drawn: jax.Array, params: Tree) -> jax.Array:
-        alone = jax.tree.map(lambda x: x[None], (actor, seeds, drawn))
-        return scores(world, activation, how, *alone, params, world.decisions(params))[0]
-
-    for axis in axes:
-        one = jax.vmap(one, axis)
-    return one(actor, seeds, drawn, params)
-
-
 def own_scores(
     world: World,
     activation: Activation,
@@ -84,14 +55,6 @@ def own_scores(
     the first are for the first context.
     """
     drawn, actor = world.draws(seeds), actor._replace(critic=())
-    if world.apart:
-        if params.visible.ndim == 2:
-            return _vectorised((_ALL,), world, activation, how, actor, seeds, drawn, params)
-        shape = params.visible.shape[:2]
-        dealt = (x.reshape(*shape, -1, *x.shape[2:]) for x in (seeds, drawn))
-        axes = ((None, 0, 0, 0), _ALL)
-        returns = _vectorised(axes, world, activation, how, actor, *dealt, params)
-        return returns.reshape(len(returns), -1)
     every = of_simulations(params, seeds.shape[1])
     decisions = world.decisions(in_a_row(params))
     found: jax.Array = scores(world, activation, how, actor, seeds, drawn, every, decisions)
@@ -141,26 +104,33 @@ def evaluate(
     rows = most if rows is None else rows
     if rows is None:
         rows = (CPU_ROWS if world.apart else n_policies * len(seeds)) if on_cpu() else DEVICE_ROWS
-    width = max(1, min(n_contexts, rows // len(seeds))) if world.apart else 1
-    height = max(1, min(n_policies, rows // (width * len(seeds))))
+    together = n_contexts * len(seeds) if world.apart else len(seeds)  # of a policy
+    width = min(together, rows)
+    height = max(1, min(n_policies, rows // width))
     own, actor = np.array(seeds, np.uint32), actor._replace(critic=())
     returns = np.empty((n_policies, n_contexts, len(seeds)))
-    done = 0
+    told = on_block or (lambda done, planned: None)
     for p in range(0, n_policies, height):
-        some = _take(actor, p, height)
-        for c in range(0, n_contexts, width):
-            played = (world, activation, how, some)
-            if world.apart:
-                where = _take(params, c, width)
-                part = _vectorised((_CONTEXTS, _POLICIES), *played, own, world.draws(own), where)
-            else:  # one context at a time, as simulations cannot be told apart
-                everyone = np.tile(own, (height, 1))
-                part = own_scores(*played, everyone, context_of(params, c))[:, None]
-            target = returns[p : p + height, c : c + width]
-            target[...] = np.asarray(part)[: target.shape[0], : target.shape[1]]
-            done += target.shape[0] * target.shape[1]
-            if on_block is not None:
-                on_block(done, n_policies * n_contexts)
+        some, place = _take(actor, p, height), returns[p : p + height]
+        count, done = len(place), p * n_contexts
+
+        def on_part(ended: int, height: int = height, count: int = count, done: int = done) -> None:
+            told(done + ended * count // (height * len(seeds)), n_policies * n_contexts)
+
+        if world.apart:
+
+            def play(state: Tree, own: Any, where: Tree, *when: int, some: Actor = some) -> Tree:
+                return go_on(world, activation, how, some, own, where, state, *when)
+
+            found = ends.scores(cast(Solo, world), params, own, height, width, play, on_part)
+            place[...] = found.reshape(height, *place.shape[1:])[:count]
+            continue
+        everyone = np.tile(own, (height, 1))
+        for c in range(n_contexts):  # one at a time, as simulations cannot be told apart
+            where = context_of(params, c)
+            part = own_scores(world, activation, how, some, everyone, where)
+            place[:, c] = np.asarray(part)[:count]
+            on_part((c + 1) * height * len(seeds))
     return returns
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from mbtl.worlds.walker.body import across
+from mbtl.worlds.walker.body import across, dot
 from mbtl.worlds.walker.contact import Box, apart, below, deepest, touch
 from mbtl.worlds.walker.impulses import SLOP, Ground, Rows
 
@@ -43,52 +43,48 @@ class Landed(NamedTuple):
 
 def landed(
     box: Box,
-    centre: jax.Array,
-    angle: jax.Array,
+    then: Box,
     moving: jax.Array,
-    inertia: tuple[jax.Array, jax.Array],
+    inertia: jax.Array,
     heights: jax.Array,
     friction: jax.Array,
     step: float,
 ) -> Landed:
-    """Where a part is that would be at (centre, angle).
+    """Where parts of legs are, of n walkers; shapes (..., parts, n), see `Landed`.
 
     Args:
-        box: where it was.
-        centre: (2,) [m].
-        angle: [rad].
-        moving: (3,) its speeds.
-        inertia: mass [kg] and moment [kg m^2].
+        box: where each was.
+        then: where it would be.
+        moving: (3, parts, n) its speeds.
+        inertia: (3, parts, n) mass [kg], again, and moment [kg m^2].
         heights: of the ground.
         friction: between the two.
         step: its length [s].
     """
-    first, ends = below(box, heights, Box(centre, angle, box.width))
+    first, ends = below(box, heights, then)
+    way, turn = then.centre - box.centre, then.angle - box.angle
+    pieces: Box = jax.tree.map(lambda x: jnp.expand_dims(x, -2), box)
 
-    def on_the_way(share: jax.Array) -> Box:
-        return Box(
-            box.centre + share * (centre - box.centre),
-            box.angle + share * (angle - box.angle),
-            box.width,
-        )
+    def on_the_way(share: jax.Array, way: jax.Array, turn: jax.Array, box: Box) -> Box:
+        return Box(box.centre + share * way, box.angle + share * turn, box.width)
 
-    share, hit = jax.vmap(lambda piece: _arrival(lambda s: apart(on_the_way(s), piece)))(ends)
-    share = jnp.where(hit, share, 1.0).min()
-    there = on_the_way(share)
-    touches = jax.vmap(touch, (None, 0))(there, ends)
-    points = deepest(touches, 1)
-    hit = hit.any() & points.valid.any()
+    own = way[:, :, None], turn[:, None], pieces
+    share, hit = _arrival(lambda share: apart(on_the_way(share, *own), ends))  # (parts, m, n)
+    share = jnp.where(hit, share, 1.0).min(axis=-2)
+    there = on_the_way(share, way, turn, box)
+    touches = touch(jax.tree.map(lambda x: jnp.expand_dims(x, -2), there), ends)
+    (points,) = deepest(touches, 1)
+    hit = hit.any(axis=-2) & points.valid.any(axis=0)
+    arms = across(points.points - there.centre[:, None])  # (2, ends, parts, n)
 
-    mass, moment = inertia
-    inverse = jnp.diag(1.0 / jnp.stack([mass, mass, moment]))
-    along, away = -across(points.normals), points.normals
-    arms = across(points.points - there.centre)
+    def row(directions: jax.Array) -> Rows:
+        rows = jnp.stack([*directions, dot(arms, directions)], axis=1)
+        effect = rows / inertia
+        size = dot(jnp.swapaxes(rows, 0, 1), jnp.swapaxes(effect, 0, 1))
+        valid = points.valid
+        return Rows(rows, effect, jnp.where(valid, 1.0 / jnp.where(valid, size, 1.0), 0.0))
 
-    def row(way: jax.Array) -> Rows:
-        turn = (arms * way).sum(-1, keepdims=True)
-        return Rows.of(jnp.concatenate([way, turn], axis=1), inverse, points.valid)
-
-    ground = Ground(row(along), row(away), friction)
+    ground = Ground(row(-across(points.normals)), row(points.normals), friction)
 
     def lift(_: int, moved: jax.Array) -> jax.Array:
         further = ground.lift(moved, points.gaps, 0.75)
@@ -97,32 +93,36 @@ def landed(
     def push(_: int, carry: Any) -> Any:
         return ground.push(*carry)
 
-    lifted = jax.lax.fori_loop(0, _LIFTS, lift, jnp.zeros(3))
+    lifted = jax.lax.fori_loop(0, _LIFTS, lift, jnp.zeros_like(moving))
     speed, _ = jax.lax.fori_loop(0, _ROUNDS, push, (moving, ground.untouched()))
     left = step * (1.0 - share)
     end = there.centre + lifted[:2] + left * speed[:2], there.angle + lifted[2] + left * speed[2]
     return Landed(
-        jnp.where(hit, end[0], centre),
-        jnp.where(hit, end[1], angle),
+        jnp.where(hit, end[0], then.centre),
+        jnp.where(hit, end[1], then.angle),
         jnp.where(hit, speed, moving),
         hit,
         first,
-        touches.valid.any(-1) & hit,
+        touches.valid.any(axis=0) & hit[:, None],  # (parts, m, n)
     )
 
 
 def _arrival(far: Any) -> tuple[jax.Array, jax.Array]:
     """Share of the way at which `far` falls to `_STOP`, and whether it does; by false position."""
-    low, high = jnp.float32(0.0), jnp.float32(1.0)
-    at_low, at_high = far(low), far(high)
+    at_low, at_high = jax.vmap(far)(jnp.array([0.0, 1.0]))
+    low, high = jnp.zeros_like(at_low), jnp.ones_like(at_low)
     near = at_low < _STOP + _TOLERANCE
     hit = (at_low > 0.0) & (near | (at_high < _STOP))
-    share = low
-    for _ in range(_LOOKS):
+
+    def look(_: int, found: Any) -> Any:
+        share, low, high, at_low, at_high = found
         fall = jnp.maximum(at_low - at_high, 1e-9)
         share = jnp.clip(low + (at_low - _STOP) / fall * (high - low), low, high)
         now = far(share)
         before = now > _STOP
         low, at_low = jnp.where(before, share, low), jnp.where(before, now, at_low)
         high, at_high = jnp.where(before, high, share), jnp.where(before, at_high, now)
+        return share, low, high, at_low, at_high
+
+    share = jax.lax.fori_loop(0, _LOOKS, look, (low, low, high, at_low, at_high))[0]
     return jnp.where(near, 0.0, share), hit

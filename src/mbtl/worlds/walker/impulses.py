@@ -4,7 +4,7 @@ Box2D's equations and its order. As joints hold exactly here, and only they make
 converge, a sixth of Box2D's 180 rounds is enough.
 
 Notation: d numbers move a thing; r rows, each a direction in which something moves, as fast as
-row . u.
+row . u. Shapes are of one walker; those of many come last, see `body`.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+
+from mbtl.worlds.walker.body import dot
 
 ROUNDS = 30
 SLOP, FURTHEST = 0.005, 0.2
@@ -35,13 +37,13 @@ class Rows(NamedTuple):
     @classmethod
     def of(cls, row: jax.Array, inverse: jax.Array, valid: jax.Array | bool = True) -> Rows:
         """Rows of a thing with a mass matrix whose inverse is (d, d)."""
-        effect = (row[:, :, None] * inverse[None]).sum(1)
-        size = (row * effect).sum(-1)
+        effect = dot([row[:, i, None] for i in range(len(inverse))], inverse)
+        size = dot(jnp.swapaxes(row, 0, 1), jnp.swapaxes(effect, 0, 1))
         return cls(row, effect, jnp.where(valid, 1.0 / jnp.where(valid, size, 1.0), 0.0))
 
-    def along(self, u: jax.Array) -> jax.Array:
-        """How fast each moves, of (r,) rows or of one."""
-        return (self.row * u).sum(-1)
+    def along(self, number: int, u: jax.Array) -> jax.Array:
+        """How fast the thing moves along one of them; in a round, where each sum is one kernel."""
+        return (self.row[number] * u).sum(axis=0)
 
 
 class Ground(NamedTuple):
@@ -53,36 +55,33 @@ class Ground(NamedTuple):
 
     def push(self, u: jax.Array, pushed: Any) -> tuple[jax.Array, Any]:
         """One round: friction, at most in proportion to the pressure, then pressure."""
-
-        def point(u: jax.Array, own: Any) -> tuple[jax.Array, Any]:
-            along, away, rubbed, pressed = own
+        along, away, after = self.along, self.away, []
+        for i, (rubbed, pressed) in enumerate(pushed):
             most = self.friction * pressed
-            rub = jnp.clip(rubbed - along.along(u) * along.ease, -most, most)
-            u = u + along.effect * (rub - rubbed)
-            press = jnp.maximum(pressed - away.along(u) * away.ease, 0.0)
-            return u + away.effect * (press - pressed), (rub, press)
-
-        after: tuple[jax.Array, Any] = jax.lax.scan(point, u, (self.along, self.away, *pushed))
-        return after
+            rub = jnp.clip(rubbed - along.along(i, u) * along.ease[i], -most, most)
+            u = u + along.effect[i] * (rub - rubbed)
+            press = jnp.maximum(pressed - away.along(i, u) * away.ease[i], 0.0)
+            u = u + away.effect[i] * (press - pressed)
+            after.append((rub, press))
+        return u, after
 
     def untouched(self) -> Any:
         """Impulses before the first round."""
-        none = jnp.zeros_like(self.away.ease)
-        return none, none
+        none = jnp.zeros_like(self.away.ease[0])
+        return [(none, none)] * len(self.away.ease)
 
     def lift(self, moved: jax.Array, gaps: jax.Array, share: float) -> jax.Array:
         """One round of moving things out of the ground, `share` of the overlap at a time."""
-
-        def point(moved: jax.Array, own: Any) -> tuple[jax.Array, None]:
-            away, gap = own
-            wrong = share * (gap + away.along(moved) + SLOP)
-            return moved - away.effect * jnp.clip(wrong, -FURTHEST, 0.0) * away.ease, None
-
-        return jax.lax.scan(point, moved, (self.away, gaps))[0]
+        away = self.away
+        for i in range(len(gaps)):
+            wrong = share * (gaps[i] + dot(away.row[i], moved) + SLOP)
+            moved = moved - away.effect[i] * (jnp.clip(wrong, -FURTHEST, 0.0) * away.ease[i])
+        return moved
 
     def overlap(self, moved: jax.Array, gaps: jax.Array) -> jax.Array:
         """The deepest one that is left, <= 0 [m]."""
-        return jnp.where(self.away.ease > 0.0, gaps + self.away.along(moved), 0.0).min()
+        left = gaps + dot(jnp.swapaxes(self.away.row, 0, 1), moved[:, None])
+        return jnp.where(self.away.ease > 0.0, left, 0.0).min(axis=0)
 
 
 class Joints(NamedTuple):
@@ -102,21 +101,22 @@ class Joints(NamedTuple):
 
     def push(self, u: jax.Array, pushed: Any) -> tuple[jax.Array, Any]:
         """One round: motors, as strong as they may be, then limits."""
-
-        def motor(u: jax.Array, own: Any) -> tuple[jax.Array, jax.Array]:
-            rows, wanted, most, before = own
-            after = jnp.clip(before + (wanted - rows.along(u)) * rows.ease, -most, most)
-            return u + rows.effect * (after - before), after
-
-        def limit(u: jax.Array, own: Any) -> tuple[jax.Array, jax.Array]:
-            rows, before = own
-            after = jnp.maximum(before - rows.along(u) * rows.ease, 0.0)
-            return u + rows.effect * (after - before), after
-
-        driven, held = pushed
-        u, driven = jax.lax.scan(motor, u, (self.motors, self.wanted, self.strongest, driven))
-        u, held = jax.lax.scan(limit, u, (self.limits, held))
+        driven, held = [], []
+        for i, before in enumerate(pushed[0]):
+            short = (self.wanted[i] - self.motors.along(i, u)) * self.motors.ease[i]
+            most = self.strongest[i]
+            driven.append(jnp.clip(before + short, -most, most))
+            u = u + self.motors.effect[i] * (driven[-1] - before)
+        for i, before in enumerate(pushed[1]):
+            back = self.limits.along(i, u) * self.limits.ease[i]
+            held.append(jnp.maximum(before - back, 0.0))
+            u = u + self.limits.effect[i] * (held[-1] - before)
         return u, (driven, held)
+
+    def still(self) -> Any:
+        """Impulses before the first round."""
+        none = [jnp.zeros_like(self.wanted[0])] * len(self.wanted)
+        return none, none
 
 
 def settled(u: jax.Array, joints: Joints, ground: Ground, rounds: int = ROUNDS) -> jax.Array:
@@ -128,6 +128,6 @@ def settled(u: jax.Array, joints: Joints, ground: Ground, rounds: int = ROUNDS) 
         u, pressed = ground.push(u, pressed)
         return u, turned, pressed
 
-    start = u, (jnp.zeros(4), jnp.zeros(4)), ground.untouched()
+    start = u, joints.still(), ground.untouched()
     settled: jax.Array = jax.lax.fori_loop(0, rounds, one, start)[0]
     return settled

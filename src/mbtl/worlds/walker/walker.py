@@ -90,7 +90,7 @@ class BipedalWalker:
             hull + other_hip,
             hull + other_hip + other_knee,
         ]
-        origin = jnp.stack([ground.STEP * ground.FLAT / 2.0, ground.HEIGHT + height])
+        origin = jnp.stack([jnp.float32(ground.STEP * ground.FLAT / 2.0), ground.HEIGHT + height])
         centre = origin + turned(hull, *offset(params.scale))
         angles = jnp.stack(turns)
         push = (-_PUSH + 2.0 * _PUSH * luck[-1]) / FPS
@@ -152,7 +152,7 @@ def _progress(state: WalkerState, params: WalkerParams) -> jax.Array:
 def _lies(now: Body, state: WalkerState, params: WalkerParams) -> jax.Array:
     """Whether the hull touches the ground."""
     corners = jnp.asarray(HULL, jnp.float32) / params.scale
-    at = now.origin + turned(state.angles[0], corners[:, 0], corners[:, 1])  # (5, 2), clockwise
+    at = now.origin + turned(state.angles[0], *corners.T).T  # (5, 2), clockwise
     piece = jnp.clip(jnp.floor(at[:, 0] / ground.STEP), 0, ground.POINTS - 2).astype(jnp.int32)
     left, right = state.heights[piece], state.heights[piece + 1]
     level = left + (right - left) * (at[:, 0] / ground.STEP - piece)
@@ -160,7 +160,7 @@ def _lies(now: Body, state: WalkerState, params: WalkerParams) -> jax.Array:
     corner = above & (at[:, 1] - level < SKIN)
     first = ground.number(now.origin[0] - ground.STEP * _HULL_PIECES / 2.0, _HULL_PIECES)
     points = ground.pieces(state.heights, first, _HULL_PIECES)
-    outward = across(jnp.roll(at, -1, axis=0) - at)
+    outward = across((jnp.roll(at, -1, axis=0) - at).T).T
     outward = outward / jnp.sqrt((outward * outward).sum(-1, keepdims=True))
     out = ((points[:, None] - at[None]) * outward[None]).sum(-1).max(-1)
     return corner.any() | (out < SKIN).any()

@@ -191,6 +191,24 @@ def scores(
     One compiled program serves all contexts, one after the other or, in beats, together; it ends as
     soon as all episodes have. The numbers of `decisions` need not be static.
     """
+    state = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
+    end = go_on(twin, activation, how, actor, seeds, params, state, 0, decisions)
+    return twin.score(end).reshape(seeds.shape)
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def go_on(
+    twin: World,
+    activation: Activation,
+    how: Acting,
+    actor: Actor,
+    seeds: jax.Array,
+    params: Tree,
+    state: Tree,
+    first: jax.Array | int,
+    decisions: Tree,
+) -> Tree:
+    """States after decisions first, ..., decisions - 1; see `scores`."""
     shape, flat = seeds.shape, seeds.reshape(-1)
 
     def told(state: Tree, moment: jax.Array) -> jax.Array | None:
@@ -207,8 +225,7 @@ def scores(
             action = networks.mode(outputs, twin.action)
         return action.reshape(-1, *action.shape[2:])
 
-    state = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
-    return twin.score(beats.played(twin, decisions, state, params, told)).reshape(shape)
+    return beats.played(twin, decisions, state, params, told, first)
 
 
 def _sampled(
