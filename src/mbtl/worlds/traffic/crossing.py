@@ -109,7 +109,7 @@ class CrossingTwin(Seeded):
     action: Discrete
     cars: int
     rows: int
-    few: tuple[int, ...] = (12, 16, 24, 40)
+    few: tuple[int, ...] = (12, 24)
     away: float = 40.0
     time_limit: TimeLimit = "truncation"
     agents: int = 1
