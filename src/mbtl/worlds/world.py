@@ -25,14 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbtl.errors import InvalidInput
 from mbtl.worlds import random
-from mbtl.worlds.environments import (
-    Box,
-    Discrete,
-    Environment,
-    Length,
-    TimeLimit,
-    Tree,
-)
+from mbtl.worlds.environments import Box, Discrete, Environment, Length, TimeLimit, Tree
 
 _FIRST, _ANY = 1 << 23, 1 << 20  # streams of random numbers: first states, actions of no policy
 _ANY_KEY = 1
