@@ -20,8 +20,22 @@ SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 11})
 WHOLE, HORIZON, UNIT = 64_000, 20, 1_000
 
 
+class OfNumbers:
+    """What trainers share whose policies are a few numbers."""
+
+    def evaluate(self, policy, contexts, seed):
+        return self.evaluate_steps(policy, contexts, seed)[0]
+
+    def save(self, policy, folder):
+        np.save(folder / "policy.npy", policy)
+        return True
+
+    def load(self, folder):
+        return np.load(folder / "policy.npy")
+
+
 @dataclass
-class Slow:
+class Slow(OfNumbers):
     """A stepping trainer that counts all it really does, unit by unit."""
 
     eval_episodes: int = 2
@@ -89,16 +103,6 @@ class Slow:
         steps = np.full(returns.shape, 10 + round(5 * skill))
         self.ran["evaluation"] += int(steps.sum())
         return returns, steps
-
-    def evaluate(self, policy, contexts, seed):
-        return self.evaluate_steps(policy, contexts, seed)[0]
-
-    def save(self, policy, folder):
-        np.save(folder / "policy.npy", policy)
-        return True
-
-    def load(self, folder):
-        return np.load(folder / "policy.npy")
 
 
 def opened(trainer, folder=None, budget=150_000, **settings):

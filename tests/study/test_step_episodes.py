@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from step_problem import outcome
+from step_problem import OfNumbers, outcome
 
 import mbtl
 from mbtl.actions import Evaluate, Extend, Policy, Start, Stop
@@ -19,7 +19,7 @@ HORIZON, EPISODES = 1_000, 32
 
 
 @dataclass
-class Episodic:
+class Episodic(OfNumbers):
     """Its episodes are as long as the horizon at x = 0, and a tenth of that at x = 1."""
 
     episodes: int | None = EPISODES
@@ -53,16 +53,6 @@ class Episodic:
         returns = [[skill - abs(c["x"] - x)] * self.eval_episodes for c in contexts]
         steps = [[length_at(c)] * self.eval_episodes for c in contexts]
         return np.array(returns), np.array(steps)
-
-    def evaluate(self, policy, contexts, seed):
-        return self.evaluate_steps(policy, contexts, seed)[0]
-
-    def save(self, policy, folder):
-        np.save(folder / "policy.npy", policy)
-        return True
-
-    def load(self, folder):
-        return np.load(folder / "policy.npy")
 
 
 class Script:

@@ -1,11 +1,12 @@
 """Studies with warm starts in Stable-Baselines3: what is interrupted ends as what is not."""
 
+import interrupted_population
 import numpy as np
 import pytest
 from training_envs import cartpole
 
 import mbtl
-from mbtl.actions import Policy, Population, Warm
+from mbtl.actions import Policy, Warm
 from mbtl.seeds import training_seed
 from mbtl.study.steps.callbacks import StepCallback
 from mbtl.training import SB3Trainer
@@ -75,26 +76,7 @@ def test_interrupted_a_warm_started_training_is_bit_for_bit_the_undisturbed_one(
 
 
 def test_an_interrupted_population_is_bit_for_bit_the_undisturbed_one(tmp_path):
-    people = Population(size=2, selector=None)
-
-    class StopsACopy(StepCallback):
-        """Before the first copy trains, which was decided already."""
-
-        def on_training(self, study, training, source, to):
-            if training == 2:
-                raise Interrupt
-
-    calm = opened(strategy=people)
-    calm.run(progress=False, report=False)
-    with pytest.raises(Interrupt):
-        opened(tmp_path, people).run(progress=False, report=False, callbacks=[StopsACopy()])
-    study = opened(tmp_path, people)
-    study.run(progress=False, report=False)
-    starts = [t.start for t in study.state.trainings]
-    assert starts[:2] == [None, None]
-    assert len(starts) > 2
-    assert None not in starts[2:]
-    assert starts == [t.start for t in calm.state.trainings]
+    calm, study = interrupted_population.both(opened, tmp_path)
     for policy in calm.state.policies:
         one, other = (model_of(s, policy.training, policy.length) for s in (calm, study))
         assert same(one, other)

@@ -1,5 +1,6 @@
 """Studies with warm starts in the jax engine: what is interrupted ends as what is not."""
 
+import interrupted_population
 import numpy as np
 import pytest
 
@@ -7,7 +8,7 @@ pytest.importorskip("jax", reason="the jax extra is not installed")
 pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
 import mbtl
-from mbtl.actions import Policy, Population, Warm
+from mbtl.actions import Policy, Warm
 from mbtl.cmdps import get_cmdp
 from mbtl.seeds import training_seed
 from mbtl.study.steps.callbacks import StepCallback
@@ -84,25 +85,7 @@ def test_interrupted_a_warm_started_training_is_bit_for_bit_the_undisturbed_one(
 
 
 def test_an_interrupted_population_is_bit_for_bit_the_undisturbed_one(tmp_path):
-    class StopsACopy(StepCallback):
-        """Before the first copy trains, which was decided already."""
-
-        def on_training(self, study, training, source, to):
-            if training == 2:
-                raise Interrupt
-
-    people = Population(size=2, selector=None)
-    calm = opened(strategy=people)
-    calm.run(progress=False, report=False)
-    with pytest.raises(Interrupt):
-        opened(tmp_path, people).run(progress=False, report=False, callbacks=[StopsACopy()])
-    study = opened(tmp_path, people)
-    study.run(progress=False, report=False)
-    starts = [t.start for t in study.state.trainings]
-    assert starts[:2] == [None, None]
-    assert len(starts) > 2
-    assert None not in starts[2:]
-    assert starts == [t.start for t in calm.state.trainings]
+    calm, study = interrupted_population.both(opened, tmp_path)
     assert any(t.steps > LENGTHS[0] for t in study.state.trainings)  # others go on
     for policy in calm.state.policies:
         assert same(weights(calm, policy), weights(study, policy))
