@@ -4,8 +4,9 @@
 
 As `mbtl run --strategy committee` has it: each length is a training of its own, whose learning rate
 falls to zero at its end. Seeds, lengths, episodes and their halves are those of a study and of the
-shipped curves. The policy is shown the context. Writes docs/data/one-policy-rows.npz; goes on where
-it was.
+shipped curves. The policy is shown the context, but for the ring's, whose trainings count episodes
+and are charged with the longest ones, as all trainings in a replay. Writes
+docs/data/one-policy-rows.npz; goes on where it was.
 
 Notation (shapes): S seeds, A lengths, H = 2 halves of the episodes, N contexts.
 """
@@ -23,17 +24,19 @@ from typing import Any
 import numpy as np
 
 from mbtl.benchmark.entries import halves
+from mbtl.benchmark.steps import HORIZONS
 from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.registry import visibility_on_all
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
 from mbtl.study.steps.create import lengths_of
+from mbtl.study.steps.prices import units_on_many, whole_length
 from mbtl.study.steps.spec import lengths_on_all
 
 FILE = Path(__file__).parents[1] / "docs/data/one-policy-rows.npz"
 SEEDS, EPISODES = 3, 20
 TIMES = {
     "pendulum-length": 2, "pendulum-mass": 4, "cartpole-length": 0.5, "cartpole-masscart": 0.25,
-    "pendulum-timestep": 2, "cartpole-masspole": 0.25,
+    "pendulum-timestep": 2, "cartpole-masspole": 0.25, "ring-acc": 4, "ring-vel": 4,
 }  # fmt: skip
 """The largest length by CMDP, in whole trainings on one context."""
 
@@ -41,16 +44,23 @@ TIMES = {
 def trainer_of(cmdp_id: str) -> tuple[Any, Any]:
     """The contexts, and their trainer as it is shown them."""
     cmdp = get_cmdp(cmdp_id, visibility=visibility_on_all(cmdp_id))
-    return cmdp.space.contexts, replace(cmdp.trainer_for("full"), eval_episodes=EPISODES)
+    trainer = cmdp.trainer_for("paper" if cmdp_id.startswith("ring") else "full")
+    return cmdp.space.contexts, replace(trainer, eval_episodes=EPISODES)
 
 
 def row(cmdp_id: str, seed: int, number: int, length: int) -> tuple[int, np.ndarray]:
     """Steps, and (H, N) raw returns, of try `number` in a study of this seed."""
     contexts, trainer = trainer_of(cmdp_id)
     begin = training_seed(seed, MATRIX_TRIAL, len(contexts), number)
-    reached = trainer.train_on_steps(contexts, begin, length, marks=(length,))
+    units = units_on_many(length, trainer, _horizon(cmdp_id))
+    reached = trainer.train_on_steps(contexts, begin, units, marks=(units,))
     played = trainer.evaluate(reached.policy, contexts, evaluation_seed(seed, MATRIX_TRIAL))
-    return reached.steps, np.stack(halves(played)[0])
+    steps = reached.steps if trainer.episodes is None else units * _horizon(cmdp_id)
+    return steps, np.stack(halves(played)[0])
+
+
+def _horizon(cmdp_id: str) -> int:
+    return HORIZONS[cmdp_id.split("-")[0]]
 
 
 def main() -> None:
@@ -59,7 +69,7 @@ def main() -> None:
     args = parser.parse_args()
     kept = dict(np.load(FILE)) if FILE.is_file() else {}
     for cmdp_id, seed in product(args.cmdp or TIMES, range(SEEDS)):
-        whole = trainer_of(cmdp_id)[1].whole_steps
+        whole = whole_length(trainer_of(cmdp_id)[1], _horizon(cmdp_id))
         most = round(whole * TIMES[cmdp_id])
         for number, length in enumerate(lengths_on_all(lengths_of(whole), most)):
             key = f"{cmdp_id} {seed} {number}"

@@ -42,8 +42,8 @@ class SetTrainer(SteppingTrainer, Protocol):
         Args:
             contexts: two or more.
             seed: of the training.
-            steps: in all, 1..marks[-1].
-            marks: steps at which it may pause, rising; schedules may follow them.
+            steps: in all, 1..marks[-1]; of a trainer that counts episodes, episodes.
+            marks: where it may pause, likewise, rising; schedules may follow them.
             saved: as in `train_steps`.
             on_progress: told now and then.
         """

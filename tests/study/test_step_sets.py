@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from step_problem import SPACE, Slow, opened
+from step_problem import HORIZON, SPACE, WHOLE, Slow, opened
 
 import mbtl
 from mbtl.actions import Committee, Evaluate, Extend, FixedLength, Policy, Start, StartOn, Stop
 from mbtl.errors import InvalidInput
 from mbtl.study.steps.callbacks import PrintSteps, StepCallback
+from mbtl.trainer import Reached
 
 EVERY = tuple(range(SPACE.n))
 
@@ -76,6 +77,27 @@ def test_it_goes_to_its_first_mark_at_once_and_can_be_extended_from_mark_to_mark
     assert prices["extension"] == 12_000
     assert study.state.policies[:2] == [Policy(0, 1), Policy(0, 3)]
     assert sum(prices.values()) == sum(trainer.ran.values())
+
+
+def test_a_recipe_of_episodes_is_given_episodes_and_reserves_what_they_lasted_before():
+    given = []
+
+    class Played(Slow):
+        whole_steps = None
+        episodes = WHOLE // HORIZON
+
+        def train_on_steps(self, contexts, seed, steps, *, marks, **more):
+            given.append((steps, tuple(marks)))
+            return Reached(np.array([np.nan, self.level]), 2 * steps)  # a tenth of the longest
+
+    script = Script(StartOn(EVERY, 1), StartOn(EVERY, 3))
+    study = opened(Played(), strategy=script, budget=17_000)
+    study.run(progress=False, report=False)
+    assert study.spec.lengths_on_all == (2_000, 4_000, 8_000, 16_000)
+    assert given == [(200, (200, 400, 800)), (800, (800,))]
+    # at its mark, 16,000 steps, the second would not have been paid for
+    assert [t.steps for t in study.state.trainings] == [400, 1_600]
+    assert study.summary().prices["training"] == 2_000
 
 
 @pytest.mark.parametrize(

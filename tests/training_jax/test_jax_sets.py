@@ -86,8 +86,4 @@ def test_what_cannot_be_trained_on_a_set_is_refused():
         TRAINER.train_on_steps(CONTEXTS[:1], 3, UNIT, marks=(UNIT,))
     with pytest.raises(InvalidInput, match="learn by PPO, got a recipe of DQN"):
         replace(TRAINER, algorithm="DQN").check_on_set()
-    with pytest.raises(InvalidInput, match="got one of 7 episodes"):
-        replace(
-            TRAINER, timesteps=None, episodes=7, recipe_name="paper", acting="sampled"
-        ).check_on_set()
     TRAINER.check_on_set()

@@ -199,9 +199,34 @@ def _apart(one, other):
     return max(abs(a - b).max() for a, b in zip(one.weights, other.weights, strict=True))
 
 
-def test_one_policy_for_all_is_refused_where_episodes_are_counted():
-    with pytest.raises(InvalidInput, match=r"got one of 12 episodes; .* such as 'pilot'"):
-        RING.check_on_set()
+HOLDS = [{"hold": hold} for hold in (8.0, 20.0, 40.0)]
+"""50, 20 and 10 decisions in an episode."""
+
+
+def test_a_training_on_holds_extended_twice_is_the_whole_one_and_costs_what_was_played(tmp_path):
+    RING.check_on_set()
+    marks, file, told = (4, 12), tmp_path / "training.npz", []
+    whole = RING.train_on_steps(HOLDS, 3, 12, marks=marks)
+    reached = [
+        RING.train_on_steps(HOLDS, 3, episodes, marks=marks, saved=file, on_progress=told.append)
+        for episodes in (4, 7, 12)
+    ]
+    assert same(reached[-1].policy, whole.policy)
+    assert not same(reached[1].policy, whole.policy)
+    assert reached[0].steps < reached[1].steps < reached[2].steps == whole.steps
+    world, params = RING.problem(HOLDS)
+    lived = engine.train_multitask(world, RING.learner, [3], params, 12, judging=False)
+    baseline = engine.export_policies(world, lived.state.weights, RING.learner.activation)[0]
+    assert same(whole.policy, baseline)
+    assert told[-1].step == told[-1].total == whole.steps
+
+
+def test_the_episodes_of_a_training_on_holds_are_counted_hold_by_hold():
+    met = engine.episodes_met(3, 5, 3, 4)
+    assert met.sum() == 5 * 4
+    assert met.min() >= 5  # of four episodes in three holds each has one at least
+    four = replace(RING, hyperparameters={"hidden": (8,), "n_episodes": 4})
+    assert four.train_on_steps(HOLDS, 3, 20, marks=(20,)).steps == met @ [50, 20, 10]
 
 
 def test_a_world_that_lives_in_one_process_is_refused_before_it_is_trained():

@@ -78,7 +78,7 @@ class Committee:
         ours = sides.back(self.specialists.decide(problem, sides.ours, rng))
         if winner == "specialists" or longer is None or isinstance(ours, Evaluate):
             return ours
-        then = sides.spent_on_all + float(problem.lengths_on_all[longer.length])
+        then = sides.spent_on_all + self._price(problem, trail, sides, longer.length)
         return ours if sides.ours.spent < then and not isinstance(ours, Stop) else longer
 
     def decision(
@@ -138,8 +138,16 @@ class Committee:
         length = max(before, default=-1) + 1
         if length >= len(marks) or len(every) < 2:
             return None
-        cost = float(marks[length]) + min(LEAST, problem.n) * target_price(problem, trail)
+        cost = self._price(problem, trail, sides, length)
+        cost += min(LEAST, problem.n) * target_price(problem, trail)
         return StartOn(every, length) if trail.spent + cost <= problem.budget else None
+
+    def _price(self, problem: StepProblem, trail: Trail, sides: Sides, length: int) -> float:
+        """Steps of a try, as those before it say; less than its mark where episodes are short."""
+        share = 1.0
+        if sides.on_all and (last := trail.trainings[sides.on_all[-1]]).length >= 0:
+            share = min(last.steps / float(problem.lengths_on_all[last.length]), 1.0)
+        return share * float(problem.lengths_on_all[length])
 
     def _compared(self, problem: StepProblem, trail: Trail, sides: Sides) -> list[Comparison]:
         """Both sides at equal steps, after each try."""

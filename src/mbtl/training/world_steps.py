@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, cast
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput
-from mbtl.set_trainer import check_counted
 from mbtl.trainer import OnProgress, Progress, Reached
 from mbtl.training import engine
 
@@ -113,10 +112,9 @@ class WorldSteps:
         _check_storable(cast("WorldTrainer", self).problem(contexts)[0])
 
     def check_on_set(self) -> None:
-        """See `mbtl.set_trainer.SetTrainer`; it learns by PPO."""
-        trainer = cast("WorldTrainer", self)
-        check_counted(trainer)
-        check_ppo(trainer)
+        """See `mbtl.set_trainer.SetTrainer`; where it counts steps it learns by PPO."""
+        if (trainer := cast("WorldTrainer", self)).episodes is None:
+            check_ppo(trainer)
 
     def train_on_steps(
         self,
@@ -131,16 +129,16 @@ class WorldSteps:
         """Train one policy on several contexts until `steps` are done in all (`SetTrainer`).
 
         Context-conditioned PPO, as the multi-task baseline: the copies of the world take turns in
-        the contexts. It does not evaluate itself, and never ends early. At the marks, the last of
-        which is the longest training, the learning rate has fallen to zero.
+        the contexts, and at the marks, the last of which is the longest training, the learning rate
+        has fallen to zero. Where episodes are counted it is the recipe of one source, each episode
+        in another context. It does not evaluate itself, and never ends early.
 
         Raises:
-            InvalidInput: this trainer counts episodes or does not learn by PPO, its world cannot be
+            InvalidInput: this trainer counts steps and does not learn by PPO, its world cannot be
                 saved, or there are less than two contexts.
             TrainingFailed: the weights became NaN.
         """
         trainer = cast("WorldTrainer", self)
-        check_counted(trainer)
         if len(contexts) < 2:
             raise InvalidInput(
                 f"a training on several contexts takes two or more, got {len(contexts)}; use "
@@ -149,17 +147,25 @@ class WorldSteps:
         world, params = trainer._lessons(contexts)
         if saved is not None:
             _check_storable(world)
-        recipe = recipe_on_many(trainer, world, len(contexts))
+        by_steps, n = trainer.episodes is None, len(contexts)
+        recipe = recipe_on_many(trainer, world, n) if by_steps else trainer.learner
         unit, file = int(recipe.update_length), engine.SavedTraining(saved)
-        ends = [0, *(-(-mark // unit) for mark in marks)]  # of the stages from mark to mark
+        stops = marks if by_steps else marks[-1:]
+        ends = [0, *(-(-mark // unit) for mark in stops)]  # of the stages from mark to mark
         last = min(-(-steps // unit), ends[-1])
+        each = () if by_steps else engine.counted.each_of(trainer.problem, contexts)
+
+        def played(updates: int) -> int:
+            many = updates * unit
+            return many if by_steps else int(engine.episodes_met(seed, updates, n, unit) @ each)
 
         def fresh() -> Any:
             return engine.start_multitask(world, recipe, [seed], params)
 
         def on_block(block: Any) -> None:
             if on_progress is not None:
-                on_progress(Progress(ends[stage] * unit + block.steps, ends[-1] * unit))
+                at = ends[stage] + block.steps // unit
+                on_progress(Progress(played(at), played(ends[-1])))
             if block.steps < block.total:  # the end of a stage is the beginning of the next one
                 file.save(block.training)
 
@@ -184,7 +190,7 @@ class WorldSteps:
                 stage = file.notes[_STAGE] = stage + 1
         file.save(training, done=True)
         policies = engine.export_policies(world, training.state.weights, recipe.activation)
-        return Reached(policies[0], (ends[stage] + int(training.updates)) * unit)
+        return Reached(policies[0], played(ends[stage] + int(training.updates)))
 
     def evaluate_steps(
         self, policy: Any, contexts: Sequence[Context], seed: int

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
@@ -24,6 +25,11 @@ def decisions_of(world: Any, params: Any) -> int:
     return int(getattr(length, "decisions", length))
 
 
+def each_of(problem: Problem, contexts: Sequence[Context]) -> NDArray[np.int64]:
+    """(T,) `decisions_of` each context."""
+    return np.array([decisions_of(*problem([one])) for one in contexts])
+
+
 def known_steps(problem: Problem, contexts: Sequence[Context], returns: Array) -> Array | None:
     """(T, E) steps of the episodes that had these returns; None: they must be counted.
 
@@ -31,8 +37,7 @@ def known_steps(problem: Problem, contexts: Sequence[Context], returns: Array) -
     """
     world, _ = problem(list(contexts))
     if not hasattr(world, "env"):
-        each = [[float(decisions_of(*problem([one])))] for one in contexts]
-        return np.array(each) + np.zeros_like(returns)
+        return each_of(problem, contexts)[:, None] + np.zeros_like(returns)
     lasts = getattr(world.env, "lasts", None)
     if lasts == "return":
         return returns.copy()

@@ -29,8 +29,17 @@ def price_of(study: StepStudy, held: UnderWay) -> float:
         return price * len(work.targets)
     done = 0 if held.training is None else state.trainings[held.training].steps
     after = min(LEAST, study.space.n) * price
-    share = 1.0 if held.training is None else share_of(state, held.training)
+    like = _like(state, held)
+    share = 1.0 if like is None else share_of(state, like)
     return max(state.marks_of(held)[next_mark(state, held)] * share - done, 0.0) + after
+
+
+def _like(state: StepState, held: UnderWay) -> int | None:
+    """The training whose episodes last as those of this piece: itself, or one on the same set."""
+    if held.training is not None or not isinstance(held.work, StartOn):
+        return held.training
+    same = [j for j, course in enumerate(state.trainings) if course.on == held.work.sources]
+    return max(same, default=None)
 
 
 def share_of(state: StepState, training: int) -> float:
@@ -64,6 +73,11 @@ def units_to(mark: int, trainer: Trainer, horizon: int) -> int:
     """A mark as a trainer counts it: in steps, or in episodes."""
     episodes = episodes_of(trainer)
     return mark if episodes is None else min(-(-mark // horizon), episodes)
+
+
+def units_on_many(mark: int, trainer: Trainer, horizon: int) -> int:
+    """Likewise of a training on several contexts, which may be longer than a whole one."""
+    return mark if episodes_of(trainer) is None else -(-mark // horizon)
 
 
 def next_mark(state: StepState, held: UnderWay) -> int:

@@ -30,7 +30,7 @@ from mbtl.study.steps.callbacks import StepCallback
 from mbtl.study.steps.checks import check_start, check_trainer, with_episodes
 from mbtl.study.steps.claims import LEASE, Claim, Claims, Lost
 from mbtl.study.steps.evaluation import evaluated, report_fresh, weights_of
-from mbtl.study.steps.prices import next_mark, price_of, units_to
+from mbtl.study.steps.prices import next_mark, price_of, units_on_many, units_to
 from mbtl.study.steps.record import Work, failure
 from mbtl.study.steps.state import UnderWay
 from mbtl.study.steps.summary import StepResult, verdict_of
@@ -279,8 +279,9 @@ class _Worker:
             seed = training_seed(spec.seed, spec.trial, spec.space.n, repeat)
             contexts = [spec.space.context(i) for i in on]
             first = mark if known is None else min(known.marks)
+            units = [units_on_many(one, self.trainer, spec.horizon) for one in marks]
             return self.trainer.train_on_steps(
-                contexts, seed, marks[mark], marks=marks[first:], saved=file, on_progress=progress,
+                contexts, seed, units[mark], marks=units[first:], saved=file, on_progress=progress,
             )  # fmt: skip
         seed = training_seed(spec.seed, spec.trial, source, repeat)
         context = spec.space.context(source)

@@ -13,6 +13,7 @@ from mbtl.worlds import flags as flags  # isort: skip  # first: it starts jax
 from mbtl.training.jax.algorithms import recipe_named
 from mbtl.training.jax.blocks import Block, Training, from_arrays, to_arrays, weights_of
 from mbtl.training.jax.episodic.episodes import actor_of, import_actor
+from mbtl.training.jax.episodic.learning import episodes_met
 from mbtl.training.jax.evaluation import evaluate, evaluate_multitask, on_cpu, reference_returns
 from mbtl.training.jax.export import export_policies
 from mbtl.training.jax.loop import start, start_multitask, train, train_multitask
@@ -65,6 +66,7 @@ __all__ = [
     "actor_of",
     "context_of",
     "counted",
+    "episodes_met",
     "evaluate",
     "evaluate_multitask",
     "export_policies",

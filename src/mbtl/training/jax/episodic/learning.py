@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
@@ -99,3 +100,10 @@ def contexts_met(seed: jax.Array, number: jax.Array, contexts: int, count: int) 
     rounds = math.ceil(count / contexts)
     draw = random.bits(seed, _CONTEXT, number, rounds * contexts).T
     return draw.reshape(-1, rounds, contexts).argsort(axis=-1).reshape(len(seed), -1)[:, :count]
+
+
+def episodes_met(seed: int, updates: int, contexts: int, count: int) -> NDArray[np.int64]:
+    """(N,) episodes that a training has lived through in each of N contexts (`contexts_met`)."""
+    own = jnp.array([seed], jnp.uint32)
+    met = jax.vmap(lambda k: contexts_met(own, k, contexts, count))(jnp.arange(updates))
+    return np.bincount(np.asarray(met).ravel(), minlength=contexts)
