@@ -98,7 +98,9 @@ def conclusion(sets: Sets, plays: Plays) -> list[str]:
         f"paper's protocol. A rival wins in places: one policy for all contexts, shown the context "
         f"in CartPole and Pendulum, is ahead at equal steps within {EARLY:g} units (of a whole "
         f"training and its evaluation) on {_names(first)}, and within {BUDGET:.0f} on "
-        f"{_names(last)}. `--strategy committee` finds out which is enough.**",
+        f"{_names(last)}. `--strategy committee` tries both, and says where one is enough "
+        "([how often it is right](#the-committee-finds-out-by-itself-whether-one-policy-is-enough))"
+        ".**",
         "",
         f"A factor of {patience:.1f} of that saving is had by not picking on when V is there. Ten "
         f"times fewer was the goal: at equal prices it is {reached}, at the paper's {papers}. V is "
