@@ -150,8 +150,8 @@ class WorldSteps:
         by_steps, n = trainer.episodes is None, len(contexts)
         recipe = recipe_on_many(trainer, world, n) if by_steps else trainer.learner
         unit, file = int(recipe.update_length), engine.SavedTraining(saved)
-        stops = marks if by_steps else marks[-1:]
-        ends = [0, *(-(-mark // unit) for mark in stops)]  # of the stages from mark to mark
+        stops = [0, *(marks if by_steps else marks[-1:])]
+        ends = [-(-mark // unit) for mark in stops]  # of the stages from mark to mark
         last = min(-(-steps // unit), ends[-1])
         each = () if by_steps else engine.counted.each_of(trainer.problem, contexts)
 
@@ -164,11 +164,11 @@ class WorldSteps:
 
         def on_block(block: Any) -> None:
             if on_progress is not None:
-                at = ends[stage] + block.steps // unit
-                on_progress(Progress(played(at), played(ends[-1])))
+                on_progress(Progress(played(ends[stage] + block.steps // unit), total))
             if block.steps < block.total:  # the end of a stage is the beginning of the next one
                 file.save(block.training)
 
+        total = played(ends[-1])
         training = file.load(fresh) or fresh()  # its `updates` count from the last mark on
         stage = file.notes.setdefault(_STAGE, 0)
         while ends[stage] + int(training.updates) < last:

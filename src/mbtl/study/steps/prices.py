@@ -72,7 +72,8 @@ def episodes_of(trainer: Trainer) -> int | None:
 def units_to(mark: int, trainer: Trainer, horizon: int) -> int:
     """A mark as a trainer counts it: in steps, or in episodes."""
     episodes = episodes_of(trainer)
-    return mark if episodes is None else min(-(-mark // horizon), episodes)
+    units = units_on_many(mark, trainer, horizon)
+    return units if episodes is None else min(units, episodes)
 
 
 def units_on_many(mark: int, trainer: Trainer, horizon: int) -> int:
