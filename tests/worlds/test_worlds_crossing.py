@@ -1,5 +1,7 @@
 """The signal's twin by itself: Krauss's rules, who comes, and that company changes nothing."""
 
+from operator import itemgetter
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,8 @@ from mbtl.cmdps.traffic import demand
 from mbtl.cmdps.traffic.signal import cell_of
 from mbtl.cmdps.traffic.twins import SignalProblem
 from mbtl.errors import ContextMismatch
+from mbtl.training.jax.episodic.episodes import Actor
+from mbtl.training.jax.evaluation import evaluate, own_scores
 from mbtl.worlds.traffic import crossing_demand as coming
 from mbtl.worlds.traffic import lane
 from mbtl.worlds.traffic.crossing import _greens
@@ -21,6 +25,7 @@ from mbtl.worlds.traffic.crossing_state import VACANT, Queues, moved_up
 from mbtl.worlds.traffic.krauss import Krauss
 
 DRIVER = Krauss(1.0, 4.5, 0.5)
+SEEDS = np.array([[0, 1, 2]], np.uint32)
 
 
 def twin_at(**features):
@@ -70,6 +75,39 @@ def test_departures_are_those_of_the_environment_in_distribution():
         ours, theirs = found[int(300 * share)], mine[:, int(300 * share)]
         error = np.hypot(ours.std(), theirs.std()) / 20.0
         assert abs(ours.mean() - theirs.mean()) < 4.0 * error
+
+
+def test_draws_of_one_mode_are_those_of_the_environment_in_distribution():
+    seeds, cars = jnp.arange(400, dtype=jnp.uint32), jnp.full(400, 300.0)
+    rng = np.random.default_rng(0)
+    for crowded in (0, 1):
+        modes = jnp.full(400, crowded)
+        found = np.asarray(coming.departures(seeds, cars, 512, 5400.0, modes))
+        mine = np.array(
+            [demand.departures(rng, 300, 5400, crowded=crowded == 1) for _ in range(400)]
+        )
+        for share in (0.1, 0.5, 0.9, 0.99):
+            ours, theirs = found[int(300 * share)], mine[:, int(300 * share)]
+            error = np.hypot(ours.std(), theirs.std()) / 20.0
+            assert abs(ours.mean() - theirs.mean()) < 4.0 * error
+    assert float(coming.crowded_share(jnp.float32(300.0))) == pytest.approx(
+        demand.crowded_share(300), rel=1e-4
+    )
+
+
+def test_an_evaluated_episode_is_one_of_each_mode_weighted_by_its_share():
+    contexts = [{"inflow": 100.0}, {"inflow": 1500.0}]
+    twin, each = SignalProblem()(contexts)
+    params = jax.tree.map(lambda *x: np.stack(x), *each)
+    nobody = Actor((), jnp.zeros((1, 1)))
+    found = evaluate(twin, nobody, params, [0, 1, 2], how="random")
+    every, shares = twin.strata(params)
+    modes = [jax.tree.map(itemgetter(k), every) for k in range(4)]
+    alone = [own_scores(twin, "tanh", "random", nobody, SEEDS, mode)[0] for mode in modes]
+    usual, crowded = np.array(alone[::2]), np.array(alone[1::2])
+    assert np.allclose(shares[:, 1], [demand.crowded_share(n) for n in (100, 1500)], rtol=1e-4)
+    assert np.allclose(found[0], usual * shares[:, :1] + crowded * shares[:, 1:], rtol=1e-6)
+    assert (crowded[1] < usual[1]).all()
 
 
 def test_cars_come_on_lanes_of_their_turns_and_fill_them_evenly():

@@ -229,11 +229,11 @@ _SIGNAL_PPO = Preset(
 
 _SIGNAL_TWIN = {
     "standard": replace(
-        _SIGNAL_PPO, eval_episodes=10,
+        _SIGNAL_PPO,
         description="the paper's episodes, by PPO on whole episodes, in the twin",
     ),
     "quick": replace(
-        _SIGNAL_PPO, budget=8, episodes=40, eval_episodes=4, checkpoint_every=40,
+        _SIGNAL_PPO, budget=8, episodes=40, eval_episodes=2, checkpoint_every=40,
         description="a first look, in the twin",
     ),
 }  # fmt: skip
@@ -368,15 +368,15 @@ def _hold(family: str, description: str) -> Variant:
 
 TRAFFIC_VARIANTS: Mapping[str, Variant] = {
     "signal-length": line(
-        "signal", "length", "m", "50", 750.0, n=50, paper_step="75", version=2,
+        "signal", "length", "m", "50", 750.0, n=50, paper_step="75", version=3,
         description="Traffic signal; the length of the approaches varies",
     ),
     "signal-inflow": line(
-        "signal", "inflow", "cars", "50", 1000.0, n=50, version=2,
+        "signal", "inflow", "cars", "50", 1000.0, n=50, version=3,
         description="Traffic signal; the demand varies",
     ),
     "signal-speed": line(
-        "signal", "speed", "m/s", "0.5", 14.0, n=50, paper_step="1.389", version=2,
+        "signal", "speed", "m/s", "0.5", 14.0, n=50, paper_step="1.389", version=3,
         description="Traffic signal; the speed limit varies",
     ),
     "eco-penetration": line(

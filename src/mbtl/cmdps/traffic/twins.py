@@ -311,6 +311,7 @@ class SignalProblem:
                 length=jnp.float32(features["length"]),
                 inflow=jnp.float32(features["inflow"]),
                 speed=jnp.float32(features["speed"]),
+                crowded=jnp.int32(-1),
                 visible=jnp.asarray(
                     visible_features(features, self.unit, self.visibility), jnp.float32
                 ),

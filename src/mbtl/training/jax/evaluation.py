@@ -74,6 +74,9 @@ def evaluate(
 ) -> Array:
     """Scores of every policy on every context, in raw units.
 
+    Where luck is of a few known kinds (`strata` of a world), an episode is one of each kind, and
+    worth their mean, weighted by how probable they are.
+
     Args:
         world: the dynamics.
         actor: of P policies, leading axis.
@@ -101,6 +104,10 @@ def evaluate(
         parts = [seeds[first : first + most] for first in range(0, len(seeds), most)]
         each = partial(evaluate, world, actor, params, activation=activation, how=how)
         return np.concatenate([each(some) for some in parts], axis=-1)
+    shares = np.ones((n_contexts, 1))
+    if hasattr(world, "strata"):
+        params, shares = world.strata(params)
+        n_contexts = shares.size
     rows = most if rows is None else rows
     if rows is None:
         rows = (CPU_ROWS if world.apart else n_policies * len(seeds)) if on_cpu() else DEVICE_ROWS
@@ -131,7 +138,7 @@ def evaluate(
             part = own_scores(world, activation, how, some, everyone, where)
             place[:, c] = np.asarray(part)[:count]
             on_part((c + 1) * height * len(seeds))
-    return returns
+    return np.einsum("pcke,ck->pce", returns.reshape(n_policies, *shares.shape, -1), shares)
 
 
 def evaluate_multitask(

@@ -121,6 +121,13 @@ class CrossingTwin(Seeded):
         """Of an episode in which one phase has green all the time; others have fewer."""
         return self.total_seconds // self.green
 
+    def strata(self, params: CrossingParams) -> tuple[CrossingParams, NDArray[np.float64]]:
+        """Each context in the two modes of demand, (C x 2, ...), and their shares, (C, 2)."""
+        usual = 1.0 - np.asarray(crossing_demand.crowded_share(params.inflow), np.float64)
+        each = jax.tree.map(lambda x: np.repeat(np.asarray(x), 2, axis=0), params)
+        modes = np.tile(np.array([0, 1], np.int32), len(usual))
+        return each._replace(crowded=modes), np.stack([usual, 1.0 - usual], axis=1)
+
     # ---- episodes ----------------------------------------------------------------------------
 
     def start(self, seeds: jax.Array, params: CrossingParams) -> CrossingState:
@@ -130,7 +137,13 @@ class CrossingTwin(Seeded):
         return CrossingState(
             queues=Queues(*(jnp.full((self.rows, _ALL, n), nobody) for nobody in VACANT)),
             plan=crossing_demand.plan(
-                seeds, params.inflow, self.cars, most, float(self.total_seconds), self.straight
+                seeds,
+                params.inflow,
+                self.cars,
+                most,
+                float(self.total_seconds),
+                self.straight,
+                params.crowded,
             ),
             entered=jnp.zeros((_ALL, n), jnp.int32),
             phase=jnp.full(n, -1, jnp.int32),

@@ -21,6 +21,10 @@ LEFT = LANES - 1
 
 _TIMES, _PLACES, _TURNS, _SIDES = range(4, 8)  # streams of random numbers
 
+CROWDED = 3.0
+"""A draw with a number beyond this comes within three quarters of the time, or less."""
+_BEYOND = math.exp(-(CROWDED**2))  # luck of such a number
+
 NEVER = 1e6
 """When a car departs that does not exist [s]."""
 
@@ -36,7 +40,14 @@ def most_per_lane(cars: int, straight: float) -> int:
     return math.ceil(mean + 5.0 * math.sqrt(mean)) + 4
 
 
-def departures(seeds: jax.Array, cars: jax.Array, most: int, seconds: float) -> jax.Array:
+def crowded_share(cars: jax.Array) -> jax.Array:
+    """Probability of a crowded draw: its largest number is beyond `CROWDED`."""
+    return -jnp.expm1(cars * math.log1p(-_BEYOND))
+
+
+def departures(
+    seeds: jax.Array, cars: jax.Array, most: int, seconds: float, crowded: jax.Array | int = -1
+) -> jax.Array:
     """(N, n) whole seconds, ascending; `NEVER` beyond the number of cars.
 
     Args:
@@ -44,9 +55,15 @@ def departures(seeds: jax.Array, cars: jax.Array, most: int, seconds: float) -> 
         cars: how many come, a scalar or (n,).
         most: N.
         seconds: the episode's.
+        crowded: 1: only a draw that is, 0: only one that is not, -1: as it comes; as `cars`.
     """
     there = jnp.arange(most)[:, None] < jnp.asarray(cars)
     luck = random.uniform(seeds, _TIMES, jnp.uint32(0), most)
+    # the least luck makes the largest number; in a crowded draw the first car has it
+    least = -jnp.expm1(jnp.log1p(-luck[0] * crowded_share(jnp.asarray(cars))) / cars)
+    floor = jnp.where(crowded == 1, least, jnp.where(crowded == 0, _BEYOND, 0.0))
+    luck = luck.at[0].set(jnp.where(crowded == 1, 0.0, luck[0]))
+    luck = floor + (1.0 - floor) * luck
     draws = jnp.sqrt(-jnp.log(luck))  # Weibull of shape 2
     ordered = jnp.sort(jnp.where(there, draws, jnp.inf), axis=0)
     low = jnp.floor(ordered[1])
@@ -56,13 +73,19 @@ def departures(seeds: jax.Array, cars: jax.Array, most: int, seconds: float) -> 
 
 
 def plan(
-    seeds: jax.Array, cars: jax.Array, most: int, per_lane: int, seconds: float, straight: float
+    seeds: jax.Array,
+    cars: jax.Array,
+    most: int,
+    per_lane: int,
+    seconds: float,
+    straight: float,
+    crowded: jax.Array | int = -1,
 ) -> jax.Array:
     """(K, 16, n) when the cars of a lane depart, one after the other, and `RIGHT` if they turn so.
 
-    `NEVER`: there is no such car. Arguments as in `departures`, then K and the share straight on.
+    `NEVER`: there is no such car. Arguments as in `departures`, with K and the share straight on.
     """
-    times = departures(seeds, cars, most, seconds)
+    times = departures(seeds, cars, most, seconds, crowded)
     moment = jnp.uint32(0)
     ahead = random.uniform(seeds, _TURNS, moment, most) < straight
     entry = jnp.floor(random.uniform(seeds, _PLACES, moment, most) * APPROACHES).astype(jnp.int32)

@@ -18,12 +18,14 @@ class CrossingParams(NamedTuple):
         length: of every approach [m].
         inflow: cars of an episode.
         speed: limit on the roads [m/s].
+        crowded: mode of demand, see `crossing_demand.departures`; -1: as it comes.
         visible: (v,) or (n, v) features appended to each observation.
     """
 
     length: jax.Array
     inflow: jax.Array
     speed: jax.Array
+    crowded: jax.Array
     visible: jax.Array
 
 
