@@ -13,7 +13,9 @@ with learning and all else.
 with the walker in jax; `same`, Stable-Baselines3's PPO with that recipe on Gymnasium's environment;
 and `default`, its PPO with its defaults. It prints, --looks times on the way, what policies return
 in Gymnasium's environment (mean actions, the same ten fresh episodes of 1000 steps) and the seconds
-of processor time that the trainings took, with compiling, without these looks. Trainings of the
+of processor time that the trainings took, with compiling, without these looks. Of `ours` it prints
+as much for the best of the evaluations on the way, which the recipe keeps, and what the latest
+policies return where they were trained, in jax. Trainings of the
 same kind take turns, so that an interrupted run has equal steps of all.
 """
 
@@ -159,8 +161,8 @@ def our_rate(engine: str, seconds: float, barrier: Any) -> float:
 # ---- learning --------------------------------------------------------------------------------
 
 
-Look = tuple[int, float, float]
-"""Steps so far, seconds of processor time that they took, mean return of the latest policy."""
+Look = tuple[int, float, dict[str, float]]
+"""Steps so far, seconds of processor time that they took, mean returns by policy and simulator."""
 
 
 def looks_of(recipe: Any, steps: int, looks: int) -> tuple[int, int]:
@@ -196,16 +198,26 @@ def our_learning(seed: int, steps: int, looks: int) -> Iterator[Look]:
     recipe, (world, params) = trainer.learner, trainer.problem([NOMINAL])
     total, every = looks_of(recipe, steps, looks)
     training, spent = None, 0.0
+    shown = params.visible[0]
+
+    def policy(kept: str) -> Any:
+        weights = engine.weights_of(training, Checkpoint.named(kept), ())
+        return engine.export_policies(world, weights, recipe.activation)[0]
+
     for done in range(every, total + 1, every):
         begin = time.process_time()
         training = engine.train(
             world, recipe, [seed], params, total,
-            resume=training, until=done, judging=False,
+            resume=training, until=done, checkpoint_every=trainer.checkpoint_every,
+            checkpoint_episodes=trainer.checkpoint_episodes,
         )  # fmt: skip
         spent += time.process_time() - begin
-        latest = engine.weights_of(training, Checkpoint.named("final"), ())
-        (policy,) = engine.export_policies(world, latest, recipe.activation)
-        yield done, spent, judged(policy, params.visible[0])
+        latest = policy("final")
+        yield done, spent, {
+            "latest": judged(latest, shown),
+            "latest, in jax": float(trainer.evaluate(latest, [NOMINAL], 0).mean()),
+            "best so far": judged(policy("best"), shown),
+        }  # fmt: skip
 
 
 def sb3_learning(same: bool, seed: int, steps: int, looks: int) -> Iterator[Look]:
@@ -247,7 +259,7 @@ def sb3_learning(same: bool, seed: int, steps: int, looks: int) -> Iterator[Look
         model.learn(every, reset_num_timesteps=False)
         spent += time.process_time() - begin
         assert model.num_timesteps == done
-        yield done, spent, judged(model)
+        yield done, spent, {"latest": judged(model)}
 
 
 def learning(who: str, seeds: int, steps: int, looks: int) -> None:
@@ -257,11 +269,14 @@ def learning(who: str, seeds: int, steps: int, looks: int) -> None:
         "same": partial(sb3_learning, True),
         "default": partial(sb3_learning, False),
     }[who]
-    print(f"{who}: steps; returns by seed, mean; processor seconds of all seeds", flush=True)
+    print(f"{who}: steps, policy; returns by seed, mean; processor seconds of all", flush=True)
     for together in zip(*(made(seed, steps, looks) for seed in range(seeds)), strict=True):
-        returns, spent = [look[2] for look in together], sum(look[1] for look in together)
-        each = " ".join(f"{x:7.1f}" for x in returns)
-        print(f"{together[0][0]:8d}; {each}, {np.mean(returns):7.1f}; {spent:6.0f}", flush=True)
+        spent = sum(look[1] for look in together)
+        for name in together[0][2]:
+            returns = [look[2][name] for look in together]
+            each = " ".join(f"{x:7.1f}" for x in returns)
+            mean = np.mean(returns)
+            print(f"{together[0][0]:8d}, {name:14s}; {each}, {mean:7.1f}; {spent:6.0f}", flush=True)
 
 
 def main() -> None:

@@ -22,7 +22,7 @@ from mbtl.errors import InvalidInput
 from mbtl.training.jax.episodic.episodes import Acting, Actor, actor_of, go_on, scores
 from mbtl.training.jax.multitask.table import seen
 from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
-from mbtl.worlds import ends
+from mbtl.worlds import ends, strata
 from mbtl.worlds.environments import Tree
 from mbtl.worlds.world import Solo, World, context_of, in_a_row, of_simulations
 
@@ -74,13 +74,10 @@ def evaluate(
 ) -> Array:
     """Scores of every policy on every context, in raw units.
 
-    Where luck is of a few known kinds (`strata` of a world), an episode is one of each kind, and
-    worth their mean, weighted by how probable they are.
-
     Args:
         world: the dynamics.
         actor: of P policies, leading axis.
-        params: of C contexts, leading axis.
+        params: of C contexts, likewise; `mbtl.worlds.strata` says what an episode is.
         seeds: E, one per episode.
         activation: between the layers of the actors.
         how: actions follow from a policy.
@@ -104,15 +101,11 @@ def evaluate(
         parts = [seeds[first : first + most] for first in range(0, len(seeds), most)]
         each = partial(evaluate, world, actor, params, activation=activation, how=how)
         return np.concatenate([each(some) for some in parts], axis=-1)
-    shares = np.ones((n_contexts, 1))
-    if hasattr(world, "strata"):
-        params, shares = world.strata(params)
-        n_contexts = shares.size
-    rows = most if rows is None else rows
-    if rows is None:
-        rows = (CPU_ROWS if world.apart else n_policies * len(seeds)) if on_cpu() else DEVICE_ROWS
-    together = n_contexts * len(seeds) if world.apart else len(seeds)  # of a policy
-    width = min(together, rows)
+    params, shares = strata.of_each_kind(world, params)
+    n_contexts = shares.size
+    fitting = CPU_ROWS if world.apart else n_policies * len(seeds)
+    rows = rows or most or (fitting if on_cpu() else DEVICE_ROWS)
+    width = min(len(seeds) * (n_contexts if world.apart else 1), rows)  # of a policy
     height = max(1, min(n_policies, rows // width))
     own, actor = np.array(seeds, np.uint32), actor._replace(critic=())
     returns = np.empty((n_policies, n_contexts, len(seeds)))
@@ -138,7 +131,7 @@ def evaluate(
             part = own_scores(world, activation, how, some, everyone, where)
             place[:, c] = np.asarray(part)[:count]
             on_part((c + 1) * height * len(seeds))
-    return np.einsum("pcke,ck->pce", returns.reshape(n_policies, *shares.shape, -1), shares)
+    return strata.merged(returns, shares)
 
 
 def evaluate_multitask(
