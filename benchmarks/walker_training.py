@@ -10,13 +10,14 @@ default PPO on Gymnasium's environment, and the recipe of the CMDP in the engine
 walkers and with those in jax. Rates are steps per second of processor time, added up over cores,
 with learning and all else.
 `learning` trains --who in the nominal context for as many --steps: `ours`, the recipe of the CMDP
-with the walker in jax; `same`, Stable-Baselines3's PPO with that recipe on Gymnasium's environment;
-and `default`, its PPO with its defaults. It prints, --looks times on the way, what policies return
-in Gymnasium's environment (mean actions, the same ten fresh episodes of 1000 steps) and the seconds
-of processor time that the trainings took, with compiling, without these looks. Of `ours` it prints
-as much for the best of the evaluations on the way, which the recipe keeps, and what the latest
-policies return where they were trained, in jax. Trainings of the
-same kind take turns, so that an interrupted run has equal steps of all.
+with the walker in jax; `box2d`, the same learner with our walkers in Box2D; `same`,
+Stable-Baselines3's PPO with that recipe on Gymnasium's environment; and `default`, its PPO with its
+defaults. It prints, --looks times on the way, what policies return in Gymnasium's environment (mean
+actions, the same ten fresh episodes of 1000 steps) and the seconds of processor time that the
+trainings took, with compiling, without these looks. Of the two engines of ours it prints as much
+for the best of the evaluations on the way, which the recipe keeps, and what the latest policies
+return where they were trained, in other episodes. Trainings of the same kind take turns, so that an
+interrupted run has equal steps of all.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from rates import CORES, on_every_core
 
 HORIZON, EPISODES = 1000, 10
 NOMINAL = {"gravity": 10.0}
-WHO = ("ours", "same", "default")
+WHO = ("ours", "box2d", "same", "default")
 
 
 def gymnasium_walker() -> Any:
@@ -187,14 +188,14 @@ def judged(policy: Any, shown: Any = ()) -> float:
     return float(np.mean(returns))
 
 
-def our_learning(seed: int, steps: int, looks: int) -> Iterator[Look]:
-    """Of the walker in jax."""
+def our_learning(simulator: str, seed: int, steps: int, looks: int) -> Iterator[Look]:
+    """Of the engine, with the walker in jax or Box2D's."""
     os.environ["NPROC"] = "1"
     import mbtl.training.jax as engine
     from mbtl.checkpoints import Checkpoint
     from mbtl.cmdps import get_cmdp
 
-    trainer = get_cmdp("walker-gravity", engine="jax").trainer
+    trainer = get_cmdp("walker-gravity", engine=simulator).trainer
     recipe, (world, params) = trainer.learner, trainer.problem([NOMINAL])
     total, every = looks_of(recipe, steps, looks)
     training, spent = None, 0.0
@@ -215,7 +216,7 @@ def our_learning(seed: int, steps: int, looks: int) -> Iterator[Look]:
         latest = policy("final")
         yield done, spent, {
             "latest": judged(latest, shown),
-            "latest, in jax": float(trainer.evaluate(latest, [NOMINAL], 0).mean()),
+            "latest, at home": float(trainer.evaluate(latest, [NOMINAL], 0).mean()),
             "best so far": judged(policy("best"), shown),
         }  # fmt: skip
 
@@ -262,21 +263,22 @@ def sb3_learning(same: bool, seed: int, steps: int, looks: int) -> Iterator[Look
         yield done, spent, {"latest": judged(model)}
 
 
-def learning(who: str, seeds: int, steps: int, looks: int) -> None:
+def learning(who: str, seeds: range, steps: int, looks: int) -> None:
     """Prints a line per look: steps, mean return and seconds of each seed."""
     made = {
-        "ours": our_learning,
+        "ours": partial(our_learning, "jax"),
+        "box2d": partial(our_learning, "gymnasium-jax"),
         "same": partial(sb3_learning, True),
         "default": partial(sb3_learning, False),
     }[who]
     print(f"{who}: steps, policy; returns by seed, mean; processor seconds of all", flush=True)
-    for together in zip(*(made(seed, steps, looks) for seed in range(seeds)), strict=True):
+    for together in zip(*(made(seed, steps, looks) for seed in seeds), strict=True):
         spent = sum(look[1] for look in together)
         for name in together[0][2]:
             returns = [look[2][name] for look in together]
             each = " ".join(f"{x:7.1f}" for x in returns)
             mean = np.mean(returns)
-            print(f"{together[0][0]:8d}, {name:14s}; {each}, {mean:7.1f}; {spent:6.0f}", flush=True)
+            print(f"{together[0][0]:8d}, {name:15s}; {each}, {mean:7.1f}; {spent:6.0f}", flush=True)
 
 
 def main() -> None:
@@ -288,6 +290,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1_000_000, help="of a training")
     parser.add_argument("--looks", type=int, default=10, help="at a training")
     parser.add_argument("--seeds", type=int, default=3, help="trainings of each")
+    parser.add_argument("--first-seed", type=int, default=0, help="of the trainings")
     args = parser.parse_args()
     if "step" in args.part:
         costs = step_costs()
@@ -310,7 +313,8 @@ def main() -> None:
             print(f"{name}: {rate:.0f}, {rate / theirs:.1f} x", flush=True)
     if "learning" in args.part:
         for who in args.who:
-            learning(who, args.seeds, args.steps, args.looks)
+            seeds = range(args.first_seed, args.first_seed + args.seeds)
+            learning(who, seeds, args.steps, args.looks)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,16 @@
 """Walkers and cheetahs: what K trainings reach, by three scales, beside what the paper printed.
 
-    python evidence/locomotion_at_k.py FILE.npz ... [--multitask FOLDER] [--budget 5 15]
+    python evidence/locomotion_at_k.py [MATRIX ...] [--multitask FOLDER] [--budget 5 15] [--write]
 
-Selectors pick by the scale of the CMDP. What they reach is the mean return over all targets, on
-episodes that chose nothing, by three scales: of the CMDP, of the paper, and from the CMDP's 0 to
-the best entry of the file. Random is its exact expectation. Independent is the mean over the
-contexts that were trained on, each with its own policy. The last column has what the paper printed
-for K = 15, of its own policies and by its own scale.
+A MATRIX is the id of a shipped one, with all its seeds, or a file. Selectors pick by the scale of
+the CMDP. What they reach is the mean return over all targets, on episodes that chose nothing, by
+three scales: of the CMDP, of the paper, and from the CMDP's 0 to the best entry. Random is its
+exact expectation. Independent is the mean over the contexts that were trained on, each with its own
+policy. The last column has what the paper printed for K = 15, of its own policies and by its own
+scale. `--write` puts the mean returns of all shipped ones, by seed where there are several, into
+docs/locomotion.md.
 
-example: python evidence/locomotion_at_k.py matrices/cheetah-gravity-seed0.npz
+example: python evidence/locomotion_at_k.py cheetah-gravity
 """
 
 from __future__ import annotations
@@ -17,13 +19,23 @@ import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from mbtl.benchmark import TransferMatrix, compare
+from mbtl.benchmark import TransferMatrix, compare, load_matrix
 from mbtl.benchmark.multitask import load_multitask
 from mbtl.benchmark.references import NAMES
 from mbtl.cmdps.registry import paper_bounds
 from mbtl.reproduction.paper import HEADS, published
 
-SELECTORS = {"random": "Random", "mbtl": "MBTL", "auto": "auto", "oracle": "Sequential Oracle"}
+SHIPPED = (
+    "walker-gravity", "walker-friction", "walker-scale",
+    "cheetah-gravity", "cheetah-friction", "cheetah-stiffness",
+)  # fmt: skip
+FILE = Path(__file__).parents[1] / "docs" / "locomotion.md"
+BEGIN, END = "<!-- at K: begin -->\n", "<!-- at K: end -->\n"
+
+SELECTORS = {
+    "random": "Random", "greedy": "Greedy", "mbtl": "MBTL", "auto": "auto",
+    "oracle": "Sequential Oracle",
+}  # fmt: skip
 ALL_AT_ONCE = "one policy for all"
 PRINTED_K = 15
 """Trainings behind the paper's table."""
@@ -91,16 +103,44 @@ def table(matrix: TransferMatrix, known: Mapping[str, float]) -> list[str]:
     return lines
 
 
+def page(ids: Sequence[str], budgets: Sequence[int], folder: Path | None) -> list[str]:
+    """Mean returns of all: a line per head, a column per CMDP."""
+    columns = {}
+    for id in ids:
+        matrix = load_matrix(id)
+        bounds = matrix.bounds
+        known = levels_of(matrix, budgets, folder)
+        columns[f"{id} ({matrix.n_seeds})"] = {
+            head: bounds.low + (bounds.high - bounds.low) * value for head, value in known.items()
+        }
+    heads = list(dict.fromkeys(head for column in columns.values() for head in column))
+    heads.sort(key=lambda head: (head.startswith(ALL_AT_ONCE), "K = " in head))
+    lines = [f"| mean return (seeds) | {' | '.join(columns)} |", "|---|" + "---|" * len(columns)]
+    for head in heads:
+        cells = [f"{column[head]:.0f}" if head in column else "" for column in columns.values()]
+        lines.append(f"| {head} | {' | '.join(cells)} |")
+    return lines
+
+
 def main() -> None:
-    """Print a table per file."""
+    """Print a table per matrix, or write that of all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("files", nargs="+", type=Path, help="matrices, .npz")
+    parser.add_argument("matrices", nargs="*", help="ids, or files .npz; default: all shipped")
     parser.add_argument("--multitask", type=Path, help="folder; default: what is shipped")
     parser.add_argument("--budget", nargs="+", type=int, default=[5, PRINTED_K], help="K")
+    parser.add_argument("--write", action="store_true", help="into docs/locomotion.md")
     args = parser.parse_args()
-    for file in args.files:
-        matrix = TransferMatrix.load(file)
-        print("\n".join(table(matrix, levels_of(matrix, sorted(args.budget), args.multitask))))
+    budgets = sorted(args.budget)
+    if args.write:
+        text = FILE.read_text(encoding="utf-8")
+        before, rest = text.split(BEGIN)
+        lines = "\n".join(page(SHIPPED, budgets, args.multitask))
+        text = f"{before}{BEGIN}{lines}\n{END}{rest.split(END)[1]}"
+        FILE.write_text(text, encoding="utf-8")
+        return
+    for name in args.matrices or SHIPPED:
+        matrix = TransferMatrix.load(name) if name.endswith(".npz") else load_matrix(name)
+        print("\n".join(table(matrix, levels_of(matrix, budgets, args.multitask))))
         print()
 
 

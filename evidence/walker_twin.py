@@ -5,8 +5,9 @@
 `steps` takes states of Box2D's walker under Gymnasium's own gait with noise, moves each by one step
 in both, and prints by how much angles and angular speeds of the five bodies differ then, for steps
 without contact, with one piece of ground touched and with more. `returns` plays random actions, no
-torque and the action of standing still in several contexts, in both. `start` prints the poses that
-Box2D's walker has two steps after it was made, from which the one in jax begins.
+torque and the action of standing still in several contexts, in both. `start` prints what the
+states are like that Box2D's walkers have two steps after they were made, after a step without
+torque and one of a random action; one in jax begins in one of them. `--write` keeps them.
 Policies are compared by `twin_transfer.py --cmdp walker-gravity --policies FOLDER`.
 """
 
@@ -25,17 +26,19 @@ import jax  # isort: skip  # after mbtl, which sets its flags
 import jax.numpy as jnp  # isort: skip
 
 from mbtl.cmdps.locomotion.walker_body import (
+    FLAT,
     FPS,
     HEIGHT,
     N_MOTORS,
     PATCHES,
     ROUGH,
+    STEP,
     Constants,
     Walker,
     advance,
     heights,
 )
-from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState
+from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState, starts
 from mbtl.worlds.walker import walker as twin
 from mbtl.worlds.walker.motion import moved
 
@@ -46,6 +49,7 @@ CONTEXTS = [
     *(NOMINAL._replace(friction=f) for f in (0.1, 10.0)),
     *(NOMINAL._replace(scale=s) for s in (10.0, 90.0)),
 ]
+FIRST_ACTIONS = 32
 SCALES = (5, 7, 10, 15, 20, 30, 40, 50, 60, 80, 100, 200, 300)
 STILL = np.zeros((1, N_MOTORS), np.float32)
 ENV = BipedalWalker()
@@ -154,18 +158,36 @@ def returns(episodes: int) -> None:
             )
 
 
-def start() -> None:
-    """Prints rows of `walker._START`."""
-    for scale in SCALES:
-        middling = np.full(ROUGH + PATCHES + 1, 0.5)  # no push
-        walker = Walker(NOMINAL._replace(scale=float(scale)), middling)
-        for _ in range(2):
-            advance([walker], STILL)
-        _, angles, _ = pose(walker)
-        height = walker.bodies[0].position.y - HEIGHT
-        joints = angles[[1, 2, 3, 4]] - angles[[0, 1, 0, 3]]
-        row = ", ".join(f"{x:.3f}" for x in (height, angles[0], *joints))
-        print(f"[{scale}, {row}],")
+def start(write: bool) -> None:
+    """Prints how far apart the states are that episodes begin in, and writes them."""
+    rng, states = np.random.default_rng(0), []
+    middling = np.full(ROUGH + PATCHES + 1, 0.5)  # no push
+    while len(states) < FIRST_ACTIONS:
+        action = np.clip(rng.normal(0.0, 1.0, N_MOTORS), -1.0, 1.0) * (len(states) > 0)
+        each = [second(NOMINAL._replace(scale=float(scale)), action, middling) for scale in SCALES]
+        if all(one is not None for one in each):  # nowhere on its back
+            states.append(each)
+    found = np.array(states, np.float32).swapaxes(0, 1)  # (scales, first actions, 16)
+    nominal = found[SCALES.index(int(NOMINAL.scale))]
+    bodies = "hull", "thigh", "shin", "thigh", "shin"
+    names = [*"xy", *bodies, "vx", "vy", *(f"speed of {name}" for name in bodies), "foot", "foot"]
+    for name, column in zip(names, nominal.T, strict=True):
+        print(f"{name:14} {column.mean():7.3f} +- {column.std():.3f}")
+    if write:
+        np.savez_compressed(starts.FILE, scales=np.array(SCALES, np.float32), states=found)
+
+
+def second(context: Constants, action: Any, luck: Any) -> list[float] | None:
+    """Of `starts.npz`: a walker after its second step; None if it has fallen."""
+    walker = Walker(context, luck)
+    advance([walker], STILL)
+    _, _, over = advance([walker], action[None].astype(np.float32))
+    _, angles, moving = pose(walker)
+    place = walker.bodies[0].position
+    feet = [walker.contact[2], walker.contact[4]]
+    x, y = place.x - STEP * FLAT / 2.0, place.y - HEIGHT
+    walker.close()
+    return None if over[0] else [x, y, *angles, *moving[0, :2], *moving[:, 2], *feet]
 
 
 def main() -> None:
@@ -175,6 +197,7 @@ def main() -> None:
     parts = ("steps", "returns", "start")
     parser.add_argument("--part", nargs="+", choices=parts, default=list(parts))
     parser.add_argument("--episodes", type=int, default=40)
+    parser.add_argument("--write", action="store_true", help="the starts that the world reads")
     args = parser.parse_args()
     print(f"steps of {1000 / FPS:g} ms")
     if "steps" in args.part:
@@ -182,7 +205,7 @@ def main() -> None:
     if "returns" in args.part:
         returns(args.episodes)
     if "start" in args.part:
-        start()
+        start(args.write)
 
 
 if __name__ == "__main__":

@@ -202,7 +202,7 @@ def test_unguided_it_stands_still_at_little_cost(played):
 
 def test_a_walker_that_falls_loses_a_hundred_and_the_episode(played):
     noise = jnp.asarray(np.random.default_rng(0).random((3, 2)), jnp.float32)
-    push = jnp.tile(jnp.array([1.0, 1.0, -1.0, -1.0]), (150, 1))
+    push = jnp.ones((250, 4))
     end, alive = played(noise, push, params(n=3))
     assert not alive[-1].any()
     assert (np.asarray(end.total) < -80.0).all()

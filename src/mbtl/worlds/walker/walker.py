@@ -1,8 +1,8 @@
 """BipedalWalker as pure functions; environment and notation of `mbtl.cmdps.locomotion.walker`.
 
 Box2D's world of five bodies, with two things done otherwise. Joints hold exactly, so seven numbers
-move all (`body.py`). And an episode begins in the pose that Box2D's walker has two steps after it
-was put together with its legs half a metre too high, see `_START`. How near the two are, page
+move all (`body.py`). And an episode begins two steps after a walker was put together, `starts.py`.
+How near the two are, page
 docs/locomotion.md says.
 """
 
@@ -16,8 +16,8 @@ import numpy as np
 
 from mbtl.worlds import environments, random
 from mbtl.worlds.environments import TimeLimit
-from mbtl.worlds.walker import ground
-from mbtl.worlds.walker.body import HULL, Body, across, body, offset, turned
+from mbtl.worlds.walker import ground, starts
+from mbtl.worlds.walker.body import HULL, Body, across, body, offset, speeds, turned
 from mbtl.worlds.walker.contact import PIECES, SKIN
 from mbtl.worlds.walker.motion import (
     FPS,
@@ -42,26 +42,6 @@ _PUSH = 5.0
 _HULL_PIECES = 11
 """Of ground below the hull; a larger hull lies on the ground from the start."""
 
-_START = np.array(
-    [  # scale, height of the hull's origin above the ground, its angle, hips and knees
-        [5, 2.260, 0.000, 0.517, -1.169, 0.517, -1.166],
-        [7, 2.265, 0.000, 0.512, -1.160, 0.513, -1.157],
-        [10, 2.275, 0.000, 0.504, -1.143, 0.505, -1.140],
-        [15, 2.298, 0.000, 0.484, -1.102, 0.486, -1.100],
-        [20, 2.327, -0.001, 0.458, -1.046, 0.460, -1.044],
-        [30, 2.399, -0.005, 0.386, -0.885, 0.389, -0.884],
-        [40, 2.477, -0.011, 0.277, -0.647, 0.285, -0.652],
-        [50, 2.529, -0.005, 0.125, -0.333, 0.154, -0.378],
-        [60, 2.542, 0.006, 0.036, -0.135, 0.065, -0.173],
-        [80, 2.568, -0.001, 0.028, -0.100, 0.049, -0.112],
-        [100, 2.622, -0.033, 0.066, -0.096, 0.082, -0.103],
-        [200, 2.731, -0.137, 0.184, -0.100, 0.186, -0.082],
-        [300, 2.760, -0.160, 0.205, -0.099, 0.202, -0.069],
-    ],
-    np.float32,
-)
-"""Of Box2D's walker after two steps without torque (`evidence/walker_twin.py --part start`)."""
-
 
 @dataclass(frozen=True)
 class BipedalWalker:
@@ -80,29 +60,21 @@ class BipedalWalker:
         """A walker on new ground, with a push."""
         words = jnp.floor(noise * 2.0**24).astype(jnp.uint32)
         seed = (words[0] ^ (words[1] << 8))[None]
-        luck = random.uniform(seed, 0, jnp.uint32(0), ground.ROUGH + ground.PATCHES + 1)[:, 0]
-        pose = [jnp.interp(params.scale, _START[:, 0], column) for column in _START[:, 1:].T]
-        height, hull, hip, knee, other_hip, other_knee = pose
-        turns = [
-            hull,
-            hull + hip,
-            hull + hip + knee,
-            hull + other_hip,
-            hull + other_hip + other_knee,
-        ]
-        origin = jnp.stack([jnp.float32(ground.STEP * ground.FLAT / 2.0), ground.HEIGHT + height])
-        centre = origin + turned(hull, *offset(params.scale))
-        angles = jnp.stack(turns)
+        luck = random.uniform(seed, 0, jnp.uint32(0), ground.ROUGH + ground.PATCHES + 2)[:, 0]
+        begin = starts.start(luck[-2], params.scale)
+        middle = jnp.array([ground.STEP * ground.FLAT / 2.0, ground.HEIGHT], jnp.float32)
+        centre = middle + begin.place + turned(begin.angles[0], *offset(params.scale))
+        now = body(centre, begin.angles, params.scale)
         push = (-_PUSH + 2.0 * _PUSH * luck[-1]) / FPS
-        moving = jnp.zeros((5, 3)).at[0, 0].set(push / body(centre, angles, params.scale).masses[0])
+        moving = speeds(now, begin.moving).at[0, 0].add(push / now.masses[0])
         return WalkerState(
             centre,
-            angles,
+            begin.angles,
             moving,
-            ground.heights(luck[:-1], params.scale),
+            ground.heights(luck[: ground.ROUGH + ground.PATCHES], params.scale),
             jnp.zeros(4, jnp.int32),
             jnp.zeros((4, PIECES), bool),
-            jnp.ones(2, bool),
+            begin.feet,
         )
 
     def step(
