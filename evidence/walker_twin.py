@@ -5,9 +5,8 @@
 `steps` takes states of Box2D's walker under Gymnasium's own gait with noise, moves each by one step
 in both, and prints by how much angles and angular speeds of the five bodies differ then, for steps
 without contact, with one piece of ground touched and with more. `returns` plays random actions, no
-torque and the action of standing still in several contexts, in both. `start` prints what the
-states are like that Box2D's walkers have two steps after they were made, after a step without
-torque and one of a random action; one in jax begins in one of them. `--write` keeps them.
+torque and the action of standing still in several contexts, in both. `start` prints how far off the
+state is that is looked up for a first action; `--write` makes the table from Box2D's walkers first.
 Policies are compared by `twin_transfer.py --cmdp walker-gravity --policies FOLDER`.
 """
 
@@ -16,6 +15,8 @@ from __future__ import annotations
 import measure  # noqa: F401  first: threads
 
 import argparse  # isort: skip
+import importlib
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -49,8 +50,9 @@ CONTEXTS = [
     *(NOMINAL._replace(friction=f) for f in (0.1, 10.0)),
     *(NOMINAL._replace(scale=s) for s in (10.0, 90.0)),
 ]
-FIRST_ACTIONS = 32
-SCALES = (5, 7, 10, 15, 20, 30, 40, 50, 60, 80, 100, 200, 300)
+STRENGTHS = 5
+SCALES = (5, 10, 15, 20, 30, 40, 50, 60, 80, 100)
+GRAVITIES, FRICTIONS = (0.2, 2, 5, 10, 20), (0.1, 0.5, 2.5, 10)
 STILL = np.zeros((1, N_MOTORS), np.float32)
 ENV = BipedalWalker()
 WORLD = worlds.Solo(ENV)
@@ -159,35 +161,57 @@ def returns(episodes: int) -> None:
 
 
 def start(write: bool) -> None:
-    """Prints how far apart the states are that episodes begin in, and writes them."""
-    rng, states = np.random.default_rng(0), []
-    middling = np.full(ROUGH + PATCHES + 1, 0.5)  # no push
-    while len(states) < FIRST_ACTIONS:
-        action = np.clip(rng.normal(0.0, 1.0, N_MOTORS), -1.0, 1.0) * (len(states) > 0)
-        each = [second(NOMINAL._replace(scale=float(scale)), action, middling) for scale in SCALES]
-        if all(one is not None for one in each):  # nowhere on its back
-            states.append(each)
-    found = np.array(states, np.float32).swapaxes(0, 1)  # (scales, first actions, 16)
-    nominal = found[SCALES.index(int(NOMINAL.scale))]
-    bodies = "hull", "thigh", "shin", "thigh", "shin"
-    names = [*"xy", *bodies, "vx", "vy", *(f"speed of {name}" for name in bodies), "foot", "foot"]
-    for name, column in zip(names, nominal.T, strict=True):
-        print(f"{name:14} {column.mean():7.3f} +- {column.std():.3f}")
+    """Writes the states after the first action; prints how far others are from these."""
+    actions = np.array(list(product(np.linspace(-1.0, 1.0, STRENGTHS), repeat=N_MOTORS)))
+
+    def after(**own: float) -> np.ndarray:
+        return np.array([begun(NOMINAL._replace(**own), action)[1] for action in actions])
+
     if write:
-        np.savez_compressed(starts.FILE, scales=np.array(SCALES, np.float32), states=found)
+        nominal = after()
+        found = {"by_scale": np.array([after(scale=s) for s in SCALES])}
+        found["made"] = np.array([begun(NOMINAL._replace(scale=s), actions[0])[0] for s in SCALES])
+        for axis, values in (("gravity", GRAVITIES), ("friction", FRICTIONS)):
+            found[f"by_{axis}"] = np.array([after(**{axis: v}) - nominal for v in values])
+            found[axis] = np.array(values)
+        found["scale"] = np.array(SCALES)
+        small = {name: values.astype(np.float16) for name, values in found.items()}
+        np.savez_compressed(starts.FILE, **small)  # type: ignore[arg-type]
+        importlib.reload(starts)
+    rng = np.random.default_rng(0)
+    look_up = jax.jit(starts.after)
+    print("after a first action: errors of angles and angular speeds; 50 %, 90 % of 200 actions")
+    size = 200, N_MOTORS
+    drawn = {
+        "drawn evenly": rng.uniform(-1.0, 1.0, size),
+        "normal, cut off at 1": np.clip(rng.normal(0.0, 1.0, size), -1.0, 1.0),
+        "full strength": rng.choice([-1.0, 1.0], size),
+    }
+    for name, some in drawn.items():
+        errors = []
+        for context, action in product(CONTEXTS, some):
+            ours, truth = look_up(action, *context), begun(context, action)[1]
+            apart = (
+                np.asarray(ours.angles) - truth[2:7],
+                np.asarray(ours.moving[2:]) - truth[9:14],
+            )
+            errors.append([np.abs(x).max() for x in apart])
+        half, most = np.quantile(errors, [0.5, 0.9], axis=0)
+        print(f"{name:22} {half[0]:.3f}, {most[0]:.3f} rad   {half[1]:.2f}, {most[1]:.2f} rad/s")
 
 
-def second(context: Constants, action: Any, luck: Any) -> list[float] | None:
-    """Of `starts.npz`: a walker after its second step; None if it has fallen."""
-    walker = Walker(context, luck)
-    advance([walker], STILL)
-    _, _, over = advance([walker], action[None].astype(np.float32))
-    _, angles, moving = pose(walker)
-    place = walker.bodies[0].position
-    feet = [walker.contact[2], walker.contact[4]]
-    x, y = place.x - STEP * FLAT / 2.0, place.y - HEIGHT
+def begun(context: Constants, action: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of `starts.npz`: a walker without a push before and after its first action."""
+    walker, rows = Walker(context, np.full(ROUGH + PATCHES + 1, 0.5)), []
+    for motors in (np.zeros(N_MOTORS), action):
+        advance([walker], np.asarray(motors, np.float32)[None])
+        _, angles, moving = pose(walker)
+        place = walker.bodies[0].position
+        feet = [walker.contact[2], walker.contact[4]]
+        at = [place.x - STEP * FLAT / 2.0, place.y - HEIGHT, *angles]
+        rows.append(np.array([*at, *moving[0, :2], *moving[:, 2], *feet]))
     walker.close()
-    return None if over[0] else [x, y, *angles, *moving[0, :2], *moving[:, 2], *feet]
+    return rows[0][:7], rows[1]
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ import mbtl.worlds as worlds
 import jax  # isort: skip
 import jax.numpy as jnp  # isort: skip
 
-from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState, ground, starts
+from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState, ground
 from mbtl.worlds.walker import body as parts
 from mbtl.worlds.walker import walker as twin
 from mbtl.worlds.walker.contact import Box, apart, touch
@@ -193,26 +193,31 @@ def _pose(walker):
 # ---- the environment -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scale", [20.0, 30.0, 60.0])
-def test_the_first_start_is_box2d_s_after_two_steps_without_torque(box2d, scale):
-    walker = box2d.Walker(box2d.Constants(10.0, 2.5, scale), np.full_like(lucks(box2d, 1)[0], 0.5))
-    for _ in range(2):
-        box2d.advance([walker], np.zeros((1, 4), np.float32))
-    _, angles, moving = _pose(walker)
-    found = starts.start(jnp.float32(0.0), jnp.float32(scale))
-    place = walker.bodies[0].position
-    place = place.x - box2d.STEP * box2d.FLAT / 2.0, place.y - box2d.HEIGHT
-    np.testing.assert_allclose(found.place, place, atol=1e-5)
-    np.testing.assert_allclose(found.angles, angles, atol=1e-5)
-    np.testing.assert_allclose(found.moving, [*moving[0, :2], *moving[:, 2]], atol=1e-5)
-    assert found.feet.tolist() == [walker.contact[2], walker.contact[4]]
-
-
-def test_episodes_begin_in_many_states():
-    noise = jnp.asarray(np.random.default_rng(0).random((64, 2)), jnp.float32)
-    knees = np.asarray(WORLD.start(noise, params()).env.angles)[:, 2]
-    assert len(np.unique(knees)) > 20
-    assert knees.std() > 0.2
+@pytest.mark.parametrize(
+    ("action", "own"),
+    [
+        ((0, 0, 0, 0), {}),
+        ((1, 1, 1, 1), {}),
+        ((-1, 0.5, 1, -1), {}),
+        ((1, -1, -1, 1), {"gravity": 2.0}),
+        ((1, 1, 1, 1), {"friction": 0.1}),
+        ((-1, -1, -1, -1), {"scale": 60.0}),
+    ],
+)
+def test_the_first_action_does_what_it_does_in_box2d(box2d, action, own):
+    noise = np.random.default_rng(0).random(2)
+    context = box2d.Constants(**{"gravity": 10.0, "friction": 2.5, "scale": 30.0, **own})
+    walker = box2d.Walker(context, box2d.luck(noise))
+    expected, _, _ = box2d.advance([walker], np.zeros((1, 4), np.float32))
+    state = ENV.initial(jnp.asarray(noise, jnp.float32), params(**own))
+    seen = np.asarray(ENV.observe(state, params(**own)))
+    np.testing.assert_allclose(seen, expected[0], atol=0.02)
+    action = np.array(action, np.float32)
+    expected, reward, _ = box2d.advance([walker], action[None])
+    step = ENV.step(state, jnp.asarray(action), params(**own))
+    seen = np.asarray(ENV.observe(step.state, params(**own)))
+    np.testing.assert_allclose(seen, expected[0], atol=0.03)
+    assert float(step.reward) == pytest.approx(reward[0], abs=0.05)
 
 
 def test_unguided_it_stands_still_at_little_cost(played):

@@ -1,9 +1,8 @@
 """BipedalWalker as pure functions; environment and notation of `mbtl.cmdps.locomotion.walker`.
 
 Box2D's world of five bodies, with two things done otherwise. Joints hold exactly, so seven numbers
-move all (`body.py`). And an episode begins two steps after a walker was put together, `starts.py`.
-How near the two are, page
-docs/locomotion.md says.
+move all (`body.py`). And what the first action does is looked up (`starts.py`). How near the two
+are, page docs/locomotion.md says.
 """
 
 from __future__ import annotations
@@ -39,6 +38,10 @@ STANCE = (-0.2, 0.0, 0.2, 0.0)
 _ACTION = environments.Box((-1.0,) * 4, (1.0,) * 4)
 _PUSH = 5.0
 """Largest force on the hull in the first step [N]."""
+_ANEW = np.int32(-1)
+"""Instead of a number of a piece of ground: no action has been taken."""
+_MIDDLE = np.array([ground.STEP * ground.FLAT / 2.0, ground.HEIGHT], np.float32)
+"""Of the flat ground at the beginning [m]."""
 _HULL_PIECES = 11
 """Of ground below the hull; a larger hull lies on the ground from the start."""
 
@@ -60,21 +63,19 @@ class BipedalWalker:
         """A walker on new ground, with a push."""
         words = jnp.floor(noise * 2.0**24).astype(jnp.uint32)
         seed = (words[0] ^ (words[1] << 8))[None]
-        luck = random.uniform(seed, 0, jnp.uint32(0), ground.ROUGH + ground.PATCHES + 2)[:, 0]
-        begin = starts.start(luck[-2], params.scale)
-        middle = jnp.array([ground.STEP * ground.FLAT / 2.0, ground.HEIGHT], jnp.float32)
-        centre = middle + begin.place + turned(begin.angles[0], *offset(params.scale))
-        now = body(centre, begin.angles, params.scale)
+        luck = random.uniform(seed, 0, jnp.uint32(0), ground.ROUGH + ground.PATCHES + 1)[:, 0]
+        place, angles = starts.made(params.scale)
         push = (-_PUSH + 2.0 * _PUSH * luck[-1]) / FPS
-        moving = speeds(now, begin.moving).at[0, 0].add(push / now.masses[0])
+        pushed = push / body(jnp.zeros(2), angles, params.scale).masses[0]
+        moving = jnp.zeros((5, 3)).at[0, :2].set(jnp.stack([pushed, -params.gravity / FPS]))
         return WalkerState(
-            centre,
-            begin.angles,
+            _MIDDLE + place + turned(angles[0], *offset(params.scale)),
+            angles,
             moving,
-            ground.heights(luck[: ground.ROUGH + ground.PATCHES], params.scale),
-            jnp.zeros(4, jnp.int32),
+            ground.heights(luck[:-1], params.scale),
+            jnp.full(4, _ANEW),
             jnp.zeros((4, PIECES), bool),
-            begin.feet,
+            jnp.ones(2, bool),
         )
 
     def step(
@@ -83,6 +84,9 @@ class BipedalWalker:
         """One step of 1/50 s; actions beyond +-1 act as +-1."""
         strength = jnp.minimum(jnp.abs(action), 1.0)
         new = moved(state, jnp.sign(action) * SPEEDS, TORQUE * strength, params)
+        anew = state.first[0] == _ANEW
+        begun = _begun(state, jnp.clip(action, -1.0, 1.0), params)
+        new = jax.tree.map(lambda first, later: jnp.where(anew, first, later), begun, new)
         now, x = body_of(new, params), _origin(new, params)[0]
         fallen = _lies(now, new, params) | (x < 0.0)
         gain = _progress(new, params) - _progress(state, params)
@@ -108,6 +112,20 @@ class BipedalWalker:
             params.visible,
         ]  # fmt: skip
         return jnp.concatenate(seen).astype(jnp.float32)
+
+
+def _begun(state: WalkerState, action: jax.Array, params: WalkerParams) -> WalkerState:
+    """The state after a first action, whose walker was pushed before."""
+    start = starts.after(action, params.gravity, params.friction, params.scale)
+    centre = _MIDDLE + start.place + turned(start.angles[0], *offset(params.scale))
+    moving = speeds(body(centre, start.angles, params.scale), start.moving)
+    return state._replace(
+        centre=centre,
+        angles=start.angles,
+        moving=moving.at[0, 0].add(state.moving[0, 0]),
+        first=jnp.zeros(4, jnp.int32),
+        feet=start.feet,
+    )
 
 
 def _origin(state: WalkerState, params: WalkerParams) -> jax.Array:
