@@ -63,7 +63,7 @@ def test_grids_and_constants_of_traffic(id):
     assert (cmdp.bounds, cmdp.theta) == (bounds, theta)
     shown = id in ("eco-penetration", "eco-green")  # the reference hides the rest
     assert cmdp.settings["visibility"] == ("multiplier" if shown else "hidden")
-    assert cmdp.version == (2 if id.startswith("signal") else 1)
+    assert cmdp.version == (3 if id.startswith("signal") else 1)
     assert cmdp.floor == (-100.0 if id.startswith("signal") else None)
 
 
