@@ -305,7 +305,7 @@ def test_a_score_at_the_floor_is_told_as_soon_as_it_is_there(make):
     assert len(told) - told.count(None) > 10
     signal = get_cmdp("signal-inflow")
     assert signal.normalisation.normalise(min(t for t in told if t)) == 0.0
-    assert (signal.floor, signal.version) == (LOWEST, 2)
+    assert (signal.floor, signal.version) == (LOWEST, 3)
     assert "final_score" not in episode(make({"inflow": 50}), FIXED_TIME)[2]
 
 

@@ -121,7 +121,7 @@ def test_cars_that_found_no_room_are_counted(driven):
     assert (np.asarray(counts.collided) == 0).all()
 
 
-@pytest.mark.parametrize("obs", ["fresh", "stale"])
+@pytest.mark.parametrize("obs", ["fresh", pytest.param("stale", marks=pytest.mark.long)])
 def test_ramps_of_several_holds_live_together_as_they_do_alone(obs):
     contexts = [{"hold": hold} for hold in (1.0, 3.0, 4.0)]
     twin, each = RampProblem("acceleration", obs=obs, visibility="multiplier")(contexts)
