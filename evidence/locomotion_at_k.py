@@ -7,7 +7,7 @@ the CMDP. What they reach is the mean return over all targets, on episodes that 
 three scales: of the CMDP, of the paper, and from the CMDP's 0 to the best entry. Random is its
 exact expectation. Independent is the mean over the contexts that were trained on, each with its own
 policy. The last column has what the paper printed for K = 15, of its own policies and by its own
-scale. `--write` puts the mean returns of all shipped ones, by seed where there are several, into
+scale. `--write` puts the mean returns of all shipped ones, over their seeds, into
 docs/locomotion.md.
 
 example: python evidence/locomotion_at_k.py cheetah-gravity
@@ -108,10 +108,9 @@ def page(ids: Sequence[str], budgets: Sequence[int], folder: Path | None) -> lis
     columns = {}
     for id in ids:
         matrix = load_matrix(id)
-        bounds = matrix.bounds
-        known = levels_of(matrix, budgets, folder)
         columns[f"{id} ({matrix.n_seeds})"] = {
-            head: bounds.low + (bounds.high - bounds.low) * value for head, value in known.items()
+            head: float(matrix.bounds.denormalise(value))
+            for head, value in levels_of(matrix, budgets, folder).items()
         }
     heads = list(dict.fromkeys(head for column in columns.values() for head in column))
     heads.sort(key=lambda head: (head.startswith(ALL_AT_ONCE), "K = " in head))

@@ -15,6 +15,7 @@ import numpy as np
 
 from mbtl.worlds import environments, random
 from mbtl.worlds.environments import TimeLimit
+from mbtl.worlds.vectorised import batch_last
 from mbtl.worlds.walker import ground, starts
 from mbtl.worlds.walker.body import HULL, Body, across, body, offset, speeds, turned
 from mbtl.worlds.walker.contact import PIECES, SKIN
@@ -84,9 +85,9 @@ class BipedalWalker:
         """One step of 1/50 s; actions beyond +-1 act as +-1."""
         strength = jnp.minimum(jnp.abs(action), 1.0)
         new = moved(state, jnp.sign(action) * SPEEDS, TORQUE * strength, params)
-        anew = state.first[0] == _ANEW
-        begun = _begun(state, jnp.clip(action, -1.0, 1.0), params)
-        new = jax.tree.map(lambda first, later: jnp.where(anew, first, later), begun, new)
+        small, later = state._replace(heights=()), new._replace(heights=())
+        first = _or_begun(small, later, jnp.clip(action, -1.0, 1.0), params._replace(visible=()))
+        new = first._replace(heights=new.heights)
         now, x = body_of(new, params), _origin(new, params)[0]
         fallen = _lies(now, new, params) | (x < 0.0)
         gain = _progress(new, params) - _progress(state, params)
@@ -126,6 +127,22 @@ def _begun(state: WalkerState, action: jax.Array, params: WalkerParams) -> Walke
         first=jnp.zeros(4, jnp.int32),
         feet=start.feet,
     )
+
+
+@batch_last
+def _or_begun(
+    state: WalkerState, later: WalkerState, action: jax.Array, params: WalkerParams
+) -> WalkerState:
+    """What `later` says, or the state after a first action; looked up where anybody begins."""
+    anew = state.first[0] == _ANEW
+
+    def looked_up() -> WalkerState:
+        begun = jax.vmap(_begun, -1, -1)(state, action, params)
+        chosen: WalkerState = jax.tree.map(lambda a, b: jnp.where(anew, a, b), begun, later)
+        return chosen
+
+    found: WalkerState = jax.lax.cond(anew.any(), looked_up, lambda: later)
+    return found
 
 
 def _origin(state: WalkerState, params: WalkerParams) -> jax.Array:
