@@ -20,7 +20,7 @@ from mbtl.training.jax.episodic.episodes import Actor
 from mbtl.training.jax.evaluation import evaluate, own_scores
 from mbtl.worlds.traffic import crossing_demand as coming
 from mbtl.worlds.traffic import lane
-from mbtl.worlds.traffic.crossing import _greens
+from mbtl.worlds.traffic.crossing import CrossingTwin, _greens
 from mbtl.worlds.traffic.crossing_state import VACANT, Queues, moved_up
 from mbtl.worlds.traffic.krauss import Krauss
 
@@ -28,18 +28,23 @@ DRIVER = Krauss(1.0, 4.5, 0.5)
 SEEDS = np.array([[0, 1, 2]], np.uint32)
 
 
+BUSIEST = {"inflow": 2500.0}
+START, STEP = (
+    jax.jit(method, static_argnums=0) for method in (CrossingTwin.start, CrossingTwin.step)
+)
+
+
 def twin_at(**features):
-    """The twin and the parameters of one context."""
-    twin, (params,) = SignalProblem()([features])
+    """A twin and the parameters of one context in it; all tests share its compiled programs."""
+    twin, (params, _) = SignalProblem()([features, BUSIEST])
     return twin, params
 
 
 def played(twin, params, seeds, phase_of, decisions):
     """The state after so many decisions; `phase_of` maps the number of a decision to a phase."""
-    state = twin.start(jnp.asarray(seeds, jnp.uint32), params)
-    step = jax.jit(twin.step)
+    state = START(twin, jnp.asarray(seeds, jnp.uint32), params)
     for k in range(decisions):
-        state = step(state, jnp.full((len(seeds), 1), phase_of(k)), params).state
+        state = STEP(twin, state, jnp.full((len(seeds), 1), phase_of(k)), params).state
     return state
 
 
@@ -146,7 +151,7 @@ def test_queues_move_up_when_cars_have_left():
 
 def test_a_lane_without_green_holds_its_cars_before_the_line():
     twin, params = twin_at(inflow=200.0)
-    state = played(twin, params, [1, 2], lambda k: 0, 200)
+    state = played(twin, params, [3, 7, 9, 11], lambda k: 0, 200)
     queues = jax.tree.map(np.asarray, state.queues)
     east_west = [lane for lane in range(16) if lane // 4 in (0, 2)]
     x = queues.x[:, east_west]
@@ -162,10 +167,9 @@ def test_a_lane_without_green_holds_its_cars_before_the_line():
 
 def test_waiting_is_booked_as_the_environment_defines_it():
     twin, params = twin_at(inflow=100.0)
-    state = twin.start(jnp.asarray([3], jnp.uint32), params)
-    step, total = jax.jit(twin.step), 0.0
+    state, total = START(twin, jnp.asarray([3], jnp.uint32), params), 0.0
     for k in range(120):
-        moved = step(state, jnp.full((1, 1), (k // 4) % 4), params)
+        moved = STEP(twin, state, jnp.full((1, 1), (k // 4) % 4), params)
         x = np.asarray(moved.state.queues.x)
         on = (x > -1.0) & (x <= 750.0)
         waited = float((np.asarray(moved.state.queues.waited) * on).sum())
@@ -206,7 +210,7 @@ def test_a_jam_ends_the_episode():
     assert bool(twin.over(state)[0])
     assert float(twin.score(state)[0]) <= twin.jam
     assert float(state.time[0]) < 5400.0
-    again = twin.step(state, jnp.zeros((1, 1), jnp.int32), params)
+    again = STEP(twin, state, jnp.zeros((1, 1), jnp.int32), params)
     assert float(twin.score(again.state)[0]) == float(twin.score(state)[0])
 
 

@@ -18,6 +18,7 @@ from mbtl.worlds.walker.motion import moved
 
 ENV = BipedalWalker()
 WORLD = worlds.Solo(ENV)
+INITIAL, STEP, OBSERVE = jax.jit(ENV.initial), jax.jit(ENV.step), jax.jit(ENV.observe)
 
 
 def params(gravity=10.0, friction=2.5, scale=30.0, n=None):
@@ -35,19 +36,22 @@ def box2d():
     return walker_body
 
 
-@pytest.fixture(scope="module")
-def played():
-    """Steps of some walkers under one action: (sum of rewards, alive) after n steps."""
+MOST = 1000
+"""Steps that may be played."""
 
-    @jax.jit
-    def play(noise, actions, own):
-        def one(state, action):
-            moved = WORLD.step(state, jnp.broadcast_to(action, (len(noise), 1, 4)), own)
-            return moved.state, moved.state.alive
 
-        return jax.lax.scan(one, WORLD.start(noise, own), actions)
+@jax.jit
+def _played(noise, actions, count, own):
+    def one(i, state):
+        return WORLD.step(state, jnp.broadcast_to(actions[i], (len(noise), 1, 4)), own).state
 
-    return play
+    return jax.lax.fori_loop(0, count, one, WORLD.start(noise, own))
+
+
+def played(noise, actions, own):
+    """Four walkers after these actions, (t, 4), which are all one's; one program for all tests."""
+    padded = jnp.zeros((MOST, 4)).at[: len(actions)].set(actions)
+    return _played(jnp.asarray(noise, jnp.float32), padded, len(actions), own)
 
 
 def lucks(box2d, n):
@@ -209,50 +213,48 @@ def test_the_first_action_does_what_it_does_in_box2d(box2d, action, own):
     context = box2d.Constants(**{"gravity": 10.0, "friction": 2.5, "scale": 30.0, **own})
     walker = box2d.Walker(context, box2d.luck(noise))
     expected, _, _ = box2d.advance([walker], np.zeros((1, 4), np.float32))
-    state = ENV.initial(jnp.asarray(noise, jnp.float32), params(**own))
-    seen = np.asarray(ENV.observe(state, params(**own)))
+    state = INITIAL(jnp.asarray(noise, jnp.float32), params(**own))
+    seen = np.asarray(OBSERVE(state, params(**own)))
     np.testing.assert_allclose(seen, expected[0], atol=0.02)
     action = np.array(action, np.float32)
     expected, reward, _ = box2d.advance([walker], action[None])
-    step = ENV.step(state, jnp.asarray(action), params(**own))
-    seen = np.asarray(ENV.observe(step.state, params(**own)))
+    step = STEP(state, jnp.asarray(action), params(**own))
+    seen = np.asarray(OBSERVE(step.state, params(**own)))
     np.testing.assert_allclose(seen, expected[0], atol=0.03)
     assert float(step.reward) == pytest.approx(reward[0], abs=0.05)
 
 
-def test_unguided_it_stands_still_at_little_cost(played):
-    noise = jnp.asarray(np.random.default_rng(0).random((3, 2)), jnp.float32)
-    end, alive = played(noise, jnp.tile(jnp.array(ENV.idle), (1000, 1)), params(n=3))
-    assert alive.all()
+def test_unguided_it_stands_still_at_little_cost():
+    noise = np.random.default_rng(0).random((4, 2))
+    end = played(noise, jnp.tile(jnp.array(ENV.idle), (MOST, 1)), params(n=4))
+    assert end.alive.all()
     assert ((np.asarray(end.total) > -20.0) & (np.asarray(end.total) < 0.0)).all()
 
 
-def test_a_walker_that_falls_loses_a_hundred_and_the_episode(played):
-    noise = jnp.asarray(np.random.default_rng(0).random((3, 2)), jnp.float32)
-    push = jnp.ones((250, 4))
-    end, alive = played(noise, push, params(n=3))
-    assert not alive[-1].any()
+def test_a_walker_that_falls_loses_a_hundred_and_the_episode():
+    noise = np.random.default_rng(0).random((4, 2))
+    end = played(noise, jnp.ones((250, 4)), params(n=4))
+    assert not end.alive.any()
     assert (np.asarray(end.total) < -80.0).all()
 
 
-def test_every_axis_changes_what_happens(played):
-    noise = jnp.asarray(np.random.default_rng(0).random((1, 2)), jnp.float32)
+def test_every_axis_changes_what_happens():
+    noise = np.tile(np.random.default_rng(0).random(2), (4, 1))
     walk = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (60, 4)), jnp.float32)
-    ends = [
-        np.asarray(played(noise, walk, params(n=1, **own))[0].env.angles)
-        for own in ({}, {"gravity": 5.0}, {"friction": 0.1}, {"scale": 20.0})
-    ]
-    assert all(np.abs(end - ends[0]).max() > 0.05 for end in ends[1:])
+    others = ({}, {"gravity": 5.0}, {"friction": 0.1}, {"scale": 20.0})
+    own = jax.tree.map(lambda *x: jnp.stack(x), *(params(**other) for other in others))
+    angles = np.asarray(played(noise, walk, own).env.angles)
+    assert (np.abs(angles[1:] - angles[0]).max(axis=1) > 0.05).all()
 
 
 def test_an_action_that_is_no_number_ends_the_episode():
-    state = ENV.initial(jnp.array([0.3, 0.4]), params())
-    assert bool(ENV.step(state, jnp.array([jnp.nan, 0.0, 0.0, 0.0]), params()).terminated)
+    state = INITIAL(jnp.array([0.3, 0.4]), params())
+    assert bool(STEP(state, jnp.array([jnp.nan, 0.0, 0.0, 0.0]), params()).terminated)
 
 
 def test_a_large_hull_lies_on_the_ground_at_once():
-    state = ENV.initial(jnp.array([0.3, 0.4]), params(scale=1.0))
-    step = ENV.step(state, jnp.zeros(4), params(scale=1.0))
+    state = INITIAL(jnp.array([0.3, 0.4]), params(scale=1.0))
+    step = STEP(state, jnp.zeros(4), params(scale=1.0))
     assert (bool(step.terminated), float(step.reward)) == (True, -100.0)
 
 
@@ -264,5 +266,5 @@ def test_it_shows_what_box2d_s_environment_shows(box2d):
     heights = jnp.append(heights, heights[-1])
     feet = jnp.array([walker.contact[2], walker.contact[4]])
     none = jnp.zeros(4, jnp.int32), jnp.zeros((4, 4), bool)
-    seen = ENV.observe(WalkerState(*_pose(walker), heights, *none, feet), params())
+    seen = OBSERVE(WalkerState(*_pose(walker), heights, *none, feet), params())
     np.testing.assert_allclose(seen, expected[0], atol=2e-5)
