@@ -190,10 +190,11 @@ def start(write: bool) -> None:
     for name, some in drawn.items():
         errors = []
         for context, action in product(CONTEXTS, some):
-            ours, truth = look_up(action, *context), begun(context, action)[1]
+            luck = rng.random(N_MOTORS)
+            ours, truth = look_up(action, luck, *context), begun(context, action)[1]
             apart = (
                 np.asarray(ours.angles) - truth[2:7],
-                np.asarray(ours.moving[2:]) - truth[9:14],
+                np.asarray(ours.moving)[:, 2] - truth[7:22].reshape(5, 3)[:, 2],
             )
             errors.append([np.abs(x).max() for x in apart])
         half, most = np.quantile(errors, [0.5, 0.9], axis=0)
@@ -209,7 +210,7 @@ def begun(context: Constants, action: Any) -> tuple[np.ndarray, np.ndarray]:
         place = walker.bodies[0].position
         feet = [walker.contact[2], walker.contact[4]]
         at = [place.x - STEP * FLAT / 2.0, place.y - HEIGHT, *angles]
-        rows.append(np.array([*at, *moving[0, :2], *moving[:, 2], *feet]))
+        rows.append(np.array([*at, *moving.ravel(), *feet]))
     walker.close()
     return rows[0][:7], rows[1]
 

@@ -139,7 +139,7 @@ LOCOMOTION_VARIANTS: Mapping[str, Variant] = {
         "0.2",
         10.0,
         paper_step="1",
-        version=1,
+        version=2,
         description="BipedalWalker; gravity varies",
     ),
     "walker-friction": line(
@@ -149,7 +149,7 @@ LOCOMOTION_VARIANTS: Mapping[str, Variant] = {
         "0.1",
         2.5,
         paper_step="0.25",
-        version=1,
+        version=2,
         description="BipedalWalker; the friction of the ground varies",
     ),
     "walker-scale": line(
@@ -159,7 +159,7 @@ LOCOMOTION_VARIANTS: Mapping[str, Variant] = {
         "1",
         30.0,
         paper_step="3",
-        version=1,
+        version=2,
         description="BipedalWalker; the scale varies, by which hull and roughness are divided",
     ),
     "walker-512": Variant(
@@ -170,7 +170,7 @@ LOCOMOTION_VARIANTS: Mapping[str, Variant] = {
             GridAxis("scale", _PER_SCALE, "6", 30.0, n=8, unit_index=4),
         ),
         theta=0.01,  # a step is two of the steps on one axis, in multiples of the nominal value
-        version=1,
+        version=2,
         description="BipedalWalker; gravity, friction and scale vary (SD-MBTL's 512)",
     ),
     "cheetah-gravity": line(

@@ -4,9 +4,9 @@ Their legs are put half a metre too high and pushed out of the ground at once, w
 hold exactly cannot do. In the first step, without torque, they get half of the way; what the first
 action does is mixed with the rest, and moves a knee by up to half a turn. So a walker in jax is
 first seen as Box2D's is after one step, and the state after its first action is looked up among
-those that Box2D's walkers had, with every combination of a few strengths of the four motors, and
-between them by straight lines. A policy that always began in the same state walked from there only,
-and fell in Box2D.
+those that Box2D's walkers had, with every combination of a few strengths of the four motors. A
+strength between two of these counts as either, by chance: a state between theirs is none of
+Box2D's. A policy that always began in the same state walked from there only, and fell in Box2D.
 
 Gravity and friction add what they change at the nominal scale. Notation (shapes): s values of one
 axis, L strengths of a motor.
@@ -14,7 +14,6 @@ axis, L strengths of a motor.
 
 from __future__ import annotations
 
-from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,14 +24,13 @@ from numpy.typing import NDArray
 
 FILE = Path(__file__).parent / "starts.npz"
 """`evidence/walker_twin.py --part start --write` wrote it: per axis its values, (s,), and states
-after the first action, (s, L**4, 16), of gravity and friction as differences; and per scale what is
+after the first action, (s, L**4, 24), of gravity and friction as differences; and per scale what is
 seen before it, (s, 7)."""
 AXES = ("gravity", "friction", "scale")
 _MOTORS = 4
 with np.load(FILE) as _file:
     _FOUND: dict[str, NDArray[np.float32]] = {k: _file[k].astype(np.float32) for k in _file.files}
 _STRENGTHS = round(len(_FOUND["by_scale"][0]) ** (1.0 / _MOTORS))
-_CORNERS = np.array(list(product((0, 1), repeat=_MOTORS)))
 
 
 class Start(NamedTuple):
@@ -41,7 +39,7 @@ class Start(NamedTuple):
     Attributes:
         place: (2,) of the hull's origin: from the middle of the flat ground, and above it [m].
         angles: (5,) of the bodies [rad].
-        moving: (7,) speeds u of `body.py`.
+        moving: (5, 3) of the bodies: in the first step Box2D's joints do not hold all of it.
         feet: (2,) whether the shins are on the ground.
     """
 
@@ -59,19 +57,19 @@ def made(scale: jax.Array) -> tuple[jax.Array, jax.Array]:
     return numbers[:2], numbers[2:]
 
 
-def after(action: jax.Array, gravity: jax.Array, friction: jax.Array, scale: jax.Array) -> Start:
-    """The state after a first action, (4,) within -1..1."""
+def after(
+    action: jax.Array, luck: jax.Array, gravity: jax.Array, friction: jax.Array, scale: jax.Array
+) -> Start:
+    """The state after a first action, (4,) within -1..1; luck, (4,) within 0..1, rounds it."""
     at = (action + 1.0) / 2.0 * (_STRENGTHS - 1)
-    below = jnp.clip(jnp.floor(at), 0, _STRENGTHS - 2)
-    weights = jnp.where(_CORNERS == 1, at - below, 1.0 - (at - below)).prod(axis=1)  # (16,)
-    rows = (below.astype(jnp.int32) + _CORNERS) @ _STRENGTHS ** np.arange(_MOTORS)[::-1]
-    numbers = jnp.zeros(16)
+    nearby = jnp.clip(jnp.floor(at + luck), 0, _STRENGTHS - 1).astype(jnp.int32)
+    row = nearby @ _STRENGTHS ** np.arange(_MOTORS)[::-1]
+    numbers = jnp.zeros(24)
     for axis, value in zip(AXES, (gravity, friction, scale), strict=True):
         (low, high), share = _between(axis, value)
         table = jnp.asarray(_FOUND[f"by_{axis}"])
-        some = (1.0 - share) * table[low, rows] + share * table[high, rows]
-        numbers = numbers + (weights[:, None] * some).sum(axis=0)
-    return Start(numbers[:2], numbers[2:7], numbers[7:14], numbers[14:] > 0.5)
+        numbers = numbers + (1.0 - share) * table[low, row] + share * table[high, row]
+    return Start(numbers[:2], numbers[2:7], numbers[7:22].reshape(5, 3), numbers[22:] > 0.5)
 
 
 def _between(axis: str, value: jax.Array) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:

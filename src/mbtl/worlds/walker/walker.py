@@ -17,7 +17,7 @@ from mbtl.worlds import environments, random
 from mbtl.worlds.environments import TimeLimit
 from mbtl.worlds.vectorised import batch_last
 from mbtl.worlds.walker import ground, starts
-from mbtl.worlds.walker.body import HULL, Body, across, body, offset, speeds, turned
+from mbtl.worlds.walker.body import HULL, Body, across, body, offset, turned
 from mbtl.worlds.walker.contact import PIECES, SKIN
 from mbtl.worlds.walker.motion import (
     FPS,
@@ -40,7 +40,9 @@ _ACTION = environments.Box((-1.0,) * 4, (1.0,) * 4)
 _PUSH = 5.0
 """Largest force on the hull in the first step [N]."""
 _ANEW = np.int32(-1)
-"""Instead of a number of a piece of ground: no action has been taken."""
+"""Instead of numbers of pieces of ground, this or less: no action has been taken. How much less is
+the luck of the four motors."""
+_LUCKS = np.float32(2.0**20)
 _MIDDLE = np.array([ground.STEP * ground.FLAT / 2.0, ground.HEIGHT], np.float32)
 """Of the flat ground at the beginning [m]."""
 _HULL_PIECES = 11
@@ -64,17 +66,18 @@ class BipedalWalker:
         """A walker on new ground, with a push."""
         words = jnp.floor(noise * 2.0**24).astype(jnp.uint32)
         seed = (words[0] ^ (words[1] << 8))[None]
-        luck = random.uniform(seed, 0, jnp.uint32(0), ground.ROUGH + ground.PATCHES + 1)[:, 0]
+        count = ground.ROUGH + ground.PATCHES + 1
+        luck = random.uniform(seed, 0, jnp.uint32(0), count + 4)[:, 0]
         place, angles = starts.made(params.scale)
-        push = (-_PUSH + 2.0 * _PUSH * luck[-1]) / FPS
+        push = (-_PUSH + 2.0 * _PUSH * luck[count - 1]) / FPS
         pushed = push / body(jnp.zeros(2), angles, params.scale).masses[0]
         moving = jnp.zeros((5, 3)).at[0, :2].set(jnp.stack([pushed, -params.gravity / FPS]))
         return WalkerState(
             _MIDDLE + place + turned(angles[0], *offset(params.scale)),
             angles,
             moving,
-            ground.heights(luck[:-1], params.scale),
-            jnp.full(4, _ANEW),
+            ground.heights(luck[: count - 1], params.scale),
+            _ANEW - (luck[count:] * _LUCKS).astype(jnp.int32),
             jnp.zeros((4, PIECES), bool),
             jnp.ones(2, bool),
         )
@@ -115,16 +118,19 @@ class BipedalWalker:
         return jnp.concatenate(seen).astype(jnp.float32)
 
 
-def _begun(state: WalkerState, action: jax.Array, params: WalkerParams) -> WalkerState:
-    """The state after a first action, whose walker was pushed before."""
-    start = starts.after(action, params.gravity, params.friction, params.scale)
-    centre = _MIDDLE + start.place + turned(start.angles[0], *offset(params.scale))
-    moving = speeds(body(centre, start.angles, params.scale), start.moving)
-    return state._replace(
-        centre=centre,
+def _begun(
+    state: WalkerState, later: WalkerState, action: jax.Array, params: WalkerParams
+) -> WalkerState:
+    """The state after a first action, whose walker was pushed before.
+
+    What it touched is as in `later`: where it stood when the step began.
+    """
+    luck = (_ANEW - state.first) / _LUCKS
+    start = starts.after(action, luck, params.gravity, params.friction, params.scale)
+    return later._replace(
+        centre=_MIDDLE + start.place + turned(start.angles[0], *offset(params.scale)),
         angles=start.angles,
-        moving=moving.at[0, 0].add(state.moving[0, 0]),
-        first=jnp.zeros(4, jnp.int32),
+        moving=start.moving.at[0, 0].add(state.moving[0, 0]),
         feet=start.feet,
     )
 
@@ -134,10 +140,10 @@ def _or_begun(
     state: WalkerState, later: WalkerState, action: jax.Array, params: WalkerParams
 ) -> WalkerState:
     """What `later` says, or the state after a first action; looked up where anybody begins."""
-    anew = state.first[0] == _ANEW
+    anew = (state.first[0] <= _ANEW) & jnp.isfinite(action).all(axis=0)  # (n,)
 
     def looked_up() -> WalkerState:
-        begun = jax.vmap(_begun, -1, -1)(state, action, params)
+        begun = jax.vmap(_begun, -1, -1)(state, later, action, params)
         chosen: WalkerState = jax.tree.map(lambda a, b: jnp.where(anew, a, b), begun, later)
         return chosen
 
