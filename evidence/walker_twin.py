@@ -38,6 +38,7 @@ from mbtl.cmdps.locomotion.walker_body import (
     Walker,
     advance,
     heights,
+    luck,
 )
 from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState, starts
 from mbtl.worlds.walker import walker as twin
@@ -190,8 +191,8 @@ def start(write: bool) -> None:
     for name, some in drawn.items():
         errors = []
         for context, action in product(CONTEXTS, some):
-            luck = rng.random(N_MOTORS)
-            ours, truth = look_up(action, luck, *context), begun(context, action)[1]
+            rounding = rng.random(N_MOTORS)
+            ours, truth = look_up(action, rounding, *context), begun(context, action)[1]
             apart = (
                 np.asarray(ours.angles) - truth[2:7],
                 np.asarray(ours.moving)[:, 2] - truth[7:22].reshape(5, 3)[:, 2],
@@ -199,6 +200,30 @@ def start(write: bool) -> None:
             errors.append([np.abs(x).max() for x in apart])
         half, most = np.quantile(errors, [0.5, 0.9], axis=0)
         print(f"{name:22} {half[0]:.3f}, {most[0]:.3f} rad   {half[1]:.2f}, {most[1]:.2f} rad/s")
+    begin(200, rng)
+
+
+def begin(episodes: int, rng: np.random.Generator) -> None:
+    """Prints how first steps differ: an action of full strength, then actions drawn evenly."""
+    initial, step, observe = (jax.jit(f) for f in (ENV.initial, ENV.step, ENV.observe))
+    own, seen = params(NOMINAL), np.zeros((4, episodes, 2, 24))
+    for episode in range(episodes):
+        noise = rng.random(2)
+        walker, state = Walker(NOMINAL, luck(noise)), initial(jnp.asarray(noise, jnp.float32), own)
+        advance([walker], STILL)
+        for number in range(len(seen)):
+            action = rng.uniform(-1.0, 1.0, N_MOTORS).astype(np.float32)
+            action = action if number else np.sign(action)
+            state = step(state, jnp.asarray(action), own).state
+            seen[number, episode] = observe(state, own), advance([walker], action[None])[0][0]
+        walker.close()
+    feet = (seen[:, :, 0] == seen[:, :, 1])[..., [8, 13]].mean(axis=(1, 2))
+    rising = np.abs(seen[:, :, 0, 3] - seen[:, :, 1, 3]).mean(axis=1) * FPS / (400.0 * 0.3 / 30.0)
+    for number, (same, off) in enumerate(zip(feet, rising, strict=True), 1):
+        print(
+            f"action {number}: of {same:.0%} of feet both say whether they are down; "
+            f"the hull rises {off:.3f} m/s faster or slower"
+        )
 
 
 def begun(context: Constants, action: Any) -> tuple[np.ndarray, np.ndarray]:
