@@ -22,6 +22,7 @@ TINY = engine.A2CRecipe(n_envs=32, n_steps=4, anneal=True)  # two rollouts in an
 ENV = engine.Solo(engine.CartPole(horizon=9))  # shorter than an update: episodes are cut off
 CARTPOLE = engine.Solo(engine.CartPole())
 FAST = replace(engine.recipe_named("A2C", "fast"), anneal=False)  # compiled once, with P = 2
+PLAY, LEARN = (jax.jit(f, static_argnums=(0, 1)) for f in (rollout.play, a2c.learn))
 
 
 def params_of(lengths, env=ENV):
@@ -94,7 +95,7 @@ update = jax.jit(partial(a2c.update, ENV, TINY))
 def test_an_update_is_its_rollouts_one_after_another():
     state, params = single(TINY)
     key, noise = rollout.draw(ENV, state.key, (2, 4, 32))
-    play, learn = (jax.jit(partial(f, ENV, TINY)) for f in (rollout.play, a2c.learn))
+    play, learn = (partial(f, ENV, TINY) for f in (PLAY, LEARN))
     by_hand = state._replace(key=key)
     for k in range(2):
         part = jax.tree.map(lambda x, k=k: x[k], noise)
@@ -123,8 +124,8 @@ def test_a_gradient_step_is_stable_baselines3s(time_limit):
     recipe = engine.A2CRecipe(n_envs=2, n_steps=24, gae_lambda=0.9, entropy_coef=0.01)
     state, params = single(recipe, env)
     _, noise = rollout.draw(env, state.key, (24, 2))
-    moved, played = rollout.play(env, recipe, state, params, noise)
-    ours = a2c.learn(env, recipe, moved, played, jnp.float32(1.0)).weights
+    moved, played = PLAY(env, recipe, state, params, noise)
+    ours = LEARN(env, recipe, moved, played, jnp.float32(1.0)).weights
 
     venv = DummyVecEnv([lambda: cartpole.CartPole({"length": 0.4})] * 2)
     model = peer.A2C(
