@@ -25,7 +25,7 @@ def batch_last(many: Callable[..., Tree]) -> Callable[..., Tree]:
     Args:
         many: function of n simulations; n is the last axis of all arrays that it takes and gives.
     """
-    together = _custom_vmap(many)
+    together = _custom_vmap(jax.jit(many))  # traced once for each shape, however often it is asked
 
     def further(size: int, batched: Any, *args: Any) -> tuple[Tree, Tree]:  # (size, ..., n)
         def joined(x: jax.Array) -> jax.Array:
