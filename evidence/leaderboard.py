@@ -118,7 +118,8 @@ def beside(summaries: Sequence[Summary]) -> list[str]:
 def board(names: Sequence[str], ids: Sequence[str], budget: int) -> tuple[Summary, list[str]]:
     """Summary and pooled table of matrices that all these selectors can run on."""
     summary = compare(names, ids, budget).summary
-    several = [i for i in ids if load_by_id(i).n_seeds > 1]
+    # the others' matrices tell of every context only where all were trained on
+    several = [i for i in ids if load_by_id(i).n_seeds > 1 and load_by_id(i).sources is None]
     known = np.mean([told(i, budget) for i in several], axis=0) if several else None
     return summary, pooled(summary, known)
 
@@ -131,9 +132,13 @@ def main() -> None:
     args = parser.parse_args()
     names = args.selectors.split(",")
     lines_of = open_matrices(["all"])
-    sets = {  # a set of one seed would leave the pool without intervals
-        "one axis": [i for i, matrix in lines_of.items() if matrix.n_seeds > 1],
-        "one axis and one seed": [i for i, matrix in lines_of.items() if matrix.n_seeds == 1],
+    whole = {  # one seed would leave the pool without intervals, few sources without a budget of 30
+        i: matrix.n_seeds > 1 and matrix.returns.shape[1] > args.budget
+        for i, matrix in lines_of.items()
+    }
+    sets = {
+        "one axis": [i for i in whole if whole[i]],
+        "one axis, of one seed or few sources": [i for i in whole if not whole[i]],
         "several axes": [i for i in shipped_matrices() if load_by_id(i).space.d > 1],
     }
     lines: list[str] = []
