@@ -119,7 +119,7 @@ def board(names: Sequence[str], ids: Sequence[str], budget: int) -> tuple[Summar
     """Summary and pooled table of matrices that all these selectors can run on."""
     summary = compare(names, ids, budget).summary
     # the others' matrices tell of every context only where all were trained on
-    several = [i for i in ids if load_by_id(i).n_seeds > 1 and load_by_id(i).sources is None]
+    several = [i for i in ids if (m := load_by_id(i)).n_seeds > 1 and m.sources is None]
     known = np.mean([told(i, budget) for i in several], axis=0) if several else None
     return summary, pooled(summary, known)
 

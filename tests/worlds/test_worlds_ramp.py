@@ -121,14 +121,21 @@ def test_cars_that_found_no_room_are_counted(driven):
     assert (np.asarray(counts.collided) == 0).all()
 
 
-@pytest.mark.parametrize("obs", ["fresh", pytest.param("stale", marks=pytest.mark.long)])
-def test_ramps_of_several_holds_live_together_as_they_do_alone(obs):
-    contexts = [{"hold": hold} for hold in (1.0, 4.0)]
+@pytest.mark.parametrize(
+    ("obs", "holds"),
+    [
+        ("fresh", (1.0, 4.0)),
+        pytest.param("fresh", (1.0, 3.0, 4.0), marks=pytest.mark.long),
+        pytest.param("stale", (1.0, 3.0, 4.0), marks=pytest.mark.long),
+    ],
+)
+def test_ramps_of_several_holds_live_together_as_they_do_alone(obs, holds):
+    contexts, n = [{"hold": hold} for hold in holds], len(holds)
     twin, each = RampProblem("acceleration", obs=obs, visibility="multiplier")(contexts)
     twin = replace(twin, warm_up=600, unmeasured=20, total_steps=100)
     together = jax.tree.map(lambda *x: jnp.stack(x), *each)
-    seeds = np.arange(4, dtype=np.uint32).reshape(2, 2)
-    weights = networks.stack([networks.init_weights(i, 9, twin.action, (8,)) for i in range(2)])
+    seeds = np.arange(2 * n, dtype=np.uint32).reshape(n, 2)
+    weights = networks.stack([networks.init_weights(i, 9, twin.action, (8,)) for i in range(n)])
     actor = Actor(weights.actor, weights.log_std, weights.critic)
     params = jax.tree.map(lambda x: jnp.repeat(x, 2, axis=0), together)
     beats = twin.decisions(together)
@@ -150,8 +157,8 @@ def test_ramps_of_several_holds_live_together_as_they_do_alone(obs):
             np.testing.assert_allclose(found[told], wanted[told], atol=1e-4)
         for name in ("score", "last_value", "last_acting"):
             np.testing.assert_allclose(getattr(mixed, name)[p], getattr(alone, name)[0], atol=1e-4)
-    own_score = scores(twin, "tanh", "mean", some, its, its, own, count)  # of the longer hold
-    np.testing.assert_allclose(judged[p], own_score[0], atol=1e-4)
+        own_score = scores(twin, "tanh", "mean", some, its, its, own, count)
+        np.testing.assert_allclose(judged[p], own_score[0], atol=1e-4)
 
 
 @pytest.mark.long
