@@ -229,7 +229,17 @@ class Both:
         return np.stack([-abs(gaps), -abs(gaps) - 1.0], axis=2)
 
 two = CMDP("cartpole-length", mine.space, Both(), bounds=(-9.0, 0.0))
+last = CMDP("cartpole-length", mine.space, Both("final"), bounds=(-9.0, 0.0))
 """
+
+
+def test_the_checkpoint_that_a_preset_keeps_needs_no_name_in_the_file(mbtl_command, problem):
+    (problem / "two.py").write_text(TWO)
+    build = ("matrix", "build", "two.py:last", "--seeds", 1, "--workers", 1)
+    assert mbtl_command(*build, "--variant", "mine")[0] == 0
+    assert mbtl_command(*build, "--checkpoint", "both")[0] == 0
+    files = sorted(file.name for file in (problem / "matrices").iterdir())
+    assert files == [f"cartpole-length{v}-seed0.npz" for v in ("-best", "-mine", "")]
 
 
 def test_a_log_hears_of_a_long_build_now_and_then(mbtl_command, problem, monkeypatch):

@@ -121,13 +121,15 @@ def build(
         "eval_episodes": eval_episodes,
         "algorithm": algorithm,
         "recipe_name": recipe,
-        "checkpoint": keep[0] if keep else None,
     }
     given = {k: v for k, v in overrides.items() if v is not None}
     trainer = cmdp.trainer_for(preset, **given)
+    usual = str(getattr(trainer, "checkpoint", "final"))
+    if keep:
+        trainer = cmdp.trainer_for(preset, **given, checkpoint=keep[0])
     best_lanes = 1
     if isinstance(trainer, ManyTrainer):
-        keep = keep or (str(getattr(trainer, "checkpoint", "final")),)
+        keep = keep or (usual,)
         best_lanes = trainer.lanes
     job = Job(
         cmdp,
@@ -158,6 +160,7 @@ def build(
         ),
         along=Along(along, halvings) if along else None,
         every=sources_every,
+        usual=usual,
     )
     numbers = range(first_seed, first_seed + seeds)
     # before anything is trained

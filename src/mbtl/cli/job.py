@@ -43,6 +43,7 @@ class Job:
         command: that builds it, but for the seed.
         along: rows along the trainings, if any.
         every: every n-th context is a source; all are targets.
+        usual: the checkpoint that the preset keeps; the file of another is named after it.
     """
 
     cmdp: CMDP
@@ -54,6 +55,7 @@ class Job:
     command: str
     along: Along | None = None
     every: int = 1
+    usual: str = "final"
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -79,7 +81,13 @@ class Job:
 
     def file(self, out: Path, checkpoint: str, seed: int) -> Path:
         """Where it is to be saved."""
-        return shipped_file(out, self.cmdp.id, named(self.variant, checkpoint), seed)
+        return shipped_file(out, self.cmdp.id, self._named(checkpoint), seed)
+
+    def _named(self, checkpoint: str) -> str:
+        """Variant of a checkpoint."""
+        if checkpoint in (ONLY, self.usual):
+            return self.variant
+        return checkpoint if self.variant == DEFAULT else f"{self.variant}-{checkpoint}"
 
     def curves_file(self, out: Path, seed: int) -> Path:
         """Where the rows along its trainings are to be saved."""
@@ -137,8 +145,7 @@ class Job:
                 sources=list(self.sources),
                 name=file.name,
             )
-            variant = named(self.variant, checkpoint)
-            save_shipped(built[file], out, self.cmdp.id, variant, first_seed=seed)
+            save_shipped(built[file], out, self.cmdp.id, self._named(checkpoint), first_seed=seed)
         if building.along is not None:
             self._write_curves(building, building.along, out)
         if building.kept is not None:  # its pieces would pass for a later evaluation
@@ -258,10 +265,3 @@ def _perform(building: Build, workers: int, label: str) -> None:
             log.say(f"{label}: {done} of {total} sources")
 
         building.run(workers, on_piece)
-
-
-def named(variant: str, checkpoint: str) -> str:
-    """Variant of a checkpoint: "final" is named where it stands beside, or instead of, best."""
-    if checkpoint != "final":
-        return variant
-    return "final" if variant == DEFAULT else f"{variant}-final"
