@@ -35,8 +35,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import appendix
 import numpy as np
+import pages
 from learn_prior import small
 from scipy.stats import norm
 
@@ -49,7 +49,7 @@ from mbtl.models.transfer_kernel import Places, TransferPrior, grid_pairs
 from mbtl.selectors import SelectionProblem
 from mbtl.selectors.auto import Auto
 
-FIGURE = appendix.DOCS / "images/calibration.png"
+FIGURE = pages.DOCS / "images/calibration.png"
 ROWS = (1, 2, 4, 8, 15)
 FEW = 2
 """Up to so many rows a case is one of few; the table shows few and more apart."""
@@ -336,7 +336,7 @@ def main() -> None:
     print("\n".join(lines))
     print(f"{time.process_time() - begin:.0f} s of processor")
     if args.write:
-        appendix.write("calibration", "Calibration: all tables", "calibration.md", lines)
+        pages.write_appendix("calibration", "Calibration: all tables", "calibration.md", lines)
         draw(found, FIGURE)
 
 

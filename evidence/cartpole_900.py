@@ -17,9 +17,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-import appendix
 import measure
 import numpy as np
+import pages
 from measure import cost_of, digits
 
 from mbtl.arrays import Array
@@ -211,7 +211,7 @@ def main() -> None:
     measure.show(document, lines, as_json=args.json)
     if args.write:
         title = "CartPole with 900 contexts: all tables"
-        appendix.write("cartpole-900", title, "cartpole-900.md", lines)
+        pages.write_appendix("cartpole-900", title, "cartpole-900.md", lines)
 
 
 if __name__ == "__main__":

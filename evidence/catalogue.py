@@ -14,16 +14,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import appendix
 import films
 import numpy as np
+import pages
 
 from mbtl.benchmark import load_matrix, shipped_matrices
 from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp
 from mbtl.cmdps.engines import EnvFactory
 from mbtl.cmdps.registry import engines_of
 
-FILE = appendix.DOCS / "catalogue.md"
+FILE = pages.DOCS / "catalogue.md"
 FAMILIES = {
     "cartpole": ("CartPole", "Balance a pole on a cart; Gymnasium's physics, step for step."),
     "pendulum": ("Pendulum", "Swing a pendulum up and hold it; Gymnasium's physics."),
@@ -69,7 +69,7 @@ def page() -> str:
     shipped = set(shipped_matrices())
     for family, (title, text) in FAMILIES.items():
         lines += [f"## {title}", "", text, ""]
-        if (appendix.DOCS / "images" / f"film-{family}.png").exists():
+        if (pages.DOCS / "images" / f"film-{family}.png").exists():
             lines += [f"![five moments of {title}](images/film-{family}.png)", ""]
         lines += ["| id | what varies | N | nominal | steps | scale | engines | matrix |"]
         lines += ["|---|---|---|---|---|---|---|---|"]
@@ -153,7 +153,7 @@ def main() -> None:
     for family in FAMILIES if args.films == [] else args.films or ():
         id = TRAINED.get(family) or next(id for id in cmdp_ids() if _family(id) == family)
         moments = of_policy(id, args.policies) if family in TRAINED else at_random(id)
-        strip(moments).save(appendix.DOCS / "images" / f"film-{family}.png", optimize=True)
+        strip(moments).save(pages.DOCS / "images" / f"film-{family}.png", optimize=True)
     if args.write:
         FILE.write_text(page(), encoding="utf-8")
     else:

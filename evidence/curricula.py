@@ -17,6 +17,7 @@ Notation (shapes): S seeds, N contexts, E episodes.
 from __future__ import annotations
 
 import measure
+import pages
 
 import argparse  # isort: skip
 import json
@@ -35,7 +36,6 @@ from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seed, evaluation_seed, tra
 
 DOCS = Path(__file__).parents[1] / "docs"
 FILE = DOCS / "data/curricula.json"
-BEGIN, END = "<!-- begin: table of evidence/curricula.py -->", "<!-- end -->"
 EPISODES = 20
 LENGTHS = (
     ("cartpole-length", "1/4", 10), ("pendulum-length", "1", 10), ("pendulum-mass", "1", 5),
@@ -178,10 +178,7 @@ def main() -> None:
     lines = table(kept)
     print("\n".join([*lines, "", *uneven(kept)]))
     if args.write:
-        page = DOCS / "steps.md"
-        head, rest = page.read_text(encoding="utf-8").split(BEGIN)
-        text = "\n".join([head + BEGIN, "", *lines, "", END + rest.split(END, 1)[1]])
-        page.write_text(text, encoding="utf-8")
+        pages.fill("steps.md", "table", lines)
 
 
 if __name__ == "__main__":

@@ -19,8 +19,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import appendix
 import numpy as np
+import pages
 
 from mbtl.cli.film import Watched, save_film
 from mbtl.cmdps import CMDP, get_cmdp
@@ -109,7 +109,7 @@ def main() -> None:
     args = parser.parse_args()
     for id in [args.only] if args.only else FILMS:
         name = f"film-{id.partition('-')[0]}.gif"
-        file = appendix.DOCS / "images" / name if args.write else Path(name)
+        file = pages.DOCS / "images" / name if args.write else Path(name)
         print(f"{file}: {film(id, args.policies, file) / 1e6:.2f} MB")
 
 

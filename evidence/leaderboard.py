@@ -17,8 +17,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-import appendix
 import numpy as np
+import pages
 from scipy.ndimage import gaussian_filter
 
 from mbtl.benchmark import compare, levels
@@ -156,7 +156,7 @@ def main() -> None:
     lines += [*each(names, summaries), "", *beside(summaries), ""]
     print("\n".join(lines))
     if args.write:
-        appendix.write("leaderboard", "Leaderboard: all tables", "leaderboard.md", lines)
+        pages.write_appendix("leaderboard", "Leaderboard: all tables", "leaderboard.md", lines)
 
 
 if __name__ == "__main__":

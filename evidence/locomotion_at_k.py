@@ -19,6 +19,8 @@ import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import pages
+
 from mbtl.benchmark import TransferMatrix, compare, load_matrix
 from mbtl.benchmark.multitask import load_multitask
 from mbtl.benchmark.references import NAMES
@@ -29,8 +31,6 @@ SHIPPED = (
     "walker-gravity", "walker-friction", "walker-scale",
     "cheetah-gravity", "cheetah-friction", "cheetah-stiffness",
 )  # fmt: skip
-FILE = Path(__file__).parents[1] / "docs" / "locomotion.md"
-BEGIN, END = "<!-- at K: begin -->\n", "<!-- at K: end -->\n"
 
 SELECTORS = {
     "random": "Random", "greedy": "Greedy", "mbtl": "MBTL", "auto": "auto",
@@ -131,11 +131,7 @@ def main() -> None:
     args = parser.parse_args()
     budgets = sorted(args.budget)
     if args.write:
-        text = FILE.read_text(encoding="utf-8")
-        before, rest = text.split(BEGIN)
-        lines = "\n".join(page(SHIPPED, budgets, args.multitask))
-        text = f"{before}{BEGIN}{lines}\n{END}{rest.split(END)[1]}"
-        FILE.write_text(text, encoding="utf-8")
+        pages.fill("locomotion.md", "returns at K", page(SHIPPED, budgets, args.multitask))
         return
     for name in args.matrices or SHIPPED:
         matrix = TransferMatrix.load(name) if name.endswith(".npz") else load_matrix(name)

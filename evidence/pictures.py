@@ -12,8 +12,8 @@ import argparse
 from collections.abc import Callable
 from typing import Any
 
-import appendix
 import numpy as np
+import pages
 
 import mbtl
 from mbtl import plot
@@ -99,7 +99,7 @@ def main() -> None:
     for name, draw in PICTURES.items():
         drawn = draw()
         if args.write:
-            print(plot.save(drawn, appendix.DOCS / "images" / f"concepts-{name}.png"))
+            print(plot.save(drawn, pages.DOCS / "images" / f"concepts-{name}.png"))
 
 
 if __name__ == "__main__":

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
+import pages
 import step_generalist as generalist
 import step_tables as tables
 from step_tables import ORACLE, PAPER, Plays, Sets
@@ -12,8 +12,6 @@ from step_tables import ORACLE, PAPER, Plays, Sets
 from mbtl.benchmark.shipped import family_of
 from mbtl.benchmark.step_measure import BUDGET
 
-FILE = Path(__file__).parents[1] / "docs/steps.md"
-BEGIN, END = "<!-- begin: {} of evidence/steps.py -->", "<!-- end -->"
 OURS = "mbtl, whole, evaluation a tenth"
 PILOT = "pilot, mbtl"
 FIVE = "mbtl, whole"
@@ -138,7 +136,4 @@ def write(sets: Sets, plays: Plays, found: Sequence[str]) -> None:
 
 def fill(name: str, lines: Sequence[str]) -> None:
     """Put lines between their marks in docs/steps.md."""
-    begin = BEGIN.format(name)
-    head, rest = FILE.read_text(encoding="utf-8").split(begin)
-    text = "\n".join([head + begin, "", *lines, "", END + rest.split(END, 1)[1]])
-    FILE.write_text(text, encoding="utf-8")
+    pages.fill("steps.md", name, lines)

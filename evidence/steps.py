@@ -22,8 +22,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-import appendix
 import numpy as np
+import pages
 import step_generalist as generalist
 import step_page as page
 import step_tables as tables
@@ -195,7 +195,7 @@ def main() -> None:
     lines = page.everything(sets, plays, found)
     print("\n".join(lines))
     if args.write:
-        appendix.write("steps", "Count steps: all tables", "steps.md", lines)
+        pages.write_appendix("steps", "Count steps: all tables", "steps.md", lines)
         page.write(sets, plays, found)
 
 

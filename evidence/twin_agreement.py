@@ -23,8 +23,8 @@ from collections.abc import Callable, Iterator  # isort: skip
 from functools import partial
 from typing import Any
 
-import appendix
 import numpy as np
+import pages
 from fixed_advice import steady
 from measure import digits, note
 
@@ -284,7 +284,7 @@ def main() -> None:
     measure.show(document, lines, as_json=args.json)
     if args.write:
         title = "The twins against SUMO: all means"
-        appendix.write("twin-agreement", title, "twin-agreement.md", lines)
+        pages.write_appendix("twin-agreement", title, "twin-agreement.md", lines)
 
 
 if __name__ == "__main__":

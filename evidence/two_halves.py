@@ -14,8 +14,8 @@ import measure  # noqa: F401  first: threads
 import argparse  # isort: skip
 from dataclasses import replace
 
-import appendix
 import numpy as np
+import pages
 
 from mbtl.benchmark import TransferMatrix, compare, levels, load_matrix, shipped_matrices
 
@@ -60,7 +60,7 @@ def main() -> None:
         print(lines[-1], flush=True)
     if args.write:
         title = "V on the episodes that chose, and on the others"
-        appendix.write("two-halves", title, "honest-numbers.md", lines)
+        pages.write_appendix("two-halves", title, "honest-numbers.md", lines)
 
 
 if __name__ == "__main__":
