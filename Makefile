@@ -13,6 +13,8 @@ PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal --duration
 run: .venv/run.stamp
 	$(BIN)/mbtl run $(PROBLEM)
 
+# compiling is most of what tests with jax do: without its passes it takes a third of the time
+test: export XLA_FLAGS ?= --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
 test: .venv/dev.stamp
 	$(PYTEST) -m "not long" $(TESTS)
 

@@ -112,7 +112,7 @@ def test_a_strategy_that_the_command_line_cannot_make_is_not_replaced(
 def test_the_time_of_a_worker_ends_and_another_one_goes_on(mbtl_command, own, tmp_path):
     (tmp_path / "own.py").write_text(
         (tmp_path / "own.py").read_text()
-        + "import time\nSlow.work = lambda self: time.sleep(0.4)\n"
+        + "import time\nSlow.work = lambda self: time.sleep(1.0)\n"
     )
     study = made(tmp_path)
     code, _, err = mbtl_command("worker", "s", own, "--wall-time", "3")
