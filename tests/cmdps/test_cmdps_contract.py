@@ -4,13 +4,13 @@ from mbtl.cmdps import cmdp_ids, get_cmdp
 from mbtl.cmdps.traffic_families import TRAFFIC_VARIANTS
 from mbtl.testing.cmdps import CMDPContract
 
-OTHERS = {*TRAFFIC_VARIANTS, "walker-512"}
+ELSEWHERE = {*TRAFFIC_VARIANTS, "walker-512"}
 
 
 class TestOurs(CMDPContract):
     smoke = {"timesteps": 64, "eval_episodes": 2, "hyperparameters": {"n_steps": 64}}  # noqa: RUF012
 
-    @pytest.fixture(params=[id for id in cmdp_ids() if id not in OTHERS])
+    @pytest.fixture(params=[id for id in cmdp_ids() if id not in ELSEWHERE])
     def cmdp(self, request):
         return get_cmdp(request.param)
 
