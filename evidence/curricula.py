@@ -23,7 +23,6 @@ import argparse  # isort: skip
 import json
 import time
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,8 +33,7 @@ from mbtl.cmdps.taught import with_curriculum
 from mbtl.curricula import Curriculum, Learnability, Regret
 from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seed, evaluation_seed, training_seed
 
-DOCS = Path(__file__).parents[1] / "docs"
-FILE = DOCS / "data/curricula.json"
+FILE = pages.DOCS / "data/curricula.json"
 EPISODES = 20
 LENGTHS = (
     ("cartpole-length", "1/4", 10), ("pendulum-length", "1", 10), ("pendulum-mass", "1", 5),

@@ -158,9 +158,9 @@ def build(
                 "halvings": halvings if along else None,
             },
         ),
+        usual=usual,
         along=Along(along, halvings) if along else None,
         every=sources_every,
-        usual=usual,
     )
     numbers = range(first_seed, first_seed + seeds)
     # before anything is trained

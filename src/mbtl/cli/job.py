@@ -41,9 +41,9 @@ class Job:
         preset: for the record.
         variant: name of the set.
         command: that builds it, but for the seed.
+        usual: the checkpoint that the preset keeps; the file of another is named after it.
         along: rows along the trainings, if any.
         every: every n-th context is a source; all are targets.
-        usual: the checkpoint that the preset keeps; the file of another is named after it.
     """
 
     cmdp: CMDP
@@ -53,9 +53,9 @@ class Job:
     preset: str
     variant: str
     command: str
+    usual: str
     along: Along | None = None
     every: int = 1
-    usual: str = "final"
 
     @property
     def settings(self) -> dict[str, Any]:
