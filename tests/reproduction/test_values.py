@@ -145,8 +145,8 @@ def test_where_policies_see_no_context_by_default_one_for_all_that_is_told_is_a_
         np.full((1, N, N), 10.0), bounds=(0, 100), provenance={"switches": switches}
     )
     save_shipped(matrix, tmp_path, "ring-acc")
-    for changes, peers in (({}, {"trpo"}), ({"obs": "stale"}, set())):
-        record = {"switches": {**switches, "visibility": "multiplier", "engine": "sumo", **changes}}
+    for changes, peers in (({}, {"trpo"}), ({"obs": "stale"}, set()), ({"engine": "sumo"}, set())):
+        record = {"switches": {**switches, "visibility": "multiplier", **changes}}
         save_multitask(
             np.ones(N), np.ones(N), record, tmp_path / "multitask", "ring-acc", "trpo", 0
         )

@@ -214,7 +214,7 @@ def case_of(
 
 
 def same_problem(baseline: MultiTask, matrix: TransferMatrix, variant: str) -> bool:
-    """Whether both were trained with the same switches, wherever they were simulated.
+    """Whether both were trained with the same switches, in the same simulator.
 
     Where policies see no context by default, one for all contexts is told which one it is in.
     """
@@ -222,9 +222,9 @@ def same_problem(baseline: MultiTask, matrix: TransferMatrix, variant: str) -> b
     one, other = (record.get("switches") for record in records)
     if one is None or other is None:
         return True
-    free = {"engine"}
+    free = set()
     if other.get("visibility") == "hidden" and "hidden" not in variant:
-        free |= {"visibility"}
+        free = {"visibility"}
     return {k: v for k, v in one.items() if k not in free} == {
         k: v for k, v in other.items() if k not in free
     }
