@@ -27,9 +27,9 @@ FILE = pages.DOCS / "catalogue.md"
 FAMILIES = {
     "cartpole": ("CartPole", "Balance a pole on a cart; Gymnasium's physics, step for step."),
     "pendulum": ("Pendulum", "Swing a pendulum up and hold it; Gymnasium's physics."),
-    "walker": ("BipedalWalker", "Walk over rough ground on two legs, in Box2D."),
+    "walker": ("BipedalWalker", "Walk over rough ground on two legs, in a twin of Box2D's."),
     "cheetah": ("HalfCheetah", "Run as fast as possible, in MuJoCo."),
-    "signal": ("Traffic signal", "Switch the lights of one crossing, in SUMO."),
+    "signal": ("Traffic signal", "Switch the lights of one crossing."),
     "eco": ("Eco-driving", "Guide cars to a traffic light: few stops, little fuel, no jam."),
     "ring": ("Ring road", "Advise one of 22 cars on a ring, so that the wave of stops dissolves."),
     "ramp": ("Highway ramp", "Advise cars of a main road where another road joins."),

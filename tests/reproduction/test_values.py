@@ -137,6 +137,8 @@ def test_a_baseline_that_saw_something_else_is_no_peer(tmp_path):
         case = bench(tmp_path, ID, budget=2, variant=variant).case(ID)
         assert set(case.multitask) == expected
         assert ("multitask" in case.values) == bool(expected)
+        said = " ".join(computed("main-table", tmp_path, ID, variant=variant)["missing"])
+        assert (f"{ID}: no policy for all contexts" in said) != bool(expected)
 
 
 def test_where_policies_see_no_context_by_default_one_for_all_that_is_told_is_a_peer(tmp_path):

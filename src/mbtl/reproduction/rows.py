@@ -12,9 +12,9 @@ NEAR = 0.05
 """Difference of V at which two values count as the same level."""
 
 RULE = (
-    "Three checks. Level: each of the six values is within 0.05 of the paper's. Order: several "
-    "policies (mean of Random, Greedy and MBTL) are above the better of Independent and Multi-task "
-    "exactly where they are in the paper. Best: MBTL is among the best (standard "
+    "Three checks. Level: each of the six values that is there is within 0.05 of the paper's. "
+    "Order: several policies (mean of Random, Greedy and MBTL) are above the better of Independent "
+    "and Multi-task exactly where they are in the paper. Best: MBTL is among the best (standard "
     "errors overlap) exactly where it is in the paper. Three checks: reproduced; one or two: "
     "partly; none: not."
 )

@@ -43,8 +43,16 @@ def compute(bench: Bench) -> Numbers:
         "averages": {domain: _averages(lines, domain) for domain in DOMAINS},
         "aggregate": _aggregate(cases),
         "marks_agree": _marks_agree(bench.paper),
-        "missing": absent(bench),
+        "missing": absent(bench)
+        + [_no_rival(id) for id, case in cases.items() if case.own is None],
     }
+
+
+def _no_rival(id: str) -> str:
+    return (
+        f"{id}: no policy for all contexts of the same simulator; make it with: "
+        f"mbtl matrix multitask {id}"
+    )
 
 
 def _line(id: str, case: Case | None, paper: Published | None) -> dict[str, Any]:
