@@ -222,9 +222,6 @@ def same_problem(baseline: MultiTask, matrix: TransferMatrix, variant: str) -> b
     one, other = (record.get("switches") for record in records)
     if one is None or other is None:
         return True
-    free = set()
     if other.get("visibility") == "hidden" and "hidden" not in variant:
-        free = {"visibility"}
-    return {k: v for k, v in one.items() if k not in free} == {
-        k: v for k, v in other.items() if k not in free
-    }
+        one = {**one, "visibility": "hidden"}
+    return bool(one == other)
