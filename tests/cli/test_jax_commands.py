@@ -27,7 +27,7 @@ def test_a_multitask_baseline_becomes_a_file_beside_the_matrices(mbtl_command, t
     assert record["command"].endswith(
         "--timesteps 13000 --eval-episodes 1 --seeds 1 --first-seed 0"
     )
-    assert record["recipe"]["method"] == "ppo"
+    assert (record["version"], record["recipe"]["method"]) == (0, "ppo")
     assert "there already" in mbtl_command(*command)[2]
     assert mbtl_command("matrix", "multitask", "cartpole-length", "--factor", 0)[0] == 2
 

@@ -155,6 +155,17 @@ def test_where_policies_see_no_context_by_default_one_for_all_that_is_told_is_a_
         assert set(bench(tmp_path, "ring-acc", budget=2).case("ring-acc").multitask) == peers
 
 
+def test_a_baseline_of_another_version_of_the_simulator_is_no_peer(tmp_path):
+    matrix = TransferMatrix.of(
+        np.full((1, N, N), 10.0), bounds=(0, 100), provenance={"version": 2, "switches": {}}
+    )
+    save_shipped(matrix, tmp_path, ID)
+    for told, peers in (({"version": 2}, {"ppo"}), ({"version": 1}, set()), ({}, {"ppo"})):
+        record = {"switches": {}, **told}  # files of before versions were told have none
+        save_multitask(np.ones(N), np.ones(N), record, tmp_path / "multitask", ID, "ppo", 0)
+        assert set(bench(tmp_path, ID, budget=2).case(ID).multitask) == peers
+
+
 def test_what_has_no_matrix_is_said_and_unknown_ids_are_refused(folder):
     some = bench(folder)
     assert some.available() == [ID]

@@ -120,7 +120,7 @@ def multitask(
         for seed in range(first_seed, first_seed + seeds)
     }
     there = {seed for seed, file in files.items() if file.is_file()}
-    chosen: dict[str, Any] = {"switches": dict(cmdp.settings)}
+    chosen: dict[str, Any] = {"version": cmdp.version, "switches": dict(cmdp.settings)}
     if curriculum is not None:
         chosen["curriculum"] = repr(curriculum_named(curriculum))
     settings = {**chosen, **job.settings}

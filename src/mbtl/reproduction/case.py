@@ -214,11 +214,14 @@ def case_of(
 
 
 def same_problem(baseline: MultiTask, matrix: TransferMatrix, variant: str) -> bool:
-    """Whether both were trained with the same switches, in the same simulator.
+    """Whether both were trained with the same switches, in the same simulator of the same version.
 
     Where policies see no context by default, one for all contexts is told which one it is in.
     """
     records = (baseline.provenance[0], matrix.provenance["seeds"][0])
+    versions = {record["version"] for record in records if "version" in record}
+    if len(versions) > 1:
+        return False
     one, other = (record.get("switches") for record in records)
     if one is None or other is None:
         return True

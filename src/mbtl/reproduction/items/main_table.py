@@ -44,14 +44,15 @@ def compute(bench: Bench) -> Numbers:
         "aggregate": _aggregate(cases),
         "marks_agree": _marks_agree(bench.paper),
         "missing": absent(bench)
-        + [_no_rival(id) for id, case in cases.items() if case.own is None],
+        + [_no_rival(case) for case in cases.values() if case.own is None],
     }
 
 
-def _no_rival(id: str) -> str:
+def _no_rival(case: Case) -> str:
+    more = "" if case.variant == "default" else f" (variant {case.variant})"
     return (
-        f"{id}: no policy for all contexts of the same simulator; make it with: "
-        f"mbtl matrix multitask {id}"
+        f"{case.cmdp}: no policy for all contexts of the matrix's simulator and version{more}; "
+        f"make it with: mbtl matrix multitask {case.cmdp}, and the matrix's --preset and --engine"
     )
 
 
