@@ -22,6 +22,7 @@ from __future__ import annotations
 import measure  # first: threads
 
 import time  # isort: skip
+from pathlib import Path  # isort: skip
 from typing import Any  # isort: skip
 
 import numpy as np
@@ -223,7 +224,9 @@ def training(names: list[str], ways: str, episodes: int, seeds: int) -> tuple[li
     return lines, document
 
 
-def standard(preset: str, every: int, trainings: int, episodes: int) -> tuple[list[str], Any]:
+def standard(
+    preset: str, every: int, trainings: int, episodes: int, partial: Path | None
+) -> tuple[list[str], Any]:
     """Policies in their own contexts, the axes' in one program; intervals are over episodes."""
     from dataclasses import replace
 
@@ -240,7 +243,16 @@ def standard(preset: str, every: int, trainings: int, episodes: int) -> tuple[li
     trainer = replace(trainer, problem=TwinProblem(trainer.problem.problem, all_axes))
     note(f"{len(contexts)} trainings ...")
     start = time.process_time()
-    policies = trainer.train_many(contexts, range(len(contexts)), keep=(trainer.checkpoint,))
+    told = [0]
+
+    def on_progress(progress: Any) -> None:
+        if progress.step >= told[0]:
+            note(f"{progress.step:,} of {progress.total:,}")
+            told[0] = progress.step + progress.total // 20
+
+    policies = trainer.train_many(
+        contexts, range(len(contexts)), on_progress, keep=(trainer.checkpoint,), partial=partial
+    )
     minutes = (time.process_time() - start) / 60.0
     ways = {
         "unguided": None,
@@ -290,6 +302,7 @@ def main() -> None:
     parser.add_argument("--preset", default="standard", help="whose policies are trained")
     parser.add_argument("--every", type=int, default=10, help="contexts of an axis, of the preset")
     parser.add_argument("--trainings", type=int, default=1, help="per context, of the preset")
+    parser.add_argument("--partial", type=Path, help="file by which a part `standard` goes on")
     args = parser.parse_args()
     if args.part == "rules":
         lines, document = rules(args.seeds)
@@ -300,7 +313,9 @@ def main() -> None:
     elif args.part == "matrices":
         lines, document = matrices()
     elif args.part == "standard":
-        lines, document = standard(args.preset, args.every, args.trainings, args.seeds)
+        lines, document = standard(
+            args.preset, args.every, args.trainings, args.seeds, args.partial
+        )
     else:
         lines, document = training(args.contexts, args.ways, args.episodes, args.seeds)
     whole = {"part": args.part, "lines": document, "machine": measure.machine("jax")}
