@@ -43,8 +43,7 @@ def compute(bench: Bench) -> Numbers:
         "averages": {domain: _averages(lines, domain) for domain in DOMAINS},
         "aggregate": _aggregate(cases),
         "marks_agree": _marks_agree(bench.paper),
-        "missing": absent(bench)
-        + [_no_rival(case) for case in cases.values() if case.own is None],
+        "missing": absent(bench) + [_no_rival(case) for case in cases.values() if case.own is None],
     }
 
 
