@@ -112,7 +112,8 @@ def test_a_strategy_that_the_command_line_cannot_make_is_not_replaced(
 def test_the_time_of_a_worker_ends_and_another_one_goes_on(mbtl_command, own, tmp_path):
     (tmp_path / "own.py").write_text(
         (tmp_path / "own.py").read_text()
-        + "import time\nSlow.work = lambda self: time.sleep(1.0)\n"
+        + "import time\nclass Slower(Slow):\n    def work(self):\n        time.sleep(1.0)\n"
+        + "problem = mbtl.CMDP('slow', SPACE, Slower(), bounds=(0.0, 1.0), horizon=HORIZON)\n"
     )
     study = made(tmp_path)
     code, _, err = mbtl_command("worker", "s", own, "--wall-time", "3")
