@@ -243,15 +243,12 @@ def standard(
     trainer = replace(trainer, problem=TwinProblem(trainer.problem.problem, all_axes))
     note(f"{len(contexts)} trainings ...")
     start = time.process_time()
-    told = [0]
-
-    def on_progress(progress: Any) -> None:
-        if progress.step >= told[0]:
-            note(f"{progress.step:,} of {progress.total:,}")
-            told[0] = progress.step + progress.total // 20
-
     policies = trainer.train_many(
-        contexts, range(len(contexts)), on_progress, keep=(trainer.checkpoint,), partial=partial
+        contexts,
+        range(len(contexts)),
+        lambda done: note(f"{done.step:,} of {done.total:,} {done.unit}"),
+        keep=(trainer.checkpoint,),
+        partial=partial,
     )
     minutes = (time.process_time() - start) / 60.0
     ways = {

@@ -178,7 +178,7 @@ def _measured(twin: Any, network: Any, drawn: Any, params: Any) -> Any:
     def one(_: int, state: Any) -> Any:
         if network is None:
             return twin.drive(state, params).state
-        seen, _ = watched(twin, "tanh", params, drawn.shape, (network,), state, None, None)
+        seen, _ = watched(twin, "tanh", params, drawn.shape, (network,), state)
         told = networks.to_environment(seen.found[0], twin.action)
         return twin.step(state, told.reshape(-1, *told.shape[2:]), params).state
 

@@ -120,7 +120,7 @@ def multitask(
         for seed in range(first_seed, first_seed + seeds)
     }
     there = {seed for seed, file in files.items() if file.is_file()}
-    chosen: dict[str, Any] = {"version": cmdp.version, "switches": dict(cmdp.settings)}
+    chosen = _problem(cmdp)
     if curriculum is not None:
         chosen["curriculum"] = repr(curriculum_named(curriculum))
     settings = {**chosen, **job.settings}
@@ -181,8 +181,12 @@ def _job(
         each = factor * own_changes.get("n_episodes", 1)
         changes["hyperparameters"] = {**own_changes, "n_episodes": each}
     changes[unit] = (wanted or getattr(trainer, unit)) * factor
-    problem = {"version": cmdp.version, "switches": dict(cmdp.settings)}
-    return InSimulator(replace(trainer, **changes), cmdp.space.contexts, problem)
+    return InSimulator(replace(trainer, **changes), cmdp.space.contexts, _problem(cmdp))
+
+
+def _problem(cmdp: CMDP) -> dict[str, Any]:
+    """What decides a policy beside its training; JSON-able."""
+    return {"version": cmdp.version, "switches": dict(cmdp.settings)}
 
 
 def _one(

@@ -53,10 +53,14 @@ class Item:
         return f"{self.number:02d}-{self.name}"
 
 
+def named_variant(variant: str) -> str:
+    """What a sentence says of a set of matrices: nothing of the usual one."""
+    return "" if variant == "default" else f" (variant {variant})"
+
+
 def absent(bench: Bench, prefix: str = "") -> list[str]:
     """A sentence per CMDP asked for of which there is no matrix."""
-    variant = bench.setting.variant
-    more = "" if variant == "default" else f" (variant {variant})"
+    more = named_variant(bench.setting.variant)
     return [
         f"{id}: no matrix{' shipped' if bench.setting.folder is None else ''} yet{more}; build it "
         f"with: mbtl matrix build {id}"

@@ -11,7 +11,7 @@ from mbtl.benchmark.references import NAMES
 from mbtl.plot.style import new_figure
 from mbtl.reproduction.bench import Bench
 from mbtl.reproduction.case import Case
-from mbtl.reproduction.item import Item, Numbers, absent
+from mbtl.reproduction.item import Item, Numbers, absent, named_variant
 from mbtl.reproduction.panels import COLOURS
 from mbtl.reproduction.paper import (
     HEADS,
@@ -48,7 +48,7 @@ def compute(bench: Bench) -> Numbers:
 
 
 def _no_rival(case: Case) -> str:
-    more = "" if case.variant == "default" else f" (variant {case.variant})"
+    more = named_variant(case.variant)
     return (
         f"{case.cmdp}: no policy for all contexts of the matrix's simulator and version{more}; "
         f"make it with: mbtl matrix multitask {case.cmdp}, and the matrix's --preset and --engine"
