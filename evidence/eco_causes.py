@@ -11,8 +11,9 @@ come with 95 % intervals. Every line has CO2 [g] and stops of a trip, completed 
     matrices  how many policies of the shipped matrices beat unguided traffic; nothing is played
     training  PPO with one change at a time: reward, first action, exploration, actions, the rule
               to begin with; also before the first update
-    standard  policies of a preset on every tenth context of each axis, each in its own context;
-              also before the first update (whole road and rewards are not measured)
+    standard  policies of a preset on every tenth context of some axes, each in its own context;
+              also before the first update and at shares of the training (whole road and rewards are
+              not measured)
 
 example: python evidence/eco_causes.py --part rules
 """
@@ -22,6 +23,7 @@ from __future__ import annotations
 import measure  # first: threads
 
 import time  # isort: skip
+from argparse import Namespace  # isort: skip
 from pathlib import Path  # isort: skip
 from typing import Any  # isort: skip
 
@@ -224,9 +226,7 @@ def training(names: list[str], ways: str, episodes: int, seeds: int) -> tuple[li
     return lines, document
 
 
-def standard(
-    preset: str, every: int, trainings: int, episodes: int, partial: Path | None
-) -> tuple[list[str], Any]:
+def standard(asked: Namespace) -> tuple[list[str], Any]:
     """Policies in their own contexts, the axes' in one program; intervals are over episodes."""
     from dataclasses import replace
 
@@ -235,10 +235,12 @@ def standard(
     from mbtl.cmdps import get_cmdp
     from mbtl.cmdps.engines import EnvFactory, TwinProblem
 
-    axes = {name: get_cmdp(name, engine="jax") for name in ECO}
+    every, trainings = asked.every, asked.trainings
+    axes = {name: get_cmdp(name, engine="jax") for name in asked.axes}
     grids = {name: cmdp.space.contexts[every // 2 :: every] for name, cmdp in axes.items()}
     contexts = [at(**context) for grid in grids.values() for context in [*grid] * trainings]
-    trainer: Any = axes["eco-inflow"].trainer_for(preset)
+    changed = {} if asked.rows is None else {"hyperparameters": {"rows": asked.rows}}
+    trainer: Any = axes[asked.axes[0]].trainer_for(asked.preset, **changed)
     all_axes = EnvFactory("mbtl.cmdps.traffic.eco:Eco")
     trainer = replace(trainer, problem=TwinProblem(trainer.problem.problem, all_axes))
     note(f"{len(contexts)} trainings ...")
@@ -247,17 +249,18 @@ def standard(
         contexts,
         range(len(contexts)),
         lambda done: note(f"{done.step:,} of {done.total:,} {done.unit}"),
-        keep=(trainer.checkpoint,),
-        partial=partial,
+        keep=(*(f"last@{share}" for share in asked.shares), trainer.checkpoint),
+        partial=asked.partial,
     )
     minutes = (time.process_time() - start) / 60.0
     ways = {
         "unguided": None,
         "untrained": [trainer.untrained(contexts[0])] * len(contexts),
+        **{f"after {share}": policies[f"last@{share}"] for share in asked.shares},
         "trained": policies[trainer.checkpoint],
     }
     world, params = trainer.problem(contexts)
-    plays = {way: measures(world, params, each, episodes) for way, each in ways.items()}
+    plays = {way: measures(world, params, each, asked.seeds) for way, each in ways.items()}
     apart = (plays["trained"]["score"] - plays["unguided"]["score"]).mean(axis=1)
 
     lines, document = [HEAD], {"processor minutes": digits(minutes, 3)}
@@ -297,8 +300,11 @@ def main() -> None:
         help="to train",
     )
     parser.add_argument("--preset", default="standard", help="whose policies are trained")
+    parser.add_argument("--axes", nargs="+", choices=ECO, default=ECO, help="of the preset")
     parser.add_argument("--every", type=int, default=10, help="contexts of an axis, of the preset")
     parser.add_argument("--trainings", type=int, default=1, help="per context, of the preset")
+    parser.add_argument("--rows", type=int, help="at most so many decisions in an update")
+    parser.add_argument("--shares", nargs="+", default=[], help="of a training to play, as 1/4")
     parser.add_argument("--partial", type=Path, help="file by which a part `standard` goes on")
     args = parser.parse_args()
     if args.part == "rules":
@@ -310,9 +316,7 @@ def main() -> None:
     elif args.part == "matrices":
         lines, document = matrices()
     elif args.part == "standard":
-        lines, document = standard(
-            args.preset, args.every, args.trainings, args.seeds, args.partial
-        )
+        lines, document = standard(args)
     else:
         lines, document = training(args.contexts, args.ways, args.episodes, args.seeds)
     whole = {"part": args.part, "lines": document, "machine": measure.machine("jax")}
