@@ -1,8 +1,11 @@
-"""Programs outside the library are not run here; what they import must exist."""
+"""Programs outside the library are hardly run here; what they import must exist."""
 
 import ast
 import importlib
+import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -39,3 +42,18 @@ def test_what_it_imports_from_its_folder_is_there(path):
                 assert beside.exists(), f"{path.name} imports {module}, which is not beside it"
                 text = beside.read_text()
                 assert all(re.search(rf"^(def |class )?{name}\b", text, re.M) for name in wanted)
+
+
+@pytest.mark.long
+def test_eco_causes_plays_what_it_trains():
+    """Its trainings take hours, so what comes after them is tried on a short one."""
+    command = "--part standard --preset quick --axes eco-inflow --every 50 --seeds 4 --shares 1/2"
+    program = [sys.executable, ROOT / "evidence" / "eco_causes.py", *command.split(), "--json"]
+    found = subprocess.run(program, capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr[-2000:]
+    lines = json.loads(found.stdout)["lines"]
+    ways = {name: record for name, record in lines.items() if isinstance(record, dict)}
+    assert list(ways) == [
+        f"eco-inflow: {way}" for way in ("unguided", "untrained", "after 1/2", "trained")
+    ]
+    assert len({record["score"] for record in ways.values()}) == 4  # four ways to drive
