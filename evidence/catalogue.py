@@ -42,8 +42,8 @@ number of contexts N and the nominal one, on which people train without help.
 - *Steps* is the longest episode, in decisions.
 - *Scale* is the return that counts as performance 0, and the one that counts as 1.
 - *Engines* can simulate it; the first one is used where it is installed.
-- *Matrix* says whether a transfer matrix is shipped. Where there is one, selectors can be compared
-  in seconds: `mbtl bench --matrix ID`.
+- *Matrix* says whether a transfer matrix is shipped, and how many contexts were trained on where
+  not all were. Where there is one, selectors can be compared in seconds: `mbtl bench --matrix ID`.
 
 The pictures show five moments of an episode at the nominal context: of a trained policy in the
 first four families, of choices at random in traffic.
@@ -84,10 +84,16 @@ def row(cmdp: CMDP, shipped: set[str]) -> str:
     nominal = ", ".join(f"{value:g}" for value in (cmdp.nominal or {}).values())
     own = cmdp.settings["engine"]
     engines = ", ".join([own, *(e for e in engines_of(cmdp.id) if e != own)])
-    seeds = load_matrix(cmdp.id).n_seeds if cmdp.id in shipped else 0
-    matrix = f"{seeds} seed{'s' * (seeds > 1)}" if seeds else "-"
+    matrix = _matrix(cmdp.id) if cmdp.id in shipped else "-"
     cells = [f"`{cmdp.id}`", varies, cmdp.space.n, nominal, cmdp.horizon, f"{low:g} to {high:g}"]
     return "| " + " | ".join(map(str, [*cells, engines, matrix])) + " |"
+
+
+def _matrix(id: str) -> str:
+    """What is shipped of it, as in "3 seeds, 20 sources"."""
+    found = load_matrix(id)
+    seeds = f"{found.n_seeds} seed{'s' * (found.n_seeds > 1)}"
+    return seeds if found.sources is None else f"{seeds}, {len(found.sources)} sources"
 
 
 def _family(id: str) -> str:
