@@ -101,11 +101,10 @@ def test_saved_arrays_of_another_training_are_refused():
 
 def test_cartpole_is_learnt_and_the_best_checkpoint_is_kept():
     bests = []
-    # which seed is lucky depends on how a processor rounds: one of thirty-two, in pairs, stayed
-    # below 400 (340), and no pair did. An untrained policy balances for ten to thirty steps.
+    # as shipped: without annealing some seeds fall back, and which do depends on the processor
     training = engine.train(
         CARTPOLE,
-        RECIPE["cartpole"],
+        replace(RECIPE["cartpole"], anneal=True),
         [0, 1],
         cartpole_params([0.5, 0.5]),
         120_000,
@@ -113,8 +112,7 @@ def test_cartpole_is_learnt_and_the_best_checkpoint_is_kept():
         on_block=lambda b: bests.append(np.array(b.training.best_return)),
     )
     assert (np.diff(bests, axis=0) >= 0).all()
-    assert bests[-1].min() >= 200
-    assert bests[-1].max() >= 450
+    assert (bests[-1] >= 400).all()
     assert (bests[-1] >= np.asarray(training.latest_return)).all()
 
 
