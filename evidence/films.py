@@ -33,8 +33,10 @@ FILMS = {
     "walker-gravity": ({"gravity": 4.0}, {"gravity": 10.0}, {"gravity": 16.0}),
     "cheetah-gravity": ({"gravity": 0.981}, {"gravity": 5.886}, {"gravity": 10.791}),
 }
-STEPS, EVERY, WIDTH = 120, 2, 320
-"""Decisions of an episode, of which every so many-th is kept, and pixels of a picture."""
+LENGTHS = {"walker-gravity": (400, 6), "cheetah-gravity": (120, 2)}
+"""Decisions of an episode, of which every so many-th is kept."""
+WIDTH = 320
+"""Pixels of a picture."""
 
 
 def watched(cmdp: CMDP, context: Mapping[str, float], steps: int) -> Watched:
@@ -85,10 +87,11 @@ def film(id: str, folder: Path, file: Path) -> int:
     from PIL import Image
 
     cmdp, takes = simulated(id), {}
+    steps, every = LENGTHS[id]
     for context in FILMS[id]:
-        take, source = played(cmdp, context, folder, STEPS)
+        take, source = played(cmdp, context, folder, steps)
         end = len(take.pictures) - 1
-        take.pictures = [p for i, p in enumerate(take.pictures) if i % EVERY == 0 or i == end]
+        take.pictures = [p for i, p in enumerate(take.pictures) if i % every == 0 or i == end]
         for number, picture in enumerate(take.pictures):
             image = Image.fromarray(picture.image)
             small = image.resize((WIDTH, WIDTH * image.height // image.width))

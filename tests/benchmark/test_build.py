@@ -266,3 +266,12 @@ def test_a_trainer_may_say_which_sources_go_together(tmp_path):
     alone = building(tmp_path / "alone", Several(), keep=("best",), lanes=1)
     alone.run()
     np.testing.assert_array_equal(build.returns("best"), alone.returns("best"))
+
+
+def test_a_trainer_that_cannot_be_sent_to_processes_is_refused_before_it_trains(tmp_path):
+    alone = FunctionTrainer(lambda context, seed: train(context, seed), evaluate)
+    build = Build(alone, SPACE, 0, tmp_path / "line", SETTINGS)
+    with pytest.raises(InvalidInput, match=r"in 2 processes, got FunctionTrainer.*--workers 1"):
+        build.run(workers=2)
+    build.run()
+    assert build.returns(ONLY).shape == (5, 5, 2)

@@ -57,6 +57,12 @@ def test_a_simulator_without_cars_says_the_return_so_far():
     assert caption(take, 2) == "return so far 4"
 
 
+def test_a_score_that_is_the_return_is_called_so():
+    take = watched(seen=False)
+    take.env.SCORE = "return"
+    assert caption(take, 3).split("    ") == ["return so far 6", "return 3.25"]
+
+
 @pytest.mark.parametrize(("shape", "across"), [((400, 420), True), ((50, 500), False)])
 def test_two_takes_stand_beside_each_other_or_if_they_are_wide_below(tmp_path, shape, across):
     longer, shorter = watched(shape=shape), watched(shape=shape)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from mbtl.cli.play import play
 from mbtl.cmdps import cmdp_ids, get_cmdp, resolve_cmdp
 from mbtl.cmdps.plugins import plugin_ids
 from mbtl.errors import InvalidInput, UnknownName
@@ -49,6 +50,11 @@ def test_a_package_adds_cmdps_by_id(package):
 def test_ours_keep_their_ids(package):
     assert get_cmdp("cartpole-length").space.n == 100
     assert "hill-slope" not in cmdp_ids()
+
+
+def test_play_says_whose_it_is(package):
+    with pytest.raises(InvalidInput, match="'hill-slope' of the package 'hills-of-others'"):
+        play("hill-slope")
 
 
 def test_what_is_wrong_names_the_package(package):

@@ -8,6 +8,7 @@ Notation (shapes): N contexts, M of them sources, P sources of a piece, E episod
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
 from dataclasses import asdict, dataclass
@@ -239,6 +240,7 @@ def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Done]:
         for piece in pieces:
             yield piece, _outcome(partial(perform, piece))
         return
+    _check_sent(pieces[0], workers)
     todo = iter(pieces)
     with worker_pool(workers) as pool:
         running = {pool.submit(perform, piece): piece for piece in islice(todo, workers)}
@@ -254,6 +256,18 @@ def _perform_all(pieces: Sequence[Piece], workers: int) -> Iterator[Done]:
                 "a worker process died (killed, or out of memory); what was done is kept: run "
                 "again, with fewer workers if memory is short"
             ) from error
+
+
+def _check_sent(piece: Piece, workers: int) -> None:
+    """Before a pool is made, whose own error is a traceback."""
+    try:
+        pickle.dumps(piece)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise InvalidInput(
+            f"a trainer must be made of functions of a module to work in {workers} processes, got "
+            f"{type(piece.trainer).__name__}: {error}; move its functions to the top of a module, "
+            "or take one worker (--workers 1)"
+        ) from error
 
 
 def _outcome(work: Callable[[], None]) -> TrainingFailed | None:

@@ -127,7 +127,9 @@ def caption(take: Watched, number: int) -> str:
         parts.append(f"return so far {picture.gained:.0f}")
     ended = not any(one.episode == picture.episode for one in later)
     if ended and picture.episode < len(take.scores):
-        parts.append(f"score {take.scores[picture.episode]:.2f} {take.unit}")
+        score = f"{take.scores[picture.episode]:.2f}"
+        named = take.unit == "return"  # it says all
+        parts.append(f"return {score}" if named else f"score {score} {take.unit}")
     return "    ".join(parts)
 
 

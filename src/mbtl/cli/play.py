@@ -14,6 +14,7 @@ from mbtl.cli.common import JsonFlag, print_json, printer
 from mbtl.cli.film import Watched, save_film
 from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp
 from mbtl.cmdps.engines import EnvFactory, resolved
+from mbtl.cmdps.plugins import plugin_ids
 from mbtl.cmdps.registry import engines_of
 from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.portfolio import Portfolio, load_portfolio
@@ -144,6 +145,11 @@ def _cmdp(name: str, switches: Mapping[str, Any]) -> CMDP:
 
 
 def _portfolio(folder: str, trust: bool) -> Portfolio:
+    if folder in (others := plugin_ids()):
+        raise InvalidInput(
+            f"play takes CMDPs of our own, got {folder!r} of the package {others[folder]!r}; step "
+            f"its environment, `mbtl.get_cmdp({folder!r}).make_env(context)`, if it has one"
+        )
     if not (Path(folder) / MANIFEST).is_file():
         raise InvalidInput(
             f"play takes the folder of a portfolio or the id of a CMDP, got {folder!r}, which is "
