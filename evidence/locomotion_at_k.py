@@ -8,7 +8,7 @@ three scales: of the CMDP, of the paper, and from the CMDP's 0 to the best entry
 exact expectation. Independent is the mean over the contexts that were trained on, each with its own
 policy. The last column has what the paper printed for K = 15, of its own policies and by its own
 scale. `--write` puts the mean returns of all shipped ones, over their seeds, into
-docs/locomotion.md.
+docs/locomotion.md, and below them performance by the paper's scale beside the paper's.
 
 example: python evidence/locomotion_at_k.py cheetah-gravity
 """
@@ -104,13 +104,20 @@ def table(matrix: TransferMatrix, known: Mapping[str, float]) -> list[str]:
 
 
 def page(ids: Sequence[str], budgets: Sequence[int], folder: Path | None) -> list[str]:
-    """Mean returns of all: a line per head, a column per CMDP."""
-    columns = {}
+    """Mean returns of all, a line per head, a column per CMDP; then those that the paper has."""
+    columns, beside = {}, {}
     for id in ids:
         matrix = load_matrix(id)
-        columns[f"{id} ({matrix.n_seeds})"] = {
+        known = {
             head: float(matrix.bounds.denormalise(value))
             for head, value in levels_of(matrix, budgets, folder).items()
+        }
+        columns[f"{id} ({matrix.n_seeds})"] = known
+        low, high = paper_bounds(id) or (matrix.bounds.low, matrix.bounds.high)
+        beside[id] = {
+            head: f"{(known[head] - low) / (high - low):.2f}, *{value:.2f}*"
+            for head, value in printed_of(id).items()
+            if head in known
         }
     heads = list(dict.fromkeys(head for column in columns.values() for head in column))
     heads.sort(key=lambda head: (head.startswith(ALL_AT_ONCE), "K = " in head))
@@ -118,6 +125,9 @@ def page(ids: Sequence[str], budgets: Sequence[int], folder: Path | None) -> lis
     for head in heads:
         cells = [f"{column[head]:.0f}" if head in column else "" for column in columns.values()]
         lines.append(f"| {head} | {' | '.join(cells)} |")
+    lines += ["", f"| ours, *the paper's* | {' | '.join(beside)} |", "|---|" + "---|" * len(beside)]
+    for head in dict.fromkeys(head for column in beside.values() for head in column):
+        lines.append(f"| {head} | {' | '.join(column[head] for column in beside.values())} |")
     return lines
 
 
