@@ -3,9 +3,8 @@
 Each engine trains by its own default recipe in one context per family: one policy in SUMO, in one
 process (Stable-Baselines3, of TRPO sb3-contrib); 25 policies in one program in the twin, as a
 matrix is built. Learning, acting and everything else are in the figure, evaluations are not, nor is
-what is compiled or loaded once. A step is one of SUMO's in an episode with its warm-up, counted
-there; the twin's rate is of as many steps an episode. Rates are per second of processor time of one
-thread.
+what is compiled or loaded once. Rates are simulated seconds per second of processor time of one
+thread; those of an episode, with its warm-up, are read from SUMO's clock.
 
 example: taskset -c 0 python benchmarks/traffic_training.py
 """
@@ -29,7 +28,7 @@ FAMILIES = {
 
 
 def in_sumo(id: str, context: dict[str, float], episodes: int) -> tuple[Any, Cost, float]:
-    """The trainer, and the cost and the simulation steps of one episode."""
+    """The trainer, and the cost and the simulated seconds of one episode."""
     import libsumo
 
     from mbtl.cmdps import get_cmdp
@@ -37,12 +36,17 @@ def in_sumo(id: str, context: dict[str, float], episodes: int) -> tuple[Any, Cos
     trainer: Any = get_cmdp(id, engine="sumo").trainer
     trainer = replace(trainer, processes=False, checkpoint="final")
     replace(trainer, episodes=1).train(context, 0)  # what is loaded only once
-    step = libsumo.simulationStep
-    with patch.object(libsumo, "simulationStep", side_effect=step) as counted:
+    real, clock = libsumo.simulationStep, [0.0]
+
+    def step(*until: float) -> None:
+        real(*until)
+        clock[0] = libsumo.simulation.getTime()
+
+    with patch.object(libsumo, "simulationStep", step):
         replace(trainer, episodes=1).train(context, 1)
     trainer = replace(trainer, episodes=episodes)
     cost = cost_of(lambda: trainer.train(context, 2))
-    return trainer, cost / episodes, counted.call_count
+    return trainer, cost / episodes, clock[0]
 
 
 def in_twin(id: str, context: dict[str, float], lanes: int, blocks: int) -> tuple[Any, Cost]:
@@ -64,15 +68,15 @@ def in_twin(id: str, context: dict[str, float], lanes: int, blocks: int) -> tupl
 def case(id: str, context: dict[str, float], args: Any) -> dict[str, Any]:
     """Both engines."""
     note(f"{id} ...")
-    sumo, theirs, steps = in_sumo(id, context, args.episodes)
+    sumo, theirs, seconds = in_sumo(id, context, args.episodes)
     twin, ours = in_twin(id, context, args.lanes, args.blocks)
     return {
         "cmdp": id,
         "context": context,
-        "steps_of_an_episode": steps,
+        "simulated_seconds": seconds,
         "algorithms": {"sumo": sumo.algorithm, "twin": twin.algorithm},
         "seconds_per_episode": {"sumo": theirs.to_json(), "twin": ours.to_json()},
-        "steps_per_second": {"sumo": digits(steps / theirs.cpu), "twin": digits(steps / ours.cpu)},
+        "rate": {"sumo": digits(seconds / theirs.cpu), "twin": digits(seconds / ours.cpu)},
         "ratio": digits(theirs.cpu / ours.cpu, 3),
     }
 
@@ -92,12 +96,12 @@ def main() -> None:
 
 
 def _line(one: dict[str, Any]) -> str:
-    rates = one["steps_per_second"]
+    rates = one["rate"]
     algorithms = one["algorithms"]
     return (
-        f"{one['cmdp']}: {rates['twin']:,.0f} steps/s ({algorithms['twin']}) against "
-        f"{rates['sumo']:,.0f} in SUMO ({algorithms['sumo']}): {one['ratio']:g} x; "
-        f"{one['steps_of_an_episode']} steps an episode"
+        f"{one['cmdp']}: {rates['twin']:,.0f} simulated s per s ({algorithms['twin']}) against "
+        f"{rates['sumo']:,.0f} in SUMO ({algorithms['sumo']}): {one['ratio']:g} x; an episode has "
+        f"{one['simulated_seconds']:g} s"
     )
 
 

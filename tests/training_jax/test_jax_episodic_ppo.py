@@ -1,5 +1,7 @@
 """PPO on whole episodes: the rows it learns from, its limits, and its place in the loop."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,9 +16,10 @@ from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic.corridor import LIMIT
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
+from mbtl.training.jax.clock import clock_at
 from mbtl.training.jax.episodic import ppo
 from mbtl.training.jax.episodic.episodes import Episodes
-from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
+from mbtl.training.jax.episodic.recipes import TWIN_RECIPES, EpisodicPPORecipe
 from mbtl.training.jax.episodic.returns import Returns
 from mbtl.training.jax.networks import kl
 from mbtl.worlds.environments import Box
@@ -55,7 +58,8 @@ learn = jax.jit(ppo.learn, static_argnums=(0, 1))
 
 
 def updated(recipe, weights, lived, number=0):
-    return learn(BOX, recipe, weights, ppo.start(recipe, weights), lived, jnp.int32(number))
+    clock = clock_at(jnp.int32(number), jnp.int32(10))
+    return learn(BOX, recipe, weights, ppo.start(recipe, weights), lived, clock)
 
 
 EVERYBODY = jnp.ones((D, 1, A), bool)
@@ -118,6 +122,27 @@ def test_updates_draw_other_rows():
         not np.array_equal(a, b)
         for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True)
     )
+
+
+def test_a2c_is_one_step_along_the_policy_gradient():
+    recipe, weights, lived = setting(EVERYBODY)
+    recipe = replace(TWIN_RECIPES["A2C"]["fast"], rows=D * A, hidden=(8,), value_coef=0.0)
+    key = jax.random.PRNGKey(0)
+    batch, _ = ppo.rows_of(BOX, recipe, weights, Returns.empty(), lived, key)
+
+    def plain(actor):
+        outputs = networks.apply(actor, batch.obs)
+        return -(
+            batch.advantage * networks.log_prob(outputs, weights.log_std, batch.action, BOX)
+        ).mean()
+
+    (new, _), slope = updated(recipe, weights, lived), jax.grad(plain)(weights.actor)
+    for before, after, g in zip(
+        *map(jax.tree.leaves, (weights.actor, new.actor, slope)), strict=True
+    ):
+        clear = np.abs(g) > 1e-4  # Adam's first step is the sign of the gradient
+        np.testing.assert_array_equal(np.sign(before - after)[clear], np.sign(g)[clear])
+        np.testing.assert_allclose(np.abs(before - after)[clear], recipe.learning_rate, rtol=0.05)
 
 
 def test_minibatches_must_fill_the_rows():

@@ -248,7 +248,7 @@ def test_it_learns_to_calm_the_ring():
 def test_unknown_names_and_numbers_are_refused():
     cmdp = get_cmdp("ring-acc", engine="jax")
     with pytest.raises(UnknownName, match="TRPO"):
-        cmdp.trainer_for("quick", algorithm="DQN")
+        cmdp.trainer_for("quick", algorithm="SAC")
     with pytest.raises(InvalidInput, match="episodes"):
         cmdp.trainer_for("quick", episodes=0)
     trainer = cmdp.trainer_for("quick", hyperparameters={"gama": 0.9})

@@ -236,6 +236,10 @@ _SIGNAL_TWIN = {
         _SIGNAL_PPO, budget=8, episodes=40, eval_episodes=2, checkpoint_every=40,
         description="a first look, in the twin",
     ),
+    "paper": replace(
+        _SIGNAL_PPO, algorithm="DQN", recipe_name="paper", hyperparameters={}, eval_episodes=50,
+        description="the paper's episodes and its DQN, in the twin; minutes a training",
+    ),
 }  # fmt: skip
 
 # ---- eco-driving -----------------------------------------------------------------------------

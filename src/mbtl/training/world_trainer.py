@@ -26,7 +26,7 @@ from mbtl.training.world_steps import WorldSteps
 
 BY_STEPS = ("PPO", "A2C", "DQN")
 """Algorithms that learn every few steps; a training is as many `timesteps`."""
-BY_EPISODES = ("TRPO", "PPO")
+BY_EPISODES = ("TRPO", "PPO", "A2C", "DQN")
 """Algorithms that learn from whole episodes; a training is as many `episodes`."""
 
 _COUNTS = ("eval_episodes", "checkpoint_episodes")
@@ -53,12 +53,13 @@ class WorldTrainer(WorldSteps):
         problem: contexts -> world and parameters; a function of a module, or a record.
         timesteps: environment steps of one training, rounded up to whole updates; or
         episodes: of one training, likewise.
-        algorithm: "PPO", "A2C" or "DQN" by steps; "TRPO" or "PPO" by whole episodes.
+        algorithm: "PPO", "A2C" or "DQN"; by whole episodes "TRPO", too.
         recipe_name: named hyper-parameters of the algorithm, e.g. "sb3", "fast" or "paper".
         hyperparameters: fields of the recipe that differ from the named one.
         eval_episodes: episodes per target in `evaluate`.
         acting: in all evaluations, the "mean" actions, or "sampled" ones; None: mean where steps
-            are counted, sampled where episodes are, as in the papers.
+            are counted, sampled where episodes are, as in the papers. DQN always takes the best
+            action, since values are no chances.
         checkpoint: "final" weights, or the "best" of periodic evaluations on the own context. The
             best cannot change once it has the largest return there is, so training ends there.
         checkpoint_every: steps or episodes between those evaluations; default 2 % of the training.
@@ -93,11 +94,13 @@ class WorldTrainer(WorldSteps):
     resumes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        by_steps = self.episodes is None
+        by_steps, algorithm = self.episodes is None, self.algorithm
+        acting = "mean" if algorithm == "DQN" else self.acting
         for name, value in {
             "hyperparameters": dict(self.hyperparameters or {}),
-            "recipe_name": self.recipe_name or ("fast" if by_steps else "paper"),
-            "acting": self.acting or ("mean" if by_steps else "sampled"),
+            "recipe_name": self.recipe_name
+            or ("fast" if by_steps or algorithm == "A2C" else "paper"),
+            "acting": acting or ("mean" if by_steps else "sampled"),
         }.items():
             object.__setattr__(self, name, value)
         check_settings(self, _COUNTS, _OPTIONAL_COUNTS)

@@ -12,12 +12,14 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
-from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
+from mbtl.training.jax.episodic.recipes import EpisodicDQNRecipe, EpisodicPPORecipe
 from mbtl.training.jax.recipes import DQNRecipe, PPORecipe
 from mbtl.worlds.environments import Tree
 
 
-def adam(recipe: PPORecipe | DQNRecipe | EpisodicPPORecipe) -> optax.GradientTransformation:
+def adam(
+    recipe: PPORecipe | DQNRecipe | EpisodicPPORecipe | EpisodicDQNRecipe,
+) -> optax.GradientTransformation:
     """Adam after clipping the norm of one policy's gradient; the step is -lr times Adam's."""
     return optax.chain(
         optax.clip_by_global_norm(recipe.max_grad_norm),

@@ -24,12 +24,13 @@ from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.descent import adam, descended
+from mbtl.training.jax.episodic.recipes import EpisodicDQNRecipe
 from mbtl.training.jax.networks import Network, Weights
 from mbtl.training.jax.recipes import DQNRecipe
 from mbtl.training.jax.rollout import start
 from mbtl.worlds.copies import Copies, stepped
 from mbtl.worlds.environments import Discrete, Tree
-from mbtl.worlds.world import Solo
+from mbtl.worlds.world import Solo, World
 
 
 class State(NamedTuple):
@@ -84,13 +85,19 @@ def init(
     Raises:
         InvalidInput: actions are not discrete.
     """
-    widths = [world.n_features + params.visible.shape[-1], *recipe.hidden, _options(world)]
+    options(world)
     if weights is None:
-        weights = networks.stack([networks.init_q_network(seed, widths) for seed in seeds])
+        weights = networks.stack(fresh(world, recipe.hidden, seeds, params))
     weights, moments, *lives = start(adam, world, recipe, seeds, params, weights)
     target = jax.tree.map(jnp.copy, weights.actor)  # memory of its own: a block takes over both
     replay = jnp.zeros((len(seeds), recipe.buffer_size, 2 * world.n_features + 3))
     return State(weights, target, moments, replay, *lives)
+
+
+def fresh(world: World, hidden: Sequence[int], seeds: Sequence[int], params: Tree) -> list[Weights]:
+    """A network of action values for each seed."""
+    widths = [world.n_features + params.visible.shape[-1], *hidden, options(world)]
+    return [networks.init_q_network(seed, widths) for seed in seeds]
 
 
 def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Clock) -> State:
@@ -152,7 +159,7 @@ def explore(
     total: jax.Array,
 ) -> tuple[State, jax.Array]:
     """T epsilon-greedy steps of the E copies, and their (T x E, 2 f + 3) rows of the ring."""
-    network, n, f = state.weights.actor, _options(world), world.n_features
+    network, n, f = state.weights.actor, options(world), world.n_features
 
     def act(obs: jax.Array, drawn: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         t, coin = drawn
@@ -202,13 +209,15 @@ def unpack(world: Solo, rows: jax.Array, visible: jax.Array) -> Batch:
     )
 
 
-def goal(recipe: DQNRecipe, target: Network, batch: Batch) -> jax.Array:
+def goal(recipe: DQNRecipe | EpisodicDQNRecipe, target: Network, batch: Batch) -> jax.Array:
     """(B,) r + gamma max_a Q_target(after, a) (1 - terminated)."""
     ahead = networks.apply(target, batch.after, recipe.activation).max(axis=-1)
     return batch.reward + recipe.gamma * (1.0 - batch.terminated) * ahead
 
 
-def loss(recipe: DQNRecipe, network: Network, batch: Batch, goals: jax.Array) -> jax.Array:
+def loss(
+    recipe: DQNRecipe | EpisodicDQNRecipe, network: Network, batch: Batch, goals: jax.Array
+) -> jax.Array:
     """Mean Huber loss, quadratic up to an error of 1, of the values of the actions taken."""
     values = networks.apply(network, batch.obs, recipe.activation)
     # a sum over a mask, not a gather: gathers with batched indices are slow on a CPU
@@ -217,7 +226,12 @@ def loss(recipe: DQNRecipe, network: Network, batch: Batch, goals: jax.Array) ->
     return optax.losses.huber_loss(value, goals).mean()
 
 
-def _options(world: Solo) -> int:
+def options(world: World) -> int:
+    """How many actions there are.
+
+    Raises:
+        InvalidInput: they are not discrete.
+    """
     if not isinstance(world.action, Discrete):
         raise InvalidInput(
             f"DQN must have discrete actions, got a box of {len(world.action.low)} dimensions; use "

@@ -8,6 +8,7 @@ Random actions too are functions of the episode's seed, which makes it independe
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Literal, NamedTuple, cast
 
@@ -106,11 +107,13 @@ def record(
     seeds: jax.Array,
     params: Tree,
     hold: int = 1,
+    chosen: Callable[[jax.Array], jax.Array] = lambda outputs: outputs,
 ) -> Episodes:
     """Play the episodes of (P, E) seeds with sampled actions and keep everything.
 
     Parameters are of one context, or of every simulation. For `hold` decisions what is random in an
-    action stays the same. Static: the dynamics, the activation, how long episodes are, and `hold`.
+    action stays the same. `chosen` makes of the actor's outputs what is sampled. Without a critic
+    values are 0. Static: the dynamics, the activation, how long episodes are, and `hold`.
     """
     shape, flat = seeds.shape, seeds.reshape(-1)
 
@@ -121,7 +124,7 @@ def record(
         return jnp.moveaxis(x.reshape(len(x), *shape, *x.shape[2:]), 0, 1)
 
     def told(outputs: jax.Array, number: jax.Array) -> tuple[jax.Array, jax.Array]:
-        action = _sampled(twin, actor, outputs, flat, number // hold)
+        action = _sampled(twin, actor, chosen(outputs), flat, number // hold)
         joint = action.reshape(-1, *action.shape[2:])
         return networks.to_environment(joint, twin.action), joint
 
@@ -141,6 +144,7 @@ def record(
 
     state = twin.start(flat, params)
     watch = partial(watched, twin, activation, params, shape)
+    critic = actor.critic or None
     if isinstance(twin, Crowd):
         assert not isinstance(decisions, Beats)
         places = shape[1] * twin.agents
@@ -155,11 +159,11 @@ def record(
         state, found = beats.lived(twin, decisions, state, params, decide)
         obs, acting, outputs, action = map(by_policy, found.kept)
         reward, done = by_policy(found.reward), by_policy(found.done)
-        value = each(activation, actor.critic, obs)
+        value = each(activation, critic, obs) if critic else jnp.zeros((*acting.shape, 1))
         row = jnp.broadcast_to(jnp.arange(acting[0].size).reshape(acting.shape[1:]), acting.shape)
         acting &= by_policy(found.due)[..., None]
         obs = obs.reshape(len(obs), -1, obs.shape[-1])
-    last, _ = watch((actor.critic,), state)
+    last, _ = watch((critic,) if critic else (), state)
     return Episodes(
         obs=obs,
         row=row,
@@ -169,7 +173,7 @@ def record(
         acting=acting,
         reward=reward,
         done=done,
-        last_value=last.found[0][..., 0],
+        last_value=last.found[0][..., 0] if critic else jnp.zeros(last.acting.shape),
         last_acting=last.acting & (twin.time_limit == "truncation"),
         score=split(twin.score(state)),
     )

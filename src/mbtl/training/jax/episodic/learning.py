@@ -13,18 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.errors import InvalidInput
+from mbtl.training.jax import dqn as q_learning
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.episodic import ppo, trpo
+from mbtl.training.jax.episodic import dqn, ppo, trpo
 from mbtl.training.jax.episodic.episodes import actor_of, record
-from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe, TRPORecipe, TwinRecipe
+from mbtl.training.jax.episodic.recipes import (
+    EpisodicActorCritic,
+    EpisodicDQNRecipe,
+    EpisodicPPORecipe,
+    TRPORecipe,
+    TwinRecipe,
+)
 from mbtl.training.jax.networks import Weights
 from mbtl.worlds import random
 from mbtl.worlds.environments import Length, Tree
 from mbtl.worlds.rules import Rules
 from mbtl.worlds.world import World, of_simulations
 
-_ALGORITHMS: Mapping[type, Any] = {TRPORecipe: trpo, EpisodicPPORecipe: ppo}
+_ALGORITHMS: Mapping[type, Any] = {
+    TRPORecipe: trpo,
+    EpisodicPPORecipe: ppo,
+    EpisodicDQNRecipe: dqn,
+}
 """Modules with `start(recipe, weights)` and `learn(...)`, of one policy."""
 
 # streams of random numbers: seeds of training episodes, and their contexts where there are several
@@ -44,14 +55,21 @@ def init(
 ) -> State:
     """P policies before their first update; fresh unless given weights."""
     if weights is None:
-        more = recipe.critic_gain, recipe.first_action
-        each = networks.fresh(world, recipe, seeds, params, *more)
-        weights = networks.stack([begun(world, recipe, one) for one in each])
+        weights = networks.stack(_fresh(world, recipe, seeds, params))
     memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))(weights)
     return State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))
 
 
-def begun(world: World, recipe: TwinRecipe, fresh: Weights) -> Weights:
+def _fresh(world: World, recipe: TwinRecipe, seeds: Sequence[int], params: Tree) -> list[Weights]:
+    """Of each policy."""
+    if isinstance(recipe, EpisodicActorCritic):
+        more = recipe.critic_gain, recipe.first_action
+        each = networks.fresh(world, recipe, seeds, params, *more)
+        return [begun(world, recipe, one) for one in each]
+    return q_learning.fresh(world, recipe.hidden, seeds, params)
+
+
+def begun(world: World, recipe: EpisodicActorCritic, fresh: Weights) -> Weights:
     """A fresh policy that acts as the recipe's `begin` says; what else it sees is not looked at.
 
     Raises:
@@ -85,10 +103,13 @@ def update(
         params = jax.tree.map(lambda x: jax.vmap(jnp.take, (0, 0, None))(x, met, 0), params)
     every = of_simulations(params, recipe.n_episodes)
     actor = actor_of(state.weights)
-    lived = record(world, recipe.activation, decisions, actor, seeds, every, hold=recipe.hold)
+    how: dict[str, Any] = {"hold": recipe.hold}
+    if isinstance(recipe, EpisodicDQNRecipe):
+        how["chosen"] = partial(dqn.explored, recipe, clock.progress)
+    lived = record(world, recipe.activation, decisions, actor, seeds, every, **how)
     learn = partial(_ALGORITHMS[type(recipe)].learn, world.action, recipe)
     policies = jax.vmap(learn, in_axes=(0, 0, 0, None))
-    weights, memory = policies(state.weights, state.memory, lived, clock.number)
+    weights, memory = policies(state.weights, state.memory, lived, clock)
     return State(weights, memory, state.seed)
 
 

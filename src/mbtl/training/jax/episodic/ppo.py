@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
-from mbtl.training.jax.clock import clock_at
+from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.descent import adam, standard
 from mbtl.training.jax.episodic.episodes import Episodes
 from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
@@ -39,14 +39,13 @@ def learn(
     weights: Weights,
     memory: Memory,
     lived: Episodes,
-    number: jax.Array,
+    clock: Clock,
 ) -> tuple[Weights, Memory]:
     """The gradient steps of one update; arguments as in `trpo.learn`."""
-    key = clock_at(number, number + 1).key
-    batch, returns = rows_of(action, recipe, weights, memory.returns, lived, key)
+    batch, returns = rows_of(action, recipe, weights, memory.returns, lived, clock.key)
     limits = Limits(weights.log_std, memory.kl_coef, recipe.target_kl, recipe.value_clip)
     weights, moments, apart = descend(
-        action, recipe, weights, memory.moments, batch, key, jnp.float32(1.0), limits
+        action, recipe, weights, memory.moments, batch, clock.key, jnp.float32(1.0), limits
     )
     coef = memory.kl_coef * jnp.where(apart > 2.0 * recipe.target_kl, 1.5, 1.0)
     coef = coef * jnp.where(apart < 0.5 * recipe.target_kl, 0.5, 1.0)

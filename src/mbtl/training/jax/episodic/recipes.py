@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.recipes import ActorCritic
+from mbtl.training.jax.recipes import Activation, ActorCritic, Learner
 
 Credit = Literal["own", "team"]
 """Whose rewards an action is worth: the agent's until it leaves, or the team's until the end."""
 
 
 @dataclass(frozen=True)
-class TwinRecipe(ActorCritic):
+class TwinRecipe(Learner):
     """What the recipes have that learn from whole episodes.
 
     Attributes:
@@ -22,24 +23,15 @@ class TwinRecipe(ActorCritic):
         normalize_reward: divide rewards by the deviation of discounted returns.
         center_reward: subtract their running mean. Not where lives end by what an agent does: there
             it pays, or costs, to live on.
-        critic_gain: of the critic's last layer at the start.
-        first_action: mean of a Gaussian policy before the first update, in every dimension.
-        begin: what a new policy does: a name that the world knows (`mbtl.worlds.rules.Rules`);
-            empty: its first action.
-        hold: decisions for which a deviation from the mean stays the same. Fresh ones at every
-            decision average out before they come to anything.
-        credit: whose rewards an action is worth (`returns.of_team`).
+        hold: decisions for which what is random in an action stays the same. Fresh deviations at
+            every decision average out before they come to anything.
     """
 
     unit: ClassVar[str] = "episodes"
     n_episodes: int = 1
     normalize_reward: bool = False
     center_reward: bool = False
-    critic_gain: float = 0.01
-    first_action: float = 0.0
-    begin: str = ""
     hold: int = 1
-    credit: Credit = "own"
 
     @property
     def update_length(self) -> int:
@@ -48,7 +40,25 @@ class TwinRecipe(ActorCritic):
 
 
 @dataclass(frozen=True)
-class TRPORecipe(TwinRecipe):
+class EpisodicActorCritic(TwinRecipe, ActorCritic):
+    """What TRPO and PPO have beside that.
+
+    Attributes:
+        critic_gain: of the critic's last layer at the start.
+        first_action: mean of a Gaussian policy before the first update, in every dimension.
+        begin: what a new policy does: a name that the world knows (`mbtl.worlds.rules.Rules`);
+            empty: its first action.
+        credit: whose rewards an action is worth (`returns.of_team`).
+    """
+
+    critic_gain: float = 0.01
+    first_action: float = 0.0
+    begin: str = ""
+    credit: Credit = "own"
+
+
+@dataclass(frozen=True)
+class TRPORecipe(EpisodicActorCritic):
     """Hyper-parameters of TRPO on whole episodes; cmdp-spec, 7.4, and the reference's code.
 
     Attributes:
@@ -80,7 +90,7 @@ class TRPORecipe(TwinRecipe):
 
 
 @dataclass(frozen=True)
-class EpisodicPPORecipe(TwinRecipe):
+class EpisodicPPORecipe(EpisodicActorCritic):
     """Hyper-parameters of PPO on whole episodes; the defaults are those of cmdp-spec, 6.3.
 
     Those that are not explained here are as in `PPORecipe`.
@@ -125,6 +135,35 @@ class EpisodicPPORecipe(TwinRecipe):
         return self.rows // self.minibatches
 
 
+@dataclass(frozen=True)
+class EpisodicDQNRecipe(TwinRecipe):
+    """Hyper-parameters of DQN on whole episodes; the defaults are the paper's of signals.
+
+    Those that are not explained here are as in `DQNRecipe`; the target is the network at the
+    beginning of an update (cmdp-spec, 5).
+
+    Attributes:
+        gradient_steps: minibatches per update.
+        buffer_size: decisions kept for replay, more than an update has.
+        exploration_fraction: share of the training in which epsilon falls linearly from 1, update
+            by update.
+    """
+
+    adam_eps: ClassVar[float] = 1e-8
+    gamma: float = 0.75
+    hidden: tuple[int, ...] = (400, 400, 400, 400)
+    activation: Activation = "mish"
+    normalize_reward: bool = True
+    gradient_steps: int = 800
+    batch_size: int = 100
+    learning_rate: float = 1e-3
+    anneal: bool = False
+    buffer_size: int = 50_000
+    exploration_fraction: float = 1.0
+    final_epsilon: float = 0.0
+    max_grad_norm: float = 10.0
+
+
 _FAST = EpisodicPPORecipe(
     rows=2048,
     minibatches=8,
@@ -146,6 +185,11 @@ _FAST = EpisodicPPORecipe(
     log_std=-1.0,
 )
 
+_ONE_STEP: Mapping[str, Any] = {
+    "minibatches": 1, "n_epochs": 1, "kl_coef": 0.0, "target_kl": math.inf, "value_clip": 1e9,
+}  # fmt: skip
+"""PPO's loss on all rows at once, by the policy that played: that is A2C's, with Adam."""
+
 TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
     "TRPO": {
         "paper": TRPORecipe(),
@@ -155,6 +199,11 @@ TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
             center_reward=False,
             credit="team",
         ),
+    },
+    "A2C": {"fast": replace(_FAST, **_ONE_STEP)},
+    "DQN": {
+        "paper": EpisodicDQNRecipe(),
+        "fast": EpisodicDQNRecipe(gradient_steps=400, hidden=(128, 128), anneal=True),
     },
     "PPO": {
         "paper": EpisodicPPORecipe(),

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from mbtl.training.jax.descent import mean_of
 from mbtl.training.jax.episodic.episodes import Episodes
-from mbtl.training.jax.episodic.recipes import TwinRecipe
+from mbtl.training.jax.episodic.recipes import EpisodicActorCritic, TwinRecipe
 from mbtl.worlds.environments import Tree
 
 
@@ -61,6 +61,13 @@ class Returns(NamedTuple):
             + share * (1.0 - share) * jnp.square(apart),
         )
 
+    def scaled(self, recipe: TwinRecipe, reward: jax.Array) -> jax.Array:
+        """Rewards as they are learnt from."""
+        reward = _centred(recipe, reward, self.reward_mean)
+        if recipe.normalize_reward:
+            reward = reward * jax.lax.rsqrt(self.variance + 1e-8)
+        return reward
+
 
 class Memory(NamedTuple):
     """What a policy keeps between updates beside its weights; a penalty's weight only for PPO."""
@@ -71,7 +78,7 @@ class Memory(NamedTuple):
 
 
 def advantages(
-    recipe: TwinRecipe, returns: Returns, lived: Episodes
+    recipe: EpisodicActorCritic, returns: Returns, lived: Episodes
 ) -> tuple[jax.Array, jax.Array, Returns]:
     """Generalised advantage estimates along each agent's life, or along the team's.
 
@@ -86,10 +93,7 @@ def advantages(
     if recipe.credit == "team":
         lived = of_team(lived)
     returns = returns.updated(recipe, lived)
-    reward = _centred(recipe, lived.reward, returns.reward_mean)
-    if recipe.normalize_reward:
-        reward = reward * jax.lax.rsqrt(returns.variance + 1e-8)
-    reward = jnp.where(lived.acting, reward, 0.0)
+    reward = jnp.where(lived.acting, returns.scaled(recipe, lived.reward), 0.0)
     value = lived.value
     last = jnp.where(lived.last_acting, lived.last_value, 0.0)
     following = jnp.concatenate([value[1:], last[None]])

@@ -18,6 +18,7 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax import networks
+from mbtl.training.jax.clock import Clock
 from mbtl.training.jax.descent import mean_of, standard
 from mbtl.training.jax.episodic.episodes import Episodes
 from mbtl.training.jax.episodic.recipes import TRPORecipe
@@ -44,11 +45,11 @@ def learn(
     weights: Weights,
     memory: Memory,
     lived: Episodes,
-    number: jax.Array,
+    clock: Clock,
 ) -> tuple[Weights, Memory]:
     """One update of the actor and `critic_passes` steps of the critic, on all rows.
 
-    The episodes are without the axis of policies. Nothing is drawn, so the number of the update
+    The episodes are without the axis of policies. Nothing is drawn and no rate falls, so the clock
     does not matter.
     """
     advantage, target, returns = advantages(recipe, memory.returns, lived)

@@ -1,0 +1,109 @@
+"""Deep Q-learning on whole episodes of agents that come and go, in the form of cmdp-spec, 5.
+
+Episodes are played epsilon-greedily, their decisions enter a ring, and then minibatches of all that
+is in it are learnt from, by the loss of `mbtl.training.jax.dqn`. What an agent was shown after its
+last decision before the time limit is not known, so that decision is left out.
+
+Notation (shapes): D decisions, E episodes, A agents, f features; N decisions in the ring, G
+minibatches of B.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from mbtl.training.jax.clock import Clock
+from mbtl.training.jax.descent import adam, descended
+from mbtl.training.jax.dqn import Batch, goal, loss
+from mbtl.training.jax.episodic.episodes import Episodes
+from mbtl.training.jax.episodic.recipes import EpisodicDQNRecipe
+from mbtl.training.jax.episodic.returns import Returns
+from mbtl.training.jax.networks import Network, Weights
+from mbtl.worlds.environments import Box, Discrete, Tree
+
+
+class Memory(NamedTuple):
+    """What a policy keeps between updates beside its weights.
+
+    Attributes:
+        moments: of Adam.
+        returns: statistics of the rewards.
+        replay: (N, 2 f + 3) ring: seen before, seen after, action, raw reward, the life ended.
+        kept: decisions that have entered it.
+    """
+
+    moments: Tree
+    returns: Returns
+    replay: jax.Array
+    kept: jax.Array
+
+
+def start(recipe: EpisodicDQNRecipe, weights: Weights) -> Memory:
+    """Before the first update."""
+    moments = adam(recipe).init(ravel_pytree(weights.actor)[0])
+    width = 2 * len(weights.actor[0][0]) + 3
+    ring = jnp.zeros((recipe.buffer_size, width))
+    return Memory(moments, Returns.empty(), ring, jnp.int32(0))
+
+
+def explored(recipe: EpisodicDQNRecipe, progress: jax.Array, values: jax.Array) -> jax.Array:
+    """(..., n) action values -> logits of epsilon-greedy choices after a share of the training."""
+    share = jnp.minimum(progress / recipe.exploration_fraction, 1.0)
+    epsilon = 1.0 + share * (recipe.final_epsilon - 1.0)
+    n = values.shape[-1]
+    greedy = jax.nn.one_hot(jnp.argmax(values, axis=-1), n)
+    return jnp.log(epsilon / n + (1.0 - epsilon) * greedy)
+
+
+def learn(
+    action: Discrete | Box,
+    recipe: EpisodicDQNRecipe,
+    weights: Weights,
+    memory: Memory,
+    lived: Episodes,
+    clock: Clock,
+) -> tuple[Weights, Memory]:
+    """The gradient steps of one update; arguments as in `trpo.learn`."""
+    returns = memory.returns.updated(recipe, lived)
+    replay, kept = entered(memory, lived)
+    filled = jnp.minimum(kept, recipe.buffer_size)
+    draw = jax.random.uniform(clock.key, (recipe.gradient_steps, recipe.batch_size))
+    rate, target = clock.rate(recipe.anneal), weights.actor
+
+    def one(carry: tuple[Network, Tree], draw: jax.Array) -> tuple[tuple[Network, Tree], None]:
+        network, moments = carry
+        batch = unpacked(replay[jnp.floor(draw * filled).astype(jnp.int32)])
+        batch = batch._replace(reward=returns.scaled(recipe, batch.reward))
+        gradient = jax.grad(partial(loss, recipe))(network, batch, goal(recipe, target, batch))
+        return descended(adam(recipe), network, gradient, moments, rate), None
+
+    (network, moments), _ = jax.lax.scan(one, (target, memory.moments), draw)
+    return weights._replace(actor=network), Memory(moments, returns, replay, kept)
+
+
+def entered(memory: Memory, lived: Episodes) -> tuple[jax.Array, jax.Array]:
+    """The ring with the decisions of (D, E, A) agents that are known to their end, and its count.
+
+    The oldest make room.
+    """
+    obs = lived.obs[lived.row]
+    after = jnp.concatenate([obs[1:], obs[-1:]])
+    goes_on = jnp.concatenate([lived.acting[1:], jnp.zeros_like(lived.acting[:1])])
+    known = (lived.acting & (lived.done | goes_on)).reshape(-1)
+    scalars = jnp.stack([lived.action, lived.reward, lived.done], axis=-1)
+    rows = jnp.concatenate([obs, after, scalars], axis=-1).reshape(len(known), -1)
+    size = len(memory.replay)
+    place = (memory.kept + jnp.cumsum(known) - 1) % size
+    replay = memory.replay.at[jnp.where(known, place, size)].set(rows, mode="drop")
+    return replay, memory.kept + known.sum()
+
+
+def unpacked(rows: jax.Array) -> Batch:
+    """(B, 2 f + 3) rows of the ring as transitions."""
+    f = (rows.shape[-1] - 3) // 2
+    return Batch(rows[:, :f], rows[:, f : 2 * f], *(rows[:, 2 * f + k] for k in range(3)))
