@@ -18,7 +18,7 @@ from mbtl.seeds import evaluation_seed, training_seed
 from mbtl.study import create_study
 from mbtl.study.rehearsal import rehearse
 from mbtl.training import SB3Trainer, WorldTrainer
-from mbtl.training.jax import saving
+from mbtl.training.jax import evaluation, saving
 
 SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
 CMDP = get_cmdp("cartpole-length", engine="jax")
@@ -60,6 +60,18 @@ def test_returns_are_those_of_the_gymnasium_environment():
     ours = TRAINER.evaluate(policy, CONTEXTS, seed=5)
     peer = SB3Trainer(CMDP.make_env, timesteps=1, eval_episodes=3)
     np.testing.assert_allclose(ours, peer.evaluate(policy, CONTEXTS, seed=5))
+
+
+def test_an_accelerator_trains_and_plays_all_of_them_in_one_program(monkeypatch):
+    policies = TRAINER.train_many(CONTEXTS, [1, 2], keep=("final",))["final"]
+    on_cpu = TRAINER.evaluate_many(policies, CONTEXTS, seed=5)
+    ring = get_cmdp("ring-acc", engine="jax")
+    assert len(ring.trainer.groups(ring.space.contexts, ring.trainer.lanes)) > 1
+    for module in (engine, evaluation):
+        monkeypatch.setattr(module, "on_cpu", lambda: False)
+    for cmdp in (CMDP, ring):
+        assert cmdp.trainer.groups(cmdp.space.contexts, cmdp.trainer.lanes) == [cmdp.space.n]
+    np.testing.assert_allclose(TRAINER.evaluate_many(policies, CONTEXTS, seed=5), on_cpu)
 
 
 def test_switches_of_the_cmdp_reach_the_engine():

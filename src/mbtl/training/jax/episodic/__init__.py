@@ -1,1 +1,1 @@
-"""Learning from whole episodes, of worlds with any number of agents: TRPO and PPO."""
+"""Learning from whole episodes, of worlds with any number of agents: TRPO, PPO and DQN."""
