@@ -2,10 +2,12 @@
 
 The ring: whether TRPO learns from the actions that were applied or from the samples beyond their
 bounds, and whether it standardises advantages. Eco-driving: whether rewards are centred, which pays
-agents for living on, and whether PPO takes smaller steps on more rows. Everything else is the
-preset's; each line differs from the first by what it says. Scores are mean speeds of fresh episodes
-on the context trained on and, in brackets, on the contexts of the others; for eco-driving also the
-sum of rewards of an agent's life.
+agents for living on, and whether PPO takes smaller steps on more rows. The signal: PPO, A2C and
+DQN, whose recipe `fast` has a smaller network and half the gradient steps of the paper's (`--only`
+leaves that out, which takes long). Everything else is the preset's; each line differs from the
+first by what it says. Scores are those of fresh episodes on the context trained on and, in
+brackets, on the contexts of the others; then those of each training, and processor seconds of one
+with its evaluation; for eco-driving also the sum of rewards of an agent's life.
 
 example: python evidence/twin_learning.py --cmdp ring-acc     # ten minutes of a core
 """
@@ -18,7 +20,7 @@ from typing import Any
 
 import measure
 from learning import trainings
-from measure import digits
+from measure import digits, now
 
 WAYS: dict[str, dict[str, dict[str, Any]]] = {
     "ring-acc": {
@@ -39,8 +41,18 @@ WAYS: dict[str, dict[str, dict[str, Any]]] = {
             "target_kl": 0.02,
         },
     },
+    "signal-inflow": {
+        "PPO": {},
+        "A2C": {"algorithm": "A2C", "recipe_name": "fast"},
+        "DQN": {"algorithm": "DQN", "recipe_name": "fast"},
+        "DQN of the paper": {"algorithm": "DQN", "recipe_name": "paper"},
+    },
 }
-CONTEXTS = {"ring-acc": (2.0, 10.0, 20.0, 30.0, 40.0), "eco-inflow": (400.0, 1600.0)}
+CONTEXTS = {
+    "ring-acc": (2.0, 10.0, 20.0, 30.0, 40.0),
+    "eco-inflow": (400.0, 1600.0),
+    "signal-inflow": (1000.0, 2000.0),
+}
 
 
 def life(trainer: Any, policy: Any, context: Any) -> tuple[float, float]:
@@ -74,11 +86,20 @@ def life(trainer: Any, policy: Any, context: Any) -> tuple[float, float]:
     return float(twin.score(state).mean()), float(rewards) / max(int(lives), 1)
 
 
+def way(trainer: Any, changes: dict[str, Any]) -> Any:
+    """The trainer with other hyper-parameters, or with another algorithm and its own."""
+    if "algorithm" in changes:
+        return replace(trainer, **changes, hyperparameters={}, eval_episodes=8)
+    settings = {**trainer.hyperparameters, **changes}
+    return replace(trainer, hyperparameters=settings, eval_episodes=8)
+
+
 def main() -> None:
     """Train, evaluate and print."""
     parser = measure.parser(__doc__)
     parser.add_argument("--cmdp", choices=tuple(WAYS), default="ring-acc")
     parser.add_argument("--seeds", type=int, default=2, help="trainings per way and context")
+    parser.add_argument("--only", nargs="+", help="some of the ways, by name")
     args = parser.parse_args()
     from mbtl.cmdps import get_cmdp
 
@@ -88,24 +109,26 @@ def main() -> None:
     contexts = [{axis: value} for value in CONTEXTS[args.cmdp]]
     eco = args.cmdp.startswith("eco")
     document: dict[str, Any] = {"cmdp": args.cmdp, "episodes": trainer.episodes, "ways": {}}
-    lines = [f"{args.cmdp}, {trainer.episodes} episodes, m/s by context trained on"]
-    for name, changes in WAYS[args.cmdp].items():
-        changed = replace(
-            trainer, hyperparameters={**trainer.hyperparameters, **changes}, eval_episodes=8
-        )
-        own, others, lives = [], [], []
+    lines = [f"{args.cmdp}, {trainer.episodes} episodes, score by context trained on"]
+    for name in args.only or WAYS[args.cmdp]:
+        changed = way(trainer, WAYS[args.cmdp][name])
+        begin, own, others, lives = now(), [], [], []
         for done in trainings(name, changed, contexts, args.seeds):
             own.append(done.own)
             others.append(done.others)
             if eco:
                 lives.append(life(changed, done.policy, done.context)[1])
+        seconds = digits((now() - begin).cpu / len(own))
         each = [digits(x, 3) for x in own]
         found = {"own": each, "others": [digits(x, 3) for x in others], "rewards": lives}
+        found["seconds"] = [seconds]
         document["ways"][name] = found
         rows = " ".join(f"{x:.2f}" for x in each)
         if lives:
             rows += "   rewards per life " + " ".join(f"{x:.0f}" for x in lives)
-        lines.append(f"{name:25} {fmean(own):6.2f} ({fmean(others):.2f})   {rows}")
+        lines.append(
+            f"{name:25} {fmean(own):6.2f} ({fmean(others):.2f})   {rows}   {seconds:g} s each"
+        )
     if eco:
         alone = [life(trainer, None, context) for context in contexts]
         document["uncontrolled"] = alone
