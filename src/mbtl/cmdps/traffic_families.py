@@ -228,10 +228,7 @@ _SIGNAL_PPO = Preset(
 )
 
 _SIGNAL_TWIN = {
-    "standard": replace(
-        _SIGNAL_PPO,
-        description="the paper's episodes, by PPO on whole episodes, in the twin",
-    ),
+    "standard": replace(_SIGNAL_PPO, description=f"{_SIGNAL_PPO.description}, in the twin"),
     "quick": replace(
         _SIGNAL_PPO, budget=8, episodes=40, eval_episodes=2, checkpoint_every=40,
         description="a first look, in the twin",
