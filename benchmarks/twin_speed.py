@@ -1,9 +1,9 @@
 """Training and evaluation in a twin, end to end, against another checkout of this project.
 
-Both checkouts train the same contexts with the preset's recipe, one process after the other in
-turns, on one thread. A block is an evaluation and the episodes before it; its first one, which
-compiles, is counted apart. Steps are decisions of training episodes: those of evaluations are part
-of the cost. The same seeds are used, so the scores of both must agree.
+Both checkouts train the same contexts with the same recipe (preset `fast`, else `standard`), one
+process after the other in turns, on one thread. A block is an evaluation and the episodes before
+it; its first one, which compiles, is counted apart. Steps are decisions of training episodes: those
+of evaluations are part of the cost. The same seeds are used, so the scores of both must agree.
 
 example: git worktree add ../before 60d1a26
          python benchmarks/twin_speed.py --cmdp eco-inflow --against ../before
@@ -31,7 +31,8 @@ def play(args: argparse.Namespace) -> dict[str, Any]:
     from mbtl.cmdps import get_cmdp
 
     cmdp = get_cmdp(args.cmdp, engine="jax")
-    trainer = cmdp.trainer_for(episodes=args.episodes, checkpoint_every=args.every)
+    preset = "fast" if "fast" in cmdp.presets else "standard"  # of eco-driving, the former name
+    trainer = cmdp.trainer_for(preset, episodes=args.episodes, checkpoint_every=args.every)
     own = cmdp.space.contexts
     contexts = [own[i * len(own) // args.contexts] for i in range(args.contexts)]
     twin, params = trainer.problem(contexts)

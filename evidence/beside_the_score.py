@@ -7,7 +7,7 @@ A score can be gained by harm that it does not see: a ramp is fast when few cars
 contexts that `mbtl` picks in a shipped matrix are trained in the twin again, with the seeds of that
 matrix, and each context is served by the policy that is best in one set of episodes. Played in
 another set, these policies, each context's own where it was picked, and traffic that nobody advises
-are compared by all measures of the twin: means over contexts, the lowest and the highest context
+are compared by measures of the twin: means over contexts, the lowest and the highest context
 where the fifteen serve, and in how many they are below unguided traffic. `--policies` keeps trained
 policies, and takes those that are there.
 
@@ -37,9 +37,11 @@ from mbtl.training.jax.episodic.episodes import Actor, go_on, import_actor
 from mbtl.worlds.world import context_of, in_a_row, of_simulations
 
 MEASURES = {
-    "ramp": {"score": "m/s", "throughput": "cars/h", "dropped": "share dropped"},
+    "ramp": {
+        "score": "m/s", "throughput": "cars/h", "dropped": "share dropped", "collided": "collided",
+    },
     "eco": {"score": "m/s", "co2": "g CO2", "stops": "stops", "throughput": "cars/h"},
-}
+}  # fmt: skip
 """By family: names in the twin and their units."""
 
 
@@ -85,21 +87,23 @@ def picks_of(id: str, seed: int, budget: int) -> list[int]:
 
 
 def trained(trainer: Any, contexts: Sequence[Any], picks: list[int], seed: int, kept: Any) -> Any:
-    """A policy per pick, trained together or read."""
-    folders = [kept / f"source-{pick:05d}" for pick in picks] if kept else []
-    if folders and all(folder.is_dir() for folder in folders):
-        return [trainer.load(folder) for folder in folders]
-    policies: list[Any] = []
-    lessons, keep = [contexts[pick] for pick in picks], trainer.checkpoint
-    seeds = [training_seed(seed, MATRIX_TRIAL, pick) for pick in picks]
-    for size in trainer.groups(lessons, trainer.lanes):
-        part = slice(len(policies), len(policies) + size)
-        policies += trainer.train_many(lessons[part], seeds[part], keep=(keep,))[keep]
-        print(f"{len(policies)} of {len(picks)} trained", flush=True)
-    for folder, policy in zip(folders, policies, strict=bool(folders)):
-        folder.mkdir(parents=True)
-        trainer.save(policy, folder)
-    return policies
+    """A policy per pick: those that are not there yet are trained together."""
+    folders = {pick: kept / f"source-{pick:05d}" for pick in picks} if kept else {}
+    found = {k: trainer.load(folder) for k, folder in folders.items() if folder.is_dir()}
+    missing, keep = [pick for pick in picks if pick not in found], trainer.checkpoint
+    sizes = trainer.groups([contexts[pick] for pick in missing], trainer.lanes) if missing else []
+    for size in sizes:
+        some, missing = missing[:size], missing[size:]
+        seeds = [training_seed(seed, MATRIX_TRIAL, pick) for pick in some]
+        lessons = [contexts[pick] for pick in some]
+        policies = trainer.train_many(lessons, seeds, keep=(keep,))[keep]
+        for pick, policy in zip(some, policies, strict=True):
+            found[pick] = policy
+            if kept:
+                folders[pick].mkdir(parents=True)
+                trainer.save(policy, folders[pick])
+        print(f"{len(found)} of {len(picks)} trained", flush=True)
+    return [found[pick] for pick in picks]
 
 
 def lines(id: str, seed: int, budget: int, episodes: int, kept: Path | None) -> list[str]:
@@ -107,7 +111,7 @@ def lines(id: str, seed: int, budget: int, episodes: int, kept: Path | None) -> 
     cmdp = get_cmdp(id, engine="jax")
     trainer: Any = replace(cmdp.trainer, eval_episodes=episodes)
     contexts, picks = cmdp.space.contexts, picks_of(id, seed, budget)
-    policies = trained(trainer, contexts, picks, seed, kept and kept / id)
+    policies = trained(trainer, contexts, picks, seed, kept and kept / f"{id}-seed{seed}")
     first, second = (
         evaluation_seed(seed, MATRIX_TRIAL, purpose)
         for purpose in (Purpose.EVALUATION, Purpose.REPORT)

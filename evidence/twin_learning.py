@@ -2,12 +2,13 @@
 
 The ring: whether TRPO learns from the actions that were applied or from the samples beyond their
 bounds, and whether it standardises advantages. Eco-driving: whether rewards are centred, which pays
-agents for living on, and whether PPO takes smaller steps on more rows. The signal: PPO, A2C and
-DQN, whose recipe `fast` has a smaller network and half the gradient steps of the paper's (`--only`
-leaves that out, which takes long). Everything else is the preset's; each line differs from the
-first by what it says. Scores are those of fresh episodes on the context trained on and, in
-brackets, on the contexts of the others; then those of each training, and processor seconds of one
-with its evaluation; for eco-driving also the sum of rewards of an agent's life.
+agents for living on, and whether PPO takes smaller steps on more rows. The signal: PPO, and A2C and
+DQN, which learn after every episode instead of after four; DQN's recipe `fast` has a smaller
+network and half the gradient steps of the paper's (`--only` leaves that out: it is slow).
+Everything else is the preset's; each line differs from the first by what it says. Scores are those
+of fresh episodes on the context trained on and, in brackets, on the contexts of the others; then
+those of each training, and processor seconds of one with its evaluation; for eco-driving also the
+sum of rewards of an agent's life.
 
 example: python evidence/twin_learning.py --cmdp ring-acc     # ten minutes of a core
 """

@@ -40,7 +40,7 @@ def setting(acting, done=None, **changes):
         reward=action.astype(jnp.float32),
         done=jnp.zeros((D, 1, A), bool) if done is None else done,
         last_value=jnp.zeros((1, A)),
-        last_acting=jnp.zeros((1, A), bool),
+        last_acting=jnp.ones((1, A), bool),
         score=jnp.zeros(1),
     )
     return recipe, weights, lived
@@ -80,6 +80,22 @@ def test_the_ring_keeps_decisions_that_are_known_to_their_end():
     np.testing.assert_array_equal(batch.action, np.asarray(lived.action).reshape(-1)[order])
 
 
+def test_a_time_limit_that_is_an_end_is_known():
+    recipe, weights, lived = setting(EVERYBODY)
+    lived = lived._replace(last_acting=jnp.zeros((1, A), bool))
+    replay, kept = dqn.entered(dqn.start(recipe, weights), lived)
+    assert int(kept) == D * A
+    ends = dqn.unpacked(np.asarray(replay)[: int(kept)]).terminated
+    np.testing.assert_array_equal(ends, [0.0] * (D * A - A) + [1.0] * A)
+
+
+def test_of_more_decisions_than_places_the_latest_stay():
+    recipe, weights, lived = setting(EVERYBODY, buffer_size=4)
+    replay, kept = dqn.entered(dqn.start(recipe, weights), lived)
+    assert int(kept) == 10  # so the next place is the third
+    np.testing.assert_array_equal(replay[:, :2], lived.obs[jnp.array([8, 9, 6, 7])])
+
+
 def test_the_oldest_make_room():
     recipe, weights, lived = setting(EVERYBODY)
     memory = dqn.start(recipe, weights)
@@ -103,19 +119,35 @@ def test_values_become_what_actions_earn():
 
 
 def test_an_end_is_worth_nothing_and_a_life_that_goes_on_is():
-    done = jnp.zeros((D, 1, A), bool).at[-1].set(True)
-    recipe, weights, lived = setting(EVERYBODY, done, gamma=1.0, gradient_steps=50)
-    lived = lived._replace(reward=jnp.ones((D, 1, A)), obs=jnp.repeat(jnp.eye(D)[:, :2], A, axis=0))
-    values = []
-    for gamma in (0.0, 0.5):
-        recipe, weights, _ = setting(EVERYBODY, done, gamma=gamma, gradient_steps=50)
-        memory = dqn.start(recipe, weights)
-        for number in range(20):
-            weights, memory = learn(CHOICES, recipe, weights, memory, lived, clock(number))
-        found = networks.apply(weights.actor, jnp.eye(2)[:1], recipe.activation)
-        values.append(float(found[0, lived.action[0, 0, 0]]))
-    assert values[0] == pytest.approx(1.0, abs=0.05)
-    assert values[1] > 1.3  # the next decision is worth something, too
+    """Two states in turn, one reward each, over after the second: worth 1.5 and 1."""
+    done = (jnp.arange(D) % 2 == 1)[:, None, None] & EVERYBODY
+    recipe, weights, lived = setting(EVERYBODY, done, gamma=0.5, gradient_steps=50)
+    obs = jnp.repeat(jnp.eye(2)[jnp.arange(D) % 2], A, axis=0)
+    action = jnp.zeros((D, 1, A), int)
+    lived = lived._replace(obs=obs, action=action, reward=jnp.ones((D, 1, A)))
+    memory = dqn.start(recipe, weights)
+    for number in range(20):
+        # the other actions were never taken, and must not look better
+        first = weights.actor[-1][1].at[1:].set(-5.0)
+        weights = weights._replace(actor=(*weights.actor[:-1], (weights.actor[-1][0], first)))
+        weights, memory = learn(CHOICES, recipe, weights, memory, lived, clock(number))
+    values = networks.apply(weights.actor, jnp.eye(2), recipe.activation)[:, 0]
+    np.testing.assert_allclose(values, [1.5, 1.0], atol=0.05)
+
+
+def test_where_nobody_acts_nothing_is_learnt():
+    recipe, weights, lived = setting(jnp.zeros_like(EVERYBODY))
+    new, memory = learn(CHOICES, recipe, weights, dqn.start(recipe, weights), lived, clock(0))
+    assert int(memory.kept) == 0
+    for a, b in zip(*map(jax.tree.leaves, (weights, new)), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_lost_simulation_fails_the_training():
+    recipe, weights, lived = setting(EVERYBODY)
+    lived = lived._replace(score=jnp.array([jnp.nan]))
+    new, _ = learn(CHOICES, recipe, weights, dqn.start(recipe, weights), lived, clock(0))
+    assert np.isnan(new.actor[0][0]).all()
 
 
 def test_who_does_not_act_teaches_nothing():
@@ -137,10 +169,11 @@ def test_contexts_of_the_ring_are_trained_together_and_act_greedily():
     )  # fmt: skip
     contexts = [{"hold": 20.0}, {"hold": 40.0}]
     policies = trainer.train_many(contexts, [1, 2], keep=("final",))["final"]
-    assert trainer.acting == "mean"
+    assert trainer.recipe["acting"] == "mean"
     scores = trainer.evaluate_many(policies, contexts, seed=3)
     assert ((scores > 0.0) & (scores < 4.5)).all()
-    assert not np.array_equal(policies[0].weights[0], policies[1].weights[0])
+    fresh = trainer.untrained(contexts[0])
+    assert not np.array_equal(policies[0].weights[-1], fresh.weights[-1])
     again = trainer.train_many(contexts, [1, 2], keep=("final",))["final"]
     np.testing.assert_array_equal(policies[1].weights[0], again[1].weights[0])
 

@@ -145,12 +145,12 @@ def _cmdp(name: str, switches: Mapping[str, Any]) -> CMDP:
 
 
 def _portfolio(folder: str, trust: bool) -> Portfolio:
-    if folder in (others := plugin_ids()):
-        raise InvalidInput(
-            f"play takes CMDPs of our own, got {folder!r} of the package {others[folder]!r}; step "
-            f"its environment, `mbtl.get_cmdp({folder!r}).make_env(context)`, if it has one"
-        )
     if not (Path(folder) / MANIFEST).is_file():
+        if folder in (others := plugin_ids()):
+            raise InvalidInput(
+                f"play takes CMDPs of our own, got {folder!r} of the package {others[folder]!r}; "
+                f"step its environment, `mbtl.get_cmdp({folder!r}).make_env(context)`, if any"
+            )
         raise InvalidInput(
             f"play takes the folder of a portfolio or the id of a CMDP, got {folder!r}, which is "
             "neither; `mbtl cmdps` lists the ids"

@@ -95,12 +95,11 @@ class WorldTrainer(WorldSteps):
 
     def __post_init__(self) -> None:
         by_steps, algorithm = self.episodes is None, self.algorithm
-        acting = "mean" if algorithm == "DQN" else self.acting
         for name, value in {
             "hyperparameters": dict(self.hyperparameters or {}),
             "recipe_name": self.recipe_name
             or ("fast" if by_steps or algorithm == "A2C" else "paper"),
-            "acting": acting or ("mean" if by_steps else "sampled"),
+            "acting": self.acting or ("mean" if by_steps else "sampled"),
         }.items():
             object.__setattr__(self, name, value)
         check_settings(self, _COUNTS, _OPTIONAL_COUNTS)
@@ -149,7 +148,7 @@ class WorldTrainer(WorldSteps):
             "recipe": self.recipe_name,
             "hyperparameters": dict(sorted(self.hyperparameters.items())),
             self.unit: self.length,
-            **({} if by_steps and self.acting == "mean" else {"acting": self.acting}),
+            **({} if by_steps and self._how == "mean" else {"acting": self._how}),
             "checkpoint": self.checkpoint,
             "checkpoint_every": self.checkpoint_every,
             "checkpoint_episodes": self.checkpoint_episodes,
@@ -335,6 +334,8 @@ class WorldTrainer(WorldSteps):
 
     @property
     def _how(self) -> Literal["sampled", "mean"]:
+        if self.algorithm == "DQN":
+            return "mean"
         return self.acting or "mean"  # settled when it was made
 
     # ---- files -------------------------------------------------------------------------------

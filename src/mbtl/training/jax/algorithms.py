@@ -10,7 +10,7 @@ Multi-task policies are other networks that learn by the same PPO. Those that le
 episodes (`episodic.learning`), in which agents come and go:
 
     start(recipe, weights) -> Memory                                    of one policy
-    learn(action, recipe, weights, memory, lived, number)               likewise
+    learn(action, recipe, weights, memory, lived, clock)               likewise
 
 The state holds the networks as `weights`, whose `actor` is what acts. The clock is the same for all
 policies: what depends on it alone is computed once for all of them.

@@ -2,7 +2,10 @@
 
 Episodes are played epsilon-greedily, their decisions enter a ring, and then minibatches of all that
 is in it are learnt from, by the loss of `mbtl.training.jax.dqn`. What an agent was shown after its
-last decision before the time limit is not known, so that decision is left out.
+last decision is not known: where a time limit cuts its life off, that decision is left out.
+
+From the spec differ, as in our recipes for SUMO: a target network, the Huber loss, clipped
+gradients, and lives that end.
 
 Notation (shapes): D decisions, E episodes, A agents, f features; N decisions in the ring, G
 minibatches of B.
@@ -71,7 +74,7 @@ def learn(
     """The gradient steps of one update; arguments as in `trpo.learn`."""
     returns = memory.returns.updated(recipe, lived)
     replay, kept = entered(memory, lived)
-    filled = jnp.minimum(kept, recipe.buffer_size)
+    filled, learnt = jnp.minimum(kept, recipe.buffer_size), kept > 0
     draw = jax.random.uniform(clock.key, (recipe.gradient_steps, recipe.batch_size))
     rate, target = clock.rate(recipe.anneal), weights.actor
 
@@ -82,7 +85,11 @@ def learn(
         gradient = jax.grad(partial(loss, recipe))(network, batch, goal(recipe, target, batch))
         return descended(adam(recipe), network, gradient, moments, rate), None
 
-    (network, moments), _ = jax.lax.scan(one, (target, memory.moments), draw)
+    before = (target, memory.moments)
+    after, _ = jax.lax.scan(one, before, draw)
+    network, moments = jax.tree.map(partial(jnp.where, learnt), after, before)
+    whole = jnp.where(jnp.isfinite(lived.score).all(), 1.0, jnp.nan)  # a simulation may be lost
+    network = jax.tree.map(lambda x: x * whole, network)
     return weights._replace(actor=network), Memory(moments, returns, replay, kept)
 
 
@@ -94,13 +101,14 @@ def entered(memory: Memory, lived: Episodes) -> tuple[jax.Array, jax.Array]:
     obs = lived.obs[lived.row]
     after = jnp.concatenate([obs[1:], obs[-1:]])
     goes_on = jnp.concatenate([lived.acting[1:], jnp.zeros_like(lived.acting[:1])])
-    known = (lived.acting & (lived.done | goes_on)).reshape(-1)
-    scalars = jnp.stack([lived.action, lived.reward, lived.done], axis=-1)
-    rows = jnp.concatenate([obs, after, scalars], axis=-1).reshape(len(known), -1)
-    size = len(memory.replay)
-    place = (memory.kept + jnp.cumsum(known) - 1) % size
-    replay = memory.replay.at[jnp.where(known, place, size)].set(rows, mode="drop")
-    return replay, memory.kept + known.sum()
+    done = lived.done.at[-1].set(lived.done[-1] | ~lived.last_acting)
+    known = lived.acting & (done | goes_on)
+    scalars = jnp.stack([lived.action, lived.reward, done], axis=-1)
+    rows = jnp.concatenate([obs, after, scalars], axis=-1).reshape(known.size, -1)
+    size, rank = len(memory.replay), jnp.cumsum(known)
+    latest = known.reshape(-1) & (rank > rank[-1] - size)
+    place = jnp.where(latest, (memory.kept + rank - 1) % size, size)
+    return memory.replay.at[place].set(rows, mode="drop"), memory.kept + rank[-1]
 
 
 def unpacked(rows: jax.Array) -> Batch:

@@ -32,7 +32,7 @@ _ACTION = 1 << 20  # stream of random numbers, apart from those of the twins
 
 
 class Actor(NamedTuple):
-    """The acting part of P policies, leading axis, and the critic; () where nobody learns."""
+    """The acting part of P policies, leading axis, and the critic; () where there is none."""
 
     network: Network
     log_std: jax.Array
@@ -136,10 +136,13 @@ def record(
 
     def decide_packed(carry: tuple[Tree, Rows], number: jax.Array) -> tuple[Any, Tree]:
         state, rows = carry
-        seen, rows = watch((actor.network, actor.critic), state, rows)
-        applied, action = told(seen.found[0], number)
+        both = (actor.network, critic) if critic else (actor.network,)
+        seen, rows = watch(both, state, rows)
+        outputs = seen.found[0]
+        applied, action = told(outputs, number)
         moved = twin.step(state, applied, params)
-        kept = (seen.row, seen.acting, *seen.found)
+        value = seen.found[1] if critic else jnp.zeros((*seen.acting.shape, 1))
+        kept = (seen.row, seen.acting, outputs, value)
         return (moved.state, rows), (*kept, *map(split, (action, moved.reward, moved.done)))
 
     state = twin.start(flat, params)

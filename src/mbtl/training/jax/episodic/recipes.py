@@ -139,12 +139,12 @@ class EpisodicPPORecipe(EpisodicActorCritic):
 class EpisodicDQNRecipe(TwinRecipe):
     """Hyper-parameters of DQN on whole episodes; the defaults are the paper's of signals.
 
-    Those that are not explained here are as in `DQNRecipe`; the target is the network at the
-    beginning of an update (cmdp-spec, 5).
+    (cmdp-spec, 5; `dqn` says what differs.) Those that are not explained here are as in
+    `DQNRecipe`; the target is the network at the beginning of an update.
 
     Attributes:
         gradient_steps: minibatches per update.
-        buffer_size: decisions kept for replay, more than an update has.
+        buffer_size: decisions kept for replay, per policy; the oldest are overwritten.
         exploration_fraction: share of the training in which epsilon falls linearly from 1, update
             by update.
     """
@@ -188,7 +188,7 @@ _FAST = EpisodicPPORecipe(
 _ONE_STEP: Mapping[str, Any] = {
     "minibatches": 1, "n_epochs": 1, "kl_coef": 0.0, "target_kl": math.inf, "value_clip": 1e9,
 }  # fmt: skip
-"""PPO's loss on all rows at once, by the policy that played: that is A2C's, with Adam."""
+"""One step of PPO's loss, by the policy that played: that is A2C's, with Adam."""
 
 TWIN_RECIPES: Mapping[str, Mapping[str, TwinRecipe]] = {
     "TRPO": {
