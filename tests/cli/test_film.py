@@ -72,3 +72,20 @@ def test_two_takes_stand_beside_each_other_or_if_they_are_wide_below(tmp_path, s
         assert film.n_frames == 4
         assert (film.width > 2 * shape[1]) == across
         assert (film.height > 2 * shape[0]) != across
+
+
+LONG = [pytest.param(id, marks=pytest.mark.long) for id in ("walker-gravity", "cheetah-gravity")]
+
+
+@pytest.mark.parametrize("id", ["cartpole-length", "pendulum-length", *LONG])
+def test_every_family_that_is_drawn_makes_a_film(mbtl_command, tmp_path, id):
+    pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+    pytest.importorskip("Box2D", reason="the envs extra is not installed")
+    pytest.importorskip("mujoco", reason="the envs extra is not installed")
+    code, out, err = mbtl_command("play", id, "--film", tmp_path / "film.gif")
+    assert code == 0, err
+    with Image.open(tmp_path / "film.gif") as film:
+        assert 5 < film.n_frames <= int(out.split(" pictures")[0].split()[-1])
+        first = np.asarray(film.convert("RGB"))
+        film.seek(film.n_frames - 1)
+        assert not np.array_equal(first, np.asarray(film.convert("RGB")))

@@ -84,6 +84,11 @@ class Canvas:
 
     def area(self, points: Array, colour: tuple[float, ...]) -> None:
         """A polygon (n, 2) [m] that can be overlooked from its middle."""
+        came, goes = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
+        turns = came[:, 0] * goes[:, 1] - came[:, 1] * goes[:, 0]
+        if (turns <= 0.0).all() or (turns >= 0.0).all():  # convex: all at once
+            self._fill(points if turns.sum() < 0.0 else points[::-1], colour)
+            return
         middle = points.mean(axis=0)
         for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
             turn = (a - middle)[0] * (b - middle)[1] - (a - middle)[1] * (b - middle)[0]
