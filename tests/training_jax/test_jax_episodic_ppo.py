@@ -66,9 +66,11 @@ EVERYBODY = jnp.ones((D, 1, A), bool)
 FEW = EVERYBODY.at[:, :, 1:].set(False).at[20:].set(False)  # 20 decisions
 
 
-@pytest.mark.parametrize(("acting", "count"), [(EVERYBODY, 64), (FEW, 20)])
-def test_rows_are_decisions_of_agents_and_nothing_else(acting, count):
-    recipe, weights, lived = setting(acting)
+@pytest.mark.parametrize(
+    ("acting", "rows", "count"), [(EVERYBODY, 64, 64), (FEW, 64, 20), (EVERYBODY, 256, D * A)]
+)
+def test_rows_are_decisions_of_agents_and_nothing_else(acting, rows, count):
+    recipe, weights, lived = setting(acting, rows=rows)
     marked = lived._replace(obs=jnp.where(acting.reshape(-1, 1), lived.obs, 77.0))
     batch, _ = ppo.rows_of(BOX, recipe, weights, Returns.empty(), marked, jax.random.PRNGKey(0))
     assert int(batch.weight.sum()) == count

@@ -64,7 +64,9 @@ def rows_of(
     """A random `recipe.rows` of the decisions; fewer are filled up with rows of weight 0."""
     advantage, target, returns = advantages(recipe, returns, lived)
     draw = jax.random.uniform(key, lived.acting.shape)
-    found, rows = jax.lax.top_k(jnp.where(lived.acting, draw, -1.0).reshape(-1), recipe.rows)
+    draw = jnp.where(lived.acting, draw, -1.0).reshape(-1)
+    few = max(0, recipe.rows - draw.size)
+    found, rows = jax.lax.top_k(jnp.pad(draw, (0, few), constant_values=-1.0), recipe.rows)
     weight = (found >= 0.0).astype(jnp.float32)
     columns = (lived.row, lived.outputs, lived.action, advantage, target, lived.value)
     row, outputs, action, advantage, target, value = (
