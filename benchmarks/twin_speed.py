@@ -34,8 +34,7 @@ def play(args: argparse.Namespace) -> dict[str, Any]:
     trainer = cmdp.trainer_for(preset, episodes=args.episodes, checkpoint_every=args.every)
     own = cmdp.space.contexts
     contexts = [own[i * len(own) // args.contexts] for i in range(args.contexts)]
-    twin, params = trainer.problem(contexts)
-    decisions = [twin.decisions(one) for one in params]
+    decisions = {tuple(c.items()): decisions_in(trainer, c) for c in contexts}
     policies: list[Any] = []
 
     def train() -> None:
@@ -47,15 +46,23 @@ def play(args: argparse.Namespace) -> dict[str, Any]:
     trainer.evaluate_many(policies, few, 0)  # compiles
     scores: list[Any] = []
     cost = cost_of(lambda: scores.append(trainer.evaluate_many(policies, few, 1)))
-    played = (
-        scores[0].size / len(few) * sum(twin.decisions(trainer.problem([c])[1][0]) for c in few)
-    )
+    played = scores[0].size / len(few) * sum(decisions[tuple(c.items())] for c in few)
     return {
-        "training": args.episodes * sum(decisions) / again.cpu,
+        "training": args.episodes * sum(decisions.values()) / again.cpu,
         "evaluation": played / cost.cpu,
         "first_s": first.cpu,
         "scores": [float(x) for x in scores[0].mean(axis=(1, 2))],
     }
+
+
+def decisions_in(trainer: Any, context: Any) -> int:
+    """Of an episode; checkouts of before had a list of parameters."""
+    twin, params = trainer.problem([context])
+    if isinstance(params, list):
+        return int(twin.decisions(params[0]))
+    from mbtl.worlds.world import context_of
+
+    return int(twin.decisions(context_of(params, 0)))
 
 
 def run(checkout: Path, args: argparse.Namespace) -> dict[str, Any]:
