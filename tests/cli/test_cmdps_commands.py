@@ -86,7 +86,7 @@ def test_presets_of_every_engine_are_shown(run):
     sumo = get_cmdp("ring-acc", engine="sumo").presets
     assert all(f"preset {name} with --engine sumo: K = " in text for name in sumo)
     signal = run("cmdps", "signal-speed").stdout
-    assert signal.count("preset ") == 6
+    assert signal.count("preset ") == 7
     assert signal.count("with --engine sumo-jax") == 1
     one = json.loads(run("cmdps", "ring-acc", "--json").stdout)
     assert one["presets_elsewhere"]["sumo"]["quick"]["budget"] == sumo["quick"].budget

@@ -74,10 +74,13 @@ def test_two_takes_stand_beside_each_other_or_if_they_are_wide_below(tmp_path, s
         assert (film.height > 2 * shape[0]) != across
 
 
-LONG = [pytest.param(id, marks=pytest.mark.long) for id in ("walker-gravity", "cheetah-gravity")]
+LONG = [
+    pytest.param(id, marks=pytest.mark.long)
+    for id in ("pendulum-length", "walker-gravity", "cheetah-gravity")
+]
 
 
-@pytest.mark.parametrize("id", ["cartpole-length", "pendulum-length", *LONG])
+@pytest.mark.parametrize("id", ["cartpole-length", *LONG])
 def test_every_family_that_is_drawn_makes_a_film(mbtl_command, tmp_path, id):
     pytest.importorskip("gymnasium", reason="the envs extra is not installed")
     pytest.importorskip("Box2D", reason="the envs extra is not installed")
