@@ -112,12 +112,12 @@ def test_actions_are_greedy_but_for_a_share_epsilon():
         now = dqn.Round(jnp.int32(step), coin, reset, jnp.zeros((1, 16)))
         return dqn.explore(ENV, recipe, state, params, now, jnp.int32(10_000))[1]
 
-    batch = dqn.unpack(ENV, rows_at(9_000), params.visible)
+    batch = dqn.unpack(rows_at(9_000), params.visible)
     greedy = np.argmax(networks.apply(state.weights.actor, batch.obs, "relu"), axis=-1)
     assert np.mean(batch.action == greedy) == pytest.approx(1.0 - 0.25 / 2, abs=0.02)
     never = np.asarray(coin).reshape(-1) >= 0.25
     np.testing.assert_array_equal(np.asarray(batch.action)[never], greedy[never])
-    first_actions = np.asarray(dqn.unpack(ENV, rows_at(0), params.visible).action)[:512]
+    first_actions = np.asarray(dqn.unpack(rows_at(0), params.visible).action)[:512]
     np.testing.assert_array_equal(first_actions, np.asarray(coin[0]) >= 0.5)  # all at random
     np.testing.assert_allclose(batch.obs[:, FEATURES:], 0.8)  # the multiplier is put back
 
@@ -144,7 +144,7 @@ def test_truncated_transitions_bootstrap_and_end_where_they_were_cut_off(time_li
     steps = [state]
     for k in range(2):
         steps.append(step(steps[-1], params, clock_at(jnp.int32(k), jnp.int32(10))))
-    batch = dqn.unpack(env, steps[-1].replay, params.visible)
+    batch = dqn.unpack(steps[-1].replay, params.visible)
     obs, after = (x.reshape(8, 64, 5)[..., :4] for x in (batch.obs, batch.after))  # (T, E, f)
     terminated = np.asarray(batch.terminated).reshape(8, 64)
     assert not terminated[:6].any()  # no pole falls in so few steps
@@ -196,7 +196,7 @@ def test_gradient_steps_are_stable_baselines3s():
     rows[..., 8], rows[..., 10] = rng.integers(0, 2, (2, 3, 16))
     rows[..., 9] *= 5.0  # both pieces of the Huber loss
     ours, _ = dqn.learn(
-        ENV, recipe, jnp.float32(1.0), params.visible, state.weights.actor, state.optimizer, target,
+        recipe, jnp.float32(1.0), params.visible, state.weights.actor, state.optimizer, target,
         jnp.asarray(rows),
     )  # fmt: skip
 
@@ -213,7 +213,7 @@ def test_gradient_steps_are_stable_baselines3s():
 
     def sample(batch_size, env=None):
         part = next(parts)
-        batch = dqn.unpack(ENV, jnp.asarray(part), params.visible)
+        batch = dqn.unpack(jnp.asarray(part), params.visible)
         obs, after, action, reward, terminated = (
             torch.from_numpy(np.array(x).reshape(batch_size, -1)) for x in batch
         )

@@ -130,7 +130,7 @@ def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Cl
         picked = replay[jnp.floor(now.pick * filled).astype(jnp.int32)]
         network, moments = jax.lax.cond(
             step > recipe.learning_starts,
-            partial(learn, world, recipe, rate, params.visible),
+            partial(learn, recipe, rate, params.visible),
             lambda network, moments, *_: (network, moments),
             *(state.weights.actor, state.optimizer, target, picked),
         )
@@ -145,9 +145,13 @@ def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Cl
 
 def epsilon(recipe: DQNRecipe, step: jax.Array, total: jax.Array) -> jax.Array:
     """Probability of a random action at environment step `step` of `total`."""
-    share = jnp.minimum(step / (recipe.exploration_fraction * total), 1.0)
-    falling = 1.0 + share * (recipe.final_epsilon - 1.0)
+    falling = fallen(recipe, step / (recipe.exploration_fraction * total))
     return jnp.where(step < recipe.learning_starts, 1.0, falling)
+
+
+def fallen(recipe: DQNRecipe | EpisodicDQNRecipe, share: jax.Array) -> jax.Array:
+    """Probability of a random action after a share of the time in which it falls."""
+    return 1.0 + jnp.minimum(share, 1.0) * (recipe.final_epsilon - 1.0)
 
 
 def explore(
@@ -177,7 +181,6 @@ def explore(
 
 
 def learn(
-    world: Solo,
     recipe: DQNRecipe,
     scale: jax.Array,
     visible: jax.Array,
@@ -189,24 +192,39 @@ def learn(
     """G gradient steps, `scale` times the recipe's learning rate, on (G, B, 2 f + 3) rows."""
 
     def one(carry: tuple[Network, Tree], rows: jax.Array) -> tuple[tuple[Network, Tree], None]:
-        network, moments = carry
-        batch = unpack(world, rows, visible)
-        gradient = jax.grad(loss, argnums=1)(recipe, network, batch, goal(recipe, target, batch))
-        return descended(adam(recipe), network, gradient, moments, scale), None
+        return descend(recipe, target, unpack(rows, visible), scale, *carry), None
 
     (network, moments), _ = jax.lax.scan(one, (network, moments), rows)
     return network, moments
 
 
-def unpack(world: Solo, rows: jax.Array, visible: jax.Array) -> Batch:
+def descend(
+    recipe: DQNRecipe | EpisodicDQNRecipe,
+    target: Network,
+    batch: Batch,
+    scale: jax.Array,
+    network: Network,
+    moments: Tree,
+) -> tuple[Network, Tree]:
+    """One gradient step, `scale` times the recipe's learning rate."""
+    gradient = jax.grad(loss, argnums=1)(recipe, network, batch, goal(recipe, target, batch))
+    return descended(adam(recipe), network, gradient, moments, scale)
+
+
+def unpack(rows: jax.Array, visible: jax.Array) -> Batch:
     """Rows of the ring as transitions, with the (v,) visible features back in the observations."""
-    f = world.n_features
+    batch = unpacked(rows)
     shown = jnp.broadcast_to(visible, (len(rows), *visible.shape))
-    return Batch(
-        jnp.concatenate([rows[:, :f], shown], axis=-1),
-        jnp.concatenate([rows[:, f : 2 * f], shown], axis=-1),
-        *(rows[:, 2 * f + k] for k in range(3)),
+    return batch._replace(
+        obs=jnp.concatenate([batch.obs, shown], axis=-1),
+        after=jnp.concatenate([batch.after, shown], axis=-1),
     )
+
+
+def unpacked(rows: jax.Array) -> Batch:
+    """(B, 2 f + 3) rows of the ring as transitions."""
+    f = (rows.shape[-1] - 3) // 2
+    return Batch(rows[:, :f], rows[:, f : 2 * f], *(rows[:, 2 * f + k] for k in range(3)))
 
 
 def goal(recipe: DQNRecipe | EpisodicDQNRecipe, target: Network, batch: Batch) -> jax.Array:

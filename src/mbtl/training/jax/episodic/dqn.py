@@ -21,8 +21,8 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from mbtl.training.jax.clock import Clock
-from mbtl.training.jax.descent import adam, descended
-from mbtl.training.jax.dqn import Batch, goal, loss
+from mbtl.training.jax.descent import adam
+from mbtl.training.jax.dqn import descend, fallen, unpacked
 from mbtl.training.jax.episodic.episodes import Episodes
 from mbtl.training.jax.episodic.recipes import EpisodicDQNRecipe
 from mbtl.training.jax.episodic.returns import Returns
@@ -56,8 +56,7 @@ def start(recipe: EpisodicDQNRecipe, weights: Weights) -> Memory:
 
 def explored(recipe: EpisodicDQNRecipe, progress: jax.Array, values: jax.Array) -> jax.Array:
     """(..., n) action values -> logits of epsilon-greedy choices after a share of the training."""
-    share = jnp.minimum(progress / recipe.exploration_fraction, 1.0)
-    epsilon = 1.0 + share * (recipe.final_epsilon - 1.0)
+    epsilon = fallen(recipe, progress / recipe.exploration_fraction)
     n = values.shape[-1]
     greedy = jax.nn.one_hot(jnp.argmax(values, axis=-1), n)
     return jnp.log(epsilon / n + (1.0 - epsilon) * greedy)
@@ -79,11 +78,9 @@ def learn(
     rate, target = clock.rate(recipe.anneal), weights.actor
 
     def one(carry: tuple[Network, Tree], draw: jax.Array) -> tuple[tuple[Network, Tree], None]:
-        network, moments = carry
         batch = unpacked(replay[jnp.floor(draw * filled).astype(jnp.int32)])
         batch = batch._replace(reward=returns.scaled(recipe, batch.reward))
-        gradient = jax.grad(partial(loss, recipe))(network, batch, goal(recipe, target, batch))
-        return descended(adam(recipe), network, gradient, moments, rate), None
+        return descend(recipe, target, batch, rate, *carry), None
 
     before = (target, memory.moments)
     after, _ = jax.lax.scan(one, before, draw)
@@ -109,9 +106,3 @@ def entered(memory: Memory, lived: Episodes) -> tuple[jax.Array, jax.Array]:
     latest = known.reshape(-1) & (rank > rank[-1] - size)
     place = jnp.where(latest, (memory.kept + rank - 1) % size, size)
     return memory.replay.at[place].set(rows, mode="drop"), memory.kept + rank[-1]
-
-
-def unpacked(rows: jax.Array) -> Batch:
-    """(B, 2 f + 3) rows of the ring as transitions."""
-    f = (rows.shape[-1] - 3) // 2
-    return Batch(rows[:, :f], rows[:, f : 2 * f], *(rows[:, 2 * f + k] for k in range(3)))

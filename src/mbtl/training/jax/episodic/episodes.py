@@ -136,18 +136,15 @@ def record(
 
     def decide_packed(carry: tuple[Tree, Rows], number: jax.Array) -> tuple[Any, Tree]:
         state, rows = carry
-        both = (actor.network, critic) if critic else (actor.network,)
-        seen, rows = watch(both, state, rows)
-        outputs = seen.found[0]
-        applied, action = told(outputs, number)
+        seen, rows = watch((actor.network, critic), state, rows)
+        applied, action = told(seen.found[0], number)
         moved = twin.step(state, applied, params)
-        value = seen.found[1] if critic else jnp.zeros((*seen.acting.shape, 1))
-        kept = (seen.row, seen.acting, outputs, value)
+        kept = (seen.row, seen.acting, *seen.found)
         return (moved.state, rows), (*kept, *map(split, (action, moved.reward, moved.done)))
 
     state = twin.start(flat, params)
     watch = partial(watched, twin, activation, params, shape)
-    critic = actor.critic or None
+    critic = actor.critic or _indifferent(actor.network)
     if isinstance(twin, Crowd):
         assert not isinstance(decisions, Beats)
         places = shape[1] * twin.agents
@@ -162,11 +159,11 @@ def record(
         state, found = beats.lived(twin, decisions, state, params, decide)
         obs, acting, outputs, action = map(by_policy, found.kept)
         reward, done = by_policy(found.reward), by_policy(found.done)
-        value = each(activation, critic, obs) if critic else jnp.zeros((*acting.shape, 1))
+        value = each(activation, critic, obs)
         row = jnp.broadcast_to(jnp.arange(acting[0].size).reshape(acting.shape[1:]), acting.shape)
         acting &= by_policy(found.due)[..., None]
         obs = obs.reshape(len(obs), -1, obs.shape[-1])
-    last, _ = watch((critic,) if critic else (), state)
+    last, _ = watch((critic,), state)
     return Episodes(
         obs=obs,
         row=row,
@@ -176,10 +173,16 @@ def record(
         acting=acting,
         reward=reward,
         done=done,
-        last_value=last.found[0][..., 0] if critic else jnp.zeros(last.acting.shape),
+        last_value=last.found[0][..., 0],
         last_acting=last.acting & (twin.time_limit == "truncation"),
         score=split(twin.score(state)),
     )
+
+
+def _indifferent(network: Network) -> Network:
+    """Critics of the policies that act by `network`, to whom everything is worth 0."""
+    policies, n_inputs = network[0][0].shape[:2]
+    return ((jnp.zeros((policies, n_inputs, 1)), jnp.zeros((policies, 1))),)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
