@@ -1,0 +1,104 @@
+"""How a training of eco-driving in its twin divides: cars, networks, what is kept, learning.
+
+One update of many policies, one program: the same episodes are played without advice, by the
+policies, and by the policies with everything kept that they learn from; then the whole update. Each
+part is the difference to the one before, so it includes what new policies do to the traffic.
+Processor time of one thread; the first call of each, which compiles, is not counted.
+
+example: taskset -c 0 python benchmarks/twin_time.py --policies 25
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import measure
+from measure import cost_of, digits, note
+
+CASES = ("eco-inflow standard", "eco-inflow fast")
+PARTS = ("cars", "networks", "keeping", "learning")
+
+
+def division(id: str, preset: str, policies: int, rounds: int) -> dict[str, Any]:
+    """Shares of one update's processor time, and its decisions per second."""
+    import mbtl.training.jax  # noqa: F401  # first: flags of jax
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from mbtl.cmdps import get_cmdp
+    from mbtl.training.jax import algorithms
+    from mbtl.training.jax.clock import clock_at
+    from mbtl.training.jax.episodic.episodes import actor_of, record, scores
+    from mbtl.worlds.world import of_simulations
+
+    cmdp = get_cmdp(id, engine="jax")
+    trainer: Any = cmdp.trainer_for(preset)
+    every_nth = len(cmdp.space.contexts) // policies
+    world, params = trainer._lessons(cmdp.space.contexts[::every_nth][:policies])
+    recipe, length = trainer.learner, world.decisions(params)
+    params = jax.tree.map(jnp.asarray, params)
+    begun = algorithms.init(world, recipe, list(range(policies)), params)
+    seeds = jnp.arange(policies * recipe.n_episodes, dtype=jnp.uint32).reshape(policies, -1)
+    every = of_simulations(params, recipe.n_episodes)
+
+    @partial(jax.jit, static_argnums=0)
+    def played(how: str, state: Any, params: Any) -> Any:
+        actor = actor_of(state.weights)
+        return scores(world, recipe.activation, how, actor, seeds, seeds, params, length)
+
+    @jax.jit
+    def kept(state: Any, params: Any) -> Any:
+        actor = actor_of(state.weights)
+        return record(world, recipe.activation, length, actor, seeds, params, recipe.hold)
+
+    @jax.jit
+    def learnt(state: Any, params: Any) -> Any:
+        clock = clock_at(jnp.int32(0), jnp.int32(10))
+        return algorithms.update(world, recipe, length, state, params, clock)
+
+    def least(work: Callable[..., Any], params: Any) -> float:
+        def call() -> None:
+            jax.block_until_ready(work(begun, params))
+
+        call()
+        return min(cost_of(call).cpu for _ in range(rounds))
+
+    steps = [partial(played, "none"), partial(played, "sampled"), kept]
+    ends = [least(step, every) for step in steps] + [least(learnt, params)]
+    parts = np.diff([0.0, *ends])
+    decisions = seeds.size * int(length)
+    return {
+        "case": f"{id}, {preset}, {policies} policies",
+        "decisions_per_second": digits(decisions / ends[-1], 3),
+        "share": {name: digits(x / ends[-1], 2) for name, x in zip(PARTS, parts, strict=True)},
+        "if_only": {
+            name: digits(decisions / max(x, 1e-9), 2) for name, x in zip(PARTS, parts, strict=True)
+        },
+    }
+
+
+def main() -> None:
+    """Print a line per case."""
+    parser = measure.parser(__doc__)
+    parser.add_argument("--cases", nargs="+", default=list(CASES), help="CMDP and preset each")
+    parser.add_argument("--policies", type=int, default=25)
+    parser.add_argument("--rounds", type=int, default=3)
+    args = parser.parse_args()
+    found = []
+    for case in args.cases:
+        note(f"{case} ...")
+        found.append(division(*case.split(), args.policies, args.rounds))
+    document = {"machine": measure.machine("jax"), "cases": found}
+    measure.show(document, [_line(case) for case in found], as_json=args.json)
+
+
+def _line(case: dict[str, Any]) -> str:
+    each = (f"{n} {100 * x:.0f} % ({case['if_only'][n]:,.0f}/s)" for n, x in case["share"].items())
+    return f"{case['case']}: {case['decisions_per_second']:,.0f} decisions/s; {', '.join(each)}"
+
+
+if __name__ == "__main__":
+    main()
