@@ -23,7 +23,7 @@ PARTS = ("cars", "networks", "keeping", "learning")
 
 def division(id: str, preset: str, policies: int, rounds: int) -> dict[str, Any]:
     """Shares of one update's processor time, and its decisions per second."""
-    import mbtl.training.jax  # noqa: F401  # first: flags of jax
+    import mbtl.training.jax  # noqa: F401  isort: skip  # first: flags of jax
     import jax
     import jax.numpy as jnp
     import numpy as np
@@ -70,13 +70,13 @@ def division(id: str, preset: str, policies: int, rounds: int) -> dict[str, Any]
     ends = [least(step, every) for step in steps] + [least(learnt, params)]
     parts = np.diff([0.0, *ends])
     decisions = seeds.size * int(length)
+    share = {name: x / ends[-1] for name, x in zip(PARTS, parts, strict=True)}
+    rate = decisions / ends[-1]
     return {
         "case": f"{id}, {preset}, {policies} policies",
-        "decisions_per_second": digits(decisions / ends[-1], 3),
-        "share": {name: digits(x / ends[-1], 2) for name, x in zip(PARTS, parts, strict=True)},
-        "if_only": {
-            name: digits(decisions / max(x, 1e-9), 2) for name, x in zip(PARTS, parts, strict=True)
-        },
+        "decisions_per_second": digits(rate, 3),
+        "share": {name: digits(part, 2) for name, part in share.items()},
+        "if_only": {name: digits(rate / max(part, 1e-9), 2) for name, part in share.items()},
     }
 
 
