@@ -1,9 +1,9 @@
 """Does the twin of the signal agree with SUMO, and how fast is it?
 
-    taskset -c 0 python evidence/signal_twin.py [--seeds 6]
+    taskset -c 0 python evidence/signal_twin.py [--seeds 6] [--axes inflow length speed]
 
 Two policies that need no training: the four phases in turn, 30 s each, and phases at random. The
-contexts are the nominal one and others along the three axes. Measures are the score (minus the
+contexts are the nominal one and others along the axes. Measures are the score (minus the
 waiting), cars that stand and the mean speed of cars on the approaches, at decisions. A difference
 is given in its standard errors. The last columns are processor milliseconds of an episode in SUMO
 (in this process, with our calls) and in the twin (64 intersections at once). Markdown.
@@ -83,12 +83,15 @@ def in_twin(features: dict[str, float], policy: str) -> tuple[np.ndarray, float]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=6)
+    parser.add_argument("--axes", nargs="+", default=["inflow", "length", "speed"])
     args = parser.parse_args()
     heads = ("score", "standing cars", "speed, m/s")
     columns = " | ".join(f"{head}: SUMO | twin | errors apart" for head in heads)
     print(f"| context | phases | {columns} | ms: SUMO | twin | times |")
     print("|---" * (5 + 3 * len(heads)) + "|")
     for features in CONTEXTS:
+        if not set(features) <= set(args.axes):
+            continue
         name = ", ".join(f"{k} {v:g}" for k, v in features.items()) or "nominal"
         for policy in ("in turn", "at random"):
             sumo, slow = in_sumo(features, policy, args.seeds)

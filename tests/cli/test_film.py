@@ -92,3 +92,12 @@ def test_every_family_that_is_drawn_makes_a_film(mbtl_command, tmp_path, id):
         first = np.asarray(film.convert("RGB"))
         film.seek(film.n_frames - 1)
         assert not np.array_equal(first, np.asarray(film.convert("RGB")))
+
+
+def test_whoever_waits_for_a_film_is_told_where_it_is():
+    told = []
+    take = Watched(Road(), True, told.append)
+    for seed in range(2):
+        take.reset(seed=seed)
+        take.step(0)
+    assert told == [f"episode {e}, decision {d}" for e in (1, 2) for d in (0, 1)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,17 +42,21 @@ class Picture:
 class Watched:
     """An environment whose episodes are seen to their end, and which can keep pictures of them.
 
+    It tells `on_look` where it is after every decision.
+
     Attributes:
         env: the environment.
         pictures: of all decisions of all episodes, if it is filmed.
         scores: of the episodes, once they are known.
     """
 
-    def __init__(self, env: Any, filming: bool) -> None:
-        self.env, self._filming = env, filming
+    def __init__(
+        self, env: Any, filming: bool, on_look: Callable[[str], None] = lambda where: None
+    ) -> None:
+        self.env, self._filming, self._on_look = env, filming, on_look
         self.pictures: list[Picture] = []
         self.scores: list[float] = []
-        self._episode, self._gained, self._begun = -1, 0.0, 0.0
+        self._episode, self._decisions, self._gained, self._begun = -1, 0, 0.0, 0.0
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.env, name)
@@ -60,13 +64,14 @@ class Watched:
     def reset(self, **options: Any) -> Any:
         """Begin an episode, and look."""
         started = self.env.reset(**options)
-        self._episode, self._gained = self._episode + 1, 0.0
+        self._episode, self._decisions, self._gained = self._episode + 1, 0, 0.0
         self._look(first=True)
         return started
 
     def step(self, action: Any) -> Any:
         """One decision, and look."""
         *moved, info = self.env.step(action)
+        self._decisions += 1
         reward = moved[1]
         self._gained += float(np.mean([*reward.values()] or [0.0])
                               if isinstance(reward, dict) else reward)  # fmt: skip
@@ -80,6 +85,7 @@ class Watched:
         return str(getattr(self.env, "SCORE", "return"))
 
     def _look(self, first: bool = False) -> None:
+        self._on_look(f"episode {self._episode + 1}, decision {self._decisions}")
         if not self._filming:
             return
         image = np.asarray(self.env.render()).copy()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from mbtl.cli.common import JsonFlag, print_json, printer
+from mbtl.cli.common import JsonFlag, LongWork, console, print_json, printer
 from mbtl.cli.film import Watched, save_film
 from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp
 from mbtl.cmdps.engines import EnvFactory, resolved
@@ -68,7 +68,13 @@ def play(
     assert isinstance(cmdp.make_env, EnvFactory)
     shown = _shown(cmdp, gui, film is not None)
     make_env = replace(cmdp.make_env, options={**cmdp.make_env.options, **shown})
-    env = Watched(make_env(context), film is not None)
+    log, status = LongWork(console), console.status("playing")
+
+    def says(words: str) -> None:
+        status.update(words)
+        log.say(words)
+
+    env = Watched(make_env(context), film is not None, says)
     if portfolio is None:
         actor, why = rollout.Actor(_AtRandom(env, seed)), "choices at random"
     else:  # other features than the axes are nobody's business but the simulator's
@@ -76,14 +82,16 @@ def play(
         sampled = _record(made, "recipe").get("acting") == "sampled"
         actor, why = actor_for(portfolio.policy(choice.policy), sampled=sampled), choice.explanation
     seeds = episode_seeds(evaluation_seed(seed, 0), episodes)
-    (scores,) = rollout.play([rollout.Job(lambda: env, seeds)], actor, max_envs=1)
     pictures = 0
-    if film is not None:
-        env.scores = scores.tolist()
-        takes = {"choices at random" if portfolio is None else "guided": env}
-        if hasattr(env, "drive"):
-            takes["unguided"] = _unguided(make_env(context), seeds, actor)
-        pictures = save_film(film, f"{cmdp.id} at {cmdp.space.describe(nominal_part)}", takes)
+    with status:
+        (scores,) = rollout.play([rollout.Job(lambda: env, seeds)], actor, max_envs=1)
+        if film is not None:
+            env.scores = scores.tolist()
+            takes = {"choices at random" if portfolio is None else "guided": env}
+            if hasattr(env, "drive"):
+                takes["unguided"] = _unguided(make_env(context), seeds, actor, says)
+            says(f"writing {film}")
+            pictures = save_film(film, f"{cmdp.id} at {cmdp.space.describe(nominal_part)}", takes)
     if json:
         print_json({"cmdp": cmdp.id, "context": context, "policy": why, "scores": scores.tolist()})
         return
@@ -94,12 +102,12 @@ def play(
         out.print(f"{pictures} pictures: {film}", markup=False, highlight=False)
 
 
-def _unguided(env: Any, seeds: Sequence[int], actor: Any) -> Watched:
+def _unguided(env: Any, seeds: Sequence[int], actor: Any, says: Callable[[str], None]) -> Watched:
     """The same episodes without a controller."""
     from mbtl.envs import rollout
     from mbtl.envs.references import Unguided
 
-    alone = Watched(Unguided(env), filming=True)
+    alone = Watched(Unguided(env), True, lambda where: says(f"unguided: {where}"))
     (scores,) = rollout.play([rollout.Job(lambda: alone, seeds)], actor, max_envs=1)
     alone.scores = scores.tolist()
     return alone
