@@ -22,7 +22,8 @@ import numpy as np
 
 CONTEXTS: list[dict[str, float]] = [
     {}, {"inflow": 300.0}, {"inflow": 1500.0}, {"inflow": 2000.0},
-    {"length": 50.0}, {"length": 100.0}, {"length": 2500.0}, {"speed": 5.0}, {"speed": 25.0},
+    {"length": 50.0}, {"length": 100.0}, {"length": 2500.0},
+    {"speed": 1.5}, {"speed": 2.5}, {"speed": 3.5}, {"speed": 5.0}, {"speed": 25.0},
 ]  # fmt: skip
 NAMES = ("score", "mean_queue", "mean_speed")
 HELD = 3
