@@ -9,8 +9,9 @@ matrix kept (`--policies runs/matrix-.../policies/best`: the sources nearest to 
 walkers are not trained here). Then evaluates every policy on every target in the twin, and twice in
 the simulator with other seeds. Printed: the mean score of each source, the correlation of all
 entries, and Spearman's rank correlation of the source means, of the twin against the simulator and
-of that against itself. `--out` keeps the sub-matrices, arrays "twin", "sumo", "sumo_again" (or
-"box2d", ...) (source, target) and "sources", "targets".
+of that against itself; scores below the CMDP's floor count as the floor. `--out` keeps the
+sub-matrices, unclipped: arrays "twin", "sumo", "sumo_again" (or "box2d", ...) (source, target) and
+"sources", "targets".
 """
 
 from __future__ import annotations
@@ -84,6 +85,10 @@ def main() -> None:
         if args.out:  # what was simulated so far is not lost
             stored = {key.lower().replace(" ", "_"): matrix for key, matrix in found.items()}
             np.savez(args.out, sources=sources, targets=targets, **stored)
+    floor = twin.bounds.floor  # none is worse, as in a matrix
+    found = {
+        key: matrix if floor is None else np.maximum(matrix, floor) for key, matrix in found.items()
+    }
     axis = next(iter(twin.nominal or {}))
     print(f"\n{args.cmdp}, mean score over {len(targets)} targets by source ({axis})")
     print("source       " + " ".join(f"{twin.space.contexts[i][axis]:8g}" for i in sources))
