@@ -247,7 +247,10 @@ def standard(asked: Namespace) -> tuple[list[str], Any]:
     axes = {name: get_cmdp(name, engine="jax") for name in asked.axes}
     grids = {name: cmdp.space.contexts[every // 2 :: every] for name, cmdp in axes.items()}
     contexts = [at(**context) for grid in grids.values() for context in [*grid] * trainings]
-    changed = {} if asked.rows is None else {"hyperparameters": {"rows": asked.rows}}
+    other = {"rows": asked.rows, "anneal": asked.anneal}
+    other = {name: value for name, value in other.items() if value}
+    changed = {"hyperparameters": other, "episodes": asked.length}
+    changed = {name: value for name, value in changed.items() if value}
     trainer: Any = axes[asked.axes[0]].trainer_for(asked.preset, **changed)
     all_axes = EnvFactory("mbtl.cmdps.traffic.eco:Eco")
     trainer = replace(trainer, problem=TwinProblem(trainer.problem.problem, all_axes))
@@ -312,6 +315,8 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=10, help="contexts of an axis, of the preset")
     parser.add_argument("--trainings", type=int, default=1, help="per context, of the preset")
     parser.add_argument("--rows", type=int, help="at most so many decisions in an update")
+    parser.add_argument("--anneal", action="store_true", help="the learning rate falls to 0")
+    parser.add_argument("--length", type=int, help="episodes of a training, of the preset")
     parser.add_argument("--shares", nargs="+", default=[], help="of a training to play, as 1/4")
     parser.add_argument("--partial", type=Path, help="file by which a part `standard` goes on")
     args = parser.parse_args()

@@ -44,8 +44,9 @@ def learn(
     """The gradient steps of one update; arguments as in `trpo.learn`."""
     batch, returns = rows_of(action, recipe, weights, memory.returns, lived, clock.key)
     limits = Limits(weights.log_std, memory.kl_coef, recipe.target_kl, recipe.value_clip)
+    rate = clock.rate(recipe.anneal)
     weights, moments, apart = descend(
-        action, recipe, weights, memory.moments, batch, clock.key, jnp.float32(1.0), limits
+        action, recipe, weights, memory.moments, batch, clock.key, rate, limits
     )
     coef = memory.kl_coef * jnp.where(apart > 2.0 * recipe.target_kl, 1.5, 1.0)
     coef = coef * jnp.where(apart < 0.5 * recipe.target_kl, 0.5, 1.0)

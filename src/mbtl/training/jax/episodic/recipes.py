@@ -112,6 +112,7 @@ class EpisodicPPORecipe(EpisodicActorCritic):
     minibatches: int = 40
     n_epochs: int = 10
     learning_rate: float = 1e-4
+    anneal: bool = False
     gae_lambda: float = 0.97
     clip_range: float = 0.03
     value_clip: float = 3.0
