@@ -147,6 +147,18 @@ def test_a2c_is_one_step_along_the_policy_gradient():
         np.testing.assert_allclose(np.abs(before - after)[clear], recipe.learning_rate, rtol=0.05)
 
 
+def test_a_learning_rate_that_falls_is_half_of_itself_halfway():
+    _, weights, lived = setting(EVERYBODY)
+    recipe = replace(TWIN_RECIPES["A2C"]["fast"], rows=D * A, hidden=(8,))
+
+    def step(anneal, number):
+        new, _ = updated(replace(recipe, anneal=anneal), weights, lived, number)
+        return np.asarray(new.actor[0][1] - weights.actor[0][1])
+
+    np.testing.assert_array_equal(step(True, 0), step(False, 0))
+    np.testing.assert_allclose(step(True, 5), step(False, 5) / 2.0, rtol=1e-3)
+
+
 def test_minibatches_must_fill_the_rows():
     with pytest.raises(InvalidInput, match="rows = 100"):
         EpisodicPPORecipe(rows=100, minibatches=40)
