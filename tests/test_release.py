@@ -46,8 +46,7 @@ def arrays(**values):
 def test_the_package_leaves_room_below_the_limit(release):
     files = [f for f in Path(mbtl.__file__).parent.rglob("*") if f.suffix in {".npz", ".csv"}]
     size = sum(f.stat().st_size for f in files)
-    code = 1_200_000  # what a wheel has beside the data: 0.9 MB, compressed
-    assert size < release.LIMIT - code, "keep the largest matrices out of the package"
+    assert size < release.LIMIT - 2_000_000, "keep the largest matrices out of the package"
 
 
 def test_a_whole_wheel_passes(release, wheel):
