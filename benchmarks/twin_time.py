@@ -76,7 +76,6 @@ def division(id: str, preset: str, policies: int, rounds: int) -> dict[str, Any]
         "case": f"{id}, {preset}, {policies} policies",
         "decisions_per_second": digits(rate, 3),
         "share": {name: digits(part, 2) for name, part in share.items()},
-        "if_only": {name: digits(rate / max(part, 1e-9), 2) for name, part in share.items()},
     }
 
 
@@ -96,8 +95,13 @@ def main() -> None:
 
 
 def _line(case: dict[str, Any]) -> str:
-    each = (f"{n} {100 * x:.0f} % ({case['if_only'][n]:,.0f}/s)" for n, x in case["share"].items())
-    return f"{case['case']}: {case['decisions_per_second']:,.0f} decisions/s; {', '.join(each)}"
+    """Behind a share: the rate if nothing else took time; of noise, which may be negative, none."""
+    rate = case["decisions_per_second"]
+    parts = []
+    for name, share in case["share"].items():
+        alone = f" ({digits(rate / share, 2):,.0f}/s)" if share > 0.0 else ""
+        parts.append(f"{name} {100 * share:.0f} %{alone}")
+    return f"{case['case']}: {rate:,.0f} decisions/s; {', '.join(parts)}"
 
 
 if __name__ == "__main__":
