@@ -27,7 +27,6 @@ CORE = [
     "seeds",
     "contexts",
     "objective",
-    "curricula",
     "checkpoints",
     "trainer",
     "set_trainer",

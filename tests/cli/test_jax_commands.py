@@ -32,32 +32,6 @@ def test_a_multitask_baseline_becomes_a_file_beside_the_matrices(mbtl_command, t
     assert mbtl_command("matrix", "multitask", "cartpole-length", "--factor", 0)[0] == 2
 
 
-def test_a_curriculum_has_a_file_of_its_own_that_says_so(mbtl_command):
-    command = (
-        "matrix", "multitask", "cartpole-masscart", "--curriculum", "regret", "--timesteps", 13_000,
-        "--eval-episodes", 1, "--seeds", 1,
-    )  # fmt: skip
-    code, out, err = mbtl_command(*command, "--json")
-    assert code == 0, err
-    (found,) = json.loads(out)["baselines"]
-    assert found["file"].endswith("cartpole-masscart-ppo-regret-seed0.npz")
-    (baseline,) = load_multitask("cartpole-masscart", folder="matrices/multitask").values()
-    record = baseline.provenance[0]
-    assert record["curriculum"] == "Regret(uniform=0.5, temperature=0.3, staleness=0.3)"
-    assert record["curriculum"] in record["environment"]
-    assert "multitask cartpole-masscart --curriculum regret --timesteps" in record["command"]
-    assert "there already" in mbtl_command(*command)[2]
-
-
-def test_a_curriculum_that_cannot_be_is_refused_in_a_line(mbtl_command):
-    code, _, err = mbtl_command("matrix", "multitask", "cartpole-length", "--curriculum", "regrets")
-    assert code == 2
-    assert "Did you mean 'regret'?" in err
-    code, _, err = mbtl_command("matrix", "multitask", "ring-vel", "--curriculum", "regret")
-    assert code == 2
-    assert "a curriculum needs a training in the jax engine that counts steps" in err
-
-
 @pytest.mark.long
 def test_an_interrupted_multitask_baseline_keeps_its_policy(mbtl_command, tmp_path):
     pytest.importorskip("libsumo", reason="the traffic extra is not installed")

@@ -15,8 +15,6 @@ from mbtl.benchmark.on_all import InSimulator
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json
 from mbtl.cmdps import CMDP, get_cmdp
 from mbtl.cmdps.registry import preset_on_all, visibility_on_all
-from mbtl.cmdps.taught import with_curriculum
-from mbtl.curricula import curriculum_named
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.provenance import check_made_by, here
 from mbtl.training import SB3Trainer, WorldTrainer
@@ -30,14 +28,6 @@ def multitask(
         typer.Option(
             help="ppo (context-conditioned), paco or moore; in traffic, and by default, the "
             "algorithm of the CMDP."
-        ),
-    ] = None,
-    curriculum: Annotated[
-        str | None,
-        typer.Option(
-            help="learnability or regret: which contexts the next episodes begin in follows from "
-            "how the last ones went; default: contexts take turns.",
-            show_default=False,
         ),
     ] = None,
     factor: Annotated[
@@ -99,30 +89,21 @@ def multitask(
     cmdp = get_cmdp(cmdp_id, visibility=visibility or usual, engine=engine)
     usual_preset = preset_on_all(cmdp_id)
     job = _job(cmdp, method, factor, preset or usual_preset, timesteps, episodes, eval_episodes)
-    if curriculum is not None:
-        pupil = with_curriculum(job.trainer, curriculum, cmdp.normalisation)
-        assert isinstance(job, InJax)  # the others count episodes, or are none of this engine
-        job = replace(job, trainer=pupil)
     if engine == get_cmdp(cmdp_id).settings["engine"]:
         engine = None
-    given = {"method": method, "curriculum": curriculum,
-             "factor": factor if factor > 1 else None,
+    given = {"method": method, "factor": factor if factor > 1 else None,
              "preset": None if preset == usual_preset else preset, "engine": engine,
              "visibility": other, "timesteps": timesteps, "episodes": episodes,
              "eval-episodes": eval_episodes}  # fmt: skip
     words = [f"--{name} {value}" for name, value in given.items() if value is not None]
     command = " ".join(["mbtl matrix multitask", cmdp_id, *words, "--seeds 1 --first-seed"])
-    name = "-".join(
-        filter(None, (job.method, curriculum, other, f"x{factor}" if factor > 1 else None))
-    )
+    name = "-".join(filter(None, (job.method, other, f"x{factor}" if factor > 1 else None)))
     files = {
         seed: multitask_file(out, cmdp.id, name, seed)
         for seed in range(first_seed, first_seed + seeds)
     }
     there = {seed for seed, file in files.items() if file.is_file()}
     chosen = _problem(cmdp)
-    if curriculum is not None:
-        chosen["curriculum"] = repr(curriculum_named(curriculum))
     settings = {**chosen, **job.settings}
     for seed in there:  # before anything is trained
         check_made_by(files[seed], read_multitask(files[seed]).provenance[0], settings)

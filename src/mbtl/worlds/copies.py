@@ -3,8 +3,7 @@
 With N contexts copies take turns: one queue for all, and whenever an episode ends, its copy starts
 the next context, 0, 1, ..., N - 1, 0, ...; of copies that end in the same step, the first goes
 first. So at any time no context has been started more than once more often than another, however
-long its episodes are and however many copies there are (cmdp-spec, 8.3). In a world that is
-`taught`, a curriculum says which context is the next one.
+long its episodes are and however many copies there are (cmdp-spec, 8.3).
 
 Notation (shapes): E copies, o observation; the world has one agent.
 """
@@ -18,7 +17,6 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.worlds.environments import Tree
-from mbtl.worlds.taught import Ended, Past, Taught, next_contexts
 from mbtl.worlds.world import Solo
 
 Act = Callable[[jax.Array, Tree], tuple[jax.Array, Tree]]
@@ -28,15 +26,13 @@ Act = Callable[[jax.Array, Tree], tuple[jax.Array, Tree]]
 class Copies(NamedTuple):
     """E simulations of one policy: their states, and (E,) steps since each was started.
 
-    Of N contexts: in which each is, (E,), and in which the next one starts; None where N = 1. With
-    a curriculum, `turn` is how many episodes have begun, and `past` what they gave.
+    Of N contexts: in which each is, (E,), and in which the next one starts; None where N = 1.
     """
 
     world: Tree
     elapsed: jax.Array
     context: jax.Array | None
     turn: jax.Array | None
-    past: Past | None = None
 
 
 class Step(NamedTuple):
@@ -54,14 +50,12 @@ def first_copies(
     """Freshly started copies, and the key of what follows."""
     key, reset_key = jax.random.split(jax.random.PRNGKey(seed))
     noise = world.noise(reset_key, (n_envs,))
-    context = turn = past = None
+    context = turn = None
     if params.visible.ndim == 2:
         n_contexts = params.visible.shape[0]
         context, turn = jnp.arange(n_envs) % n_contexts, jnp.int32(n_envs % n_contexts)
-        if isinstance(world, Taught):
-            turn, past = jnp.uint32(n_envs), Past.empty(n_contexts)
     states = world.start(noise, _own(params, context))
-    return Copies(states, jnp.zeros(n_envs, dtype=jnp.int32), context, turn, past), key
+    return Copies(states, jnp.zeros(n_envs, dtype=jnp.int32), context, turn), key
 
 
 def stepped(
@@ -81,38 +75,32 @@ def stepped(
     def one(carry: tuple[Copies, jax.Array], now: tuple[Tree, jax.Array]) -> Any:
         copies, obs = carry
         applied, kept = act(obs, now[0])
-        copies, step, ended = _advance(world, params, copies, applied, now[1])
-        return (copies, _look(world, params, copies)), (obs, kept, step, ended)
+        copies, step = _advance(world, params, copies, applied, now[1])
+        return (copies, _look(world, params, copies)), (obs, kept, step)
 
     first = (copies, _look(world, params, copies))
-    (copies, _), (obs, kept, step, ended) = jax.lax.scan(one, first, (drawn, resets))
-    if isinstance(world, Taught) and copies.past is not None:
-        copies = copies._replace(past=world.after(copies.past, ended))
+    (copies, _), (obs, kept, step) = jax.lax.scan(one, first, (drawn, resets))
     return copies, obs, kept, step
 
 
 def _advance(
     world: Solo, params: Tree, copies: Copies, action: jax.Array, noise: jax.Array
-) -> tuple[Copies, Step, Ended | None]:
+) -> tuple[Copies, Step]:
     """One step of the E copies; one that has ended starts anew from its noise."""
     own = _own(params, copies.context)
     moved = world.step(copies.world, action[:, None], own)
     terminated = moved.done[:, 0]
     done = terminated | (copies.elapsed + 1 >= world.decisions(params))
     after = world.observe(moved.state, own).obs[:, 0]
-    context, turn, past, ended = copies.context, copies.turn, copies.past, None
+    context, turn = copies.context, copies.turn
     if context is not None and turn is not None:
-        if past is None:
-            context, turn = take_turns(context, turn, done, params.visible.shape[0])
-        else:
-            ended = Ended(done, context, world.score(moved.state))
-            context, turn = next_contexts(past.weights, context, turn, done)
+        context, turn = take_turns(context, turn, done, params.visible.shape[0])
     state = world.restart(moved.state, done, noise, _own(params, context))
     elapsed = jnp.where(done, 0, copies.elapsed + 1)
     if world.time_limit == "terminal":
         terminated = done
     step = Step(moved.reward[:, 0], terminated, done, after)
-    return Copies(state, elapsed, context, turn, past), step, ended
+    return Copies(state, elapsed, context, turn), step
 
 
 def _look(world: Solo, params: Tree, copies: Copies) -> jax.Array:
