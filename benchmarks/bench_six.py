@@ -20,9 +20,9 @@ from typing import Any
 import measure
 import numpy as np
 from measure import digits, note
+from sklearn_gp import fit_sklearn
 
 from mbtl.benchmark import compare, linear_gap_world
-from mbtl.models import fit_sklearn
 from mbtl.selectors import MBTL
 
 SELECTORS = ("random", "greedy", "equidistant", "worst-first", "mbtl", "mbtl-ei")

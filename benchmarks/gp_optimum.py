@@ -18,10 +18,11 @@ from typing import Any
 import measure
 import numpy as np
 from measure import Cost, digits, now
+from sklearn_gp import fit_sklearn
 
 from mbtl.acquisition import argmax_open, linear_gap_gain
 from mbtl.arrays import Array, uniform_weights
-from mbtl.models import FittedGP, GPSettings, fit_gp, fit_sklearn
+from mbtl.models import FittedGP, GPSettings, fit_gp
 from mbtl.theory import beta_experiments
 
 SHAPES = ("smooth", "rough", "flat", "failures", "cliff", "noise")

@@ -22,13 +22,14 @@ import measure
 import numpy as np
 from measure import Cost, Stopwatch, cost_of, digits, mean, median, note
 from rivals import RIVALS, Rival
+from sklearn_gp import fit_sklearn
 
 from mbtl.acquisition import line_gain, optimistic_gain
 from mbtl.arrays import Array
 from mbtl.benchmark import SyntheticWorld, linear_gap_world
 from mbtl.errors import MissingExtra
 from mbtl.history import History
-from mbtl.models import FittedGP, GPSettings, fit_gp, fit_sklearn
+from mbtl.models import FittedGP, GPSettings, fit_gp
 from mbtl.selectors import MBTL
 
 FIRST, LAST = 5, 45

@@ -332,33 +332,6 @@ def test_show_knows_the_scale_of_the_paper_and_shows_any(mbtl_command, tmp_path)
     assert "-200..10" in mbtl_command("cmdps", "walker-gravity")[1]
 
 
-def test_reference_rows_are_added_to_a_file_that_has_none(mbtl_command, problem):
-    (problem / "guided.py").write_text(GUIDED)
-    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
-    file = "matrices/cartpole-length-seed0.npz"
-    code, _, err = mbtl_command("matrix", "references", file, "--problem", "guided.py:guided")
-    assert code == 0, err
-    assert "unguided 0.3000" in err
-    matrix = TransferMatrix.load(problem / file)
-    assert matrix.references["unguided"].tolist() == [[[30.0] * 4]]
-
-
-GUIDED = """
-from dataclasses import dataclass
-import numpy as np
-from mbtl.cmdps import CMDP
-from mbtl.trainer import FunctionTrainer
-from own import mine, train, evaluate
-
-@dataclass(frozen=True)
-class Guided(FunctionTrainer):
-    def reference_rows(self, contexts, seed):
-        return {"unguided": np.full((len(contexts), 3), 30.0)}
-
-guided = CMDP("cartpole-length", mine.space, Guided(train, evaluate), bounds=(0.0, 100.0))
-"""
-
-
 def test_a_coarser_grid_is_a_set_of_its_own(mbtl_command, problem):
     code, _, err = mbtl_command(*BUILD, "--seeds", 1, "--every", 2)
     assert code == 0, err

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from mbtl.benchmark import TransferMatrix, save_shipped
-from mbtl.cli import scratch
-from mbtl.reproduction import items_named
 
 ID = "cartpole-length"
 
@@ -37,25 +35,10 @@ def test_every_item_of_a_tiny_world_by_the_command(mbtl_command, tmp_path):
     ("options", "complaint"),
     [
         (("--item", "curvs"), "curves"),
-        (("--tier", "quick"), "--from-scratch"),
         (("--page", "p.md", "--item", "1"), "needs all items"),
-        (("--from-scratch", "--folder", "x"), "matrices of its own"),
     ],
 )
 def test_wrong_usage_says_what_to_do(mbtl_command, options, complaint):
     code, _, err = mbtl_command("reproduce", *options)
     assert code == 2
     assert complaint in " ".join(err.split())
-
-
-def test_from_scratch_builds_matrices_and_baselines_of_a_known_tier(monkeypatch, tmp_path):
-    calls = []
-    monkeypatch.setattr(scratch, "build", lambda id, **kw: calls.append((id, kw)))
-    monkeypatch.setattr(scratch, "multitask", lambda id, **kw: calls.append((id, kw)))
-    scratch.build_all([ID, "ring-acc"], "full", tmp_path, tmp_path, items_named([]))
-    made = [(id, kw.get("method") or kw.get("algorithm"), kw["preset"]) for id, kw in calls]
-    assert made == [
-        (ID, None, "full"), (ID, None, "full"), (ID, "paco", "full"), (ID, "moore", "full"),
-        (ID, "DQN", "full"), (ID, "A2C", "full"),
-        ("ring-acc", None, "paper"), ("ring-acc", None, "paper"),  # it has no such tier
-    ]  # fmt: skip

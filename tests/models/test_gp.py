@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
+from sklearn_gp import fit_sklearn
 
 from mbtl.acquisition import argmax_open, optimistic_gain
 from mbtl.errors import InvalidInput
-from mbtl.models import GPSettings, fit_gp, fit_sklearn
+from mbtl.models import GPSettings, fit_gp
 from mbtl.models.gp import FittedGP, rbf, squared_distances
 
 

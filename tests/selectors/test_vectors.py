@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from sklearn_gp import fit_sklearn
 
 from mbtl.acquisition import optimistic_gain
 from mbtl.contexts import Categorical, ContextSpace, Linear
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.history import History
-from mbtl.models import GPSettings, fit_gp, fit_sklearn
+from mbtl.models import GPSettings, fit_gp
 from mbtl.objective import value_curve
 from mbtl.selectors import (
     MBTL,

@@ -5,7 +5,6 @@ from mbtl.benchmark.catalogue import open_matrix, synthetic_ids, synthetic_world
 from mbtl.benchmark.compare import compare
 from mbtl.benchmark.comparison import Comparison
 from mbtl.benchmark.curves import TransferCurves, load_curves
-from mbtl.benchmark.foreign import import_npy
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.oracle import (
     OracleRun,
@@ -32,7 +31,6 @@ __all__ = [
     "TransferCurves",
     "TransferMatrix",
     "compare",
-    "import_npy",
     "levels",
     "linear_gap_world",
     "load_curves",

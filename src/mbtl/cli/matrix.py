@@ -25,17 +25,13 @@ from mbtl.benchmark.shipped import load_by_id
 from mbtl.cli.bench import scaled
 from mbtl.cli.build import build
 from mbtl.cli.common import JsonFlag, interruptible, print_json, printer
-from mbtl.cli.foreign import import_matrix
 from mbtl.cli.multitask import multitask
-from mbtl.cli.references import references
 from mbtl.cmdps import cmdp_ids
 from mbtl.cmdps.registry import paper_bounds
 
 matrix_app = typer.Typer(help="Build transfer matrices and look at them.", no_args_is_help=True)
 matrix_app.command("build")(interruptible(build))
 matrix_app.command("multitask")(interruptible(multitask))
-matrix_app.command("references")(interruptible(references))
-matrix_app.command("import")(import_matrix)
 
 
 @matrix_app.command("show")

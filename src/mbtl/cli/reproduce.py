@@ -15,7 +15,6 @@ from rich.text import Text
 
 from mbtl.benchmark.shipped import DEFAULT
 from mbtl.cli.common import JsonFlag, LongWork, console, print_json, printer
-from mbtl.cli.scratch import build_all
 from mbtl.errors import InvalidInput, MbtlError
 from mbtl.files import claimed_folder
 from mbtl.reproduction import Bench, Item, Outcome, Setting, items_named, perform
@@ -55,14 +54,6 @@ def reproduce_command(
     folder: Annotated[
         Path | None, typer.Option(help="Folder of matrices you built; default: the shipped ones.")
     ] = None,
-    from_scratch: Annotated[
-        bool,
-        typer.Option("--from-scratch", help="Build the matrices, too, into OUT/matrices: days."),
-    ] = False,
-    tier: Annotated[
-        str | None,
-        typer.Option(help="Recipe of --from-scratch: quick, standard, full, paper."),
-    ] = None,
     page: Annotated[
         Path | None,
         typer.Option(help="Also write the page of the reproduction, and its pictures beside it."),
@@ -79,22 +70,15 @@ def reproduce_command(
 
     Example: mbtl reproduce cartpole-length --item 1 --item curves
 
-    With --from-scratch everything is trained as well: mbtl reproduce --from-scratch --tier quick
+    Of matrices that you built (`mbtl matrix build`): mbtl reproduce --folder matrices
     """
     if budget < 1:
         raise InvalidInput(f"--budget must be >= 1, got {budget}")
-    if tier is not None and not from_scratch:
-        raise InvalidInput(f"--tier is of --from-scratch, got {tier!r} without it")
-    if from_scratch and folder is not None:
-        raise InvalidInput("--from-scratch builds matrices of its own; leave out --folder")
     if page is not None and (item or cmdp):
         raise InvalidInput("--page needs all items of all CMDPs; leave out --item and the ids")
     items = items_named(item or [])
     ids = tuple(cmdp) if cmdp else None
-    place = out or _default_place(ids, budget, variant, folder, tier if from_scratch else None)
-    if from_scratch:
-        folder = place / "matrices"
-        build_all(Bench(Setting(ids)).ids, tier, folder, place / "work", items)
+    place = out or _default_place(ids, budget, variant, folder)
     bench = Bench(Setting(ids, budget, variant, folder))
     _check_something_there(bench, variant)
     with claimed_folder(place, bench.setting.to_json(), "a reproduction"):
@@ -125,11 +109,10 @@ def reproduce_command(
 
 
 def _default_place(
-    ids: tuple[str, ...] | None, budget: int, variant: str, folder: Path | None, tier: str | None
+    ids: tuple[str, ...] | None, budget: int, variant: str, folder: Path | None
 ) -> Path:
     parts = ["" if ids is None else "-".join(ids), "" if budget == 15 else f"k{budget}"]
     parts += ["" if variant == DEFAULT else variant, "" if folder is None else folder.name]
-    parts += [tier or ""]
     return _OUT.with_name("-".join([_OUT.name, *filter(None, parts)]))
 
 

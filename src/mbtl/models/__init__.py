@@ -3,7 +3,6 @@
 from mbtl.models.gap import FittedGap, GapModel, LinearGap, predicted_rows
 from mbtl.models.gp import FittedGP, GPSettings
 from mbtl.models.gp_fit import fit_gp
-from mbtl.models.sklearn_gp import fit_sklearn
 
 __all__ = [
     "FittedGP",
@@ -12,6 +11,5 @@ __all__ = [
     "GapModel",
     "LinearGap",
     "fit_gp",
-    "fit_sklearn",
     "predicted_rows",
 ]

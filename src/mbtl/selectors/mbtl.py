@@ -45,7 +45,7 @@ class MBTL:
         gp: kernel bounds and noise (paper: noise std 0.001).
         gap: "given" uses the problem's theta; "fitted" estimates it from the rows seen.
         incumbent: "observed" rows, or "predicted" from training performance and theta alone.
-        fitter: `fit_gp`, or `fit_sklearn` for the paper's own optimiser.
+        fitter: fits the GP.
     """
 
     acquisition: Literal["ucb", "ei"] = "ucb"

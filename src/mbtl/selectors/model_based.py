@@ -32,7 +32,7 @@ def fit_posterior(
         history: which sources were trained, and which are pending.
         targets: (k,) values to fit, one per trained source; NaN (not evaluated there) is left out.
         settings: kernel bounds and noise.
-        fitter: `fit_gp`, or the paper's `fit_sklearn`.
+        fitter: fits the GP.
     """
     seen = np.isfinite(targets)
     sources = np.asarray(history.sources, dtype=np.intp)[seen]
