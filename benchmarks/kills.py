@@ -30,12 +30,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from postgres import Server, missing
 
 import mbtl
 from mbtl.errors import Unreachable
 from mbtl.study import Callback
 from mbtl.study.runner import run
-from mbtl.testing.postgres import Server, missing
 from mbtl.trainer import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 30})

@@ -28,10 +28,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from postgres import Server, missing
 
 import mbtl
 from mbtl.study import StudyFinished
-from mbtl.testing.postgres import Server, missing
 
 
 def forked(job: Callable[[], object]) -> tuple[int, int]:

@@ -22,9 +22,9 @@ from pathlib import Path
 
 import numpy as np
 from many_workers import forked, said
+from postgres import Server, missing
 
 import mbtl
-from mbtl.testing.postgres import Server, missing
 from mbtl.trainer import Progress, Reached
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 100})

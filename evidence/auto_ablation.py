@@ -26,6 +26,7 @@ from unittest import mock
 
 import numpy as np
 from measure import digits, note
+from sd_worlds import sd_worlds
 from several_axes import worlds
 
 from mbtl.acquisition import RowGain
@@ -36,7 +37,6 @@ from mbtl.benchmark.base import RowSource, measured_curve
 from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.compare import held_out
 from mbtl.benchmark.replay import replay
-from mbtl.benchmark.sd_worlds import sd_worlds
 from mbtl.benchmark.shipped import load_by_id, shipped_matrices
 from mbtl.benchmark.summary import trainings_to
 from mbtl.models.linear_trend import LinearTrend, fit_linear_trend

@@ -20,11 +20,11 @@ from typing import Any
 import measure
 import numpy as np
 from measure import digits, note
+from sd_worlds import sd_worlds
 
 from mbtl.arrays import Array
 from mbtl.benchmark import SyntheticWorld, random_curve, sequential_oracle
 from mbtl.benchmark.replay import replay
-from mbtl.benchmark.sd_worlds import sd_worlds
 from mbtl.objective import value
 from mbtl.selectors import get_selector
 

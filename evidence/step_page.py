@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import pages
 import step_generalist as generalist
 import step_tables as tables
+from step_measure import BUDGET
 from step_tables import ORACLE, PAPER, Plays, Sets
 
 from mbtl.benchmark.shipped import family_of
-from mbtl.benchmark.step_measure import BUDGET
 
 OURS = "mbtl, whole, evaluation a tenth"
 PILOT = "pilot, mbtl"

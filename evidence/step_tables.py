@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from step_measure import BUDGET, StepScale, geometric_mean, paired_interval
 
 from mbtl.benchmark.shipped import family_of
-from mbtl.benchmark.step_measure import BUDGET, StepScale, geometric_mean, paired_interval
 from mbtl.benchmark.steps import StepWorld
 
 Array = np.ndarray

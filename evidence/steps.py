@@ -27,6 +27,7 @@ import pages
 import step_generalist as generalist
 import step_page as page
 import step_tables as tables
+from step_measure import StepScale
 from step_tables import Play, Seeds, Sets
 
 from mbtl.actions import Committee, Evaluation, FixedLength, Halving, Pilot, Strategy
@@ -34,7 +35,6 @@ from mbtl.actions.evaluation import A_TENTH, WHERE_IT_MATTERS
 from mbtl.benchmark import load_curves
 from mbtl.benchmark.curves import FOLDER
 from mbtl.benchmark.shipped import data_folder, family_of, seed_files
-from mbtl.benchmark.step_measure import StepScale
 from mbtl.benchmark.steps import StepWorld, replay_steps
 
 SEEDS = 3

@@ -4,9 +4,9 @@ import itertools
 
 import numpy as np
 import pytest
+from sd_worlds import sd_world, sd_worlds
 
 from mbtl.benchmark import synthetic_world
-from mbtl.benchmark.sd_worlds import sd_world, sd_worlds
 from mbtl.errors import InvalidInput, UnknownName
 
 LEFT = {

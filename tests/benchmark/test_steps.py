@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from step_measure import StepScale, geometric_mean, paired_interval
 
 from mbtl.actions.base import Evaluate, Extend, Policy, Start, Stop, Trail
 from mbtl.benchmark.curves import TransferCurves
-from mbtl.benchmark.step_measure import StepScale, geometric_mean, paired_interval
 from mbtl.benchmark.steps import StepWorld, replay_steps, serving
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import InvalidInput

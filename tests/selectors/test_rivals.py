@@ -4,9 +4,9 @@ import itertools
 
 import numpy as np
 import pytest
+from sd_worlds import sd_world
 
 from mbtl.benchmark import sequential_oracle, synthetic_world
-from mbtl.benchmark.sd_worlds import sd_world
 from mbtl.contexts import Categorical, ContextSpace, Linear
 from mbtl.errors import InvalidInput
 from mbtl.history import History

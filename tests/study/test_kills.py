@@ -5,8 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from mbtl.testing.postgres import missing
+from postgres import missing
 
 PROGRAM = Path(__file__).parents[2] / "benchmarks" / "kills.py"
 

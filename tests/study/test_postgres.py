@@ -7,13 +7,13 @@ import time
 import numpy as np
 import pytest
 import sqlalchemy
+from postgres import Server, missing
 
 import mbtl
 from mbtl.errors import StorageError, Unreachable
 from mbtl.study import SqlLog, StudyFinished, study_names, turns
 from mbtl.study.events import Event
 from mbtl.study.storage import Conflict
-from mbtl.testing.postgres import Server, missing
 from mbtl.testing.storage import EventLogContract
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 100})

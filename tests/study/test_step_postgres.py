@@ -10,9 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
+from postgres import Server, missing
 
 import mbtl
-from mbtl.testing.postgres import Server, missing
 
 PROBLEM = """
 import os, sys, time
