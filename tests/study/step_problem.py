@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from warm_strategy import NAMED
 
 import mbtl
 from mbtl.trainer import Progress, Reached
@@ -128,7 +129,8 @@ def outcome(study):
 
 
 if __name__ == "__main__":
-    strategy = sys.argv[3] if len(sys.argv) > 3 else "pilot"
+    name = sys.argv[3] if len(sys.argv) > 3 else "pilot"
+    strategy = NAMED.get(name, name)
     study = opened(Slow(dies_after=int(sys.argv[2])), sys.argv[1], strategy=strategy)
     study.run(progress=False)
     print(json.dumps(outcome(study)))

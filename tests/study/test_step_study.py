@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from step_problem import SPACE, WHOLE, Slow, opened, outcome
+from warm_strategy import NAMED, Warm
 
 import mbtl
 from mbtl.actions import Evaluate, Extend, FixedLength, Policy, Start, Stop
@@ -37,9 +38,7 @@ class Script:
         return self.actions[done] if done < len(self.actions) else Stop()
 
 
-@pytest.mark.parametrize(
-    "strategy", ["pilot", "fixed", "halving", "asha", "committee", "warm", "population"]
-)
+@pytest.mark.parametrize("strategy", ["pilot", "fixed", "halving", "asha", "committee", Warm()])
 def test_what_is_charged_is_what_ran(strategy):
     trainer = Slow()
     study = opened(trainer, strategy=strategy)
@@ -75,9 +74,9 @@ def test_all_weights_that_a_training_passed_are_at_hand():
     assert first.steps < WHOLE
 
 
-@pytest.mark.parametrize("strategy", ["pilot", "committee", "warm", "population"])
+@pytest.mark.parametrize("strategy", ["pilot", "committee", "warm"])
 def test_killed_at_any_moment_a_study_ends_as_if_undisturbed(tmp_path, strategy):
-    calm = opened(Slow(), strategy=strategy)
+    calm = opened(Slow(), strategy=NAMED.get(strategy, strategy))
     calm.run(progress=False)
     kills, work = 0, 45  # the longest piece has 32 units of work
     while True:

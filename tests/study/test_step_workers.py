@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from step_problem import Slow, opened, outcome
+from warm_strategy import Warm
 
 import mbtl
 from mbtl.actions import Evaluate, Extend, Policy, Start, Stop, Wait
@@ -48,9 +49,7 @@ def together(folder, count=3, **settings):
     return opened(Slow(), folder, **settings), trainers
 
 
-@pytest.mark.parametrize(
-    "strategy", ["pilot", "fixed", "halving", "asha", "committee", "warm", "population"]
-)
+@pytest.mark.parametrize("strategy", ["pilot", "fixed", "halving", "asha", "committee", Warm()])
 def test_what_workers_have_run_is_charged_once_and_nothing_is_done_twice(tmp_path, strategy):
     study, trainers = together(tmp_path, strategy=strategy, budget=250_000)
     prices = study.state.prices
@@ -183,7 +182,7 @@ def test_an_answer_under_an_old_lease_is_refused(tmp_path):
     assert outcome(study) == outcome(calm)
 
 
-@pytest.mark.parametrize("strategy", ["warm", "population"])
+@pytest.mark.parametrize("strategy", ["committee", Warm()])
 def test_a_strategy_that_does_not_work_in_parallel_is_asked_when_nothing_is_under_way(
     tmp_path, strategy
 ):
@@ -195,12 +194,12 @@ def test_a_strategy_that_does_not_work_in_parallel_is_asked_when_nothing_is_unde
 
 
 def test_a_worker_that_need_not_wait_leaves_the_last_action_to_others(tmp_path):
-    study = opened(Slow(), tmp_path, strategy="warm")
+    study = opened(Slow(), tmp_path, strategy=Warm())
     claim = {"token": "theirs", "worker": "other-1", "lease": 600.0}
     action = {"do": "start", "source": 5, "length": 3}
     study.append("decided", {"number": 0, "action": action, "seconds": 0.0, **claim})
     trainer = Slow()
-    opened(trainer, tmp_path, strategy="warm").run(progress=False, wait=False)
+    opened(trainer, tmp_path, strategy=Warm()).run(progress=False, wait=False)
     assert not any(trainer.ran.values())
 
 

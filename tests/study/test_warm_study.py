@@ -6,9 +6,10 @@ import shutil
 import numpy as np
 import pytest
 from step_problem import SPACE, Slow, opened, outcome
+from warm_strategy import Warm
 
 import mbtl
-from mbtl.actions import Evaluate, Extend, Policy, Start, Stop, Warm
+from mbtl.actions import Evaluate, Extend, Policy, Start, Stop
 from mbtl.benchmark.steps import StepWorld
 from mbtl.errors import InvalidInput
 
@@ -124,7 +125,7 @@ def test_a_plain_function_begins_from_its_start():
         skill = 0.0 if start is None else start[1]
         return np.array([context["x"], skill + steps / 80_000])
 
-    study = functions_study(Warm(turns=0))
+    study = functions_study(Warm())
     study.run(train, evaluate, save=keep, load=read, progress=False)
     assert begun[:2] == [None, 0.5]  # the second piece of the first one
     warm = [t for t in study.state.trainings if t.start is not None]

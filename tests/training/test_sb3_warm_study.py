@@ -1,12 +1,12 @@
 """Studies with warm starts in Stable-Baselines3: what is interrupted ends as what is not."""
 
-import interrupted_population
 import numpy as np
 import pytest
 from training_envs import cartpole
+from warm_strategy import Warm
 
 import mbtl
-from mbtl.actions import Policy, Warm
+from mbtl.actions import Policy
 from mbtl.seeds import training_seed
 from mbtl.study.steps.callbacks import StepCallback
 from mbtl.training import SB3Trainer
@@ -15,7 +15,7 @@ SPACE = mbtl.ContextSpace.grid({mbtl.Linear("length", 0.3, 1.0): 5})
 PPO = {"n_steps": 64, "batch_size": 32, "n_epochs": 2, "learning_rate": lambda left: 1e-3 * left}
 
 
-WARM = Warm(turns=0, length=1, selector=None)
+WARM = Warm()
 
 
 def opened(folder=None, strategy=WARM):
@@ -73,11 +73,3 @@ def test_interrupted_a_warm_started_training_is_bit_for_bit_the_undisturbed_one(
     alone = calm.trainer.train_steps(context, seed, 256, start=parent).policy
     assert same(alone, model_of(calm, 1, 1))
     assert not same(calm.trainer.train_steps(context, seed, 256).policy, alone)
-
-
-def test_an_interrupted_population_is_bit_for_bit_the_undisturbed_one(tmp_path):
-    calm, study = interrupted_population.both(opened, tmp_path)
-    for policy in calm.state.policies:
-        one, other = (model_of(s, policy.training, policy.length) for s in (calm, study))
-        assert same(one, other)
-    np.testing.assert_array_equal(calm.state.returns, study.state.returns)

@@ -1,14 +1,14 @@
 """Studies with warm starts in the jax engine: what is interrupted ends as what is not."""
 
-import interrupted_population
 import numpy as np
 import pytest
+from warm_strategy import Warm
 
 pytest.importorskip("jax", reason="the jax extra is not installed")
 pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
 import mbtl
-from mbtl.actions import Policy, Warm
+from mbtl.actions import Policy
 from mbtl.cmdps import get_cmdp
 from mbtl.seeds import training_seed
 from mbtl.study.steps.callbacks import StepCallback
@@ -39,7 +39,7 @@ class Stops(StepCallback):
             raise Interrupt
 
 
-WARM = Warm(turns=0, length=1, selector=None)
+WARM = Warm()
 
 
 def opened(folder=None, strategy=WARM):
@@ -78,15 +78,6 @@ def test_interrupted_a_warm_started_training_is_bit_for_bit_the_undisturbed_one(
     starts = [t.start for t in study.state.trainings]
     assert starts[:2] == [None, Policy(0, 2)]
     assert starts == [t.start for t in calm.state.trainings]
-    for policy in calm.state.policies:
-        assert same(weights(calm, policy), weights(study, policy))
-    np.testing.assert_array_equal(calm.state.returns, study.state.returns)
-    assert calm.state.spent == study.state.spent
-
-
-def test_an_interrupted_population_is_bit_for_bit_the_undisturbed_one(tmp_path):
-    calm, study = interrupted_population.both(opened, tmp_path)
-    assert any(t.steps > LENGTHS[0] for t in study.state.trainings)  # others go on
     for policy in calm.state.policies:
         assert same(weights(calm, policy), weights(study, policy))
     np.testing.assert_array_equal(calm.state.returns, study.state.returns)

@@ -19,8 +19,6 @@ from mbtl.actions.evaluation import Evaluation
 from mbtl.actions.fixed import FixedLength
 from mbtl.actions.halving import Halving
 from mbtl.actions.pilot import Pilot
-from mbtl.actions.population import Population
-from mbtl.actions.warm import Warm
 
 __all__ = [
     "Action",
@@ -32,7 +30,6 @@ __all__ = [
     "Halving",
     "Pilot",
     "Policy",
-    "Population",
     "Start",
     "StartOn",
     "StepProblem",
@@ -41,5 +38,4 @@ __all__ = [
     "Trail",
     "Training",
     "Wait",
-    "Warm",
 ]

@@ -146,9 +146,7 @@ def run(
     ] = None,
     strategy: Annotated[
         str | None,
-        typer.Option(
-            help="With --steps: pilot (default), fixed, halving, asha, committee, warm, population."
-        ),
+        typer.Option(help="With --steps: pilot (default), fixed, halving, asha, committee."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

@@ -72,7 +72,7 @@ def create_step_study(
         budget: environment steps of trainings, extensions and evaluations together.
         preset: which recipe of the CMDP; None: its default. Its training is the longest one.
         trainer: what `run` trains with; None: the CMDP's.
-        strategy: "pilot", "fixed", "halving", "asha", "committee", "warm", "population", or an
+        strategy: "pilot", "fixed", "halving", "asha", "committee", or an
             object with `name` and `decide`.
         lengths: environment steps at which a training may pause, rising; None: the whole length of
             the trainer's and its halves down to 8,000. Plain functions need it: one length for

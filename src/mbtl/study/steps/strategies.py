@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mbtl.actions import Committee, FixedLength, Halving, Pilot, Population, Strategy, Warm
+from mbtl.actions import Committee, FixedLength, Halving, Pilot, Strategy
 from mbtl.actions.evaluation import A_TENTH, WHERE_IT_MATTERS
 from mbtl.errors import InvalidInput, unknown_name
 
@@ -14,14 +14,10 @@ STRATEGIES: Mapping[str, Strategy] = {
     "halving": Halving("gain", 1, None, evaluation=WHERE_IT_MATTERS, name="halving"),
     "asha": Halving("own", 2, "random", evaluation=WHERE_IT_MATTERS),
     "committee": Committee(),
-    "warm": Warm(),
-    "population": Population(),
 }
 """`pilot` learns the length from its first training; `fixed` trains all to the end; `halving` goes
 on with those that V would miss most, `asha` with those that are best at home; `committee` lets a
-pilot's specialists and one policy for all contexts take turns; `warm` lets trainings from scratch
-and ones that begin with the weights of others take turns; `population` trains five side
-by side and replaces the one that V would miss least by a copy of a better one on a new context."""
+pilot's specialists and one policy for all contexts take turns."""
 
 DEFAULT = "pilot"
 """The simplest that the shipped transfer curves support (docs/steps.md)."""
