@@ -25,16 +25,17 @@ def main() -> None:
     trainer = cmdp.trainer_for("quick", timesteps=300_000, eval_episodes=100)
     contexts = list(cmdp.space.contexts)
     policies = trainer.train_many(contexts[40:44], range(4), keep=("best",))["best"]
-    trainer.evaluate_many(policies[:1], contexts, 0)  # compiles
+    seeds = range(len(contexts))
+    trainer.evaluate_many(policies[:1], contexts, seeds)  # compiles
     begin = time.process_time()
-    returns = trainer.evaluate_many(policies, contexts, 0)
+    returns = trainer.evaluate_many(policies, contexts, seeds)
     ours = returns.sum() / (time.process_time() - begin)
 
     peer = get_cmdp("cartpole-length", engine="gymnasium").trainer_for(
         "quick", eval_episodes=5, timesteps=1
     )
     begin = time.process_time()
-    theirs = peer.evaluate(policies[0], contexts, 0)
+    theirs = peer.evaluate(policies[0], contexts, seeds)
     gymnasium = theirs.sum() / (time.process_time() - begin)
     layers = ((5, 64), (64, 64), (64, 2))
     flops = sum(2.0 * a * b for a, b in layers)

@@ -57,7 +57,7 @@ def train(context, seed):
     return np.array([context["x"], seed % 1000], dtype=np.float64)
 
 
-def evaluate(policy, contexts, seed):
+def evaluate(policy, contexts, seeds):
     return np.array([1.0 - abs(c["x"] - policy[0]) - 1e-6 * policy[1] for c in contexts])
 
 

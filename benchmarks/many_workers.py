@@ -140,7 +140,7 @@ def _share(space, slots, trainings, seconds, spread, deterministic):
             busy[0] += time.perf_counter() - begun
         return context["x"]
 
-    def evaluate(policy, contexts, seed):
+    def evaluate(policy, contexts, seeds):
         return [1.0 - abs(policy - context["x"]) for context in contexts]
 
     study = mbtl.create_study(space, budget=trainings, bounds=(0.0, 1.0), selector="random")

@@ -71,7 +71,7 @@ class Sleeps:
             os.replace(saved.with_suffix(".new"), saved)
         return Reached(np.array([context["x"], 1.0 - np.exp(-done / 8_000)]), done)
 
-    def evaluate_steps(self, policy, contexts, seed):
+    def evaluate_steps(self, policy, contexts, seeds):
         """Returns, and as long as the policy is good."""
         x, skill = policy
         away = np.array([[abs(c["x"] - x)] * self.eval_episodes for c in contexts])
@@ -81,9 +81,9 @@ class Sleeps:
         self._sleep("evaluation", float(steps.sum()))
         return returns, steps
 
-    def evaluate(self, policy, contexts, seed):
+    def evaluate(self, policy, contexts, seeds):
         """Returns alone."""
-        return self.evaluate_steps(policy, contexts, seed)[0]
+        return self.evaluate_steps(policy, contexts, seeds)[0]
 
     def save(self, policy, folder):
         """Two numbers."""

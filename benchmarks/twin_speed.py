@@ -43,9 +43,10 @@ def play(args: argparse.Namespace) -> dict[str, Any]:
 
     first, again = cost_of(train), cost_of(train)
     few = contexts[:: max(1, len(contexts) // 3)]
-    trainer.evaluate_many(policies, few, 0)  # compiles
+    numbers = range(len(few))
+    trainer.evaluate_many(policies, few, numbers)  # compiles
     scores: list[Any] = []
-    cost = cost_of(lambda: scores.append(trainer.evaluate_many(policies, few, 1)))
+    cost = cost_of(lambda: scores.append(trainer.evaluate_many(policies, few, numbers)))
     played = scores[0].size / len(few) * sum(decisions[tuple(c.items())] for c in few)
     return {
         "training": args.episodes * sum(decisions.values()) / again.cpu,

@@ -216,7 +216,7 @@ def our_learning(simulator: str, seed: int, steps: int, looks: int) -> Iterator[
         latest = policy("final")
         yield done, spent, {
             "latest": judged(latest, shown),
-            "latest, at home": float(trainer.evaluate(latest, [NOMINAL], 0).mean()),
+            "latest, at home": float(trainer.evaluate(latest, [NOMINAL], [0]).mean()),
             "best so far": judged(policy("best"), shown),
         }  # fmt: skip
 

@@ -74,7 +74,7 @@ def jax_curves(algorithm: str, name: str, every: int, seeds: int) -> np.ndarray:
 
     def look(block: engine.Block) -> None:
         actor = engine.actor_of(block.training.state.weights)
-        returns = engine.evaluate(env, actor, one, range(EPISODES), activation=recipe.activation)
+        returns = engine.evaluate(env, actor, one, [range(EPISODES)], activation=recipe.activation)
         curves.append(returns.mean(axis=(1, 2)))
 
     engine.train(

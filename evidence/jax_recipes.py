@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("--algorithm", default="PPO")
     args = parser.parse_args()
     from mbtl.cmdps import get_cmdp
-    from mbtl.seeds import evaluation_seed, training_seed
+    from mbtl.seeds import evaluation_seeds, training_seed
 
     cmdp = get_cmdp(args.cmdp, engine="jax")
     contexts = [cmdp.space.contexts[s] for s in SOURCES for _ in range(SEEDS)]
@@ -47,7 +47,7 @@ def main() -> None:
         seconds = time.process_time() - begin
         for checkpoint in ("best", "final"):
             own = [
-                trainer.evaluate(policy, [context], evaluation_seed(0, 0)).mean()
+                trainer.evaluate(policy, [context], evaluation_seeds(0, 0, [0])).mean()
                 for policy, context in zip(policies[checkpoint], contexts, strict=True)
             ]
             found[name, checkpoint] = np.array(own)

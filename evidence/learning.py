@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 from measure import note
 
-EVALUATION = 1
 """Seed of all evaluations."""
 
 
@@ -27,6 +26,6 @@ def trainings(name: str, trainer: Any, contexts: Sequence[Any], seeds: int) -> I
             place = ", ".join(f"{axis} {value:g}" for axis, value in context.items())
             note(f"{name}, {place}, seed {seed} ...")
             policy = trainer.train(context, seed)
-            scores = trainer.evaluate(policy, contexts, EVALUATION).mean(axis=1)
+            scores = trainer.evaluate(policy, contexts, range(len(contexts))).mean(axis=1)
             others = (scores.sum() - scores[k]) / (len(scores) - 1)
             yield Trained(policy, context, float(scores[k]), float(others))

@@ -38,7 +38,7 @@ from mbtl.benchmark.oracle import random_weights
 from mbtl.cmdps import get_cmdp
 from mbtl.files import claimed_folder, whole_file
 from mbtl.objective import marginal_gain
-from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seed, evaluation_seed, training_seed
+from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seeds, evaluation_seeds, training_seed
 
 LANES, TARGETS, CONTEXTS, EPISODES, CHECKPOINTS = 21, 50, 20, 8, 20
 WIDTHS, BUDGETS, FRACTIONS = (0.05, 0.1, 0.2, 0.4), (1, 2, 3, 5), (0.1, 0.25, 0.5)
@@ -141,8 +141,9 @@ class Laboratory:
             weights=self._parents(engine.start(env, recipe, seeds, params).best, job, seed),
         )  # fmt: skip
         _, there = self.trainer.problem([self._at(share) for share in self.targets])
-        halves = [evaluation_seed(seed, MATRIX_TRIAL, p) for p in _PURPOSES]
-        seeds = [episode_seed(half, e) for half in halves for e in range(EPISODES)]
+        n = len(there.visible)
+        halves = [evaluation_seeds(seed, MATRIX_TRIAL, range(n), p) for p in _PURPOSES]
+        seeds = np.concatenate([episode_seeds(half, n, EPISODES) for half in halves], axis=1)
         returns = engine.evaluate(env, engine.actor_of(training.best), there, seeds)
         assert self.cmdp.normalisation is not None
         rows = self.cmdp.normalisation.normalise(returns).reshape(*returns.shape[:2], 2, EPISODES)

@@ -24,7 +24,7 @@ import numpy as np
 
 from mbtl.benchmark.steps import HORIZONS, ONE_PER_STEP
 from mbtl.cmdps import get_cmdp
-from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seed, evaluation_seed, training_seed
+from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seeds, evaluation_seeds, training_seed
 
 TOGETHER, TARGETS = 20, 25
 ASSIGN, ROUTE, FRESH = 2, 10, 10
@@ -80,8 +80,9 @@ class Clusters:
         import mbtl.training.jax as engine
 
         _, params = self._problem(contexts)
-        play = evaluation_seed(self.seed, MATRIX_TRIAL, purpose)
-        numbers = [episode_seed(play, e) for e in range(episodes)]
+        n = len(params.visible)
+        play = evaluation_seeds(self.seed, MATRIX_TRIAL, range(n), purpose)
+        numbers = episode_seeds(play, n, episodes)
         found = engine.evaluate(self.world, engine.actor_of(self.weights), params, numbers)
         longest = HORIZONS[self.family]
         each = np.clip(found, 1, longest) if self.family in ONE_PER_STEP else longest

@@ -27,7 +27,7 @@ from mbtl.benchmark.entries import halves
 from mbtl.benchmark.steps import HORIZONS
 from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.registry import visibility_on_all
-from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
+from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds, training_seed
 from mbtl.study.steps.create import lengths_of
 from mbtl.study.steps.prices import units_on_many, whole_length
 from mbtl.study.steps.spec import lengths_on_all
@@ -54,7 +54,8 @@ def row(cmdp_id: str, seed: int, number: int, length: int) -> tuple[int, np.ndar
     begin = training_seed(seed, MATRIX_TRIAL, len(contexts), number)
     units = units_on_many(length, trainer, _horizon(cmdp_id))
     reached = trainer.train_on_steps(contexts, begin, units, marks=(units,))
-    played = trainer.evaluate(reached.policy, contexts, evaluation_seed(seed, MATRIX_TRIAL))
+    play = evaluation_seeds(seed, MATRIX_TRIAL, range(len(contexts)))
+    played = trainer.evaluate(reached.policy, contexts, play)
     steps = reached.steps if trainer.episodes is None else units * _horizon(cmdp_id)
     return steps, np.stack(halves(played)[0])
 

@@ -27,7 +27,7 @@ from scipy import stats
 
 from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.registry import engines_of
-from mbtl.seeds import Purpose, evaluation_seed, training_seed
+from mbtl.seeds import Purpose, evaluation_seeds, training_seed
 from mbtl.training import export_mlp
 
 
@@ -75,12 +75,13 @@ def main() -> None:
         policies = [export_mlp(policy) for policy in policies]
     acting = {} if walks else {"acting": trainer.acting}
     judge = native.trainer_for("quick", eval_episodes=args.episodes, **acting)
-    draws = evaluation_seed(0, 0), evaluation_seed(0, 0, Purpose.REPORT)
-    found = {"twin": _means(trainer, policies, there, draws[0])}
+    purposes = Purpose.EVALUATION, Purpose.REPORT
+    seeds = {p: evaluation_seeds(0, 0, range(len(there)), p) for p in purposes}
+    found = {"twin": _means(trainer, policies, there, seeds[Purpose.EVALUATION])}
     again = f"{name} again"
-    for one, seed in zip((name, again), draws, strict=True):
+    for one, purpose in zip((name, again), purposes, strict=True):
         begin = time.perf_counter()
-        found[one] = _means(judge, policies, there, seed)
+        found[one] = _means(judge, policies, there, seeds[purpose])
         print(f"{one}: {time.perf_counter() - begin:.0f} s", flush=True)
         if args.out:  # what was simulated so far is not lost
             stored = {key.lower().replace(" ", "_"): matrix for key, matrix in found.items()}
@@ -104,9 +105,9 @@ def main() -> None:
         )
 
 
-def _means(trainer, policies, contexts, seed):  # type: ignore[no-untyped-def]
+def _means(trainer, policies, contexts, seeds):  # type: ignore[no-untyped-def]
     """(sources, targets) mean scores."""
-    return np.array([trainer.evaluate(p, contexts, seed).mean(axis=1) for p in policies])
+    return np.array([trainer.evaluate(p, contexts, seeds).mean(axis=1) for p in policies])
 
 
 if __name__ == "__main__":

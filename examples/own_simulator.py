@@ -29,9 +29,12 @@ def train(context, seed):
     return max(candidates, key=lambda gains: simulate(gains, context["mass"], starts).mean())
 
 
-def evaluate(policy, contexts, seed):
-    starts = np.random.default_rng(seed).uniform(-1, 1, (20, 2))
-    return [simulate(policy, context["mass"], starts) for context in contexts]
+def evaluate(policy, contexts, seeds):
+    returns = []
+    for context, seed in zip(contexts, seeds, strict=True):  # starts of its own for each context
+        starts = np.random.default_rng(seed).uniform(-1, 1, (20, 2))
+        returns.append(simulate(policy, context["mass"], starts))
+    return returns
 
 
 def save(policy, folder):

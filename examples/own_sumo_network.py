@@ -70,4 +70,4 @@ if __name__ == "__main__":
     portfolio, context = problem.study().run().portfolio(), {"demand": 250}
     program = SimpleNamespace(predict=lambda seen, **_: ([None] * len(seen), None))
     for name, policy in {"portfolio": portfolio.policy_for(context), "program": program}.items():
-        print(name, "cars waiting:", -problem.trainer.evaluate(policy, [context], seed=1).mean())
+        print(name, "cars waiting:", -problem.trainer.evaluate(policy, [context], [1]).mean())

@@ -1,7 +1,14 @@
 import pytest
 
 from mbtl.errors import InvalidInput
-from mbtl.seeds import Purpose, derive_seed, evaluation_seed, selection_rng, training_seed
+from mbtl.seeds import (
+    Purpose,
+    derive_seed,
+    episode_seeds,
+    evaluation_seeds,
+    selection_rng,
+    training_seed,
+)
 
 
 def test_training_seed_depends_on_root_trial_and_source_only():
@@ -19,8 +26,23 @@ def test_seeds_fit_32_bits():
     assert all(0 <= derive_seed(7, p, 3, 99) < 2**32 for p in Purpose)
 
 
-def test_fresh_evaluation_is_another_seed():
-    assert evaluation_seed(0, 0) != evaluation_seed(0, 0, Purpose.REPORT)
+def test_every_target_trial_and_purpose_has_evaluation_seeds_of_its_own():
+    purposes = (Purpose.EVALUATION, Purpose.REPORT)
+    groups = [evaluation_seeds(0, t, range(100), p) for t in range(3) for p in purposes]
+    assert len({seed for group in groups for seed in group}) == 600
+    assert evaluation_seeds(0, 0, [7, 3]) == [groups[0][7], groups[0][3]]  # whatever the company
+
+
+def test_episodes_of_a_target_follow_from_its_seed_alone():
+    several = episode_seeds([11, 12], 2, 5)
+    assert episode_seeds([12], 1, 5) == several[1:]
+    assert len({seed for own in several for seed in own}) == 10
+
+
+@pytest.mark.parametrize("seeds", [5, [5], range(3)])
+def test_an_evaluation_takes_a_seed_per_context(seeds):
+    with pytest.raises(InvalidInput, match="one seed per context, here 2, got"):
+        episode_seeds(seeds, 2, 5)
 
 
 def test_selection_is_reproducible_and_moves_with_the_pick():

@@ -2,11 +2,15 @@
 
 A training seed depends on (root seed, trial, source) and never on the pick number, so one source
 gives one policy in whatever order sources are picked, after a resume, and in a transfer matrix.
+An evaluation seed depends on (root seed, trial, purpose, target), never on the policy, so what two
+policies differ by is no luck. Each target has its own: where all of them shared their episodes, a
+lucky one would be lucky everywhere, and a mean over targets, such as V, would not make it smaller.
 Seeds of different purposes are disjoint by construction: the purpose is the top four bits.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from enum import IntEnum
 
 import numpy as np
@@ -19,13 +23,17 @@ _HASH_BITS = 28  # purpose (4 bits) + hash (28 bits) fit the 32-bit seeds that R
 MATRIX_TRIAL = 0
 """Trial of transfer matrices and their baselines: seed s is the root of a study's seed tree."""
 
+PER_TARGET = "per target"
+"""What the provenance of a matrix says of its evaluation seeds; older ones say nothing, and all
+targets shared theirs."""
+
 
 class Purpose(IntEnum):
     """What a seed is for; two purposes never share a seed."""
 
     TRAINING = 0
     EVALUATION = 1
-    """Rows that the selector sees; the same episodes for every source."""
+    """Rows that the selector sees; the same episodes for every policy."""
     REPORT = 2
     """Fresh episodes for the V that people are told."""
     CHECKPOINT = 3
@@ -65,16 +73,18 @@ def training_seed(root: int, trial: int, source: int, repeat: int = 0) -> int:
     return derive_seed(root, Purpose.TRAINING, trial, source, *again)
 
 
-def evaluation_seed(root: int, trial: int, purpose: Purpose = Purpose.EVALUATION) -> int:
-    """Seed of an evaluation; shared by all sources (common random numbers)."""
-    return derive_seed(root, purpose, trial)
+def evaluation_seeds(
+    root: int, trial: int, targets: Iterable[int], purpose: Purpose = Purpose.EVALUATION
+) -> list[int]:
+    """Seed of the evaluations on each of these targets (indices), the same for every policy."""
+    return [derive_seed(root, purpose, trial, target) for target in targets]
 
 
 def episode_seed(evaluation: int, episode: int) -> int:
-    """Seed of one episode of an evaluation: the same for every policy and every target.
+    """Seed of one episode of an evaluation: the same for every policy.
 
     Args:
-        evaluation: what `evaluation_seed` gave (or any seed >= 0 of a user's own).
+        evaluation: seed of the target, from `evaluation_seeds` (or any seed >= 0 of a user's own).
         episode: 0-based number of the episode.
 
     Returns:
@@ -85,9 +95,23 @@ def episode_seed(evaluation: int, episode: int) -> int:
     return derive_seed(evaluation, Purpose(top) if known else Purpose.EVALUATION, episode)
 
 
-def episode_seeds(evaluation: int, episodes: int) -> list[int]:
-    """Seeds of all episodes of an evaluation; see `episode_seed`."""
-    return [episode_seed(evaluation, e) for e in range(episodes)]
+def episode_seeds(evaluations: Sequence[int], targets: int, episodes: int) -> list[list[int]]:
+    """Seeds of all episodes on all targets, (targets, episodes); see `episode_seed`.
+
+    Args:
+        evaluations: one seed per target.
+        targets: number of them.
+        episodes: of each.
+
+    Raises:
+        InvalidInput: there is not one seed per target.
+    """
+    if not hasattr(evaluations, "__len__") or len(evaluations) != targets:
+        raise InvalidInput(
+            f"an evaluation takes one seed per context, here {targets}, got {evaluations!r}; a "
+            "study hands them out (`study.evaluation_seeds()`), elsewhere `range(n)` will do"
+        )
+    return [[episode_seed(seed, e) for e in range(episodes)] for seed in evaluations]
 
 
 def checkpoint_seeds(training: int, episodes: int) -> list[int]:

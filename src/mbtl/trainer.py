@@ -8,6 +8,7 @@ library.
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import operator
 from collections.abc import Callable, Mapping, Sequence
@@ -55,10 +56,11 @@ class Trainer(Protocol):
         """Train one policy on `context`; the same seed gives the same policy."""
         ...
 
-    def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
+    def evaluate(self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]) -> Array:
         """Undiscounted returns without adaptation, (n_targets,) or (n_targets, n_episodes).
 
-        The same seed means the same episodes for every policy (common random numbers).
+        There is one seed per context. The same seed means the same episodes for every policy, and
+        in whatever company the context is evaluated.
         """
         ...
 
@@ -162,7 +164,7 @@ class SteppingTrainer(Trainer, Protocol):
         ...
 
     def evaluate_steps(
-        self, policy: Any, contexts: Sequence[Context], seed: int
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, n_episodes)."""
         ...
@@ -194,9 +196,9 @@ class ManyTrainer(Protocol):
         ...
 
     def evaluate_many(
-        self, policies: Sequence[Any], contexts: Sequence[Context], seed: int
+        self, policies: Sequence[Any], contexts: Sequence[Context], seeds: Sequence[int]
     ) -> Array:
-        """(P, n_targets, n_episodes) returns; the same seed means the same episodes for all."""
+        """(P, n_targets, n_episodes) returns; each context's episodes are the same for all."""
         ...
 
 
@@ -230,8 +232,8 @@ class WideTrainer(Trainer, Protocol):
 class ReferenceTrainer(Protocol):
     """A trainer that knows what its system gives without any policy of ours."""
 
-    def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
-        """(n_targets, n_episodes) returns by name, in the episodes of `evaluate` with this seed.
+    def reference_rows(self, contexts: Sequence[Context], seeds: Sequence[int]) -> dict[str, Array]:
+        """(n_targets, n_episodes) returns by name, in the episodes of `evaluate` with these seeds.
 
         "random_actions", and "unguided", the system without a controller, where there is one.
         """
@@ -240,17 +242,21 @@ class ReferenceTrainer(Protocol):
 
 @dataclass(frozen=True)
 class FunctionTrainer:
-    """A trainer from plain functions: `train(context, seed)`, `evaluate(policy, contexts, seed)`.
+    """A trainer from plain functions: `train(context, seed)`, `evaluate(policy, contexts, seeds)`.
+
+    Every context has a seed of its own, the same for every policy: luck that all contexts share
+    would not average out in V. Where `evaluate` names its third argument `seed` it is called once
+    per context, `evaluate(policy, [context], seed)`; where it takes no seed it is given none.
 
     Attributes:
         train_fn: context, seed -> policy.
-        evaluate_fn: policy, contexts, seed -> returns, (n_targets,) or (n_targets, n_episodes).
+        evaluate_fn: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes).
         save_fn: policy, folder -> None; without it policies are kept in memory only.
         load_fn: folder -> policy.
     """
 
     train_fn: Callable[[Context, int], Any]
-    evaluate_fn: Callable[[Any, Sequence[Context], int], Any]
+    evaluate_fn: Callable[..., Any]
     save_fn: Callable[[Any, Path], None] | None = None
     load_fn: Callable[[Path], Any] | None = None
     policy_format: str = "custom"
@@ -270,9 +276,31 @@ class FunctionTrainer:
         """Call `train_fn`; plain functions report no progress."""
         return self.train_fn(context, seed)
 
-    def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
-        """Call `evaluate_fn`."""
-        return np.asarray(self.evaluate_fn(policy, contexts, seed), dtype=np.float64)
+    def evaluate(self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]) -> Array:
+        """Call `evaluate_fn` with what it takes.
+
+        Raises:
+            TrainingFailed: called context by context, it gave other numbers of episodes.
+        """
+        takes = _luck_of(self.evaluate_fn)
+
+        def returns(some: Sequence[Context], luck: Any) -> Any:
+            if takes is None:
+                return self.evaluate_fn(policy, some)
+            if takes.kind is takes.POSITIONAL_ONLY:
+                return self.evaluate_fn(policy, some, luck)
+            return self.evaluate_fn(policy, some, **{takes.name: luck})
+
+        if takes is None or takes.name != "seed":
+            return np.asarray(returns(contexts, seeds), dtype=np.float64)
+        each = zip(contexts, seeds, strict=True)
+        rows = [checked_returns(returns([context], seed), 1)[0] for context, seed in each]
+        if len(lengths := {len(row) for row in rows}) > 1:
+            raise TrainingFailed(
+                "every context must have as many episodes as the others, got "
+                f"{min(lengths)} to {max(lengths)}; return as many each time"
+            )
+        return np.array(rows)
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Call `save_fn` if there is one."""
@@ -288,6 +316,26 @@ class FunctionTrainer:
                 "these policies were kept in memory only; give the problem save and load functions"
             )
         return self.load_fn(folder)
+
+
+_SEEDS = inspect.Parameter("seeds", inspect.Parameter.POSITIONAL_ONLY)
+
+
+def _luck_of(evaluate: Callable[..., Any]) -> inspect.Parameter | None:
+    """The parameter of an evaluation that takes seeds, if any: by its name, or the third one.
+
+    Not a third one with a default of its own, such as `episodes=10`.
+    """
+    try:
+        known = list(inspect.signature(evaluate).parameters.values())
+    except (TypeError, ValueError):  # written in C
+        return _SEEDS
+    named = [p for p in known if p.name in ("seed", "seeds")]
+    third = [p for p in known[2:3] if p.default is p.empty and p.kind is not p.VAR_KEYWORD]
+    takes = next(iter(named + third), None)
+    if takes is None or takes.kind is takes.VAR_POSITIONAL:
+        return _SEEDS if any(p.kind is p.VAR_POSITIONAL for p in known) else None
+    return takes
 
 
 def checked_returns(returns: Any, n_targets: int) -> Array:

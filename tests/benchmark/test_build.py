@@ -13,21 +13,23 @@ from mbtl.checkpoints import Along, Checkpoint
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
 from mbtl.provenance import here
-from mbtl.seeds import evaluation_seed, training_seed
+from mbtl.seeds import evaluation_seeds, training_seed
 from mbtl.trainer import FunctionTrainer, Progress
 
 SPACE = ContextSpace.grid({Linear("x", 0.0, 4.0): [0.0, 1.0, 2.0, 3.0, 4.0]})
 SETTINGS = {"problem": "line"}
+PLAY = evaluation_seeds(3, 0, range(5))
 
 
 def train(context, seed):
     return context["x"], seed
 
 
-def evaluate(policy, contexts, seed):
+def evaluate(policy, contexts, seeds):
     """Two episodes that differ by 2; the seeds are in the numbers, so that they can be checked."""
     x, trained = policy
-    middle = np.array([-abs(x - c["x"]) + trained % 7 + seed % 5 for c in contexts])
+    pairs = zip(contexts, seeds, strict=True)
+    middle = np.array([-abs(x - c["x"]) + trained % 7 + seed % 5 for c, seed in pairs])
     return np.stack([middle - 1.0, middle + 1.0], axis=1)
 
 
@@ -48,8 +50,8 @@ class Several:
             k: [(c["x"] + shift[k], s) for c, s in zip(contexts, seeds, strict=True)] for k in keep
         }
 
-    def evaluate_many(self, policies, contexts, seed):
-        return np.stack([evaluate(policy, contexts, seed) for policy in policies])
+    def evaluate_many(self, policies, contexts, seeds):
+        return np.stack([evaluate(policy, contexts, seeds) for policy in policies])
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class OnTheWay:
             for name, share in zip(keep, shares, strict=True)
         }
 
-    def evaluate_many(self, policies, contexts, seed):
+    def evaluate_many(self, policies, contexts, seeds):
         self.played.append(len(policies))
         x = np.array([c["x"] for c in contexts])
         rows = [np.repeat(-abs(p.x - x)[:, None], self.eval_episodes, axis=1) for p in policies]
@@ -85,7 +87,7 @@ class Point:
 def expected(shift=0.0):
     x = np.arange(5.0)
     trained = np.array([training_seed(3, 0, source) % 7 for source in range(5)])
-    return -abs(x[:, None] + shift - x) + trained[:, None] + evaluation_seed(3, 0) % 5
+    return -abs(x[:, None] + shift - x) + trained[:, None] + np.array(PLAY) % 5
 
 
 def building(tmp_path, trainer, **options):
@@ -176,14 +178,14 @@ def test_what_the_system_gives_without_a_policy_is_played_once(tmp_path):
     asked = []
 
     class Compared(FunctionTrainer):
-        def reference_rows(self, contexts, seed):
-            asked.append(seed)
+        def reference_rows(self, contexts, seeds):
+            asked.append(seeds)
             return {"unguided": np.tile([1.0, 2.0], (len(contexts), 1))}
 
     for _ in range(2):
         one = building(tmp_path, Compared(train, evaluate))
         one.run()
-    assert asked == [evaluation_seed(3, 0)]
+    assert asked == [PLAY]
     np.testing.assert_array_equal(one.references()["unguided"], [[1.0, 2.0]] * 5)
 
 

@@ -155,7 +155,7 @@ def test_cmdps_of_packages_are_listed_and_run_and_a_broken_one_hides_nothing(
         "from mbtl import CMDP, ContextSpace, Linear\n"
         "hill = CMDP.from_functions('hill-slope', ContextSpace.grid({Linear('slope', 0, 3): 4}),\n"
         "    train=lambda context, seed: context['slope'], bounds=(-3.0, 0.0),\n"
-        "    evaluate=lambda policy, all_, seed: [-abs(policy - c['slope']) for c in all_])\n"
+        "    evaluate=lambda policy, all_, seeds: [-abs(policy - c['slope']) for c in all_])\n"
     )
     info = tmp_path / "hills-1.0.dist-info"
     info.mkdir()

@@ -48,7 +48,7 @@ def train(context, seed):
             pathlib.Path(f'process-{simulator.pid}').touch()
             time.sleep(6000)
     return context['x']
-def evaluate(p, contexts, seed): return [1 - abs(c['x'] - p) for c in contexts]
+def evaluate(p, contexts, seeds): return [1 - abs(c['x'] - p) for c in contexts]
 space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 5})
 problem = mbtl.CMDP.from_functions('slow', space, train=train, evaluate=evaluate, budget=3)
 """

@@ -19,7 +19,7 @@ def train(context, seed):
         log.write(f"{context['length']}\\n")
     return context["length"]
 
-def evaluate(policy, contexts, seed):
+def evaluate(policy, contexts, seeds):
     return [100.0 - 10.0 * abs(policy - c["length"]) for c in contexts]
 
 from pathlib import Path
@@ -194,7 +194,7 @@ class Kept:
     def train(self, context, seed, on_progress=None):
         return train(context, seed)
 
-    def evaluate(self, policy, contexts, seed):
+    def evaluate(self, policy, contexts, seeds):
         return np.zeros((len(contexts), self.eval_episodes))
 
     def save(self, policy, folder):
@@ -224,7 +224,7 @@ class Both:
     def train_many(self, contexts, seeds, on_progress=None, *, keep=(), partial=None):
         return {k: [c["length"] for c in contexts] for k in keep}
 
-    def evaluate_many(self, policies, contexts, seed):
+    def evaluate_many(self, policies, contexts, seeds):
         gaps = np.subtract.outer(policies, [c["length"] for c in contexts])
         return np.stack([-abs(gaps), -abs(gaps) - 1.0], axis=2)
 

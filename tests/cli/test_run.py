@@ -337,7 +337,7 @@ def test_an_interrupt_says_how_to_go_on_and_does(mbtl_command, tmp_path):
         "    calls.append(1)\n"
         "    if len(calls) == 2: raise KeyboardInterrupt\n"
         "    return context['x']\n"
-        "def evaluate(p, contexts, seed): return [1 - abs(c['x'] - p) for c in contexts]\n"
+        "def evaluate(p, contexts, seeds): return [1 - abs(c['x'] - p) for c in contexts]\n"
         "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 11})\n"
         "problem = mbtl.CMDP.from_functions(\n"
         "    'stops', space, train=train, evaluate=evaluate, budget=3)\n"
@@ -360,7 +360,7 @@ def test_a_failure_with_brackets_in_its_reason_is_shown_as_it_is(mbtl_command, t
         "def train(context, seed):\n"
         "    if context['x'] == 0.0: raise RuntimeError('no file [/data/x] for [3]')\n"
         "    return 1.0\n"
-        "def evaluate(p, contexts, seed): return [p for c in contexts]\n"
+        "def evaluate(p, contexts, seeds): return [p for c in contexts]\n"
         "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 11})\n"
         "problem = mbtl.CMDP.from_functions(\n"
         "    'odd', space, train=train, evaluate=evaluate, budget=2)\n"
@@ -375,7 +375,7 @@ import mbtl
 def train(context, seed):
     {train}
     return context['x']
-def evaluate(p, contexts, seed):
+def evaluate(p, contexts, seeds):
     {evaluate}
     return [1 - abs(c['x'] - p) for c in contexts]
 def save(policy, folder): (folder / 'p').write_text(str(policy))

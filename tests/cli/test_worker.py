@@ -26,7 +26,7 @@ def train(context, seed):
         pathlib.Path('training').touch()
         time.sleep(0.02)
     return context['x']
-def evaluate(p, contexts, seed): return [1 - abs(c['x'] - p) for c in contexts]
+def evaluate(p, contexts, seeds): return [1 - abs(c['x'] - p) for c in contexts]
 def save(p, folder): (folder / 'x').write_text(str(p))
 def load(folder): return float((folder / 'x').read_text())
 space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 5})

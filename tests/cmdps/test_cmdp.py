@@ -15,7 +15,7 @@ def train(context, seed):
     return context["x"] + seed
 
 
-def evaluate(policy, contexts, seed):
+def evaluate(policy, contexts, seeds):
     return [policy - context["x"] for context in contexts]
 
 
@@ -33,7 +33,8 @@ def test_two_functions_are_a_problem():
     assert own(bounds=cmdp.normalisation).bounds == (0.0, 2.0)
     policy = cmdp.trainer.train(SPACE.context(1), 3)
     np.testing.assert_allclose(
-        cmdp.trainer.evaluate(policy, SPACE.contexts, 0), 3.25 - np.linspace(0.0, 1.0, 5)
+        cmdp.trainer.evaluate(policy, SPACE.contexts, range(SPACE.n)),
+        3.25 - np.linspace(0.0, 1.0, 5),
     )
     assert (cmdp.id, cmdp.description, cmdp.make_env) == ("mine", "toy", None)
     assert cmdp.normalisation.normalise(0.0) == 1.0

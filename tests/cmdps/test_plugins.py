@@ -14,7 +14,7 @@ def make():
     return CMDP.from_functions(
         "hill-slope", ContextSpace.grid({Linear("slope", 0, 3): [0, 1, 2, 3]}),
         train=lambda context, seed: context["slope"],
-        evaluate=lambda policy, contexts, seed: [-abs(policy - c["slope"]) for c in contexts],
+        evaluate=lambda policy, contexts, seeds: [-abs(policy - c["slope"]) for c in contexts],
     )
 
 hill, number = make(), 3

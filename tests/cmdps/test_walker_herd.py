@@ -90,10 +90,11 @@ def test_in_the_engine_an_episode_is_that_of_the_gymnasium_environment():
     recipe = engine.PPORecipe(n_envs=1, n_steps=64, hidden=(8,))
     weights = engine.start(world, recipe, [1], engine.context_of(params, slice(0, 1))).state.weights
     (policy,) = engine.export_policies(world, weights, "tanh")
-    found = engine.evaluate(world, engine.actor_of(weights), params, [3, 4])[0]
-    for context, returns in zip(contexts, found, strict=True):
+    seeds = [[3, 4], [5, 6], [7, 8]]
+    found = engine.evaluate(world, engine.actor_of(weights), params, seeds)[0]
+    for context, own, returns in zip(contexts, seeds, found, strict=True):
         env, played = cmdp.make_env(context), []
-        for seed in (3, 4):
+        for seed in own:
             seen, total, over = env.reset(seed=seed)[0], 0.0, False
             while not over:
                 action = policy.predict(seen[None], deterministic=True)[0][0]

@@ -33,9 +33,9 @@ def taught():
 def test_a_policy_and_traffic_without_one_score_as_in_the_environments(taught):
     here, there = (trainer("ramp-vel", engine, acting="mean") for engine in ("sumo-jax", "sumo"))
     np.testing.assert_allclose(
-        here.evaluate(taught, [HOLD], 5), there.evaluate(taught, [HOLD], 5), rtol=1e-5
+        here.evaluate(taught, [HOLD], [5]), there.evaluate(taught, [HOLD], [5]), rtol=1e-5
     )
-    free = [one.reference_rows([HOLD], 5)["unguided"] for one in (here, there)]
+    free = [one.reference_rows([HOLD], [5])["unguided"] for one in (here, there)]
     np.testing.assert_allclose(*free, rtol=1e-5)
 
 
@@ -60,7 +60,7 @@ def test_a_simulator_that_dies_fails_its_training_and_the_next_one_runs():
         pytest.raises(TrainingFailed, match="finite"),
     ):
         school.train(HOLD, 0, kill)
-    assert np.isfinite(school.evaluate(school.untrained(HOLD), [HOLD], 0)).all()
+    assert np.isfinite(school.evaluate(school.untrained(HOLD), [HOLD], [0])).all()
 
 
 def test_all_traffic_can_be_learnt_in_processes():

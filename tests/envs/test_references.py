@@ -44,17 +44,17 @@ CONTEXTS = [{"x": 1.0}, {"x": 3.0}]
 
 
 def test_random_actions_are_any_and_those_of_an_episode_the_same_everywhere():
-    rows = reference_rows(Gauge, CONTEXTS, range(40), max_envs=8)
+    rows = reference_rows(Gauge, CONTEXTS, [range(40)] * len(CONTEXTS), max_envs=8)
     assert list(rows) == ["random_actions"]
     assert rows["random_actions"].shape == (2, 40)
     assert rows["random_actions"][1] == pytest.approx(3.0 * rows["random_actions"][0])
     assert rows["random_actions"][0].mean() == pytest.approx(2.0, abs=0.3)
-    again = reference_rows(Gauge, CONTEXTS, range(40), max_envs=1)
+    again = reference_rows(Gauge, CONTEXTS, [range(40)] * len(CONTEXTS), max_envs=1)
     np.testing.assert_array_equal(again["random_actions"], rows["random_actions"])
 
 
 def test_unguided_is_what_an_environment_does_by_itself():
-    rows = reference_rows(Guided, CONTEXTS, range(2), max_envs=2)
+    rows = reference_rows(Guided, CONTEXTS, [range(2)] * len(CONTEXTS), max_envs=2)
     assert rows["unguided"].tolist() == [[40.0, 40.0], [40.0, 40.0]]
 
 
@@ -74,7 +74,7 @@ def test_a_pendulum_hangs_and_swings_without_torque_in_both_engines():
     rows = {}
     for engine in ("gymnasium", "jax"):
         trainer = get_cmdp("pendulum-length", engine=engine).trainer_for(eval_episodes=3)
-        rows[engine] = trainer.reference_rows(contexts, seed=1)
+        rows[engine] = trainer.reference_rows(contexts, range(len(contexts)))
     assert rows["jax"]["unguided"] == pytest.approx(rows["gymnasium"]["unguided"], rel=1e-2)
     assert rows["jax"]["random_actions"].shape == (2, 3)
     assert set(rows["gymnasium"]) == {"random_actions", "unguided"}
@@ -83,7 +83,7 @@ def test_a_pendulum_hangs_and_swings_without_torque_in_both_engines():
 def test_cartpole_falls_under_random_actions_and_has_no_way_to_go_on_by_itself():
     pytest.importorskip("jax", reason="the jax extra is not installed")
     trainer = get_cmdp("cartpole-length", engine="jax").trainer_for(eval_episodes=50)
-    rows = trainer.reference_rows([{"length": 0.5}], seed=1)
+    rows = trainer.reference_rows([{"length": 0.5}], [1])
     assert list(rows) == ["random_actions"]
     jobs = [Job(lambda: get_cmdp("cartpole-length").make_env({"length": 0.5}), range(50))]
     (peer,) = play(jobs, Actor(RandomActions(spaces.Discrete(2)), sampled=True), max_envs=1)

@@ -37,9 +37,10 @@ def train(context, seed):
     return candidates[int(np.argmax(scores))]
 
 
-def evaluate(policy, contexts, seed):
-    starts = np.random.default_rng(seed).uniform(-1, 1, (5, 2))
-    return np.array([rollout(policy, context["mass"], starts) for context in contexts])
+def evaluate(policy, contexts, seeds):
+    starts = [np.random.default_rng(seed).uniform(-1, 1, (5, 2)) for seed in seeds]
+    pairs = zip(contexts, starts, strict=True)
+    return np.array([rollout(policy, context["mass"], own) for context, own in pairs])
 
 
 def save(policy, folder):

@@ -24,8 +24,8 @@ WHOLE, HORIZON, UNIT = 64_000, 20, 1_000
 class OfNumbers:
     """What trainers share whose policies are a few numbers."""
 
-    def evaluate(self, policy, contexts, seed):
-        return self.evaluate_steps(policy, contexts, seed)[0]
+    def evaluate(self, policy, contexts, seeds):
+        return self.evaluate_steps(policy, contexts, seeds)[0]
 
     def save(self, policy, folder):
         np.save(folder / "policy.npy", policy)
@@ -95,12 +95,13 @@ class Slow(OfNumbers):
             if self.dies_after < 0:
                 os.kill(os.getpid(), signal.SIGKILL)
 
-    def evaluate_steps(self, policy, contexts, seed):
+    def evaluate_steps(self, policy, contexts, seeds):
         self.work()
         x, skill = policy
         away = [0.0 if np.isnan(x) else abs(c["x"] - x) for c in contexts]
         returns = np.array([[skill - gap] * self.eval_episodes for gap in away])
-        returns = returns + 0.01 * np.random.default_rng(seed).standard_normal(returns.shape)
+        luck = [np.random.default_rng(s).standard_normal(self.eval_episodes) for s in seeds]
+        returns = returns + 0.01 * np.array(luck)
         steps = np.full(returns.shape, 10 + round(5 * skill))
         self.ran["evaluation"] += int(steps.sum())
         return returns, steps

@@ -19,7 +19,7 @@ WAITING = ("anna", "bert", "carl")
 
 TRAINER = FunctionTrainer(
     lambda context, seed: np.array([context["x"]]),
-    lambda policy, contexts, seed: [1.0 - abs(policy[0] - c["x"]) for c in contexts],
+    lambda policy, contexts, seeds: [1.0 - abs(policy[0] - c["x"]) for c in contexts],
     lambda policy, folder: np.save(folder / "policy.npy", policy),
     lambda folder: np.load(folder / "policy.npy"),
 )

@@ -36,7 +36,7 @@ class Bench:
         self._break("train", len(self.trained))
         return context["x"]
 
-    def evaluate(self, policy, contexts, seed):
+    def evaluate(self, policy, contexts, seeds):
         self.evaluated.append((policy, len(contexts)))
         broken = self._break("evaluate", len(self.trained), contexts)
         return [1 - abs(policy - c["x"]) for c in contexts] if broken is None else broken

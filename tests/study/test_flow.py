@@ -20,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 9})
 
 
-def evaluate(policy, contexts, seed):
+def evaluate(policy, contexts, seeds):
     return [1 - abs(policy - c["x"]) for c in contexts]
 
 

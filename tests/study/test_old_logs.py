@@ -41,7 +41,7 @@ SMALL = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
 def trainer(trained):
     return FunctionTrainer(
         lambda context, seed: trained.append(context["x"]) or np.array([context["x"]]),
-        lambda policy, contexts, seed: [1 - abs(c["x"] - policy[0]) for c in contexts],
+        lambda policy, contexts, seeds: [1 - abs(c["x"] - policy[0]) for c in contexts],
         lambda policy, folder: np.save(folder / "x.npy", policy),
         lambda folder: np.load(folder / "x.npy"),
     )

@@ -18,7 +18,7 @@ def train(context, seed):
     return np.array([context["x"]])
 
 
-def evaluate(policy, contexts, seed):
+def evaluate(policy, contexts, seeds):
     return [1 - abs(c["x"] - policy[0]) for c in contexts]
 
 

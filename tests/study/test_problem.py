@@ -23,7 +23,7 @@ class Toy(FunctionTrainer):
     def __init__(self, steps=10):
         super().__init__(
             lambda context, seed: context["gravity"],
-            lambda policy, contexts, seed: [abs(policy - c["gravity"]) for c in contexts],
+            lambda policy, contexts, seeds: [abs(policy - c["gravity"]) for c in contexts],
             lambda policy, folder: (folder / "p").write_text(str(policy)),
             lambda folder: float((folder / "p").read_text()),
         )

@@ -162,10 +162,10 @@ def test_a_report_that_fails_does_not_hide_the_study(tmp_path):
         def on_report_failed(self, study, reason):
             said.append(reason)
 
-    def evaluate(policy, contexts, seed):
-        if seed >> 28 == 2:  # the fresh seeds
+    def evaluate(policy, contexts, seeds):
+        if seeds[0] >> 28 == 2:  # the fresh seeds
             raise RuntimeError("licence expired")
-        return quick_problem.evaluate(policy, contexts, seed)
+        return quick_problem.evaluate(policy, contexts, seeds)
 
     trainer = FunctionTrainer(quick_problem.train, evaluate, quick_problem.save, quick_problem.load)
     study = new(tmp_path / "s.db").run(trainer=trainer, callbacks=[Ear()]).study

@@ -7,7 +7,6 @@ import quick_problem
 
 import mbtl
 from mbtl.errors import InvalidInput, TrainingFailed, UnsavedPolicies
-from mbtl.seeds import evaluation_seed
 from mbtl.study import Callback
 from mbtl.study.fresh import fresh_value, served_targets
 from mbtl.trainer import FunctionTrainer, Progress
@@ -44,7 +43,7 @@ def test_a_run_trains_each_pick_once_and_reports_on_fresh_episodes(tmp_path):
     fresh = fresh_value(study).values
     assert fresh.shape == (5,)
     assert fresh != pytest.approx(study.curve)  # other episodes
-    assert fresh == pytest.approx(study.curve, abs=0.2)
+    assert fresh == pytest.approx(study.curve, abs=0.3)  # of few and skewed ones
 
 
 def test_a_finished_study_run_again_trains_nothing(tmp_path):
@@ -58,10 +57,10 @@ def test_a_finished_study_run_again_trains_nothing(tmp_path):
 def test_a_run_stopped_in_evaluation_does_not_train_again(tmp_path):
     calls, stops = [], [True]
 
-    def evaluate(policy, contexts, seed):
+    def evaluate(policy, contexts, seeds):
         if len(calls) == 3 and stops.pop():
             raise KeyboardInterrupt
-        return quick_problem.evaluate(policy, contexts, seed)
+        return quick_problem.evaluate(policy, contexts, seeds)
 
     trainer = counting(calls, evaluate_fn=evaluate)
     with pytest.raises(KeyboardInterrupt):
@@ -108,8 +107,8 @@ def test_a_wrong_call_of_the_trainer_gives_the_pick_back(tmp_path):
 
 
 def test_minimised_returns_serve_with_the_smallest(tmp_path):
-    def evaluate(policy, contexts, seed):
-        return -quick_problem.evaluate(policy, contexts, seed)
+    def evaluate(policy, contexts, seeds):
+        return -quick_problem.evaluate(policy, contexts, seeds)
 
     calm = study_at(tmp_path / "up").run(trainer=counting([])).study
     down = study_at(tmp_path / "down", bounds=(0.0, 20.0), direction="minimize")
@@ -236,10 +235,11 @@ def test_a_saved_portfolio_serves_every_context(tmp_path):
     study = study_at(tmp_path / "s").run(trainer=quick_problem.TRAINER).study
     study.portfolio(quick_problem.TRAINER).save(tmp_path / "p")
     portfolio = mbtl.load_portfolio(tmp_path / "p", load=quick_problem.load)
-    seed = evaluation_seed(1, 0)
-    for context in SPACE.contexts:
-        measured = quick_problem.evaluate(portfolio.policy_for(context), [context], seed).mean()
-        assert measured == pytest.approx(portfolio.explain(context).predicted_return)
+    for i, seed in enumerate(study.evaluation_seeds()):
+        context = SPACE.context(i)
+        measured = quick_problem.evaluate(portfolio.policy_for(context), [context], [seed]).mean()
+        told = study.state.rows[portfolio.explain(context).policy].returns[i]
+        assert measured == pytest.approx(told)
     assert portfolio.policy_for({"mass": 1.2345}).shape == (2,)  # off the list
 
 

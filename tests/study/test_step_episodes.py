@@ -48,7 +48,7 @@ class Episodic(OfNumbers):
             saved.write_text(json.dumps(done))
         return Reached(np.array([context["x"], done / self.episodes]), done * each)
 
-    def evaluate_steps(self, policy, contexts, seed):
+    def evaluate_steps(self, policy, contexts, seeds):
         x, skill = policy
         returns = [[skill - abs(c["x"] - x)] * self.eval_episodes for c in contexts]
         steps = [[length_at(c)] * self.eval_episodes for c in contexts]

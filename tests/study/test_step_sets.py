@@ -144,7 +144,7 @@ def test_what_is_shown_names_all_contexts():
 # ---- who can do it -------------------------------------------------------------------------------
 
 
-def evaluate(policy, contexts, seed):
+def evaluate(policy, contexts, seeds):
     return [policy[1] - (0.0 if np.isnan(policy[0]) else abs(c["x"] - policy[0])) for c in contexts]
 
 

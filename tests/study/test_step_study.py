@@ -182,7 +182,7 @@ def test_many_failures_end_the_run():
 # ---- functions -----------------------------------------------------------------------------------
 
 
-def evaluate(policy, contexts, seed):
+def evaluate(policy, contexts, seeds):
     return [policy[1] - abs(c["x"] - policy[0]) for c in contexts]
 
 

@@ -19,7 +19,7 @@ def test_v_and_training_scalars_reach_tensorboard(tmp_path):
         "tensorboard.backend.event_processing.event_accumulator"
     )
 
-    def evaluate(policy, contexts, seed):
+    def evaluate(policy, contexts, seeds):
         return [1 - abs(c["x"] - policy) for c in contexts]
 
     study = mbtl.create_study(SPACE, budget=3, bounds=(0.0, 1.0))

@@ -98,7 +98,7 @@ def test_where_its_state_is_lost_a_training_is_made_again_from_the_same_start(tm
     assert outcome(study) == outcome(calm)
 
 
-def evaluate(policy, contexts, seed):
+def evaluate(policy, contexts, seeds):
     return [policy[1] - abs(c["x"] - policy[0]) for c in contexts]
 
 

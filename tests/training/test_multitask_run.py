@@ -13,7 +13,7 @@ import mbtl.training.jax as engine
 from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.locomotion.cheetah_batch import HalfCheetahs
 from mbtl.errors import InvalidInput, TrainingFailed
-from mbtl.seeds import MATRIX_TRIAL, evaluation_seed
+from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds
 from mbtl.training.multitask_run import InJax
 
 FEW = {"n_envs": 2, "n_steps": 64, "batch_size": 64, "n_epochs": 1}
@@ -73,7 +73,8 @@ def test_one_policy_is_trained_on_all_contexts_and_played_in_the_episodes_of_a_m
         )
     assert training.best.actor[0][0].shape == (1, inputs, 64)
     policies = engine.export_policies(world, training.best, found["recipe"].activation)
-    again = trainer.evaluate(policies[0], contexts, evaluation_seed(0, MATRIX_TRIAL))
+    seeds = evaluation_seeds(0, MATRIX_TRIAL, range(len(contexts)))
+    again = trainer.evaluate(policies[0], contexts, seeds)
     np.testing.assert_allclose(again.mean(axis=1), returns, rtol=1e-4, atol=1e-4)
 
 

@@ -35,7 +35,7 @@ from mbtl.errors import (
     UnknownName,
 )
 from mbtl.portfolio import MLPPolicy
-from mbtl.seeds import Purpose, episode_seed, evaluation_seed
+from mbtl.seeds import Purpose, episode_seeds, evaluation_seeds
 from mbtl.study.rehearsal import rehearse
 from mbtl.trainer import Trainer
 from mbtl.training import SB3Trainer, load_sb3
@@ -89,7 +89,7 @@ def test_exploration_does_not_draw_the_numbers_of_the_environment():
 
 def test_training_learns():
     trainer = ppo(Guess, timesteps=3000, hyperparameters={**SHORT, "learning_rate": 0.003})
-    returns = trainer.evaluate(trainer.train({"length": 20}, 0), [{"length": 20}], 1)
+    returns = trainer.evaluate(trainer.train({"length": 20}, 0), [{"length": 20}], [1])
     assert returns.mean() >= 18  # always right: 20, blind guessing: 10
 
 
@@ -113,7 +113,7 @@ def test_training_reseeds_nothing_outside():
     reseed()
     trainer = ppo()
     model = trainer.train(POLE, 0)
-    trainer.evaluate(model, POLES[:1], 0)
+    trainer.evaluate(model, POLES[:1], [0])
     assert draw() == expected
     assert torch.get_num_threads() == threads
 
@@ -253,12 +253,13 @@ def test_few_checkpoint_environments_give_the_same_choice():
 def test_returns_do_not_depend_on_the_other_targets(make_env, algorithm, contexts, settings):
     trainer = ppo(make_env, timesteps=64, algorithm=algorithm, hyperparameters=settings)
     model = trainer.train(contexts[0], 0)
-    together = trainer.evaluate(model, contexts, 4)
+    together = trainer.evaluate(model, contexts, range(5))
     assert together.shape == (5, 2)
-    assert np.array_equal(together, np.vstack([trainer.evaluate(model, [c], 4) for c in contexts]))
-    assert np.array_equal(together[::-1], trainer.evaluate(model, contexts[::-1], 4))
+    alone = [trainer.evaluate(model, [c], [seed]) for seed, c in enumerate(contexts)]
+    assert np.array_equal(together, np.vstack(alone))
+    assert np.array_equal(together[::-1], trainer.evaluate(model, contexts[::-1], range(5)[::-1]))
     few = ppo(make_env, n_eval_envs=2)
-    assert np.array_equal(together, few.evaluate(model, contexts, 4))
+    assert np.array_equal(together, few.evaluate(model, contexts, range(5)))
     assert len(np.unique(together)) > 2
 
 
@@ -269,19 +270,20 @@ def test_torch_fallback_does_not_depend_on_the_other_targets_either():
     elu = {**SHORT, "policy_kwargs": {"activation_fn": torch.nn.ELU}}
     trainer = ppo(pendulum, timesteps=64, hyperparameters=elu, eval_episodes=1)
     model = trainer.train(masses[0], 0)
-    together = trainer.evaluate(model, masses, 4)
-    assert np.array_equal(together[37:], trainer.evaluate(model, masses[37:], 4))
+    together = trainer.evaluate(model, masses, range(40))
+    assert np.array_equal(together[37:], trainer.evaluate(model, masses[37:], range(37, 40)))
 
 
 def test_numpy_copy_and_torch_give_the_same_returns(trained):
     trainer = ppo()
-    jobs = [Job(lambda c=c: cartpole(c), [episode_seed(4, e) for e in range(2)]) for c in POLES]
+    pairs = zip(POLES, episode_seeds(range(5), 5, 2), strict=True)
+    jobs = [Job(lambda c=c: cartpole(c), seeds) for c, seeds in pairs]
     assert np.array_equal(
-        trainer.evaluate(trained, POLES, 4), play(jobs, Actor(trained), max_envs=9)
+        trainer.evaluate(trained, POLES, range(5)), play(jobs, Actor(trained), max_envs=9)
     )
 
 
-def test_episodes_are_the_same_for_every_policy_and_target():
+def test_episodes_are_the_same_for_every_policy_and_others_for_every_target():
     seeds = []
 
     class Listening(Guess):
@@ -291,12 +293,12 @@ def test_episodes_are_the_same_for_every_policy_and_target():
 
     trainer = ppo(Listening, timesteps=64, eval_episodes=3)
     models = [ppo(Guess, timesteps=64).train({}, seed) for seed in (0, 1)]
-    seed = evaluation_seed(0, 0, Purpose.REPORT)
+    play = evaluation_seeds(0, 0, range(2), Purpose.REPORT)
     for model in models:
-        for length in (1, 2):
-            trainer.evaluate(model, [{"length": length}], seed)
-    assert seeds == seeds[:3] * 4
-    assert len(set(seeds)) == 3
+        for length, seed in enumerate(play):
+            trainer.evaluate(model, [{"length": length}], [seed])
+    assert seeds == seeds[:6] * 2
+    assert len(set(seeds)) == 6
     assert {s >> 28 for s in seeds} == {Purpose.REPORT}  # still disjoint from all other purposes
 
 
@@ -305,12 +307,12 @@ def test_a_numpy_policy_can_be_evaluated_directly(trained):
 
     trainer = ppo()
     exported = export_mlp(trained)
-    expected = trainer.evaluate(trained, POLES, 0)
-    assert np.array_equal(trainer.evaluate(exported, POLES, 0), expected)
+    expected = trainer.evaluate(trained, POLES, range(5))
+    assert np.array_equal(trainer.evaluate(exported, POLES, range(5)), expected)
 
 
 def test_no_targets_no_rows(trained):
-    assert ppo().evaluate(trained, [], 0).shape == (0, 2)
+    assert ppo().evaluate(trained, [], []).shape == (0, 2)
 
 
 # ---- failures ------------------------------------------------------------------------------------
@@ -329,7 +331,7 @@ def test_weights_that_diverge_silently_are_noticed():
 def test_nan_return_is_a_failed_evaluation():
     model = ppo(Guess, timesteps=64).train({}, 0)
     with pytest.raises(TrainingFailed, match="finite numbers, got 2 NaN"):
-        ppo(NanReward).evaluate(model, [{}], 0)
+        ppo(NanReward).evaluate(model, [{}], [0])
 
 
 def test_errors_of_the_environment_pass_through():
@@ -413,10 +415,10 @@ def test_algorithms_train_evaluate_save_and_load(algorithm, make_env, policy, se
         checkpoint="best", checkpoint_every=100, checkpoint_episodes=2,
     )  # fmt: skip
     model = trainer.train(context, 0)
-    returns = trainer.evaluate(model, [context], 1)
+    returns = trainer.evaluate(model, [context], [1])
     assert returns.shape == (1, 2)
     assert trainer.save(model, tmp_path)
-    assert np.array_equal(trainer.evaluate(trainer.load(tmp_path), [context], 1), returns)
+    assert np.array_equal(trainer.evaluate(trainer.load(tmp_path), [context], [1]), returns)
     if algorithm == "MaskablePPO":
         assert returns.tolist() == [[5.0, 5.0]]  # the mask allows nothing but the right answer
 
@@ -473,7 +475,7 @@ def test_portfolio_of_trained_policies_works_without_torch(trained, tmp_path):
     (tmp_path / "source-0000").mkdir()
     trainer.save(trained, tmp_path / "source-0000")
     space = ContextSpace.grid({Linear("length", 0.1, 1.0, "m"): 3})
-    returns = trainer.evaluate(trained, space.contexts, 0).mean(axis=1)[None, :]
+    returns = trainer.evaluate(trained, space.contexts, range(space.n)).mean(axis=1)[None, :]
     portfolio = Portfolio(
         space, (0,), returns, Bounds(0, 500), 0.005,
         policy_folders=(tmp_path / "source-0000",), policy_format="sb3", load=trainer.load,

@@ -69,7 +69,7 @@ def test_a_training_on_several_contexts_extended_twice_is_the_whole_one(algorith
     assert [r.steps for r in reached] == [128, 320, 640]
     assert same(reached[-1].policy, whole)
     assert not same(reached[0].policy, whole)
-    assert len(one.evaluate(reached[-1].policy, contexts, seed=1)) == 3
+    assert len(one.evaluate(reached[-1].policy, contexts, range(len(contexts)))) == 3
     with pytest.raises(InvalidInput, match="got one of 4 episodes"):
         replace(one, timesteps=None, episodes=4).check_on_set()
 
@@ -110,8 +110,8 @@ def test_a_training_begins_from_another_model():
 def test_episodes_of_evaluations_are_counted():
     one = trainer()
     policy = one.train_steps(POLE, 0, 64).policy
-    returns, steps = one.evaluate_steps(policy, [POLE, {"length": 1.0}], 5)
-    assert np.array_equal(returns, one.evaluate(policy, [POLE, {"length": 1.0}], 5))
+    returns, steps = one.evaluate_steps(policy, [POLE, {"length": 1.0}], [5, 6])
+    assert np.array_equal(returns, one.evaluate(policy, [POLE, {"length": 1.0}], [5, 6]))
     assert np.array_equal(returns, steps)  # a point per step
 
 

@@ -170,7 +170,7 @@ def test_contexts_of_the_ring_are_trained_together_and_act_greedily():
     contexts = [{"hold": 20.0}, {"hold": 40.0}]
     policies = trainer.train_many(contexts, [1, 2], keep=("final",))["final"]
     assert trainer.recipe["acting"] == "mean"
-    scores = trainer.evaluate_many(policies, contexts, seed=3)
+    scores = trainer.evaluate_many(policies, contexts, [3, 4])
     assert ((scores > 0.0) & (scores < 4.5)).all()
     fresh = trainer.untrained(contexts[0])
     assert not np.array_equal(policies[0].weights[-1], fresh.weights[-1])

@@ -173,7 +173,7 @@ def test_the_ring_is_trained_by_it_too():
     heard = []
     policy = trainer.train({"hold": 20.0}, 1, heard.append)
     assert [progress.step for progress in heard] == [2, 4]
-    (scores,) = trainer.evaluate(policy, [{"hold": 20.0}], seed=2)
+    (scores,) = trainer.evaluate(policy, [{"hold": 20.0}], [2])
     assert scores.shape == (2,)
     assert ((scores > 0.0) & (scores < 4.5)).all()
 
@@ -186,9 +186,9 @@ def test_contexts_of_eco_driving_are_trained_together():
     contexts = [{"green": 10.0}, {"green": 45.0}]
     assert trainer.lanes > 1
     policies = trainer.train_many(contexts, [1, 2], keep=("final",))["final"]
-    scores = trainer.evaluate_many(policies, contexts, seed=3)
+    scores = trainer.evaluate_many(policies, contexts, [3, 4])
     assert scores.shape == (2, 2, 2)
     assert ((scores > 0.0) & (scores < LIMIT)).all()
     assert not np.array_equal(policies[0].weights[0], policies[1].weights[0])
-    reversed_scores = trainer.evaluate_many(policies[::-1], contexts, seed=3)
+    reversed_scores = trainer.evaluate_many(policies[::-1], contexts, [3, 4])
     np.testing.assert_allclose(reversed_scores, scores[::-1], rtol=1e-5)

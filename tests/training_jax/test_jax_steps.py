@@ -11,7 +11,7 @@ pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 import mbtl.training.jax as engine
 from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput
-from mbtl.seeds import evaluation_seed
+from mbtl.seeds import evaluation_seeds
 from mbtl.trainer import SteppingTrainer
 from mbtl.training import SB3Trainer, WorldTrainer
 
@@ -105,7 +105,7 @@ def test_a_training_with_nothing_left_to_gain_ends():
     assert reached.ended
     assert reached.steps < easy.whole_steps
     assert reached.checks <= reached.steps / 20
-    assert np.all(easy.evaluate(reached.policy, [POLE], 3) > 100)
+    assert np.all(easy.evaluate(reached.policy, [POLE], [3]) > 100)
 
 
 def test_a_training_begins_from_another_policy():
@@ -126,10 +126,10 @@ def test_a_training_begins_from_another_policy():
 def test_episodes_are_counted_as_gymnasium_plays_them(trainer):
     policy = trainer.train_steps(POLE, 0, 500).policy
     contexts = [{"length": 0.3}, {"length": 0.9}]
-    seed = evaluation_seed(0, 0)
-    returns, steps = trainer.evaluate_steps(policy, contexts, seed)
+    seeds = evaluation_seeds(0, 0, range(2))
+    returns, steps = trainer.evaluate_steps(policy, contexts, seeds)
     peer = SB3Trainer(trainer.problem.make_env, timesteps=1, eval_episodes=trainer.eval_episodes)
-    expected, counted = peer.evaluate_steps(policy, contexts, seed)
+    expected, counted = peer.evaluate_steps(policy, contexts, seeds)
     np.testing.assert_allclose(returns, expected, rtol=1e-3)
     assert np.array_equal(steps, counted)
 
@@ -137,7 +137,7 @@ def test_episodes_are_counted_as_gymnasium_plays_them(trainer):
 def test_where_an_environment_does_not_say_its_episodes_are_counted_once_more():
     policy = CARTPOLE.train_steps(POLE, 0, 500).policy
     silent = WorldTrainer(_Silent(CARTPOLE.problem), timesteps=2_000, eval_episodes=3)
-    returns, steps = silent.evaluate_steps(policy, [POLE], 5)
+    returns, steps = silent.evaluate_steps(policy, [POLE], [5])
     assert np.array_equal(returns, 2 * steps)
 
 
@@ -190,8 +190,8 @@ def test_a_training_of_episodes_extended_twice_is_the_whole_one(algorithm, tmp_p
     warm = trainer.train_steps({"hold": 38.0}, 1, 2, start=whole).policy
     cold = trainer.train_steps({"hold": 38.0}, 1, 2).policy
     assert 0 < _apart(warm, whole) < 0.2 < _apart(cold, whole)
-    returns, steps = trainer.evaluate_steps(whole, [HOLD, {"hold": 8.0}], 5)
-    assert np.array_equal(returns, trainer.evaluate(whole, [HOLD, {"hold": 8.0}], 5))
+    returns, steps = trainer.evaluate_steps(whole, [HOLD, {"hold": 8.0}], [5, 6])
+    assert np.array_equal(returns, trainer.evaluate(whole, [HOLD, {"hold": 8.0}], [5, 6]))
     assert steps.tolist() == [[10.0, 10.0], [50.0, 50.0]]
 
 

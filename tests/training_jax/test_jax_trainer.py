@@ -14,7 +14,7 @@ from mbtl.cmdps import get_cmdp
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.portfolio import MLPPolicy
-from mbtl.seeds import evaluation_seed, training_seed
+from mbtl.seeds import evaluation_seeds, training_seed
 from mbtl.study import create_study
 from mbtl.study.rehearsal import rehearse
 from mbtl.training import SB3Trainer, WorldTrainer
@@ -57,21 +57,21 @@ def test_it_is_the_default_where_there_is_an_environment_in_jax():
 
 def test_returns_are_those_of_the_gymnasium_environment():
     policy = TRAINER.train(CONTEXTS[0], seed=1)
-    ours = TRAINER.evaluate(policy, CONTEXTS, seed=5)
+    ours = TRAINER.evaluate(policy, CONTEXTS, [5, 6])
     peer = SB3Trainer(CMDP.make_env, timesteps=1, eval_episodes=3)
-    np.testing.assert_allclose(ours, peer.evaluate(policy, CONTEXTS, seed=5))
+    np.testing.assert_allclose(ours, peer.evaluate(policy, CONTEXTS, [5, 6]))
 
 
 def test_an_accelerator_trains_and_plays_all_of_them_in_one_program(monkeypatch):
     policies = TRAINER.train_many(CONTEXTS, [1, 2], keep=("final",))["final"]
-    on_cpu = TRAINER.evaluate_many(policies, CONTEXTS, seed=5)
+    on_cpu = TRAINER.evaluate_many(policies, CONTEXTS, [5, 6])
     ring = get_cmdp("ring-acc", engine="jax")
     assert len(ring.trainer.groups(ring.space.contexts, ring.trainer.lanes)) > 1
     for module in (engine, evaluation):
         monkeypatch.setattr(module, "on_cpu", lambda: False)
     for cmdp in (CMDP, ring):
         assert cmdp.trainer.groups(cmdp.space.contexts, cmdp.trainer.lanes) == [cmdp.space.n]
-    np.testing.assert_allclose(TRAINER.evaluate_many(policies, CONTEXTS, seed=5), on_cpu)
+    np.testing.assert_allclose(TRAINER.evaluate_many(policies, CONTEXTS, [5, 6]), on_cpu)
 
 
 def test_switches_of_the_cmdp_reach_the_engine():
@@ -165,7 +165,7 @@ def test_a_matrix_row_is_the_row_of_a_study(tmp_path):
     policy = TRAINER.load(next((tmp_path / "policies").rglob("source-0001-*")))
     assert same(policy, TRAINER.train(CONTEXTS[1], training_seed(7, 0, 1)))
     np.testing.assert_allclose(
-        TRAINER.evaluate(policy, CONTEXTS, evaluation_seed(7, 0)).mean(axis=1),
+        TRAINER.evaluate(policy, CONTEXTS, evaluation_seeds(7, 0, range(2))).mean(axis=1),
         returns[1],
     )
 

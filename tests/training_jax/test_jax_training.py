@@ -234,12 +234,12 @@ def trained(request):
 
 def test_returns_are_those_of_the_exported_policies_in_gymnasium(trained):
     env, params, theirs, training = trained
-    seeds = [11, 12]
+    seeds = [[11, 12], [13, 14]]
     returns = engine.evaluate(env, engine.actor_of(training.state.weights), params, seeds)
     assert returns.shape == (2, 2, 2)
     for p, policy in enumerate(engine.export_policies(env, training.state.weights)):
         for c, gym_env in enumerate(theirs):
-            for e, seed in enumerate(seeds):
+            for e, seed in enumerate(seeds[c]):
                 obs, _ = gym_env.reset(seed=seed)
                 total, over = 0.0, False
                 while not over:
@@ -250,7 +250,7 @@ def test_returns_are_those_of_the_exported_policies_in_gymnasium(trained):
 
 def test_the_size_of_blocks_does_not_change_returns(trained):
     env, params, _, training = trained
-    seeds, actor = range(3), engine.actor_of(training.best)
+    seeds, actor = [[0, 1, 2], [3, 4, 5], [0, 1, 2]], engine.actor_of(training.best)
     params = jax.tree.map(lambda x: np.concatenate([x, x[:1]]), params)
     blocks = []
     small = engine.evaluate(env, actor, params, seeds, rows=6, on_block=lambda *b: blocks.append(b))
@@ -265,7 +265,8 @@ def test_the_size_of_blocks_does_not_change_returns(trained):
 
 def test_episodes_that_end_make_room_and_change_nothing(trained, monkeypatch):
     env, params, _, training = trained
-    given = env, engine.actor_of(training.best), params, range(40)
+    seeds = np.arange(80).reshape(2, 40)
+    given = env, engine.actor_of(training.best), params, seeds
     monkeypatch.setattr(engine.Solo, "ends_early", True)
     closed_up = engine.evaluate(*given, rows=48)
     monkeypatch.setattr(ends, "PARTS", 1)
@@ -291,10 +292,24 @@ def test_exported_policies_act_as_in_jax_and_survive_saving(trained, tmp_path):
         np.testing.assert_array_equal(policy.head.log_std, training.best.log_std[1])
 
 
-def test_nothing_to_evaluate_is_refused():
+def test_a_return_is_the_same_in_any_company_and_every_context_has_luck_of_its_own(trained):
+    env, params, _, training = trained
+    actor = engine.actor_of(training.best)
+    twice = jax.tree.map(lambda x: np.concatenate([x, x[:1]]), params)  # one context two times
+    seeds = np.arange(15).reshape(3, 5)
+    together = engine.evaluate(env, actor, twice, seeds)
+    assert not np.array_equal(together[:, 0], together[:, 2])
+    for c in range(3):
+        one = jax.tree.map(lambda x, c=c: x[c : c + 1], twice)
+        alone = engine.evaluate(env, actor, one, seeds[c : c + 1])
+        np.testing.assert_array_equal(alone[:, 0], together[:, c])
+
+
+@pytest.mark.parametrize("seeds", [[], [[]], [1, 2], [[1], [2]]])
+def test_nothing_to_evaluate_and_seeds_of_other_contexts_are_refused(seeds):
     weights = engine.start(CARTPOLE, TINY, [0], cartpole_params([0.5])).state.weights
-    with pytest.raises(InvalidInput, match="at least one"):
-        engine.evaluate(CARTPOLE, engine.actor_of(weights), cartpole_params([0.5]), [])
+    with pytest.raises(InvalidInput, match="for each of one or more contexts the seeds"):
+        engine.evaluate(CARTPOLE, engine.actor_of(weights), cartpole_params([0.5]), seeds)
 
 
 # ---- flags and the hang --------------------------------------------------------------------------

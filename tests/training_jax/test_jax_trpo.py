@@ -241,7 +241,7 @@ def test_it_learns_to_calm_the_ring():
         "quick", episodes=60, hyperparameters={"n_episodes": 4}
     )
     policy = trainer.train({"hold": 1.0}, seed=1)
-    (guided,) = trainer.evaluate(policy, [{"hold": 1.0}], seed=2)
+    (guided,) = trainer.evaluate(policy, [{"hold": 1.0}], [2])
     assert guided.mean() > 3.6  # unguided: 3.15
 
 

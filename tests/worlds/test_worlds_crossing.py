@@ -105,7 +105,7 @@ def test_an_evaluated_episode_is_one_of_each_mode_weighted_by_its_share():
     twin, each = SignalProblem()(contexts)
     params = jax.tree.map(lambda *x: np.stack(x), *each)
     nobody = Actor((), jnp.zeros((1, 1)))
-    found = evaluate(twin, nobody, params, [0, 1, 2], how="random")
+    found = evaluate(twin, nobody, params, [[0, 1, 2]] * 2, how="random")
     every, shares = twin.strata(params)
     modes = [jax.tree.map(itemgetter(k), every) for k in range(4)]
     alone = [own_scores(twin, "tanh", "random", nobody, SEEDS, mode)[0] for mode in modes]

@@ -93,7 +93,7 @@ def test_native_policies_are_evaluated_in_the_same_episodes():
     params = params_of([0.5, 2.0, 4.0])
     weights = engine.start(TRACED, TINY, [0, 1], params_of([1.0, 1.0])).state.weights
     found = [
-        engine.evaluate(world, engine.actor_of(weights), params, [1, 2])
+        engine.evaluate(world, engine.actor_of(weights), params, [[1, 2], [3, 4], [5, 6]])
         for world in (NATIVE, TRACED)
     ]
     np.testing.assert_allclose(*found, rtol=0.02)

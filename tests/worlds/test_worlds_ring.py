@@ -265,7 +265,7 @@ def test_nothing_in_an_episode_is_drawn_twice():
 
 def test_rows_without_a_policy_are_those_of_nobody_and_of_anybody():
     trainer = get_cmdp("ring-acc", engine="jax").trainer_for(eval_episodes=4)
-    rows = trainer.reference_rows([{"hold": 40.0}], seed=1)
+    rows = trainer.reference_rows([{"hold": 40.0}], [1])
     seeds = [episode_seed(1, episode) for episode in range(4)]
     assert rows["unguided"][0] == pytest.approx(unguided(*ring(40.0), seeds))
     assert rows["random_actions"].shape == (1, 4)

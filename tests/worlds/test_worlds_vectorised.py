@@ -74,7 +74,8 @@ class _Walks:
 
 @pytest.mark.parametrize(("policies", "contexts", "most"), [(1, 25, 30), (3, 16, 48), (2, 2, 48)])
 def test_episodes_that_end_make_room_and_keep_their_scores(policies, contexts, most):
-    own, seeds = np.random.default_rng(0).integers(1, 30, contexts), np.arange(4, dtype=np.uint32)
+    rng = np.random.default_rng(0)
+    own, seeds = rng.integers(1, 30, contexts), rng.integers(0, 4, (contexts, 4), np.uint32)
     lasts, played, told = own[:, None] + 2.0 * seeds, [], []
 
     def play(state, seeds, params, first, stop):
@@ -84,7 +85,8 @@ def test_episodes_that_end_make_room_and_keep_their_scores(policies, contexts, m
         return jnp.asarray(state).at[:, 1].set(jnp.minimum(state[:, 0], stop))
 
     params = _Params(own, np.zeros((contexts, 0)))
-    found = ends.scores(_Walks(), params, seeds, policies, most, play, told.append)
+    drawn = 2.0 * seeds[..., None]
+    found = ends.scores(_Walks(), params, seeds, drawn, policies, most, play, told.append)
     np.testing.assert_array_equal(found, np.tile(lasts.ravel(), (policies, 1)))
     assert told == sorted(told)
     assert told[-1] == found.size

@@ -28,7 +28,7 @@ from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed, few
 from mbtl.files import claimed_folder
 from mbtl.processes import worker_pool
-from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
+from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds, training_seed
 from mbtl.trainer import ManyTrainer, ReferenceTrainer, Trainer, checked_returns, even_groups
 
 
@@ -110,7 +110,7 @@ class Build:
                 [contexts[source] for source in some],
                 [training_seed(self.seed, MATRIX_TRIAL, source) for source in some],
                 contexts,
-                evaluation_seed(self.seed, MATRIX_TRIAL),
+                self._evaluation_seeds,
                 self.keep,
                 self.folder / f"sources-{some[0]:05d}.npz",
                 self.kept or self.folder / "policies",
@@ -194,6 +194,11 @@ class Build:
                 found.append({**origin, "sources": len(piece.sources)})
         return found
 
+    @cached_property
+    def _evaluation_seeds(self) -> list[int]:
+        """One per target."""
+        return evaluation_seeds(self.seed, MATRIX_TRIAL, range(self.space.n))
+
     @property
     def _references(self) -> Path:
         return self.folder / "references.npz"
@@ -202,8 +207,7 @@ class Build:
         trainer = self.trainer
         if self._references.is_file() or not isinstance(trainer, ReferenceTrainer):
             return
-        seed = evaluation_seed(self.seed, MATRIX_TRIAL)
-        rows = trainer.reference_rows(self.space.contexts, seed)
+        rows = trainer.reference_rows(self.space.contexts, self._evaluation_seeds)
         checked = {name: checked_returns(row, self.space.n) for name, row in rows.items()}
         write_npz(self._references, {k: row.astype(np.float32) for k, row in checked.items()})
 

@@ -348,6 +348,16 @@ class TransferMatrix:
         return str(self.records[0].get("problem", ""))
 
     @property
+    def evaluation_seeds(self) -> str | None:
+        """Whether evaluation seeds are "per target" or "common to all targets"; None: unknown.
+
+        Common luck does not average out in V, not even over many targets.
+        """
+        built = [record for record in self.records if "recipe" in record]
+        kinds = {str(record.get("evaluation_seeds", "common to all targets")) for record in built}
+        return ", or ".join(sorted(kinds)) or None
+
+    @property
     def measures_apart(self) -> bool:
         """Whether there are episodes for the report that selectors do not see."""
         return self.fresh_returns is not None

@@ -20,7 +20,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.files import claimed_folder, whole_file
 from mbtl.provenance import here
-from mbtl.seeds import MATRIX_TRIAL, evaluation_seed, training_seed
+from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, evaluation_seeds, training_seed
 from mbtl.trainer import Progress, WideTrainer
 
 OnStep = Callable[[int, int, str], None]
@@ -61,7 +61,8 @@ class InSimulator:
     @property
     def settings(self) -> dict[str, Any]:
         """What decides the numbers, apart from the seed; JSON-able."""
-        return {**self.problem, "recipe": self.trainer.recipe_on_all}
+        recipe = self.trainer.recipe_on_all
+        return {**self.problem, "recipe": recipe, "evaluation_seeds": PER_TARGET}
 
     def run(self, seed: int, folder: Path, on_step: OnStep) -> Found:
         """The policy of one seed, on every context.
@@ -76,12 +77,12 @@ class InSimulator:
         del decides["eval_episodes"]  # more of them need no other policy
         with claimed_folder(folder, decides, "a multi-task policy"):
             policy, trained = self._policy(chosen, folder, on_step)
-        rows, play = [], evaluation_seed(seed, MATRIX_TRIAL)
-        for first in range(0, len(self.contexts), _TOGETHER):
-            done = f"evaluated on {first} of {len(self.contexts)} contexts"
-            on_step(self.length, self.length, done)
-            some = self.contexts[first : first + _TOGETHER]
-            rows.append(self.trainer.evaluate(policy, some, play))
+        rows, n = [], len(self.contexts)
+        for first in range(0, n, _TOGETHER):
+            on_step(self.length, self.length, f"evaluated on {first} of {n} contexts")
+            some = range(first, min(first + _TOGETHER, n))
+            seeds = evaluation_seeds(seed, MATRIX_TRIAL, some)
+            rows.append(self.trainer.evaluate(policy, [self.contexts[i] for i in some], seeds))
         returns = np.concatenate(rows)
         record = {
             **self.settings,

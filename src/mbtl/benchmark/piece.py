@@ -41,7 +41,7 @@ class Piece:
         contexts: the P sources.
         seeds: their training seeds.
         targets: the N contexts.
-        evaluation: seed of all evaluations.
+        evaluation: N seeds of the evaluations, one per target.
         keep: checkpoints to evaluate.
         path: where its rows go.
         policies: folder of the policies kept.
@@ -54,7 +54,7 @@ class Piece:
     contexts: Sequence[Context]
     seeds: Sequence[int]
     targets: Sequence[Context]
-    evaluation: int
+    evaluation: Sequence[int]
     keep: tuple[str, ...]
     path: Path
     policies: Path

@@ -188,8 +188,10 @@ def _shown(file: Path, matrix: TransferMatrix) -> dict[str, Any]:
         "grand_mean": known.grand_mean,
         "independent": known.independent,
         "oracle_transfer": known.oracle_transfer,
+        "evaluation_seeds": matrix.evaluation_seeds,
     }
-    note = "" if matrix.caveat is None else f"; {matrix.caveat}"
+    note = f"; evaluation seeds {matrix.evaluation_seeds}"
+    note += "" if matrix.caveat is None else f"; {matrix.caveat}"
     console.print(
         f"{file}: one policy {known.grand_mean:.4f}, Independent {known.independent:.4f}, "
         f"Oracle Transfer {known.oracle_transfer:.4f}{note}",

@@ -25,6 +25,7 @@ from mbtl.errors import InvalidInput, cannot_write
 from mbtl.files import claim_of
 from mbtl.processes import usable_cores
 from mbtl.provenance import check_made_by
+from mbtl.seeds import PER_TARGET
 from mbtl.settings import first_difference
 from mbtl.trainer import Trainer, recipe_of
 
@@ -65,6 +66,7 @@ class Job:
             "version": self.cmdp.version,
             "switches": dict(self.cmdp.settings),
             "recipe": recipe_of(self.trainer),
+            "evaluation_seeds": PER_TARGET,
         }
 
     @property
@@ -205,8 +207,9 @@ class Job:
             if claim is None:
                 continue
             now = {**begun.claim, "recipe": dict(begun.claim["recipe"])}
-            for record in (claim["recipe"], now["recipe"]):
-                record.pop("eval_episodes", None)
+            for record in (claim, now):
+                record["recipe"].pop("eval_episodes", None)
+                record.pop("evaluation_seeds", None)
             difference = _differs(claim, now)
             if difference is None:
                 folder, kept = begun.folder / "evaluated-again", begun.folder / "policies"

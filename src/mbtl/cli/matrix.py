@@ -109,7 +109,7 @@ def list_matrices(
         )
         return
     table = Table(box=box.SIMPLE, padding=0, show_edge=False)
-    for head in ("matrix", "N", "seeds", "episodes", "protocol", "reference rows"):
+    for head in ("matrix", "N", "seeds", "episodes", "luck", "protocol", "reference rows"):
         right = head in ("N", "seeds", "episodes")
         table.add_column(head, justify="right" if right else "left", no_wrap=True)
     for name, one in matrices.items():
@@ -118,6 +118,7 @@ def list_matrices(
             str(one.n) if one.sources is None else f"{len(one.sources)}/{one.n}",
             str(one.n_seeds),
             _episodes(one),
+            _LUCK.get(str(one.evaluation_seeds), "-"),
             "halves" if one.measures_apart else "older",
             ", ".join(NAMES.get(key, key) for key in one.references) or "-",
         )
@@ -126,9 +127,15 @@ def list_matrices(
     screen.print(
         "halves: selection sees one half of the episodes, every number shown is of the other.\n"
         "older: selection and report used the same episodes, so V is too high where episodes "
-        "differ by luck.",
+        "differ by luck.\n"
+        "own: each target has evaluation seeds of its own; common: all share them, and their luck "
+        "does not average out in V.",
         style="dim",
     )
+
+
+_LUCK = {"per target": "own", "common to all targets": "common"}
+"""Of the targets, in a table."""
 
 
 def _episodes(matrix: TransferMatrix) -> str:
@@ -162,6 +169,7 @@ def _facts(source: RowSource) -> dict[str, Any]:
         "targets": source.n,
         "episodes": None if source.episodes is None else list(source.episodes),
         "measures_apart": source.measures_apart,
+        "evaluation_seeds": source.evaluation_seeds,
         "nominal_policy": _nominal(source),
         "caveat": source.caveat,
     }
@@ -209,6 +217,8 @@ def _sentences(facts: dict[str, Any]) -> list[str]:
         lines.append(
             f"A selector sees {chose} episodes per pair; these numbers are of {shown} others."
         )
+    if facts["evaluation_seeds"] is not None:
+        lines.append(f"Evaluation seeds are {facts['evaluation_seeds']}.")
     if facts["caveat"] is not None:
         lines.append(f"Note: {facts['caveat']}.")
     return lines

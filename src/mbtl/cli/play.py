@@ -16,10 +16,11 @@ from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp
 from mbtl.cmdps.engines import EnvFactory, resolved
 from mbtl.cmdps.plugins import plugin_ids
 from mbtl.cmdps.registry import engines_of
+from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import MANIFEST
-from mbtl.seeds import action_seed, episode_seeds, evaluation_seed
+from mbtl.seeds import action_seed, episode_seeds, evaluation_seeds
 
 
 def play(
@@ -81,7 +82,8 @@ def play(
         choice = portfolio.explain(nominal_part)
         sampled = _record(made, "recipe").get("acting") == "sampled"
         actor, why = actor_for(portfolio.policy(choice.policy), sampled=sampled), choice.explanation
-    seeds = episode_seeds(evaluation_seed(seed, 0), episodes)
+    own = evaluation_seeds(seed, 0, [_place(cmdp, nominal_part)])
+    (seeds,) = episode_seeds(own, 1, episodes)
     pictures = 0
     with status:
         (scores,) = rollout.play([rollout.Job(lambda: env, seeds)], actor, max_envs=1)
@@ -100,6 +102,17 @@ def play(
     out.print(f"score: {' '.join(f'{score:.4g}' for score in scores)}", highlight=False)
     if film is not None:
         out.print(f"{pictures} pictures: {film}", markup=False, highlight=False)
+
+
+def _place(cmdp: CMDP, context: Context) -> int:
+    """Its index, so that a target is seen in the episodes in which a study evaluates on it.
+
+    Anywhere else they are nobody's.
+    """
+    try:
+        return cmdp.space.index(context)
+    except InvalidInput:
+        return cmdp.space.n
 
 
 def _unguided(env: Any, seeds: Sequence[int], actor: Any, says: Callable[[str], None]) -> Watched:

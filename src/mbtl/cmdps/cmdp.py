@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -172,7 +172,7 @@ class CMDP:
         space: ContextSpace,
         *,
         train: Callable[[Context, int], Any],
-        evaluate: Callable[[Any, Sequence[Context], int], Any],
+        evaluate: Callable[..., Any],
         save: Callable[[Any, Path], None] | None = None,
         load: Callable[[Path], Any] | None = None,
         budget: int | None = None,
@@ -184,8 +184,9 @@ class CMDP:
             id: short name, part of file names.
             space: the contexts.
             train: context, seed -> policy.
-            evaluate: policy, contexts, seed -> returns, (n_targets,) or (n_targets, n_episodes).
-                The same seed should mean the same episodes for every policy.
+            evaluate: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes);
+                one seed per context, see `mbtl.trainer.FunctionTrainer`. The same seed should mean
+                the same episodes for every policy.
             save: policy, empty folder -> None; with `load` it lets a study keep its policies.
             load: folder -> policy.
             budget: default number of trainings K; 10, or N if that is smaller.

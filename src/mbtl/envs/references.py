@@ -25,7 +25,7 @@ UNGUIDED = "unguided"
 def reference_rows(
     make_env: Callable[[Context], Any],
     contexts: Sequence[Context],
-    seeds: Sequence[int],
+    seeds: Sequence[Sequence[int]],
     *,
     max_envs: int,
 ) -> dict[str, Array]:
@@ -34,7 +34,7 @@ def reference_rows(
     Args:
         make_env: context -> environment, Gymnasium's or PettingZoo's.
         contexts: where to play.
-        seeds: one per episode.
+        seeds: of the episodes in each context.
         max_envs: environments alive at once.
     """
     first = make_env(contexts[0])
@@ -46,9 +46,10 @@ def reference_rows(
     makers: dict[str, Callable[[Context], Any]] = {RANDOM_ACTIONS: make_env}
     if drives:
         makers[UNGUIDED] = partial(_unguided, make_env)
+    pairs = list(zip(contexts, seeds, strict=True))
     return {
         name: np.array(
-            play([Job(partial(make, one), seeds) for one in contexts], actor, max_envs=max_envs)
+            play([Job(partial(make, one), own) for one, own in pairs], actor, max_envs=max_envs)
         )
         for name, make in makers.items()
     }

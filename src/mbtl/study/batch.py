@@ -15,7 +15,6 @@ from logging import getLogger
 from typing import TYPE_CHECKING, Any
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
-from mbtl.seeds import evaluation_seed
 from mbtl.study.callbacks import Callback, where
 from mbtl.study.flights import Flights, brought_back, may_try_again, too_long
 from mbtl.study.job import (
@@ -219,15 +218,14 @@ class Batches:
             raise _TookTooLong
 
     def _job(self, pick: Pick) -> Job:
-        study, spec = self.study, self.study.spec
-        places = places_of(study, pick)
+        study, places = self.study, places_of(self.study, pick)
         targets = range(study.space.n) if pick.targets is None else pick.targets
         return Job(
             self.trainer,
             pick.context,
             pick.seed,
             [study.space.context(target) for target in targets],
-            evaluation_seed(spec.seed, spec.trial),
+            study.evaluation_seeds(pick.targets),
             study.artifacts,
             places[-1],
             tuple(places[:-1]),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.objective import worst_share_mean, worst_share_weights
 from mbtl.routing import routed
-from mbtl.seeds import Purpose, evaluation_seed
+from mbtl.seeds import Purpose
 from mbtl.trainer import Trainer, checked_returns
 
 if TYPE_CHECKING:
@@ -67,14 +67,14 @@ def report_fresh_returns(study: Study, trainer: Trainer) -> None:
     """Evaluate on fresh seeds each policy where it served at some k, and record it."""
     portfolio = study.portfolio(trainer)  # refreshes; what follows is of this moment
     routes = study.state.routing().routes
-    seed = evaluation_seed(study.spec.seed, study.spec.trial, Purpose.REPORT)
     found: list[tuple[Indices, Array]] = []
     for i, targets in enumerate(served_targets(routes)):
         returns = np.empty((0, 1))
         if targets.size:
             contexts = [study.space.context(int(t)) for t in targets]
+            seeds = study.evaluation_seeds(targets, Purpose.REPORT)
             returns = checked_returns(
-                trainer.evaluate(portfolio.policy(i), contexts, seed), targets.size
+                trainer.evaluate(portfolio.policy(i), contexts, seeds), targets.size
             )
         found.append((targets, returns))
     counts = {returns.shape[1] for targets, returns in found if targets.size}

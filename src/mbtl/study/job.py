@@ -55,7 +55,7 @@ class Job:
         context: to train on.
         seed: of the training.
         targets: to evaluate on.
-        evaluation_seed: of the episodes.
+        evaluation_seeds: of the episodes, one per target.
         store: keeps the policy; None: it cannot be kept.
         place: of the policy in the store; nobody else writes there.
         former: places where others may have left the policy, or an unfinished training of it.
@@ -67,7 +67,7 @@ class Job:
     context: Context
     seed: int
     targets: Sequence[Context]
-    evaluation_seed: int
+    evaluation_seeds: Sequence[int]
     store: ArtifactStore | None
     place: str = ""
     former: tuple[str, ...] = ()
@@ -147,9 +147,9 @@ def perform(
             kept = replace(kept, policy=job.trainer.load(_folder(job, kept.artifact)))
         stage = "evaluation"
         if job.rehearse and len(job.targets) > 2:
-            ends = (job.targets[0], job.targets[-1])
-            evaluated(job.trainer, kept.policy, ends, job.evaluation_seed)
-        returns = evaluated(job.trainer, kept.policy, job.targets, job.evaluation_seed)
+            ends, seeds = job.targets[:: len(job.targets) - 1], job.evaluation_seeds
+            evaluated(job.trainer, kept.policy, ends, seeds[:: len(seeds) - 1])
+        returns = evaluated(job.trainer, kept.policy, job.targets, job.evaluation_seeds)
     except TrainingPruned as error:
         return Trouble(stage, str(error), "", error, kept)
     except Exception as error:
@@ -184,9 +184,11 @@ def perform_elsewhere(job: Job) -> Outcome | Trouble:
     return outcome
 
 
-def evaluated(trainer: Trainer, policy: Any, targets: Sequence[Context], seed: int) -> Array:
+def evaluated(
+    trainer: Trainer, policy: Any, targets: Sequence[Context], seeds: Sequence[int]
+) -> Array:
     """Checked returns (n_targets, n_episodes) of a policy."""
-    return checked_returns(trainer.evaluate(policy, list(targets), seed), len(targets))
+    return checked_returns(trainer.evaluate(policy, list(targets), list(seeds)), len(targets))
 
 
 def reason_of(error: Exception) -> str:

@@ -19,20 +19,24 @@ from mbtl.trainer import OnProgress, RehearsingTrainer
 
 
 def rehearse(
-    trainer: RehearsingTrainer, targets: Sequence[Context], seed: int, *, here: bool = True
+    trainer: RehearsingTrainer,
+    targets: Sequence[Context],
+    seeds: Sequence[int],
+    *,
+    here: bool = True,
 ) -> Trouble | None:
     """Save, load and evaluate an untrained policy; what went wrong, or None.
 
     Args:
         trainer: can make an untrained policy.
         targets: a few contexts.
-        seed: of the evaluation.
+        seeds: of their evaluations.
         here: this process asks; False in a worker process.
     """
     with tempfile.TemporaryDirectory() as folder:
         store = FolderStore(Path(folder))
         made = _Untrained(trainer)
-        job = Job(made, targets[0], 0, targets, seed, store, "policies/a/untrained", rehearse=True)
+        job = Job(made, targets[0], 0, targets, seeds, store, "policies/a/untrained", rehearse=True)
         outcome = perform(job) if here else perform_elsewhere(job)
     return None if isinstance(outcome, Outcome) else outcome
 
@@ -50,8 +54,8 @@ class _Untrained:
     def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
         return self.trainer.untrained(context)
 
-    def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
-        return self.trainer.evaluate(policy, contexts, seed)
+    def evaluate(self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]) -> Array:
+        return self.trainer.evaluate(policy, contexts, seeds)
 
     def save(self, policy: Any, folder: Path) -> bool:
         return self.trainer.save(policy, folder)

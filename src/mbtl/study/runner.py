@@ -24,7 +24,6 @@ from mbtl.errors import (
     UnsavedPolicies,
 )
 from mbtl.processes import SeparateWorkers, separate_workers
-from mbtl.seeds import evaluation_seed
 from mbtl.study import asking
 from mbtl.study.batch import Batches, failure
 from mbtl.study.callbacks import Callback, shared_words
@@ -205,12 +204,12 @@ def _rehearse(study: Study, trainer: RehearsingTrainer, executor: Executor | Non
     done = study.stop_reason is not None and not study.orphans
     if study.has_succeeded or done:
         return
-    contexts = [study.space.context(i) for i in sorted({0, study.space.n - 1})]
-    seed = evaluation_seed(study.spec.seed, study.spec.trial)
+    ends = sorted({0, study.space.n - 1})
+    contexts, seeds = [study.space.context(i) for i in ends], study.evaluation_seeds(ends)
     if executor is None:
-        trouble = rehearsed(trainer, contexts, seed)
+        trouble = rehearsed(trainer, contexts, seeds)
     else:
-        trouble = brought_back(executor.submit(rehearsed, trainer, contexts, seed, here=False))
+        trouble = brought_back(executor.submit(rehearsed, trainer, contexts, seeds, here=False))
     if trouble is None:
         return
     if isinstance(trouble.error, NOT_THE_TRAININGS_FAULT):

@@ -5,7 +5,7 @@ It decides; it trains nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.plain import finite, whole
+from mbtl.seeds import Purpose, evaluation_seeds
 from mbtl.settings import first_difference
 from mbtl.study import telling
 from mbtl.study.artifacts import Artifact
@@ -124,6 +125,21 @@ class Study(LeasingStudy):
         if policy_object is not None and in_time:
             self.policies[place] = policy_object
         return in_time
+
+    def evaluation_seeds(
+        self, targets: Iterable[int] | None = None, purpose: Purpose = Purpose.EVALUATION
+    ) -> list[int]:
+        """Seeds to evaluate a policy with, one per target and the same for every policy.
+
+        So policies are compared in the same episodes, while each target has luck of its own, which
+        averages out in V. (`Pick.seed` is for the training alone.)
+
+        Args:
+            targets: indices of contexts, such as `Pick.targets`; None: all N.
+            purpose: another one has other episodes.
+        """
+        checked = checked_targets(None if targets is None else list(targets), self.space.n)
+        return evaluation_seeds(self.spec.seed, self.spec.trial, checked, purpose)
 
     def void(self, row: ToldRow | int, reason: str) -> None:
         """Take a wrong row back: it counts for nothing any more, and stays in the log.
@@ -253,7 +269,7 @@ class Study(LeasingStudy):
     def run(
         self,
         train: Callable[[Context, int], Any] | None = None,
-        evaluate: Callable[[Any, Sequence[Context], int], Any] | None = None,
+        evaluate: Callable[..., Any] | None = None,
         *,
         save: Callable[[Any, Path], None] | None = None,
         load: Callable[[Path], Any] | None = None,
@@ -278,7 +294,8 @@ class Study(LeasingStudy):
 
         Args:
             train: context, seed -> policy.
-            evaluate: policy, contexts, seed -> returns, (n_targets,) or (n_targets, n_episodes).
+            evaluate: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes);
+                one seed per context, see `mbtl.trainer.FunctionTrainer`.
             save: policy, empty folder -> None; without it policies end with this process.
             load: folder -> policy.
             trainer: instead of these functions; None: the one that the study was made with.

@@ -38,7 +38,7 @@ class SB3Trainer(SB3Steps):
 
         trainer = SB3Trainer(make_env, algorithm="PPO", timesteps=100_000)
         policy = trainer.train({"length": 0.5}, seed=0)
-        returns = trainer.evaluate(policy, space.contexts, seed=1)      # (n_targets, 10)
+        returns = trainer.evaluate(policy, space.contexts, range(space.n))  # (n_targets, 10)
 
     It can be pickled when `make_env` can (a function of a module), so trainings can run in other
     processes; the same seed gives the same weights there.
@@ -161,21 +161,24 @@ class SB3Trainer(SB3Steps):
             stack.enter_context(isolated(self.threads))
             return lightened(one._model(algorithm, context, 0, stack))
 
-    def evaluate(self, policy: Any, contexts: Sequence[Context], seed: int) -> Array:
+    def evaluate(self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]) -> Array:
         """What episodes are worth (see `mbtl.envs.rollout`), (n_targets, eval_episodes).
 
-        Episode e has the same seed for every policy and every target, and a return does not depend
-        on the other targets of the call. The policy may be an `MLPPolicy`, too.
+        The seeds of a context's episodes follow from the one given for it, so they are the same for
+        every policy, and a return does not depend on the other targets of the call. The policy may
+        be an `MLPPolicy`, too.
 
         Raises:
+            InvalidInput: there is not one seed per context.
             TrainingFailed: a return is NaN or infinite, or an episode does not end.
         """
-        return self.evaluate_steps(policy, contexts, seed)[0]
+        return self.evaluate_steps(policy, contexts, seeds)[0]
 
-    def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
+    def reference_rows(self, contexts: Sequence[Context], seeds: Sequence[int]) -> dict[str, Array]:
         """See `mbtl.trainer.ReferenceTrainer`; `mbtl.envs.references` has what is unguided."""
-        envs, seeds = self.n_eval_envs or EVALUATION_ENVS, episode_seeds(seed, self.eval_episodes)
-        return reference_rows(self.make_env, contexts, seeds, max_envs=envs)
+        envs = self.n_eval_envs or EVALUATION_ENVS
+        each = episode_seeds(seeds, len(contexts), self.eval_episodes)
+        return reference_rows(self.make_env, contexts, each, max_envs=envs)
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Write the library's zip, and a numpy copy where there is one; no replay buffer."""

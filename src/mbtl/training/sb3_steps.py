@@ -144,12 +144,13 @@ class SB3Steps:
         return replace(trainer, make_env=Everywhere(trainer.make_env, tuple(contexts)))
 
     def evaluate_steps(
-        self, policy: Any, contexts: Sequence[Context], seed: int
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
         trainer = cast("SB3Trainer", self)
-        seeds = episode_seeds(seed, trainer.eval_episodes)
-        jobs = [Job(partial(trainer.make_env, one), seeds) for one in contexts]
+        each = episode_seeds(seeds, len(contexts), trainer.eval_episodes)
+        pairs = zip(contexts, each, strict=True)
+        jobs = [Job(partial(trainer.make_env, one), own) for one, own in pairs]
         with isolated(trainer.threads):
             actor = actor_for(policy, sampled=trainer.acting == "sampled")
             most = trainer.n_eval_envs or EVALUATION_ENVS

@@ -193,15 +193,15 @@ class WorldSteps:
         return Reached(policies[0], played(ends[stage] + int(training.updates)))
 
     def evaluate_steps(
-        self, policy: Any, contexts: Sequence[Context], seed: int
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
         trainer = cast("WorldTrainer", self)
-        returns = trainer.evaluate(policy, contexts, seed)
+        returns = trainer.evaluate(policy, contexts, seeds)
         steps = engine.counted.known_steps(trainer.problem, contexts, returns)
         if steps is None:
             counting = replace(trainer, problem=engine.counted.Counting(trainer.problem))
-            steps = counting.evaluate(policy, contexts, seed)
+            steps = counting.evaluate(policy, contexts, seeds)
         return returns, steps
 
 

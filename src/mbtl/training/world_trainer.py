@@ -47,7 +47,7 @@ class WorldTrainer(WorldSteps):
 
         trainer = get_cmdp("cartpole-length", engine="jax").trainer_for("full")
         policy = trainer.train({"length": 0.5}, seed=0)
-        returns = trainer.evaluate(policy, space.contexts, seed=1)      # (n_targets, 100)
+        returns = trainer.evaluate(policy, space.contexts, range(space.n))  # (n_targets, 100)
 
     Attributes:
         problem: contexts -> world and parameters; a function of a module, or a record.
@@ -308,29 +308,34 @@ class WorldTrainer(WorldSteps):
 
     # ---- evaluation --------------------------------------------------------------------------
 
-    def evaluate(self, policy: MLPPolicy, contexts: Sequence[Context], seed: int) -> Array:
+    def evaluate(
+        self, policy: MLPPolicy, contexts: Sequence[Context], seeds: Sequence[int]
+    ) -> Array:
         """Returns without adaptation, (n_targets, eval_episodes).
 
-        Episode e starts from the same random numbers for every policy and every target.
+        Episode e in a context starts from random numbers that follow from the seed given for it:
+        the same for every policy, and whatever the other contexts.
 
         Raises:
+            InvalidInput: there is not one seed per context.
             TrainingFailed: a return is NaN or infinite.
         """
-        return checked_returns(self.evaluate_many([policy], contexts, seed)[0], len(contexts))
+        return checked_returns(self.evaluate_many([policy], contexts, seeds)[0], len(contexts))
 
     def evaluate_many(
-        self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seed: int
+        self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seeds: Sequence[int]
     ) -> Array:
         """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`."""
+        each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         world, params = self.problem(contexts)
         actor, activation = engine.import_actor(list(policies)), policies[0].activation
-        seeds = episode_seeds(seed, self.eval_episodes)
-        return engine.evaluate(world, actor, params, seeds, activation=activation, how=self._how)
+        return engine.evaluate(world, actor, params, each, activation=activation, how=self._how)
 
-    def reference_rows(self, contexts: Sequence[Context], seed: int) -> dict[str, Array]:
+    def reference_rows(self, contexts: Sequence[Context], seeds: Sequence[int]) -> dict[str, Array]:
         """See `mbtl.trainer.ReferenceTrainer`."""
+        each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         world, params = self.problem(contexts)
-        return engine.reference_returns(world, params, episode_seeds(seed, self.eval_episodes))
+        return engine.reference_returns(world, params, each)
 
     @property
     def _how(self) -> Literal["sampled", "mean"]:

@@ -45,42 +45,45 @@ def scores(
     world: Solo,
     params: Tree,
     seeds: NDArray[np.uint32],
+    drawn: NDArray[Any],
     policies: int,
     most: int,
     play: Play,
     on_part: Callable[[int], None] = lambda ended: None,
 ) -> Array:
-    """(H, N) scores of H policies in the episodes of all contexts and seeds, context by context.
+    """(H, N) scores of H policies in the episodes of all C contexts, context by context.
 
     Args:
         world: the dynamics.
         params: of the contexts, leading axis.
-        seeds: of the episodes in each.
+        seeds: (C, E) of the episodes in each, N = C x E.
+        drawn: (C, E, ...) `World.draws` of the seeds.
         policies: H.
         most: simulations of a policy at once.
         play: plays a part of the episodes.
         on_part: told how many of the H x N episodes have ended, now and then.
     """
-    drawn, where = world.draws(seeds), jax.tree.map(np.asarray, params)
+    where, (n_contexts, n_episodes) = jax.tree.map(np.asarray, params), seeds.shape
+    each = n_contexts * n_episodes
+    seeds, drawn = seeds.reshape(each), drawn.reshape(each, *drawn.shape[2:])
     length = world.decisions(params)
     part = -(-length // PARTS) if world.ends_early else length
 
     def contexts(own: NDArray[Any]) -> Tree:
-        return jax.tree.map(lambda x: x[own.ravel() // len(seeds)], where)
+        return jax.tree.map(lambda x: x[own.ravel() // n_episodes], where)
 
-    each = len(seeds) * len(params.visible)
     found, width = np.empty((policies, each)), size(each, most)
     numbers = np.arange(-(-each // width) * width)
     numbers[each:] = -1  # nobody's
     blocks: list[tuple[NDArray[Any], Tree]] = []
     for own in _cut(np.tile(numbers, (policies, 1)), width):
-        blocks.append((own, _start(world, drawn[own.ravel() % len(seeds)], contexts(own))))
+        blocks.append((own, _start(world, drawn[own.ravel()], contexts(own))))
     for now in range(0, length, part):
         if not blocks:
             break
         stop, going = min(now + part, length), []
         for i, (own, state) in enumerate(blocks):
-            state = play(state, seeds[own % len(seeds)], contexts(own), now, stop)
+            state = play(state, seeds[own], contexts(own), now, stop)
             blocks[i] = own, state
             score, over = (np.asarray(x).reshape(own.shape) for x in _seen(world, state))
             policy, place = np.nonzero(own >= 0)

@@ -11,7 +11,7 @@ import numpy as np
 from mbtl.actions import Policy
 from mbtl.arrays import Array
 from mbtl.errors import StorageError
-from mbtl.seeds import Purpose, evaluation_seed
+from mbtl.seeds import Purpose, evaluation_seeds
 from mbtl.study.steps.state import Fresh
 from mbtl.study.storage import Conflict
 from mbtl.trainer import SteppingTrainer, Trainer, checked_returns
@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 
 
 def evaluated(
-    study: StepStudy, trainer: Trainer, policy: Policy, targets: Sequence[int], seed: int
+    study: StepStudy,
+    trainer: Trainer,
+    policy: Policy,
+    targets: Sequence[int],
+    purpose: Purpose = Purpose.EVALUATION,
 ) -> tuple[Array, Array]:
     """Checked returns of a policy, and the steps of its episodes, both (T, E).
 
@@ -29,11 +33,12 @@ def evaluated(
     """
     weights = weights_of(study, trainer, policy)
     contexts = [study.space.context(int(t)) for t in targets]
+    seeds = evaluation_seeds(study.spec.seed, study.spec.trial, targets, purpose)
     steps: Array | float = np.nan
     if isinstance(trainer, SteppingTrainer):
-        returns, steps = trainer.evaluate_steps(weights, contexts, seed)
+        returns, steps = trainer.evaluate_steps(weights, contexts, seeds)
     else:
-        returns = trainer.evaluate(weights, contexts, seed)
+        returns = trainer.evaluate(weights, contexts, seeds)
     found = checked_returns(returns, len(contexts))
     lasted = np.asarray(steps, dtype=np.float64)
     lasted = np.broadcast_to(lasted.reshape(-1, 1) if lasted.ndim < 2 else lasted, found.shape)
@@ -69,16 +74,16 @@ def report_fresh(study: StepStudy, trainer: Trainer) -> None:
 
 def fresh_returns(study: StepStudy, trainer: Trainer) -> Fresh:
     """What the policies that serve return in fresh episodes, which chose nothing."""
-    portfolio, state, spec = study.portfolio(trainer), study.state, study.spec
+    portfolio, state = study.portfolio(trainer), study.state
     route = portfolio.assignment
-    seed = evaluation_seed(spec.seed, spec.trial, Purpose.REPORT)
     each: dict[int, Array] = {}
     total = 0.0
     for i in np.unique(route).tolist():
         targets = np.flatnonzero(route == i)
-        found, steps = evaluated(study, trainer, state.policies[i], targets.tolist(), seed)
+        served = targets.tolist()
+        found, steps = evaluated(study, trainer, state.policies[i], served, Purpose.REPORT)
         total += float(steps.sum())
-        each |= dict(zip(targets.tolist(), found, strict=True))
+        each |= dict(zip(served, found, strict=True))
     rows = np.array([each[t] for t in range(study.space.n)])
     by_episode = study.space.weights @ rows
     count = rows.shape[1]

@@ -44,7 +44,7 @@ class SteppedFunctions(FunctionTrainer):
     def of(
         cls,
         train: Callable[..., Any],
-        evaluate: Callable[[Any, Sequence[Context], int], Any],
+        evaluate: Callable[..., Any],
         save: Callable[[Any, Path], None] | None,
         load: Callable[[Path], Any] | None,
         whole_steps: int,
@@ -111,10 +111,10 @@ class SteppedFunctions(FunctionTrainer):
         return Reached(policy, steps)
 
     def evaluate_steps(
-        self, policy: Any, contexts: Sequence[Context], seed: int
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]
     ) -> tuple[Array, Array]:
         """As `evaluate`; NaN, since of plain functions nobody knows how long an episode was."""
-        returns = self.evaluate(policy, contexts, seed)
+        returns = self.evaluate(policy, contexts, seeds)
         return returns, np.full(returns.shape, np.nan)
 
     def _keep(self, policy: Any, saved: Path, steps: int) -> None:

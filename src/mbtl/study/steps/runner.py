@@ -23,7 +23,7 @@ from mbtl.actions import Action, Evaluate, Extend, Policy, Start, StartOn, Stop,
 from mbtl.actions.base import middle_of
 from mbtl.actions.evaluation import WHERE_IT_MATTERS, Evaluation, target_price
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
-from mbtl.seeds import evaluation_seed, selection_rng, training_seed
+from mbtl.seeds import selection_rng, training_seed
 from mbtl.selectors.targets import spread_targets
 from mbtl.set_trainer import SetTrainer
 from mbtl.study.steps.callbacks import StepCallback
@@ -338,12 +338,11 @@ class _Worker:
         return {"policy": artifact.place, "sha256": artifact.sha256}
 
     def _evaluate(self, claim: Claim, policy: Policy, targets: Sequence[int]) -> None:
-        study, spec = self.study, self.study.spec
+        study = self.study
         self._tell("on_evaluation", policy, targets)
         began = time.monotonic()
         try:
-            seed = evaluation_seed(spec.seed, spec.trial)
-            found, steps = evaluated(study, self.evaluator, policy, targets, seed)
+            found, steps = evaluated(study, self.evaluator, policy, targets)
         except (StorageError, InvalidInput, MissingExtra):
             raise
         except Exception as error:

@@ -24,7 +24,7 @@ import numpy as np
 from mbtl.actions import Policy, Strategy, Trail
 from mbtl.actions.base import filled_rows
 from mbtl.arrays import Array
-from mbtl.contexts import Context, ContextSpace
+from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.objective import Bounds
 from mbtl.portfolio import Portfolio
@@ -301,7 +301,7 @@ class StepStudy:
     def run(
         self,
         train: Callable[..., Any] | None = None,
-        evaluate: Callable[[Any, Sequence[Context], int], Any] | None = None,
+        evaluate: Callable[..., Any] | None = None,
         *,
         save: Callable[[Any, Path], None] | None = None,
         load: Callable[[Path], Any] | None = None,
@@ -323,7 +323,8 @@ class StepStudy:
             train: `train(context, seed, steps, start=None, on_progress=None) -> policy`: so many
                 more steps, on from the policy `start` where there is one. A function
                 `train(context, seed)` will do where the study has one length.
-            evaluate: policy, contexts, seed -> returns, (n_targets,) or (n_targets, n_episodes).
+            evaluate: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes);
+                one seed per context, see `mbtl.trainer.FunctionTrainer`.
             save: policy, empty folder -> None; needed to go on with trainings, and by studies that
                 are stored.
             load: folder -> policy.

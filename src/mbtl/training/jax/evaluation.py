@@ -1,14 +1,14 @@
-"""Whole episodes of many policies on many contexts, scored, with common random numbers.
+"""Whole episodes of many policies on many contexts, scored, with the same luck for all policies.
 
 Notation (shapes): P policies, C contexts, E episodes; n simulations, policy by policy.
 
-Episode e starts from the same random numbers for every policy and context, and what is drawn in it
-follows from its seed and the moment: it is the same in any company.
+Each context has episodes of its own, the same for every policy. What is drawn in one follows from
+its seed and the moment: it is the same in any company.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Literal, cast
 
@@ -65,7 +65,7 @@ def evaluate(
     world: World,
     actor: Actor,
     params: Tree,
-    seeds: Sequence[int],
+    seeds: ArrayLike,
     *,
     activation: Activation = "tanh",
     how: Acting = "mean",
@@ -78,7 +78,7 @@ def evaluate(
         world: the dynamics.
         actor: of P policies, leading axis.
         params: of C contexts, likewise; `mbtl.worlds.strata` says what an episode is.
-        seeds: E, one per episode.
+        seeds: (C, E) of the episodes in each context.
         activation: between the layers of the actors.
         how: actions follow from a policy.
         rows: simulations at a time; None chooses for world and device.
@@ -88,49 +88,52 @@ def evaluate(
         (P, C, E).
 
     Raises:
-        InvalidInput: there are no policies, contexts or episodes.
+        InvalidInput: there are no policies, contexts or episodes, or seeds of another shape.
     """
     n_policies, n_contexts = len(actor.log_std), len(params.visible)
-    if 0 in (n_policies, n_contexts, len(seeds)):
+    own = np.array(seeds, np.uint32)
+    if own.ndim != 2 or len(own) != n_contexts or 0 in (n_policies, *own.shape):
         raise InvalidInput(
-            "evaluation needs at least one policy, context and episode, "
-            f"got {n_policies}, {n_contexts} and {len(seeds)}"
+            "evaluation takes one policy or more, and for each of one or more contexts the seeds "
+            f"of its episodes, got {n_policies} and {n_contexts} with seeds of shape {own.shape}"
         )
+    n_episodes = own.shape[1]
     most = getattr(world, "most", None)  # simulations at once
-    if most is not None and len(seeds) > most:
-        parts = [seeds[first : first + most] for first in range(0, len(seeds), most)]
+    if most is not None and n_episodes > most:
+        parts = [own[:, first : first + most] for first in range(0, n_episodes, most)]
         each = partial(evaluate, world, actor, params, activation=activation, how=how)
         return np.concatenate([each(some) for some in parts], axis=-1)
     params, shares = strata.of_each_kind(world, params)
-    n_contexts = shares.size
-    fitting = CPU_ROWS if world.apart else n_policies * len(seeds)
+    own, n_contexts = np.repeat(own, shares.shape[1], axis=0), shares.size
+    fitting = CPU_ROWS if world.apart else n_policies * n_episodes
     rows = rows or most or (fitting if on_cpu() else DEVICE_ROWS)
-    width = min(len(seeds) * (n_contexts if world.apart else 1), rows)  # of a policy
+    width = min(n_episodes * (n_contexts if world.apart else 1), rows)  # of a policy
     height = max(1, min(n_policies, rows // width))
-    own, actor = np.array(seeds, np.uint32), actor._replace(critic=())
-    returns = np.empty((n_policies, n_contexts, len(seeds)))
+    drawn, actor = world.draws(own) if world.apart else own, actor._replace(critic=())
+    returns = np.empty((n_policies, n_contexts, n_episodes))
     told = on_block or (lambda done, planned: None)
     for p in range(0, n_policies, height):
         some, place = _take(actor, p, height), returns[p : p + height]
         count, done = len(place), p * n_contexts
 
         def on_part(ended: int, height: int = height, count: int = count, done: int = done) -> None:
-            told(done + ended * count // (height * len(seeds)), n_policies * n_contexts)
+            told(done + ended * count // (height * n_episodes), n_policies * n_contexts)
 
         if world.apart:
 
             def play(state: Tree, own: Any, where: Tree, *when: int, some: Actor = some) -> Tree:
                 return go_on(world, activation, how, some, own, where, state, *when)
 
-            found = ends.scores(cast(Solo, world), params, own, height, width, play, on_part)
+            given = (cast(Solo, world), params, own, drawn)
+            found = ends.scores(*given, height, width, play, on_part)
             place[...] = found.reshape(height, *place.shape[1:])[:count]
             continue
-        everyone = np.tile(own, (height, 1))
         for c in range(n_contexts):  # one at a time, as simulations cannot be told apart
             where = context_of(params, c)
+            everyone = np.tile(own[c], (height, 1))
             part = own_scores(world, activation, how, some, everyone, where)
             place[:, c] = np.asarray(part)[:count]
-            on_part((c + 1) * height * len(seeds))
+            on_part((c + 1) * height * n_episodes)
     return strata.merged(returns, shares)
 
 
@@ -139,7 +142,7 @@ def evaluate_multitask(
     recipe: MultiTaskRecipe,
     weights: Any,
     params: Tree,
-    seeds: Sequence[int],
+    seeds: ArrayLike,
     *,
     places: ArrayLike | None = None,
     on_block: Callable[[int, int], None] | None = None,
@@ -150,15 +153,15 @@ def evaluate_multitask(
     0.5 halfway between the first two; None where they are that grid.
 
     Raises:
-        InvalidInput: there are no policies, contexts or episodes.
+        InvalidInput: there are no policies, contexts or episodes, or seeds of another shape.
     """
     contexts, actor = seen(recipe, params, places), actor_of(weights)
     activation = recipe.activation
     return evaluate(world, actor, contexts, seeds, activation=activation, on_block=on_block)
 
 
-def reference_returns(world: World, params: Tree, seeds: Sequence[int]) -> dict[str, Array]:
-    """(C, E) scores by name without any policy, in the same episodes."""
+def reference_returns(world: World, params: Tree, seeds: ArrayLike) -> dict[str, Array]:
+    """(C, E) scores by name without any policy, in the episodes of these (C, E) seeds."""
     nobody = Actor((), jnp.zeros((1, 1)))
     return {
         name: evaluate(world, nobody, params, seeds, how=how)[0]

@@ -22,7 +22,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.files import claimed_folder
-from mbtl.seeds import MATRIX_TRIAL, episode_seeds, evaluation_seed, training_seed
+from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, episode_seeds, evaluation_seeds, training_seed
 from mbtl.training.jax.blocks import Block
 from mbtl.training.jax.evaluation import evaluate_multitask
 from mbtl.training.jax.loop import CHECKPOINT_EPISODES, train_multitask
@@ -80,6 +80,7 @@ def multitask_settings(
         "contexts": _digest(params),
         "timesteps": timesteps,
         "episodes": episodes,
+        "evaluation_seeds": PER_TARGET,
         "checkpoint_episodes": judged.episodes,
         **({} if judged.every is None else {"checkpoint_every": judged.every}),
     }
@@ -143,8 +144,8 @@ def run_multitask(
                 saved=SavedTraining(place / f"seed{seed}.npz"),
             )
             seconds = round(time.monotonic() - begin, 1)
-            play = evaluation_seed(seed, MATRIX_TRIAL)
-            numbers = episode_seeds(play, episodes)
+            n = len(params.visible)
+            numbers = episode_seeds(evaluation_seeds(seed, MATRIX_TRIAL, range(n)), n, episodes)
             for name, weights in (("best", training.best), ("final", training.state.weights)):
                 rows[name] += [*evaluate_multitask(world, recipe, weights, params, numbers)]
             records.append(
