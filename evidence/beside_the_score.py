@@ -32,7 +32,7 @@ import numpy as np
 
 from mbtl.benchmark import compare, load_matrix
 from mbtl.cmdps import get_cmdp
-from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seeds, evaluation_seed, training_seed
+from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seeds, evaluation_seeds, training_seed
 from mbtl.training.jax.episodic.episodes import Actor, go_on, import_actor
 from mbtl.worlds.world import context_of, in_a_row, of_simulations
 
@@ -60,20 +60,22 @@ def _measures(
     return {name: x.reshape(seeds.shape) for name, x in world.measures(end).items()}
 
 
-def played(trainer: Any, policies: Sequence[Any], contexts: Sequence[Any], seed: int) -> Means:
-    """The episodes of an evaluation with this seed; without policies traffic is unguided."""
+def played(
+    trainer: Any, policies: Sequence[Any], contexts: Sequence[Any], seeds: Sequence[int]
+) -> Means:
+    """The episodes of an evaluation with these seeds; without policies traffic is unguided."""
     world, params = trainer.problem(contexts)
     activation, how, actor = "tanh", "none", Actor((), jnp.zeros((1, 1)))
     if policies:
         activation, how = policies[0].activation, trainer.acting
         actor = import_actor(list(policies))
-    own = np.array(episode_seeds(seed, trainer.eval_episodes), np.uint32)
-    seeds = np.tile(own, (len(actor.log_std), 1))
+    own = np.array(episode_seeds(seeds, len(contexts), trainer.eval_episodes), np.uint32)
     found = []
     for c in range(len(contexts)):
         where = context_of(params, c)
         decisions = world.decisions(in_a_row(where))
-        found.append(_measures(world, activation, how, actor, seeds, where, decisions))
+        mine = np.tile(own[c], (len(actor.log_std), 1))
+        found.append(_measures(world, activation, how, actor, mine, where, decisions))
     return {
         name: np.stack([np.asarray(one[name]).mean(axis=1) for one in found], axis=1)
         for name in found[0]
@@ -113,7 +115,7 @@ def lines(id: str, seed: int, budget: int, episodes: int, kept: Path | None) -> 
     contexts, picks = cmdp.space.contexts, picks_of(id, seed, budget)
     policies = trained(trainer, contexts, picks, seed, kept and kept / f"{id}-seed{seed}")
     first, second = (
-        evaluation_seed(seed, MATRIX_TRIAL, purpose)
+        evaluation_seeds(seed, MATRIX_TRIAL, range(len(contexts)), purpose)
         for purpose in (Purpose.EVALUATION, Purpose.REPORT)
     )
     serving = played(trainer, policies, contexts, first)["score"].argmax(axis=0)

@@ -22,7 +22,7 @@ import numpy as np
 
 from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.registry import visibility_on_all
-from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seed, evaluation_seed, training_seed
+from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seeds, evaluation_seeds, training_seed
 
 FILE = Path(__file__).parents[1] / "docs/data/one-policy.json"
 SEEDS, EPISODES = 3, 20
@@ -51,8 +51,8 @@ def ends(cmdp_id: str, share: float) -> dict[str, Any]:
     training = engine.train_multitask(world, recipe, seeds, params, steps, checkpoint_every=steps)
     values = []
     for seed in range(SEEDS):
-        play = evaluation_seed(seed, MATRIX_TRIAL, Purpose.REPORT)
-        numbers = [episode_seed(play, e) for e in range(EPISODES)]
+        play = evaluation_seeds(seed, MATRIX_TRIAL, range(n), Purpose.REPORT)
+        numbers = episode_seeds(play, n, EPISODES)
         found = engine.evaluate_multitask(world, recipe, training.state.weights, params, numbers)
         assert cmdp.normalisation is not None
         values.append(float(cmdp.normalisation.normalise(found[seed]).mean()))

@@ -58,6 +58,8 @@ def test_a_users_problem_becomes_matrix_files(mbtl_command, problem):
     assert matrix.std is None
     assert record["recipe"] == {"trainer": "FunctionTrainer"}
     assert record["problem"] == "cartpole-length"
+    assert record["evaluation_seeds"] == matrix.evaluation_seeds == "per target"
+    assert "evaluation seeds per target" in err
 
 
 def test_an_interrupted_build_goes_on(mbtl_command, problem):
@@ -166,8 +168,13 @@ def test_policies_are_evaluated_again_with_other_episodes_but_not_of_another_tra
     assert "no policies were kept" in err
     assert mbtl_command(*build)[0] == 0
     assert load_matrix("cartpole-length", folder=problem / "matrices").episodes == (1, 1)
+    (claim,) = problem.glob("runs/*/settings.json")
+    older = json.loads(claim.read_text())
+    del older["evaluation_seeds"]  # of before targets had their own: the policies are the same
+    claim.write_text(json.dumps(older))
     assert mbtl_command(*again)[0] == 0
-    assert load_matrix("cartpole-length", folder=problem / "matrices").episodes == (2, 2)
+    evaluated = load_matrix("cartpole-length", folder=problem / "matrices")
+    assert (evaluated.episodes, evaluated.evaluation_seeds) == ((2, 2), "per target")
     assert len((problem / "trained.txt").read_text().split()) == 4
     code, _, err = mbtl_command(*again, "--timesteps", 7)
     assert code == 2
@@ -292,6 +299,9 @@ def test_show_and_list_say_of_what_the_numbers_are(mbtl_command, problem):
     assert code == 0
     assert "Performance 0 is a return of 0, 1 of 100" in out
     assert "same evaluation episodes" in " ".join(out.split())
+    assert "Evaluation seeds are per target." in out
+    assert "Evaluation seeds are common" in mbtl_command("matrix", "show", "cartpole-length")[1]
+    assert mbtl_command("matrix", "list", "--folder", "matrices")[1].endswith("per target.\n")
     code, out, _ = mbtl_command("matrix", "list", "--folder", "matrices", "--json")
     (one,) = json.loads(out)["matrices"]
     assert (one["matrix"], one["measures_apart"], one["episodes"]) == (

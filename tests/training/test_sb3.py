@@ -529,7 +529,7 @@ def test_the_end_of_a_simulators_process_is_a_failed_training():
 
 def test_an_untrained_policy_shows_that_evaluation_works_and_leaves_the_training_alone(trained):
     trainer = ppo()
-    assert rehearse(trainer, POLES[:2], 5) is None
+    assert rehearse(trainer, POLES[:2], [5, 6]) is None
     assert same(weights(trainer.train(POLE, 0)), weights(trained))
-    trouble = rehearse(ppo(hyperparameters={"learning_rat": 1.0}), POLES[:2], 5)
+    trouble = rehearse(ppo(hyperparameters={"learning_rat": 1.0}), POLES[:2], [5, 6])
     assert isinstance(trouble.error, InvalidInput)

@@ -184,6 +184,6 @@ def test_bad_options_say_what_is_known():
 
 
 def test_an_untrained_policy_shows_that_evaluation_works():
-    assert rehearse(TRAINER, CONTEXTS, 5) is None
-    trouble = rehearse(replace(TRAINER, hyperparameters={"n_enws": 2}), CONTEXTS, 5)
+    assert rehearse(TRAINER, CONTEXTS, [5, 6]) is None
+    trouble = rehearse(replace(TRAINER, hyperparameters={"n_enws": 2}), CONTEXTS, [5, 6])
     assert isinstance(trouble.error, UnknownName)

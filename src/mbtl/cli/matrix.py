@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -109,7 +110,7 @@ def list_matrices(
         )
         return
     table = Table(box=box.SIMPLE, padding=0, show_edge=False)
-    for head in ("matrix", "N", "seeds", "episodes", "luck", "protocol", "reference rows"):
+    for head in ("matrix", "N", "seeds", "episodes", "protocol", "reference rows"):
         right = head in ("N", "seeds", "episodes")
         table.add_column(head, justify="right" if right else "left", no_wrap=True)
     for name, one in matrices.items():
@@ -118,7 +119,6 @@ def list_matrices(
             str(one.n) if one.sources is None else f"{len(one.sources)}/{one.n}",
             str(one.n_seeds),
             _episodes(one),
-            _LUCK.get(str(one.evaluation_seeds), "-"),
             "halves" if one.measures_apart else "older",
             ", ".join(NAMES.get(key, key) for key in one.references) or "-",
         )
@@ -127,15 +127,19 @@ def list_matrices(
     screen.print(
         "halves: selection sees one half of the episodes, every number shown is of the other.\n"
         "older: selection and report used the same episodes, so V is too high where episodes "
-        "differ by luck.\n"
-        "own: each target has evaluation seeds of its own; common: all share them, and their luck "
-        "does not average out in V.",
+        "differ by luck.\n" + "\n".join(_luck(matrices)),
         style="dim",
     )
 
 
-_LUCK = {"per target": "own", "common to all targets": "common"}
-"""Of the targets, in a table."""
+def _luck(matrices: Mapping[str, TransferMatrix]) -> list[str]:
+    """Which evaluation seeds they have: a sentence, or one for each kind with the names."""
+    names: dict[str, list[str]] = {}
+    for name, one in matrices.items():
+        names.setdefault(one.evaluation_seeds or "not known", []).append(name)
+    if len(names) == 1:
+        return [f"Evaluation seeds are {kind}." for kind in names]
+    return [f"Evaluation seeds are {kind} in {', '.join(some)}." for kind, some in names.items()]
 
 
 def _episodes(matrix: TransferMatrix) -> str:

@@ -1,0 +1,143 @@
+"""Every context has evaluation episodes of its own, the same for every policy."""
+
+import numpy as np
+import pytest
+
+import mbtl
+from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.seeds import Purpose, evaluation_seeds
+from mbtl.study.fresh import fresh_value
+from mbtl.trainer import FunctionTrainer
+
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 64})
+EPISODES = 5
+
+
+def start_of(seed):
+    """What the starts of the episodes of a seed add to a return: nothing in the mean."""
+    return np.random.default_rng(seed).standard_normal(EPISODES)
+
+
+def study_of(root=0, **settings):
+    given = {"budget": 2, "bounds": (0.0, 1.0), "selector": "random", **settings}
+    return mbtl.create_study(SPACE, seed=root, **given)
+
+
+def train(context, seed):
+    return 0.5
+
+
+def error_of(evaluate, studies=25):
+    """Root mean square of V on fresh episodes, whose true value is .5."""
+    values = []
+    for root in range(studies):
+        study = study_of(root, budget=1).run(train, evaluate, progress=False).study
+        values.append(float(fresh_value(study).values[-1]))
+    return float(np.sqrt(np.mean((np.array(values) - 0.5) ** 2)))
+
+
+def test_luck_averages_out_in_v_unless_contexts_share_it():
+    def per_context(policy, contexts, seeds):
+        return [policy + start_of(seed) for seed in seeds]
+
+    def shared(policy, contexts, seeds):
+        return [policy + start_of(seeds[0] >> 4) for _ in contexts]
+
+    own, common = error_of(per_context), error_of(shared)
+    assert own == pytest.approx(1.0 / np.sqrt(EPISODES * SPACE.n), rel=0.35)
+    assert common == pytest.approx(1.0 / np.sqrt(EPISODES), rel=0.35)
+
+
+def test_a_function_of_one_seed_is_called_per_context_with_that_of_the_context():
+    def together(policy, contexts, seeds):
+        return np.array([policy + start_of(seed) for seed in seeds])
+
+    def one_by_one(policy, contexts, seed):
+        return [policy + start_of(seed) for _ in contexts]  # all of them alike, were there several
+
+    contexts, seeds = SPACE.contexts[:3], [7, 8, 9]
+    rows = [
+        FunctionTrainer(train, function).evaluate(0.5, contexts, seeds)
+        for function in (together, one_by_one)
+    ]
+    assert np.array_equal(*rows)
+    assert len(np.unique(rows[1])) == 3 * EPISODES
+
+
+def no_seed(policy, contexts):
+    return [policy] * len(contexts)
+
+
+def other_default(policy, contexts, episodes=2):
+    return [[policy] * episodes] * len(contexts)
+
+
+def any_name(policy, contexts, luck, /):
+    return [[policy + s, policy] for s in luck]
+
+
+def by_keyword(policy, contexts, *, seeds):
+    return [[policy + s, policy] for s in seeds]
+
+
+def one_by_keyword(policy, contexts, episodes=2, *, seed=0):
+    return [[policy + seed, policy]]
+
+
+def all_of_them(*given):
+    return [[given[0] + s, given[0]] for s in given[2]]
+
+
+@pytest.mark.parametrize(
+    ("evaluate", "expected"),
+    [(no_seed, [1, 1]), (other_default, [[1, 1], [1, 1]])]
+    + [(f, [[8, 1], [9, 1]]) for f in (any_name, by_keyword, one_by_keyword, all_of_them)],
+)
+def test_a_function_is_given_only_what_it_takes(evaluate, expected):
+    found = FunctionTrainer(train, evaluate).evaluate(1.0, SPACE.contexts[:2], [7, 8])
+    assert found.tolist() == expected
+
+
+def test_contexts_with_other_numbers_of_episodes_are_refused():
+    trainer = FunctionTrainer(train, lambda policy, contexts, seed: [[1.0] * seed])
+    with pytest.raises(TrainingFailed, match="as many episodes as the others, got 2 to 3"):
+        trainer.evaluate(0.5, SPACE.contexts[:2], [2, 3])
+
+
+class Heard(FunctionTrainer):
+    """Keeps which seed each context was evaluated with."""
+
+    def __init__(self):
+        super().__init__(train, lambda policy, contexts, seeds: np.zeros(len(contexts)))
+        object.__setattr__(self, "calls", [])
+
+    def evaluate(self, policy, contexts, seeds):
+        self.calls.append({SPACE.index(c): s for c, s in zip(contexts, seeds, strict=True)})
+        return super().evaluate(policy, contexts, seeds)
+
+
+@pytest.mark.parametrize("eval_targets", [None, 10])
+def test_a_study_evaluates_each_target_with_the_seed_that_it_hands_out(eval_targets):
+    trainer = Heard()
+    study = study_of(3, eval_targets=eval_targets)
+    study.run(trainer=trainer, progress=False)
+    seeds = study.evaluation_seeds()
+    fresh = study.evaluation_seeds(purpose=Purpose.REPORT)
+    assert len(set(seeds + fresh)) == 2 * SPACE.n
+    assert seeds == evaluation_seeds(3, 0, range(SPACE.n))
+    of_rows = [call for call in trainer.calls if min(call.values()) >> 28 == Purpose.EVALUATION]
+    assert all(seeds[i] == seed for call in of_rows for i, seed in call.items())
+    reported = [call for call in trainer.calls if call not in of_rows]
+    assert reported
+    assert all(fresh[i] == seed for call in reported for i, seed in call.items())
+
+
+def test_ask_and_tell_with_some_targets_has_their_seeds():
+    study = study_of(3, eval_targets=10)
+    pick = study.ask()
+    seeds = study.evaluation_seeds(pick.targets)
+    assert seeds == [study.evaluation_seeds()[i] for i in pick.targets]
+    study.tell(pick, [0.5 + start_of(seed) for seed in seeds])
+    assert pick.seed not in study.evaluation_seeds()
+    with pytest.raises(InvalidInput, match="targets are one or more distinct"):
+        study.evaluation_seeds([SPACE.n])
