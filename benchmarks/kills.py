@@ -7,6 +7,10 @@ SIGKILL) and started again. Processes are forked, since a thousand imports of mb
 than what is to be seen.
 
     python benchmarks/kills.py --kills 1000 --databases sqlite,postgresql
+
+Two kinds of study are killed, one after the other: one counts trainings of one context; the other
+counts steps, and has one policy for all contexts, copies tuned from it, trainings that go on, and
+policies that are evaluated once more on further contexts.
 """
 
 from __future__ import annotations
@@ -33,10 +37,13 @@ import numpy as np
 from postgres import Server, missing
 
 import mbtl
+from mbtl.actions import Evaluate, Extend, Start, StartOn, Stop, Wait
 from mbtl.errors import Unreachable
+from mbtl.seeds import training_seed
 from mbtl.study import Callback
 from mbtl.study.runner import run
-from mbtl.trainer import FunctionTrainer
+from mbtl.study.steps.callbacks import StepCallback
+from mbtl.trainer import FunctionTrainer, Reached
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 30})
 BUDGET = 20
@@ -72,6 +79,110 @@ def load(folder):
 TRAINER = FunctionTrainer(train, evaluate, save, load)
 
 
+LENGTHS = (1_000, 2_000, 4_000)
+"""Marks of a training that counts steps."""
+
+
+class Stepping:
+    """A trainer whose policies follow from context, seed, length and start, and from nothing else.
+
+    A policy is (4,): where it is at home, its seed, how long it trained, what it began with.
+    """
+
+    whole_steps = LENGTHS[-1]
+    eval_episodes = 1
+    policy_format = "custom"
+
+    def train(self, context, seed, on_progress=None):
+        """A whole training."""
+        return self.train_steps(context, seed, self.whole_steps).policy
+
+    def train_steps(self, context, seed, steps, *, start=None, saved=None, on_progress=None):
+        """To so many steps; the file says how many are done."""
+        done = json.loads(saved.read_text()) if saved is not None and saved.exists() else 0
+        while done < steps:  # going on costs what is left
+            done += 500
+            time.sleep(0.02 + 0.04 * (seed % 7) / 7)
+            if saved is not None:
+                saved.with_suffix(".new").write_text(json.dumps(done))
+                os.replace(saved.with_suffix(".new"), saved)
+        begun = 0.0 if start is None else 1.0 + float(start @ [1.0, 1e-3, 1e-6, 0.1])
+        return Reached(np.array([context["x"], seed % 1000, steps, begun]), steps)
+
+    def check_on_set(self):
+        """It can."""
+
+    def train_on_steps(self, contexts, seed, steps, *, marks, saved=None, on_progress=None):
+        """As on the middle of the contexts."""
+        middle = float(np.mean([context["x"] for context in contexts]))
+        return self.train_steps({"x": middle}, seed, steps, saved=saved)
+
+    def evaluate_steps(self, policy, contexts, seeds):
+        """Returns and steps, without luck."""
+        home, seed, steps, begun = policy
+        far = np.array([abs(context["x"] - home) for context in contexts])
+        returns = 1.0 - far * (1.0 - steps / 8_000) - 1e-6 * seed + 1e-3 * begun
+        time.sleep(0.002)
+        return returns[:, None], np.full((len(contexts), 1), 10)
+
+    def evaluate(self, policy, contexts, seeds):
+        """Returns alone."""
+        return self.evaluate_steps(policy, contexts, seeds)[0]
+
+    def save(self, policy, folder):
+        """As the functions do."""
+        save(policy, folder)
+        return True
+
+    def load(self, folder):
+        """As the functions do."""
+        return load(folder)
+
+
+class Everything:
+    """One policy for all, then in turns a copy tuned from it and a fresh one; each goes on once.
+
+    Every policy is evaluated on every second context, and later on the others.
+    """
+
+    name, in_parallel, trains_on_all, starts_warm = "everything", True, True, True
+
+    def decide(self, problem, trail, rng):
+        """The first of these that is due."""
+        if trail.unevaluated is not None:
+            return Evaluate(trail.unevaluated, tuple(range(0, problem.n, 2)))
+        for i, policy in enumerate(trail.policies):
+            if np.isnan(trail.rows[i]).any() and policy.training not in trail.busy:
+                return Evaluate(policy, tuple(range(problem.n)))
+        for number, training in enumerate(trail.trainings):
+            if training.length == 0 and number not in trail.busy:
+                return Extend(number, 1 + number % 2)
+        under_way = sum(isinstance(one, Start | StartOn) for one in trail.under_way)
+        begun = under_way + sum(one.length >= 0 for one in trail.trainings)
+        if begun == 0:
+            return StartOn(tuple(range(problem.n)), 0)
+        if begun < STEP_TRAININGS:
+            free = [c for c in range(problem.n) if c not in trail.begun]
+            tuned = begun % 2 and bool(trail.policies)
+            return Start(free[7 * begun % len(free)], 0, trail.policies[0] if tuned else None)
+        return Wait() if trail.under_way else Stop()
+
+
+STEP_TRAININGS = 12
+
+
+class StepWitness(StepCallback):
+    """As `Witness`, of studies that count steps."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
+    def on_evaluated(self, study, policy):
+        """One line, of what is believed to be in the log."""
+        with self.file.open("a") as out:
+            out.write(f"{policy.training} {policy.length}\n")
+
+
 class Witness(Callback):
     """Writes down, outside of the study, what a process believes to have told."""
 
@@ -91,11 +202,19 @@ class Place:
     url: str
     name: str
     folder: Path
+    counts: str
 
     def study(self):
         """Made or opened, as soon as the database answers."""
         while True:
             try:
+                if self.counts == "steps":
+                    return mbtl.create_study(
+                        SPACE, cost="steps", budget=10**6, bounds=(0.0, 1.0), trainer=Stepping(),
+                        strategy=Everything(), lengths=LENGTHS, horizon=10, episodes=1,
+                        storage=self.url, artifacts=self.folder, name=self.name,
+                        load_if_exists=True,
+                    )  # fmt: skip
                 return mbtl.create_study(
                     SPACE, budget=BUDGET, bounds=(0.0, 1.0), selector="random", storage=self.url,
                     artifacts=self.folder, name=self.name, load_if_exists=True,
@@ -107,6 +226,10 @@ class Place:
 def work(place: Place, role: str) -> None:
     """What one process does."""
     study = place.study()
+    if place.counts == "steps":
+        seen = [StepWitness(place.folder / "told")]
+        study.run(callbacks=seen, report=False, lease=LEASE, progress=False)
+        return
     witness = [Witness(place.folder / "told")]
     settings = {"callbacks": witness, "report": False, "lease": LEASE}
     if role == "run":
@@ -152,7 +275,7 @@ class Count:
     def __str__(self) -> str:
         hit = ", ".join(f"{n} of a {what}" for what, n in sorted(self.kills.items()))
         return (
-            f"{self.kills.total()} kills ({hit}) in {self.studies} studies of {BUDGET} trainings; "
+            f"{self.kills.total()} kills ({hit}) in {self.studies} studies; "
             f"{self.rows} rows told, {self.taken_over} trainings taken over, {self.late} late "
             f"results; rows lost {self.lost}, told twice {self.twice}, wrong {self.wrong}, "
             f"processes that crashed {self.crashed}, studies that did not end {self.unfinished}"
@@ -222,6 +345,9 @@ def judge(place: Place, count: Count) -> None:
     """Hold the log against what processes believe, and rows against their trainings."""
     reader, writer = os.pipe()
 
+    def of_steps() -> None:
+        os.write(writer, json.dumps(steps_found(place)).encode())
+
     def looked() -> None:
         study = place.study()
         state, events = study.state, study.log.read()
@@ -251,7 +377,7 @@ def judge(place: Place, count: Count) -> None:
         }
         os.write(writer, json.dumps(found).encode())
 
-    pid = forked(looked)
+    pid = forked(of_steps if place.counts == "steps" else looked)
     os.close(writer)
     with os.fdopen(reader) as pipe:
         said = pipe.read()
@@ -259,6 +385,55 @@ def judge(place: Place, count: Count) -> None:
     count.studies += 1
     for name, number in json.loads(said or "{}").items():
         setattr(count, name, getattr(count, name) + number)
+
+
+def steps_found(place: Place) -> dict[str, int]:
+    """The same of a study that counts steps: every policy made again, every row by its policy."""
+    study, trainer = place.study(), Stepping()
+    state, events = study.state, study.events()
+    made: dict[tuple[int, int], Any] = {}
+    wrong = 0
+    for number, course in enumerate(state.trainings):
+        lengths = state.lengths_of(number)
+        for mark, kept in course.marks.items():
+            start = (
+                None if course.start is None else made[course.start.training, course.start.length]
+            )
+            key = SPACE.n if course.on else course.source
+            seed = training_seed(study.spec.seed, study.spec.trial, key, course.repeat)
+            middle = {
+                "x": float(np.mean([SPACE.context(i)["x"] for i in course.on or (course.source,)]))
+            }
+            begun = 0.0 if start is None else 1.0 + float(start @ [1.0, 1e-3, 1e-6, 0.1])
+            policy = np.array([middle["x"], seed % 1000, lengths[mark], begun])
+            made[number, mark] = policy
+            wrong += not np.array_equal(load(study.artifacts.read(kept.place, kept.sha256)), policy)
+            wrong += kept.steps != lengths[mark]
+    rows = 0
+    for policy, row in zip(state.policies, state.returns, strict=True):
+        right = trainer.evaluate(made[policy.training, policy.length], SPACE.contexts, None)[:, 0]
+        wrong += not np.array_equal(row, right)
+        rows += 1
+    told = [e.data for e in events if e.kind == "evaluated"]
+    answered = collections.Counter(
+        (d["training"], d["length"], t) for d in told for t in d["targets"]
+    )
+    file = place.folder / "told"
+    believed = [tuple(map(int, line.split())) for line in file.read_text().splitlines()]
+    known = {(d["training"], d["length"]) for d in told}
+    paid = sum(max(m.steps for m in c.marks.values()) for c in state.trainings)
+    wrong += state.prices.training + state.prices.extension != paid
+    wrong += state.prices.evaluation != 10 * SPACE.n * rows
+    finished = study.is_finished
+    return {
+        "rows": rows,
+        "taken_over": sum(e.kind == "claimed" for e in events),
+        "lost": sum(one not in known for one in believed)
+        + (2 * STEP_TRAININGS - rows if finished else 0),
+        "twice": sum(n - 1 for n in answered.values()),
+        "wrong": wrong,
+        "unfinished": int(not finished),
+    }
 
 
 @contextlib.contextmanager
@@ -270,7 +445,7 @@ def database(kind: str) -> Iterator[Server | None]:
         yield server
 
 
-def campaign(kind: str, kills: int, seed: int) -> Count:
+def campaign(kind: str, counts: str, kills: int, seed: int) -> Count:
     """Studies one after another until there were so many kills."""
     rng, count = random.Random(seed), Count()
     with database(kind) as server, tempfile.TemporaryDirectory() as folder:
@@ -278,16 +453,16 @@ def campaign(kind: str, kills: int, seed: int) -> Count:
             place = Path(folder) / f"study-{count.studies}"
             place.mkdir()
             url = str(place / "study.db") if server is None else server.url
-            disturb(
-                Place(url, place.name, place), server, rng, count, min(kills - done, OF_A_STUDY)
-            )
+            where = Place(url, place.name, place, counts)
+            disturb(where, server, rng, count, min(kills - done, OF_A_STUDY))
             print(f"so far {count}", file=sys.stderr, flush=True)
     return count
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=1000, help="for each database")
+    parser.add_argument("--kills", type=int, default=1000, help="for each database and kind")
+    parser.add_argument("--studies", default="trainings,steps", help="what they count")
     parser.add_argument("--databases", default="sqlite,postgresql")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
@@ -298,9 +473,10 @@ def main() -> None:
         if kind == "postgresql" and (reason := missing()):
             print(f"{kind}: left out, {reason}")
             continue
-        count = campaign(kind, arguments.kills, arguments.seed)
-        good &= count.is_good
-        print(f"{kind}: {count}", flush=True)
+        for counts in arguments.studies.split(","):
+            count = campaign(kind, counts, arguments.kills, arguments.seed)
+            good &= count.is_good
+            print(f"{kind}, studies that count {counts}: {count}", flush=True)
     sys.exit(0 if good else 1)
 
 
