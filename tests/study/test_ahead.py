@@ -112,7 +112,7 @@ def test_who_waits_says_so_and_is_proposed_for(tmp_path, monkeypatch):
     study = mbtl.create_study(SPACE, selector="mbtl", **settings_of(tmp_path))
     waiting = mbtl.load_study(tmp_path / "study.db")
     claim = asking.claim(study.state, study.watch(), 60.0, study.worker)
-    study._append(claim, study.state)
+    study._commit(lambda state: claim)
 
     def ended(self):
         raise KeyboardInterrupt

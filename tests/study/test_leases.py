@@ -103,7 +103,7 @@ def test_a_proposal_that_fails_leaves_the_next_asker_nothing_to_wait_for(place, 
 
 def test_a_proposer_that_died_is_succeeded_when_its_time_is_over(place, clock):
     dead, other = mbtl.load_study(place), mbtl.load_study(place)
-    dead._append(mbtl.study.asking.claim(dead.state, dead.watch(), 9.0, "dead"), dead.state)
+    dead._commit(lambda state: mbtl.study.asking.claim(state, dead.watch(), 9.0, "dead"))
     assert mbtl.study.asking.claim(other.refresh(), other.watch(), 9.0, "other") is None
     clock.now += 100.0
     assert other.ask().number == 0

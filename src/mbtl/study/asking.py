@@ -178,11 +178,15 @@ def _nothing_left(state: StudyState, spec: StudySpec) -> str | None:
     return f"V = {now.value:.4f} is within {spec.stop_left:g} of the largest there can be, {most:g}"
 
 
-def propose(state: StudyState, selector: Selector, more: int = 0) -> dict[str, Any] | str:
+def propose(
+    spec: StudySpec, number: int, history: History, selector: Selector, more: int = 0
+) -> dict[str, Any] | str:
     """The facts of the next pick, or why one more training is not worth it.
 
     Args:
-        state: of the study.
+        spec: of the study.
+        number: of the pick.
+        history: what is known so far.
         selector: proposes.
         more: picks to propose ahead, each as if those before it were under way.
 
@@ -190,8 +194,6 @@ def propose(state: StudyState, selector: Selector, more: int = 0) -> dict[str, A
         StudyFinished: nothing is left to propose.
         InvalidInput: the selector breaks its contract.
     """
-    spec, number, history = state.spec, len(state.picks), state.history()
-    assert spec is not None
     try:
         data = _proposed(spec, history, selector, number)
     except Exhausted as error:

@@ -38,7 +38,7 @@ class Leased(Protocol):
 class Keeper:
     """Keeps the leases of one run; a context manager.
 
-    Its thread follows the log by itself, since a study belongs to the thread that uses it.
+    Its thread follows the log by itself, so that nothing the study is at can hold it up.
 
     Args:
         study: whose work it is.

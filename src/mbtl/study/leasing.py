@@ -125,8 +125,7 @@ class LeasingStudy(StudyView):
             True: go on; the lease begins anew. False: stop, because the pick was given back,
             answered, or taken over.
         """
-        state = self.refresh()
-        held = state.open_picks.get(pick.number)
+        held = self.refresh().open_picks.get(pick.number)
         if held is None or held.lease is None or held.lease.token != pick.token:
             return False
         self._log.beat(pick.token, held.lease.seconds or 0.0, steps=steps, value=value)
@@ -145,7 +144,8 @@ class LeasingStudy(StudyView):
 
     def open_picks(self) -> list[Pick]:
         """The picks that wait for an answer, in order; `state.open_picks` says who holds them."""
-        return [self._pick(record) for _, record in sorted(self.refresh().open_picks.items())]
+        with self._lock:
+            return [self._pick(record) for _, record in sorted(self.refresh().open_picks.items())]
 
     def release(self, pick: Pick | int) -> None:
         """Give a pick back untrained; the next `ask` hands it out again.
@@ -163,6 +163,9 @@ class LeasingStudy(StudyView):
 
     # ---- inside ------------------------------------------------------------------------------
 
+    def _sent(self) -> tuple[Any, ...]:
+        return (self.selector,)
+
     def _ask(self, lease: float | None) -> Pick:
         turn, retry = _Turn(_LONGEST_PAUSE), _Turn(_LONGEST_COMMIT)
         watch, watched, heard = self.watch(), time.monotonic(), 0.0
@@ -171,31 +174,25 @@ class LeasingStudy(StudyView):
             return asking.claim(state, watch, lease, self.worker, proposed=self.proposes_ahead)
 
         while True:
-            state = self.refresh()
             if time.monotonic() - watched > _WATCH:
                 watch, watched = self.watch(), time.monotonic()
-            claim = wanted(state)
+            try:
+                with self._lock:
+                    claim = self._attempt(wanted)
+                    following = len(self._state.picks)
+            except Conflict:
+                retry.wait()
+                continue
             if claim is None:  # somebody proposes just now, and the next one for us, too
                 if self.proposes_ahead and time.monotonic() > heard:
                     self._log.beat(asker(self.worker), 3.0 * _WATCH)
                     heard = time.monotonic() + _WATCH
                 turn.wait()
                 continue
-            try:
-                with self._turn() as queued:
-                    if queued:
-                        state = self.refresh()
-                        claim = wanted(state)
-                    if claim is None:
-                        continue
-                    self._append(claim, state)
-            except Conflict:
-                retry.wait()
-                continue
             if claim.kind == "released":
                 continue
             number = claim.data["pick"]
-            is_next = claim.kind == "claimed" and number == len(state.picks)
+            is_next = claim.kind == "claimed" and number == following
             if is_next and not self._propose(claim.data["token"], lease):
                 continue
             given = self._pick(self._state.picks[number])
@@ -212,12 +209,15 @@ class LeasingStudy(StudyView):
         done = False
         try:
             while not done:
-                state = self.refresh()
-                if state.proposing is None or state.proposing.token != token:
-                    return False
-                known = len(state.rows), len(state.failures)
-                more = asking.ahead(state, self.watch(), self.worker) if self.proposes_ahead else 0
-                found = asking.propose(state, self.selector, more)
+                with self._lock:
+                    state = self.refresh()
+                    if state.proposing is None or state.proposing.token != token:
+                        return False
+                    known = len(state.rows), len(state.failures)
+                    seen = self.spec, len(state.picks), state.history()
+                    ahead = self.proposes_ahead
+                    more = asking.ahead(state, self.watch(), self.worker) if ahead else 0
+                found = asking.propose(*seen, self.selector, more)  # others may tell meanwhile
                 holder = {"worker": self.worker, "token": token, "seconds": lease}
 
                 def settled(
@@ -274,14 +274,33 @@ class LeasingStudy(StudyView):
         """Append what `decide` makes of the newest state; decide anew if somebody was faster."""
         turn = _Turn(_LONGEST_COMMIT)
         while True:
-            state = self.refresh()
             try:
-                with self._turn() as queued:
-                    event = decide(self.refresh() if queued else state)
-                    self._append(event, state)
+                event = self._attempt(decide)
             except Conflict:
                 turn.wait()
                 continue
+            assert event is not None
+            return event
+
+    def _attempt(self, decide: Callable[[StudyState], Event | None]) -> Event | None:
+        """Append what `decide` makes of the newest state, which no other thread changes meanwhile.
+
+        Returns:
+            The event; None where there is nothing to append.
+
+        Raises:
+            Conflict: another process was faster.
+        """
+        with self._lock:
+            event = decide(self.refresh())
+            if event is None:
+                return None
+            with self._turn() as queued:
+                if queued and (event := decide(self.refresh())) is None:
+                    return None
+                check_event(event, self._state)
+                self._log.append(event, after=self._state.seq)
+                self.refresh()
             return event
 
     @contextlib.contextmanager
@@ -295,11 +314,6 @@ class LeasingStudy(StudyView):
         except Conflict:
             self._queued = _QUEUED
             raise
-
-    def _append(self, event: Event, state: StudyState) -> None:
-        check_event(event, state)
-        self._log.append(event, after=state.seq)
-        self.refresh()
 
 
 class _Turn:

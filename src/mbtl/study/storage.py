@@ -144,6 +144,9 @@ class SqlLog:
         self._turns = Turns(self._engine, study)
         weakref.finalize(self, self._engine.dispose)  # a server's connections end with the log
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return SqlLog, (self.url, self.study)  # another process opens it anew
+
     def append(self, event: Event, *, after: int) -> int:
         """Append in one transaction; see `EventLog`."""
         from sqlalchemy import insert, literal, select

@@ -90,7 +90,8 @@ class Study(LeasingStudy):
         if targets is None and isinstance(pick, Pick):
             targets = pick.targets
         elif targets is None:
-            targets = telling.asked_targets(self.refresh(), source)
+            with self._lock:
+                targets = telling.asked_targets(self.refresh(), source)
         evaluated = checked_targets(targets, self.space.n)
         rows = checked_returns(returns, len(evaluated))
         arrays = {name: np.full(self.space.n, np.nan) for name in ("returns", "std")}
@@ -121,9 +122,10 @@ class Study(LeasingStudy):
             made = None if state.equipment is None else recipe_digest(state.equipment)
             return Event("told", {**data, "pick": number, "cost": spent, "recipe": made}, arrays)
 
-        in_time = self._commit(told).kind == "told"
-        if policy_object is not None and in_time:
-            self.policies[place] = policy_object
+        with self._lock:  # so that no other thread takes a row away meanwhile
+            in_time = self._commit(told).kind == "told"
+            if policy_object is not None and in_time:
+                self.policies[place] = policy_object
         return in_time
 
     def evaluation_seeds(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable
+from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -29,8 +32,28 @@ if TYPE_CHECKING:
     from mbtl.portfolio import Portfolio
 
 
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def _alone(
+    method: Callable[Concatenate[StudyView, P], T],
+) -> Callable[Concatenate[StudyView, P], T]:
+    """What reads the state, while no other thread of this process changes it."""
+
+    @wraps(method)
+    def locked(self: StudyView, /, *args: P.args, **named: P.kwargs) -> T:
+        with self._lock:
+            return method(self, *args, **named)
+
+    return locked
+
+
 class StudyView:
     """What a study knows; `mbtl.study.Study` asks and tells.
+
+    Threads may share one. Sent to another process (pickled), it is opened there anew, as another
+    worker; policies that are in memory only stay here.
 
     Attributes:
         name: within its storage.
@@ -62,6 +85,7 @@ class StudyView:
         self.worker = new_worker()
         self.presence = Presence(database_file(getattr(log, "url", "")))
         self._log = log
+        self._lock = threading.RLock()
         self._state = StudyState() if state is None else state
         self.refresh()
 
@@ -69,6 +93,24 @@ class StudyView:
         told, spec = len(self._state.rows), self.spec
         return f"Study({self.name!r}: {told} of {spec.budget} trainings told, {spec.space!r})"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        if isinstance(self._log, MemoryLog):
+            raise StudyError(
+                f"a study in memory lives in one process, so {self.name!r} cannot be sent to "
+                "another or copied; make it with storage=<path or URL>"
+            )
+        given: dict[str, Any] = {
+            "folder": self.artifacts,
+            "name": self.name,
+            "trainer": self.trainer,
+        }
+        return partial(type(self), **given), (self._log, *self._sent())
+
+    def _sent(self) -> tuple[Any, ...]:
+        """Further arguments with which another process opens this study."""
+        return ()
+
+    @_alone
     def refresh(self) -> StudyState:
         """Apply what other processes appended, and return the state."""
         for event in self._log.read(self._state.seq):
@@ -113,16 +155,19 @@ class StudyView:
         return self.spec.selection_problem()
 
     @property
+    @_alone
     def history(self) -> History:
         """The rows told so far, as performance."""
         return self._state.history()
 
     @property
+    @_alone
     def bounds(self) -> Bounds:
         """Normalisation in force: given, or the range of the returns told so far."""
         return self._state.bounds()
 
     @property
+    @_alone
     def value(self) -> float:
         """V of the policies as they are routed, performance; -inf before the first row.
 
@@ -132,6 +177,7 @@ class StudyView:
         return self._state.value()
 
     @property
+    @_alone
     def routing(self) -> Routing:
         """Who serves which context after every training, what that is worth, and how sure.
 
@@ -141,6 +187,7 @@ class StudyView:
         return self._state.routing()
 
     @property
+    @_alone
     def curve(self) -> Array:
         """(k,) V after each row, performance, by the rows that routed the policies."""
         return self._state.curve()
@@ -151,21 +198,25 @@ class StudyView:
         return not isinstance(self._log, MemoryLog)
 
     @property
+    @_alone
     def stop_reason(self) -> str | None:
         """Why nothing more can be asked; None while something can."""
         return asking.stop_reason(self._state)
 
     @property
+    @_alone
     def is_finished(self) -> bool:
         """True when nothing can be asked and nobody works on a pick."""
         return asking.is_finished(self._state)
 
     @property
+    @_alone
     def has_succeeded(self) -> bool:
         """True when a pick was told; rows that nobody asked for show no training at work."""
         return any(row.pick is not None for row in self._state.rows)
 
     @property
+    @_alone
     def trainings(self) -> Trainings:
         """What became of each pick, and of rows that nobody asked for, one typed line each."""
         return trainings_of(self.refresh(), self.watch())
@@ -182,6 +233,7 @@ class StudyView:
         return self.trainings.html(repr(self))
 
     @property
+    @_alone
     def orphans(self) -> list[int]:
         """Numbers of open picks that nobody works on: given back, or their lease is stale."""
         return asking.left_alone(self._state, self.watch())
@@ -190,6 +242,7 @@ class StudyView:
         """Which leases are stale now."""
         return Watch(self._log, self.presence.is_gone)
 
+    @_alone
     def portfolio(self, trainer: Trainer | None = None, *, trust: bool = False) -> Portfolio:
         """The trained policies with their router.
 
