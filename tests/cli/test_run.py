@@ -224,6 +224,27 @@ def test_a_study_of_another_problem_is_refused(mbtl_command, own, tmp_path):
     assert "settings it was made with" in err
 
 
+def test_a_folder_that_was_renamed_or_copied_holds_the_same_study(mbtl_command, own, tmp_path):
+    def run(folder, *options):
+        code, out, err = mbtl_command("run", own, "--json", "--study", folder, *options)
+        assert code == 0, err
+        document = json.loads(out)
+        return {k: v for k, v in document.items() if k not in ("study", "files")}, err
+
+    before, _ = run("k2")
+    (tmp_path / "k2").rename(tmp_path / "moved")
+    shutil.copytree(tmp_path / "moved", tmp_path / "copy")
+    after, err = run("moved")
+    assert after == before
+    assert "pick" not in err
+    extended, err = run("copy", "--budget", "5")
+    assert "going on after 4 of 5 trainings" in err
+    assert extended["picks"][:4] == before["picks"]
+    assert len(mbtl.load_study(tmp_path / "copy").portfolio(trust=True).policies_missing) == 0
+    assert run("moved")[0] == before
+    assert [entry.name for entry in mbtl.list_studies(tmp_path / "copy")] == ["k2"]
+
+
 def test_a_corrupt_study_exits_1_and_names_the_file(mbtl_command, own, tmp_path):
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "study.db").write_bytes(b"not a database" * 300)

@@ -52,6 +52,17 @@ def test_a_run_shows_its_price_list_and_goes_on_with_more_steps(mbtl_command, ow
     assert (line["selector"], line["budget"], line["finished"]) == ("pilot", "200K", True)
 
 
+def test_a_folder_that_was_renamed_holds_the_same_study(mbtl_command, own, tmp_path):
+    command = ("run", own, "--steps", "100K", "--strategy", "fixed", "--json", "--study")
+    before = json.loads(mbtl_command(*command, "here")[1])
+    (tmp_path / "here").rename(tmp_path / "there")
+    code, out, err = mbtl_command(*command, "there")
+    assert code == 0, err
+    assert json.loads(out)["prices"] == before["prices"]
+    (line,) = json.loads(mbtl_command("study", "list", "there", "--json")[1])
+    assert line["name"] == "here"
+
+
 def test_a_study_that_counts_steps_is_listed_and_deleted(mbtl_command, own, tmp_path):
     import mbtl
 

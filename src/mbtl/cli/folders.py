@@ -2,15 +2,41 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 from mbtl.cli.common import console
-from mbtl.errors import InvalidInput
+from mbtl.errors import InvalidInput, StorageError
+from mbtl.study.storage import study_names
+
+DATABASE = "study.db"
+
+
+def study_in(folder: Path) -> str:
+    """Name of the study that lives in a folder; of a new one, the folder's.
+
+    A folder that was renamed or copied holds the study it held.
+
+    Raises:
+        InvalidInput: it holds several, none of which is called like the folder.
+    """
+    own, place, names = folder.resolve().name, folder / DATABASE, []
+    if place.is_file():
+        with contextlib.suppress(StorageError):  # opening it says what is wrong
+            names = study_names(place)
+    if own in names or not names:
+        return own
+    if len(names) > 1:
+        raise InvalidInput(
+            f"--study takes a folder with one study, and {folder} holds {len(names)} "
+            f"({', '.join(names)}); give the folder one of these names"
+        )
+    return names[0]
 
 
 def check_folder(folder: Path) -> None:
     """Refuse one that holds something else."""
-    if folder.exists() and not (folder / "study.db").exists() and any(folder.iterdir()):
+    if folder.exists() and not (folder / DATABASE).exists() and any(folder.iterdir()):
         raise InvalidInput(
             f"{folder} holds something that is not a study; choose another with --study"
         )

@@ -14,7 +14,7 @@ import typer
 
 from mbtl.arrays import Array
 from mbtl.cli.common import JsonFlag, console, plain_warnings, print_json, printer
-from mbtl.cli.folders import check_folder, set_aside
+from mbtl.cli.folders import check_folder, set_aside, study_in
 from mbtl.cli.master import artifacts_for, check_master, command, follow
 from mbtl.cli.progress import LiveProgress
 from mbtl.cli.run_steps import StepWish, check_steps, run_steps, steps_of
@@ -222,7 +222,7 @@ def run(
         risk=risk,
         storage=folder / "study.db" if workers is None else workers,
         artifacts=artifacts,
-        name=folder.resolve().name,
+        name=study_in(folder) if workers is None else folder.resolve().name,
         settings=settings,
         load_if_exists=True,
     )
@@ -273,7 +273,7 @@ def _is_there(folder: Path, settings: Mapping[str, Any], preset: str) -> bool:
     place = folder / "study.db"
     if not place.is_file():
         return False
-    begun = Study(SqlLog(place, folder.resolve().name), get_selector("random"), folder=folder)
+    begun = Study(SqlLog(place, study_in(folder)), get_selector("random"), folder=folder)
     return first_difference(begun.spec.settings, {**settings, "preset": preset}) is None
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mbtl.cli.common import console, plain_warnings, print_json, printer
-from mbtl.cli.folders import check_folder, set_aside
+from mbtl.cli.folders import check_folder, set_aside, study_in
 from mbtl.cli.master import artifacts_for, check_master, command
 from mbtl.cli.step_progress import StepProgress
 from mbtl.cli.step_worker import follow
@@ -123,7 +123,7 @@ def run_steps(
         seed=wish.seed,
         storage=folder / "study.db" if url is None else url,
         artifacts=artifacts,
-        name=folder.resolve().name,
+        name=study_in(folder) if url is None else folder.resolve().name,
         load_if_exists=True,
     )
     _announce(study, trainer, folder)
