@@ -21,7 +21,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, TrainingFailed, unknown_name
-from mbtl.settings import as_json
+from mbtl.settings import described, described_code
 
 
 @dataclass(frozen=True)
@@ -272,6 +272,11 @@ class FunctionTrainer:
         """Whether policies can be saved."""
         return self.save_fn is not None
 
+    @property
+    def functions(self) -> dict[str, Any]:
+        """Where a user's own code is (`code_of`)."""
+        return {"train": self.train_fn, "evaluate": self.evaluate_fn}
+
     def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
         """Call `train_fn`; plain functions report no progress."""
         return self.train_fn(context, seed)
@@ -418,12 +423,13 @@ def check_settings(trainer: Any, counts: Sequence[str], optional: Sequence[str])
 
 
 def recipe_of(trainer: Trainer) -> dict[str, Any]:
-    """What decides the policies of a trainer, JSON-able: two studies of one recipe may be compared.
+    """What decides the policies of a trainer, by value: two studies of one recipe may be compared.
 
     A trainer with a `recipe` attribute says it itself; of others only the type is known.
     """
-    given = getattr(trainer, "recipe", None)
-    return dict(given) if given is not None else {"trainer": type(trainer).__name__}
+    recipe = getattr(trainer, "recipe", None) or {"trainer": type(trainer).__name__}
+    found: dict[str, Any] = described(recipe)
+    return found
 
 
 def recipe_digest(equipment: Mapping[str, Any]) -> str:
@@ -433,10 +439,15 @@ def recipe_digest(equipment: Mapping[str, Any]) -> str:
 
 
 def equipment_of(trainer: Trainer) -> dict[str, Any]:
-    """Recipe and policy format, as they read back from a log.
+    """Recipe and policy format, as they read back from a log."""
+    return {"recipe": recipe_of(trainer), "policy_format": trainer.policy_format}
 
-    Raises:
-        InvalidInput: the recipe is not JSON-able.
+
+def code_of(trainer: Trainer) -> dict[str, Any]:
+    """The user's own code by what it does ("train", "make_env", ...), as it reads back from a log.
+
+    A trainer with an attribute `functions` names it; of others it is their class.
     """
-    recipe = as_json("the recipe of a trainer", recipe_of(trainer))
-    return {"recipe": recipe, "policy_format": trainer.policy_format}
+    named: Mapping[str, Any] = getattr(trainer, "functions", {"trainer": type(trainer)})
+    found = {name: described_code(one) for name, one in named.items()}
+    return {name: code for name, code in found.items() if code is not None}

@@ -31,6 +31,17 @@ problem = mbtl.CMDP.from_functions(
 """
 
 
+OWN = PROBLEM.replace(
+    "problem =",
+    """FAR = {far}
+
+def evaluate(policy, contexts, seed):
+    return [FAR * one for one in q.evaluate(policy, contexts, seed)]
+
+problem =""",
+).replace("evaluate=q.evaluate", "evaluate=evaluate")
+
+
 @pytest.fixture
 def own(tmp_path):
     (tmp_path / "own.py").write_text(PROBLEM.format(folder=str(QUICK.parent)))
@@ -243,6 +254,23 @@ def test_a_folder_that_was_renamed_or_copied_holds_the_same_study(mbtl_command, 
     assert len(mbtl.load_study(tmp_path / "copy").portfolio(trust=True).policies_missing) == 0
     assert run("moved")[0] == before
     assert [entry.name for entry in mbtl.list_studies(tmp_path / "copy")] == ["k2"]
+
+
+def test_an_edited_evaluate_is_named_and_goes_on_with_accept_changes(mbtl_command, tmp_path):
+    def run(far, *options):
+        text, name = OWN.format(folder=str(QUICK.parent), far=far), f"mine{far:.0f}.py"
+        (tmp_path / name).write_text(text)  # a new process would find it by the same name
+        return mbtl_command("run", f"{name}:problem", "--json", "--study", "k", *options)
+
+    assert run(1, "--budget", "2")[0] == 0
+    code, out, err = run(2, "--budget", "3")
+    assert (code, out) == (2, "")
+    assert "since they were made `FAR`, which `evaluate` uses (was 1, is 2) changed" in " ".join(
+        err.split()
+    )
+    code, out, err = run(2, "--budget", "3", "--accept-changes")
+    assert code == 0, err
+    assert len(json.loads(out)["picks"]) == 3
 
 
 def test_a_corrupt_study_exits_1_and_names_the_file(mbtl_command, own, tmp_path):

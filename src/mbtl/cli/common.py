@@ -28,6 +28,12 @@ console = Console(stderr=True)
 SILENCE = 60.0
 """Seconds after which a log, where there is no terminal, is told that long work goes on."""
 
+AcceptFlag = Annotated[
+    bool,
+    typer.Option(
+        "--accept-changes", help="Go on although your functions changed since the study was begun."
+    ),
+]
 JsonFlag = Annotated[
     bool, typer.Option("--json", help="Print one JSON document on standard output.")
 ]

@@ -13,7 +13,7 @@ import numpy as np
 import typer
 
 from mbtl.arrays import Array
-from mbtl.cli.common import JsonFlag, console, plain_warnings, print_json, printer
+from mbtl.cli.common import AcceptFlag, JsonFlag, console, plain_warnings, print_json, printer
 from mbtl.cli.folders import check_folder, set_aside, study_in
 from mbtl.cli.master import artifacts_for, check_master, command, follow
 from mbtl.cli.progress import LiveProgress
@@ -122,6 +122,7 @@ def run(
         bool,
         typer.Option("--no-rehearsal", help="Skip the trial evaluation before the first training."),
     ] = False,
+    accept_changes: AcceptFlag = False,
     tensorboard: Annotated[
         Path | None, typer.Option(help="Folder for TensorBoard: V per pick and training scalars.")
     ] = None,
@@ -174,7 +175,8 @@ def run(
         }  # fmt: skip
         check_steps(steps, [k for k, given in meant_for_trainings.items() if given])
         wish = StepWish(problem, steps_of(str(steps)), strategy, preset, seed, engine, timesteps,
-                        episodes, eval_episodes, tensorboard, artifacts, workers)  # fmt: skip
+                        episodes, eval_episodes, tensorboard, artifacts, workers,
+                        accept_changes)  # fmt: skip
         run_steps(wish, study, new=new, failures=stop_after_failures, as_json=as_json)
         return
     check_options(parallel, stop_after_failures=stop_after_failures)
@@ -246,6 +248,7 @@ def run(
                 rehearse=not no_rehearsal,
                 progress=False,
                 callbacks=callbacks,
+                accept_changes=accept_changes,
             )
         except TrainingFailed as error:
             if not running.state.rows:

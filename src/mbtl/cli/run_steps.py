@@ -44,6 +44,7 @@ class StepWish:
         tensorboard: folder for training scalars.
         artifacts: folder or URL of the policies.
         workers: database in which others train the study; None: it is trained here.
+        accept_changes: go on although own functions have changed since the study was begun.
     """
 
     problem: str
@@ -58,6 +59,7 @@ class StepWish:
     tensorboard: Path | None
     artifacts: str | None
     workers: str | None = None
+    accept_changes: bool = False
 
 
 def steps_of(text: str) -> int:
@@ -130,7 +132,12 @@ def run_steps(
     if url is not None:
         follow(study, command(url, study.name, wish.problem, wish.engine, "", artifacts))
     with plain_warnings(), StepProgress(console) as live:
-        study.run(progress=False, callbacks=[live], stop_after_failures=failures)
+        study.run(
+            progress=False,
+            callbacks=[live],
+            stop_after_failures=failures,
+            accept_changes=wish.accept_changes,
+        )
     _finish(study, trainer, folder, as_json=as_json)
 
 

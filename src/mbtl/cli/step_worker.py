@@ -10,7 +10,7 @@ from mbtl.cli.common import console, print_json
 from mbtl.cli.step_progress import StepProgress
 from mbtl.cmdps import CMDP
 from mbtl.errors import InvalidInput, StudyError
-from mbtl.settings import as_json, first_difference
+from mbtl.settings import described, first_difference
 from mbtl.study import SqlLog
 from mbtl.study.described import describe_selector, without_origin
 from mbtl.study.listing import chosen_name, database_at, is_paid_in_steps
@@ -40,7 +40,7 @@ def opened(study: str, name: str | None, cmdp: CMDP, artifacts: str | None) -> S
             f"{found.name!r} is a study of {spec.problem!r}, got {cmdp.id!r}; name its problem"
         )
     recorded = without_origin(spec.strategy)
-    ours = without_origin(as_json("settings", describe_selector(found.strategy)))  # type: ignore[arg-type]
+    ours = without_origin(described(describe_selector(found.strategy)))  # type: ignore[arg-type]
     if difference := first_difference(recorded, ours):
         raise StudyError(
             f"a worker decides by the strategy of the study, and {recorded['name']!r} with "

@@ -16,6 +16,7 @@ import typer
 
 from mbtl.cli import step_worker
 from mbtl.cli.common import (
+    AcceptFlag,
     JsonFlag,
     console,
     interrupts,
@@ -99,6 +100,7 @@ def worker(
     patience: Annotated[
         float, typer.Option(help="Seconds for which a database that does not answer is waited for.")
     ] = PATIENCE,
+    accept_changes: AcceptFlag = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Train what a study picks, beside other workers, until it is finished.
@@ -128,7 +130,8 @@ def worker(
                 step_worker.check_options(meaningless)
                 _of_steps(
                     study, name, cmdp, artifacts, Patience(patience), over, lease=lease,
-                    failures=stop_after_failures, wait=not no_wait, as_json=as_json,
+                    failures=stop_after_failures, wait=not no_wait, accept_changes=accept_changes,
+                    as_json=as_json,
                 )  # fmt: skip
                 return
             trainer = _as_recorded(cmdp, opened)
@@ -144,6 +147,7 @@ def worker(
                     lease=lease,
                     retries=retries,
                     timeout=timeout,
+                    accept_changes=accept_changes,
                     may_begin=has_room,
                     wait=not no_wait,
                 )
@@ -173,6 +177,7 @@ def _of_steps(
     lease: float,
     failures: int,
     wait: bool,
+    accept_changes: bool,
     as_json: bool,
 ) -> None:
     """The same for a study that is paid in steps: one action after another."""
@@ -189,6 +194,7 @@ def _of_steps(
                 stop_after_failures=failures,
                 lease=lease,
                 wait=wait,
+                accept_changes=accept_changes,
             )
     except KeyboardInterrupt:
         if not over.is_set():

@@ -15,7 +15,7 @@ from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.objective import Bounds, Direction, Objective, direction_named
 from mbtl.plain import finite, real, short, text, whole
 from mbtl.selectors import Selector, get_selector, selector_names
-from mbtl.settings import as_json, first_difference
+from mbtl.settings import described, first_difference
 from mbtl.study.checks import check_spec
 from mbtl.study.database import exists_already, shown
 from mbtl.study.described import FROM, describe_selector, without_origin
@@ -267,7 +267,7 @@ def create_study(
         stop_value,
         cost_budget,
         text("problem", facts.id if problem is None else problem) or facts.id,
-        as_json("settings", {**facts.settings, **_record("settings", settings)}),
+        described({**facts.settings, **_record("settings", settings)}),
         whole("repeats", repeats),
         costs_of(costs, space),
         real("risk", aim.risk),

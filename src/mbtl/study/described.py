@@ -1,12 +1,14 @@
-"""A selector in a log: its name, and what was set differently from usual."""
+"""What a log says of objects of a user's: of selectors, and of the code of functions."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from mbtl.errors import StudyMismatch, few
 from mbtl.selectors import Selector
+from mbtl.settings import CODE, described, differences
 
 FROM = "from"
 """Key of the text by which a user named a selector of their own."""
@@ -26,13 +28,10 @@ def describe_selector(selector: Selector, named: str | Selector | None = None) -
             return {name: plain(v) for name, v in changed.items() if v is not _KEPT}
         if isinstance(value, (list, tuple)):
             return [plain(item) for item in value]
-        if value is None or isinstance(value, (str, int, float, bool)):
-            return value
-        return getattr(value, "__qualname__", type(value).__qualname__)
+        return described(value)
 
-    settings = plain(selector)
-    if not isinstance(settings, dict):
-        settings = {"class": settings}
+    is_record = dataclasses.is_dataclass(selector)
+    settings = plain(selector) if is_record else {"class": type(selector).__qualname__}
     own = {FROM: named} if isinstance(named, str) and ":" in named else {}
     return {**settings, **own, "name": selector.name}
 
@@ -40,6 +39,31 @@ def describe_selector(selector: Selector, named: str | Selector | None = None) -
 def without_origin(description: Mapping[str, Any]) -> dict[str, Any]:
     """What two descriptions of one selector share, wherever it was found."""
     return {key: value for key, value in description.items() if key != FROM}
+
+
+def changed_code(known: Mapping[str, Any], given: Mapping[str, Any]) -> list[str]:
+    """What changed in a user's own code, for people.
+
+    Args:
+        known: as `mbtl.trainer.code_of` gave it before.
+        given: as it gives it now.
+    """
+    found = []
+    for path, was, now in differences(known, given):
+        role, *names = [part for part in path.split(".") if part != "code"]
+        said = f"`{'.'.join(names)}`, which `{role}` uses" if names else f"`{role}`"
+        values = [one for one in (was, now) if one is not None and not str(one).startswith(CODE)]
+        found.append(f"{said} (was {was!r}, is {now!r})" if names and len(values) > 1 else said)
+    return found
+
+
+def code_mismatch(changes: Sequence[str]) -> StudyMismatch:
+    """Build the error for own code that changed while a study was away."""
+    return StudyMismatch(
+        "the policies of a study are made and evaluated by one code, and since they were made "
+        f"{few(changes)} changed; take the old code back, start another study (--new, or another "
+        "name), or mix them knowingly with accept_changes=True (--accept-changes)"
+    )
 
 
 _KEPT = object()

@@ -2,7 +2,8 @@
 
 created   the problem and the settings; always the first
 extended  the budget was raised
-equipped  a run brought its trainer: recipe and format of the policies
+equipped  a run brought its trainer: recipe and format of the policies, own code, and which
+          changes of that were accepted
 claimed   a worker holds a pick from now on: one that is open, or the next, whose source it proposes
 asked     the selector proposed the source of the pick that was claimed, and perhaps some ahead; or
           a worker holds the first of those from now on

@@ -63,6 +63,7 @@ def run(
     deterministic: bool = False,
     retries: int = 0,
     timeout: float | None = None,
+    accept_changes: bool = False,
     may_begin: Callable[[], bool] | None = None,
     wait: bool = True,
 ) -> RunResult:
@@ -93,6 +94,8 @@ def run(
             whose worker process died is begun again once in any case.
         timeout: seconds that a training may take; longer ones count as failed. In this process it
             is looked at whenever the training reports.
+        accept_changes: a user's own functions may have changed since the study was begun; the log
+            says so then.
         may_begin: asked before each training; once it says no, the run ends.
         wait: stay while others are at the last trainings, to take over from those that die.
 
@@ -111,6 +114,8 @@ def run(
                 _check_can_travel(pooled, trainer)
             _warn_of_unsaved(study, trainer)
             _announce_others(study, callbacks)
+            if study.state.equipment is not None or retry_failed or not study.is_finished:
+                study.equip(trainer, accept_changes=accept_changes)
             for failed in list(study.refresh().failures) if retry_failed else []:
                 if not failed.pruned:
                     study.retry(failed.pick)
@@ -124,8 +129,6 @@ def run(
             )
             ask = partial(_next_pick, study, keeper, may_begin or _always)
             do_all = partial(_do_all, study, batches, parallel, deterministic, ask)
-            if study.state.equipment is not None or not study.is_finished:
-                study.equip(trainer)
             try:
                 do_all()
                 while wait and _wait_for_others(study, callbacks, may_begin or _always):

@@ -46,7 +46,7 @@ class StudyState:
     late: list[LateResult] = field(default_factory=list)
     fresh: FreshReturns | None = None
     equipment: Mapping[str, Any] | None = None
-    """Recipe and format of the policies; None: not known so far."""
+    """Recipe and format of the policies, and own code; None: not known so far."""
     stopped: str | None = None
     first_budget: int | None = None
     """Before the budget was raised; None: it never was."""
@@ -225,7 +225,7 @@ class StudyState:
             self.equipment = {name: settings[name] for name in ("recipe", "policy_format")}
 
     def _equipped(self, event: Event) -> None:
-        self.equipment = dict(event.data)
+        self.equipment = {name: one for name, one in event.data.items() if name != "accepted"}
 
     def _extended(self, event: Event) -> None:
         assert self.spec is not None

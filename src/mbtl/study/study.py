@@ -21,6 +21,7 @@ from mbtl.seeds import Purpose, evaluation_seeds
 from mbtl.settings import first_difference
 from mbtl.study import telling
 from mbtl.study.artifacts import Artifact
+from mbtl.study.described import changed_code, code_mismatch
 from mbtl.study.events import Event, Kind
 from mbtl.study.leasing import LeasingStudy
 from mbtl.study.pick import Pick
@@ -31,6 +32,7 @@ from mbtl.trainer import (
     Trainer,
     checked_returns,
     checked_targets,
+    code_of,
     equipment_of,
     recipe_digest,
 )
@@ -119,7 +121,9 @@ class Study(LeasingStudy):
             number = telling.answered(state, pick, source)
             expected = 0.0 if number is None else usual
             spent = expected if price is None else price
-            made = None if state.equipment is None else recipe_digest(state.equipment)
+            made = self._made
+            if made is None and state.equipment is not None:
+                made = recipe_digest(state.equipment)
             return Event("told", {**data, "pick": number, "cost": spent, "recipe": made}, arrays)
 
         with self._lock:  # so that no other thread takes a row away meanwhile
@@ -201,25 +205,39 @@ class Study(LeasingStudy):
             pick = whole("the number of a pick", pick)
         self._commit(lambda state: telling.reopening(state, pick))
 
-    def equip(self, trainer: Trainer) -> None:
+    def equip(self, trainer: Trainer, *, accept_changes: bool = False) -> None:
         """Record what the policies of this study are made with, or check that it is the same.
 
+        Args:
+            trainer: makes them.
+            accept_changes: a user's own functions may have changed since; the log says so then.
+
         Raises:
-            StudyMismatch: policies were made with another recipe or format before.
+            StudyMismatch: policies were made with another recipe, format or code before.
         """
-        given, state = equipment_of(trainer), self.refresh()
-        known = state.equipment
+        code, state = code_of(trainer), self.refresh()
+        given, known = equipment_of(trainer), state.equipment or {}
+        given |= {"code": code} if code or "code" in known else {}
+        self._made = recipe_digest(given)
         if known == given:
             return
-        if known is None or not (self.has_succeeded or state.deferred):
-            self._commit(lambda _: Event("equipped", given))
+        begun, changes = self.has_succeeded or bool(state.deferred), list[str]()
+        if begun and known:
+            if found := first_difference({**known, "code": None}, {**given, "code": None}):
+                key, was, now = found
+                raise StudyMismatch(
+                    f"the policies of a study are made with one recipe: {key} was {was!r}, got "
+                    f"{now!r}; use the same trainer, or start another study (--new, or another "
+                    "name)"
+                )
+            if self.has_succeeded and "code" in known:  # what only failed may be mended
+                changes = changed_code(known["code"], code)
+            if changes and not accept_changes:
+                raise code_mismatch(changes)
+        facts = {**given, **({"accepted": changes} if changes else {})}
+        self._commit(lambda _: Event("equipped", facts))
+        if not begun:
             self.untold.clear()  # of another recipe
-            return
-        key, was, now = first_difference(known, given) or ("recipe", known, given)
-        raise StudyMismatch(
-            f"the policies of a study are made with one recipe: {key} was {was!r}, got {now!r}; "
-            "use the same trainer, or start another study (--new, or another name)"
-        )
 
     def extend(self, budget: int) -> None:
         """Raise the budget to `budget` trainings in all, for a few more picks.
@@ -289,6 +307,7 @@ class Study(LeasingStudy):
         deterministic: bool = False,
         retries: int = 0,
         timeout: float | None = None,
+        accept_changes: bool = False,
     ) -> RunResult:
         """Train and evaluate until the study is finished; see `mbtl.study.runner.run`.
 
@@ -314,12 +333,13 @@ class Study(LeasingStudy):
             deterministic: with parallel > 1, wait for a whole batch before the next picks.
             retries: so often a training that failed is begun again before it counts as failed.
             timeout: seconds that a training may take.
+            accept_changes: go on although own functions have changed since the study was begun.
 
         Returns:
             V after each training, all trainings, failures, and why the run ended.
 
         Raises:
-            StudyMismatch: the study was run with another recipe or policy format before.
+            StudyMismatch: the study was run with another recipe, policy format or code before.
         """
         from mbtl.study.callbacks import PrintProgress
         from mbtl.study.runner import run  # the runner joins study, trainer and executor
@@ -347,6 +367,7 @@ class Study(LeasingStudy):
             deterministic=deterministic,
             retries=retries,
             timeout=timeout,
+            accept_changes=accept_changes,
         )
 
     def stop(self, reason: str = "it was stopped") -> None:

@@ -82,6 +82,7 @@ class StudyView:
         self.policies: dict[int, Any] = {}
         self.untold: dict[int, Any] = {}
         self.stopping: str | None = None
+        self._made: str | None = None  # digest of what this object's policies are made with
         self.worker = new_worker()
         self.presence = Presence(database_file(getattr(log, "url", "")))
         self._log = log

@@ -17,6 +17,7 @@ from mbtl.contexts import Context
 from mbtl.envs.references import reference_rows
 from mbtl.errors import InvalidInput, missing_extra, unknown_name
 from mbtl.seeds import action_seed, checkpoint_seeds, episode_seeds
+from mbtl.settings import described
 from mbtl.trainer import OnProgress, check_settings
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
 from mbtl.training.isolation import isolated
@@ -192,20 +193,23 @@ class SB3Trainer(SB3Steps):
     @property
     def recipe(self) -> dict[str, Any]:
         """What decides the policies and their returns, JSON-able; not the place or speed."""
-        algorithm = self.algorithm if isinstance(self.algorithm, str) else self.algorithm.__name__
-        policy = self.policy if isinstance(self.policy, str) else self.policy.__name__
         return {
             "trainer": "stable-baselines3",
-            "algorithm": algorithm,
-            "policy": policy,
+            "algorithm": described(self.algorithm),
+            "policy": described(self.policy),
             **self._length_record,
-            "hyperparameters": {k: _plain(v) for k, v in sorted(self.hyperparameters.items())},
+            "hyperparameters": described(dict(sorted(self.hyperparameters.items()))),
             "n_envs": self.n_envs,
             "checkpoint": self.checkpoint,
             "checkpoint_every": self.checkpoint_every,
             "checkpoint_episodes": self.checkpoint_episodes,
             "eval_episodes": self.eval_episodes,
         }
+
+    @property
+    def functions(self) -> dict[str, Any]:
+        """Where a user's own code is (`mbtl.trainer.code_of`)."""
+        return {"make_env": self.make_env, "policy": self.policy, "algorithm": self.algorithm}
 
     @property
     def recipe_on_all(self) -> dict[str, Any]:
@@ -343,17 +347,6 @@ def _steps(value: Any, envs: Any, name: str) -> Any:
             "without; give a number"
         )
     return steps
-
-
-def _plain(value: Any) -> Any:
-    """A hyperparameter as JSON has it; schedules, classes and the like by name."""
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    return getattr(value, "__qualname__", repr(type(value)))
 
 
 def _monitored(make: Callable[[], Any]) -> Any:

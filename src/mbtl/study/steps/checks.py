@@ -8,21 +8,27 @@ from typing import TYPE_CHECKING, Any
 from mbtl.actions import Policy
 from mbtl.errors import InvalidInput, StudyMismatch
 from mbtl.set_trainer import SetTrainer
-from mbtl.settings import as_json, first_difference
+from mbtl.settings import first_difference
+from mbtl.study.described import changed_code, code_mismatch
 from mbtl.study.steps.kept import check_artifacts
 from mbtl.study.steps.prices import whole_length
-from mbtl.trainer import SteppingTrainer, Trainer, recipe_of
+from mbtl.trainer import SteppingTrainer, Trainer, code_of, recipe_of
 
 if TYPE_CHECKING:
     from mbtl.study.steps.study import StepStudy
 
 
-def check_trainer(study: StepStudy, trainer: Trainer) -> None:
+def check_trainer(study: StepStudy, trainer: Trainer, *, accept_changes: bool = False) -> None:
     """Refuse, before anything is spent, a trainer that cannot do what will be asked.
+
+    Args:
+        study: asks.
+        trainer: makes and evaluates its policies.
+        accept_changes: a user's own functions may have changed since; the log says so then.
 
     Raises:
         InvalidInput: so it is.
-        StudyMismatch: it has another recipe, or the policies are kept elsewhere.
+        StudyMismatch: it has another recipe or code, or the policies are kept elsewhere.
     """
     check_artifacts(study)
     spec = study.spec
@@ -60,7 +66,7 @@ def check_trainer(study: StepStudy, trainer: Trainer) -> None:
     if getattr(study.strategy, "starts_warm", False) and not _begins_from_others(trainer):
         raise _no_start(study.strategy.name)
     known = spec.settings.get("recipe")
-    own = as_json("the recipe of a trainer", recipe_of(trainer))
+    own = recipe_of(trainer)
     if known is not None and (found := first_difference(known, own)):
         raise StudyMismatch(
             f"a study is run with the recipe it was made with: {found[0]} was {found[1]!r}, got "
@@ -71,6 +77,18 @@ def check_trainer(study: StepStudy, trainer: Trainer) -> None:
             "a study that is stored goes on from saved policies, got a trainer that saves none; "
             "give save and load functions, or leave storage out"
         )
+    _equip(study, trainer, accept_changes)
+
+
+def _equip(study: StepStudy, trainer: Trainer, accept_changes: bool) -> None:
+    """Record a user's own code, or check that it is the same; see `mbtl.Study.equip`."""
+    code, known = code_of(trainer), study.refresh().code
+    if code == (known or {}):
+        return
+    changes = changed_code(known, code) if known and study.state.trainings else []
+    if changes and not accept_changes:
+        raise code_mismatch(changes)
+    study.append("equipped", {"code": code, **({"accepted": changes} if changes else {})})
 
 
 def check_start(study: StepStudy, trainer: Trainer, start: Policy) -> None:

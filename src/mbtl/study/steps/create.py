@@ -13,7 +13,7 @@ from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StudyMismatch
 from mbtl.objective import Bounds, direction_named
 from mbtl.plain import finite, text, whole
-from mbtl.settings import as_json, first_difference
+from mbtl.settings import described, first_difference
 from mbtl.study.database import exists_already, shown
 from mbtl.study.described import describe_selector, without_origin
 from mbtl.study.events import OPENED, Event
@@ -127,7 +127,7 @@ def create_step_study(
         whole("seed", seed),
         whole("trial", trial),
         text("problem", problem) or facts.id,
-        as_json("settings", {**facts.settings, **(settings or {})}),
+        described({**facts.settings, **(settings or {})}),
     )
     address = None if storage is None else fixed_url(storage)
     log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
@@ -182,7 +182,7 @@ def _existing(
     for record in (was, now):
         record["strategy"] = without_origin(record["strategy"])
     was["budget"] = max(study.spec.budget, spec.budget)
-    difference = first_difference(as_json("settings", was), as_json("settings", now))
+    difference = first_difference(described(was), described(now))
     if difference:
         key, old, new = difference
         raise StudyMismatch(

@@ -138,6 +138,11 @@ class SteppedFunctionsOnSets(SteppedFunctions):
 
     train_on_fn: Callable[..., Any] | None = None
 
+    @property
+    def functions(self) -> dict[str, Any]:
+        """Where a user's own code is (`mbtl.trainer.code_of`)."""
+        return {**super().functions, "train_on": self.train_on_fn}
+
     def check_on_set(self) -> None:
         """A function can do what it was given for."""
 

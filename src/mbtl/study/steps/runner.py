@@ -55,9 +55,10 @@ def run(
     stop_after_failures: int = 3,
     lease: float = LEASE,
     wait: bool = True,
+    accept_changes: bool = False,
 ) -> StepResult:
     """Spend the steps of a study; see `StepStudy.run`."""
-    check_trainer(study, trainer)
+    check_trainer(study, trainer, accept_changes=accept_changes)
     began = time.monotonic()
     try:
         with Claims(study, lease) as claims:

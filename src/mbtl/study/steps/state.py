@@ -152,6 +152,8 @@ class StepState:
     created_at: float = 0.0
     kept: Mapping[str, str] = field(default_factory=dict)
     """Where the policies are, as `kept.marked` left it; empty where nothing was."""
+    code: Mapping[str, Any] | None = None
+    """A user's own, by which policies are made and evaluated; None: not known so far."""
     decisions: int = 0
     under_way: dict[int, UnderWay] = field(default_factory=dict)
     """What was decided and is not done, by the number of its decision."""
@@ -283,6 +285,9 @@ class StepState:
         self.spec = StepSpec.from_json(data["spec"])
         self.version, self.uid = data["version"], data["uid"]
         self.created_at, self.kept = event.time, dict(data.get("kept") or {})
+
+    def _equipped(self, data: Mapping[str, Any], event: Event) -> None:
+        self.code = dict(data["code"])
 
     def _decided(self, data: Mapping[str, Any], event: Event) -> None:
         work = action_of(data["action"])

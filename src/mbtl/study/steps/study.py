@@ -313,6 +313,7 @@ class StepStudy:
         stop_after_failures: int = 3,
         lease: float = LEASE,
         wait: bool = True,
+        accept_changes: bool = False,
     ) -> StepResult:
         """Spend the steps; interrupted, it goes on where it was when called again.
 
@@ -338,6 +339,7 @@ class StepStudy:
             lease: seconds without a sign of life after which others take an action over. On one
                 machine they do so at once when the process has ended.
             wait: stay while others are at the last actions, to take over from those that die.
+            accept_changes: go on although own functions have changed since the study was begun.
 
         Raises:
             InvalidInput: the trainer cannot do what the study asks: other lengths than its own,
@@ -359,5 +361,5 @@ class StepStudy:
         told = (*callbacks, *([PrintSteps()] if progress else []))
         return run(
             self, trainer, callbacks=told, report=report, stop_after_failures=stop_after_failures,
-            lease=lease, wait=wait,
+            lease=lease, wait=wait, accept_changes=accept_changes,
         )  # fmt: skip
