@@ -273,6 +273,35 @@ def test_an_edited_evaluate_is_named_and_goes_on_with_accept_changes(mbtl_comman
     assert len(json.loads(out)["picks"]) == 3
 
 
+@pytest.mark.parametrize(
+    ("study", "words"),
+    [
+        ("here/study.db", "takes the folder of a study, got the file here/study.db; give here"),
+        ("new/study.db", "give new"),
+        ("n" * 256, "up to 255 bytes and no zeros, got 256"),
+        ("n" * 230, "1 to 200 printable letters, got 230"),
+        (f"x/{'n' * 256}/y", "got 256"),
+        ("caf\udce9", "written in UTF-8, got 'caf\\udce9'"),
+    ],
+)
+@pytest.mark.parametrize("options", [(), ("--new",), ("--steps", "100K")])
+def test_a_folder_that_cannot_be_is_one_sentence(
+    mbtl_command, own, tmp_path, study, words, options
+):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "study.db").write_text("a file")
+    before = sorted(tmp_path.rglob("*"))
+    code, out, err = mbtl_command("run", own, "--study", study, *options)
+    assert (code, out) == (2, "")
+    assert words in " ".join(err.split())
+    assert err.startswith("error: ")
+    assert "Traceback" not in err
+    assert [path for path in sorted(tmp_path.rglob("*")) if "pycache" not in str(path)] == before
+    if not study.endswith(".db"):
+        code, _, err = mbtl_command("study", "show", study)
+        assert (code, "Traceback" in err) == (2 if len(study) != 230 else 1, False)
+
+
 def test_a_corrupt_study_exits_1_and_names_the_file(mbtl_command, own, tmp_path):
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "study.db").write_bytes(b"not a database" * 300)

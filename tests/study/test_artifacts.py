@@ -214,3 +214,67 @@ def test_a_store_that_cannot_be_reached_is_named_and_spends_nothing(tmp_path):
     with pytest.raises(StorageError, match="no-such-protocol://bucket could not be"):
         study.run(trainer=TRAINER)
     assert not study.state.failures
+
+
+# ---- a place that cannot be written ------------------------------------------------------------
+
+TRAINED = []
+
+
+def counted(context, seed):
+    TRAINED.append(context["x"])
+    return np.array([context["x"]])
+
+
+@pytest.mark.parametrize("steps", [False, True])
+def test_a_place_that_cannot_be_written_is_found_before_the_first_training(tmp_path, steps):
+    TRAINED.clear()
+    (tmp_path / "file").write_text("no folder")
+    if steps:
+        study = mbtl.create_study(
+            SPACE, cost="steps", budget=2_000, lengths=[1000], horizon=10, episodes=1,
+            strategy="fixed", bounds=(0.0, 1.0), artifacts=tmp_path / "file" / "kept",
+        )  # fmt: skip
+    else:
+        study = mbtl.create_study(SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s.db",
+                                  artifacts=tmp_path / "file" / "kept")  # fmt: skip
+    trainer = FunctionTrainer(counted, evaluate, TRAINER.save_fn, TRAINER.load_fn)
+    with pytest.raises(StorageError, match=r"nothing can be written there.*nothing is trained"):
+        study.run(trainer=trainer, progress=False)
+    assert TRAINED == []
+    (tmp_path / "file").unlink()
+    study.run(trainer=trainer, progress=False)
+    assert len(TRAINED) > 0
+
+
+class Full(FolderStore):
+    """A disk that is full when the policy is there."""
+
+    def write(self, place, fill, receipt):
+        raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_policy_that_cannot_be_saved_waits_for_the_next_run(tmp_path, monkeypatch, beside):
+    TRAINED.clear()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    if not beside:
+        (tmp_path / "waiting").write_text("no room beside the database")
+    study = mbtl.create_study(SPACE, budget=1, bounds=(0.0, 1.0), storage=tmp_path / "s.db",
+                              artifacts=tmp_path / "kept")  # fmt: skip
+    trainer = FunctionTrainer(counted, evaluate, TRAINER.save_fn, TRAINER.load_fn)
+    study.artifacts = Full(tmp_path / "kept")
+    place = tmp_path / "waiting" if beside else tmp_path / "cache" / "mbtl" / "waiting"
+    with pytest.raises(StorageError, match=rf"waits in {place}.*not trained again"):
+        study.run(trainer=trainer, progress=False)
+    assert len(list(place.rglob("x.npy"))) == 1
+
+    again = mbtl.load_study(tmp_path / "s.db", artifacts=tmp_path / "kept")
+    again.artifacts = Full(tmp_path / "kept")
+    with pytest.raises(StorageError, match="not trained again"):
+        again.run(trainer=trainer, progress=False)
+    again = mbtl.load_study(tmp_path / "s.db", artifacts=tmp_path / "kept")
+    again.run(trainer=trainer, progress=False)
+    assert len(TRAINED) == len(again.state.rows) == 1
+    assert again.portfolio(trainer).policy(0)[0] == TRAINED[0]
+    assert list(place.rglob("x.npy")) == []

@@ -7,11 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from mbtl.testing.postgres import Server, missing
 
 import mbtl
 from mbtl.errors import StudyError
 from mbtl.study import StudyFinished
-from mbtl.testing.postgres import Server, missing
 from mbtl.trainer import FunctionTrainer
 
 N, THREADS = 40, 8

@@ -143,6 +143,8 @@ def test_a_policy_is_on_the_disk_before_its_row_is_told(tmp_path, monkeypatch):
 def test_the_recipe_enters_the_log_and_another_one_is_refused(tmp_path):
     study_at(tmp_path / "s.db").run(trainer=Recipe("mlp", net=(64, 64), steps=10))
     again = mbtl.load_study(tmp_path / "s.db")
+    code = again.state.equipment.pop("code")
+    assert code.keys() == {"train", "evaluate"}
     assert again.state.equipment == {
         "recipe": {"net": [64, 64], "steps": 10},
         "policy_format": "mlp",

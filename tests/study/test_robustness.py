@@ -11,7 +11,7 @@ import pytest
 import quick_problem
 
 import mbtl
-from mbtl.errors import InvalidInput, StudyError
+from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.seeds import training_seed
 from mbtl.selectors import MBTL
 from mbtl.study import Callback
@@ -120,8 +120,10 @@ def test_any_weights_survive_the_log(tmp_path):
 def test_settings_read_back_as_they_compare(tmp_path):
     for _ in range(2):
         new(tmp_path / "s.db", settings={"net": (64, 64), "rate": 1e-3})
-    with pytest.raises(InvalidInput, match="JSON-able"):
-        new(tmp_path / "t.db", settings={"net": object()})
+    for rate in (np.float64(1e-3), lambda left: 1e-3 * left):
+        new(tmp_path / "by_value.db", settings={"rate": rate}, name=type(rate).__name__)
+    with pytest.raises(StudyMismatch, match=r"settings\.rate\.code was 'python3"):
+        new(tmp_path / "by_value.db", settings={"rate": lambda left: 1e-3}, name="function")
 
 
 def test_numpy_numbers_are_welcome(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mbtl
-from mbtl.errors import StorageError
+from mbtl.errors import InvalidInput, StorageError
 from mbtl.study.events import Event
 from mbtl.study.storage import Conflict, MemoryLog, SqlLog, study_names
 from mbtl.testing.storage import EventLogContract
@@ -143,3 +143,39 @@ def test_a_study_is_read_once_when_it_is_opened(tmp_path, monkeypatch, again):
     monkeypatch.setattr(SqlLog, "read", counted)
     assert len(again(storage=tmp_path / "study.db").state.rows) == 1
     assert sum(whole) == 4
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"name": "n" * 256}, "1 to 200 printable letters, got 256"),
+        ({"name": ""}, "got 0"),
+        ({"name": "a\x1b[31mb"}, "printable"),
+        ({"storage": "n" * 256}, "got 256"),
+        ({"storage": "caf\udce9/s.db"}, "written in UTF-8"),
+        ({"artifacts": "caf\udce9"}, "written in UTF-8"),
+        ({"artifacts": "n" * 300}, "got 300"),
+    ],
+)
+def test_names_and_paths_that_cannot_be_are_refused_before_anything_is_made(
+    tmp_path, monkeypatch, settings, words
+):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InvalidInput, match=words):
+        mbtl.create_study(SPACE, budget=2, **{"storage": "s.db", **settings})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_clock_that_shows_no_date_is_refused_before_anything_is_written(tmp_path, monkeypatch):
+    study = mbtl.create_study(SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s.db")
+    pick = study.ask()
+    before = len(study.log.read())
+    for wrong in (-86400.0, 1e12):
+        monkeypatch.setattr("mbtl.study.database.time.time", lambda: wrong)  # noqa: B023
+        with pytest.raises(StorageError, match=r"the clock of this machine says .*set it"):
+            study.tell(pick, np.zeros(5))
+        with pytest.raises(StorageError, match="the clock of this machine"):
+            mbtl.create_study(SPACE, budget=2, storage=tmp_path / "new.db")
+        monkeypatch.undo()
+    assert len(mbtl.load_study(tmp_path / "s.db").log.read()) == before
+    study.tell(pick, np.zeros(5))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mbtl.cli.common import console
 from mbtl.errors import InvalidInput, StorageError
+from mbtl.study.database import check_name, check_path
 from mbtl.study.storage import study_names
 
 DATABASE = "study.db"
@@ -34,8 +35,19 @@ def study_in(folder: Path) -> str:
     return names[0]
 
 
+def _check_place(folder: Path) -> None:
+    """Refuse what can be no folder of a study, before it is looked at."""
+    check_path(folder)
+    check_name(folder.resolve().name)
+    if folder.name == DATABASE or folder.is_file():
+        raise InvalidInput(
+            f"--study takes the folder of a study, got the file {folder}; give {folder.parent}"
+        )
+
+
 def check_folder(folder: Path) -> None:
     """Refuse one that holds something else."""
+    _check_place(folder)
     if folder.exists() and not (folder / DATABASE).exists() and any(folder.iterdir()):
         raise InvalidInput(
             f"{folder} holds something that is not a study; choose another with --study"
@@ -44,6 +56,7 @@ def check_folder(folder: Path) -> None:
 
 def set_aside(folder: Path) -> None:
     """Rename an existing study folder; nothing is ever deleted."""
+    _check_place(folder)
     if not folder.exists():
         return
     if folder.resolve() == Path.cwd():

@@ -17,6 +17,7 @@ from mbtl.cli.study import any_study
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.report import StepSubject, Subject, of_matrix, of_step_study, of_study, write_page
 from mbtl.study import Study
+from mbtl.study.database import check_path
 from mbtl.study.steps.study import StepStudy
 
 _LEAST = 2.0
@@ -102,6 +103,7 @@ def _open(given: str, names: Sequence[str | None]) -> Sequence[Study | StepStudy
         found = open_matrix(given)
         assert isinstance(found, TransferMatrix)
         return [found]
+    check_path(path)
     if path.is_dir() and not (path / "study.db").exists() and any(path.glob("*.npz")):
         raise a_folder(path)
     if "://" in given or path.exists():

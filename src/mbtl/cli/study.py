@@ -20,7 +20,7 @@ from mbtl.report.step_text import show_steps
 from mbtl.report.text import show_causes, show_summary
 from mbtl.selectors import get_selector
 from mbtl.study import SqlLog, Study, study_names
-from mbtl.study.database import shown
+from mbtl.study.database import check_path, shown
 from mbtl.study.listing import is_paid_in_steps
 from mbtl.study.state import replay
 from mbtl.study.steps.study import StepStudy
@@ -255,6 +255,7 @@ def _opened(place: str | Path, name: str) -> Study | StepStudy:
 def _place_of(path: str | Path, name: str | None) -> tuple[str | Path, str]:
     """Database and name of a study."""
     place: str | Path = path
+    check_path(path)
     if "://" not in str(path):
         place = Path(path) / "study.db" if Path(path).is_dir() else Path(path)
     names = study_names(place)

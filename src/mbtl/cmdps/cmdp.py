@@ -25,7 +25,7 @@ from mbtl.trainer import FunctionTrainer, Trainer, recipe_of
 DEFAULT_BUDGET = 10
 """Trainings K of a problem that does not say."""
 
-_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # an id becomes part of file names
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")  # an id becomes part of file names
 
 
 @dataclass(frozen=True)
@@ -141,8 +141,8 @@ class CMDP:
             object.__setattr__(self, "bounds", (given.low, given.high))
         if not (isinstance(self.id, str) and _ID.fullmatch(self.id)):
             raise InvalidInput(
-                "the id of a CMDP becomes part of file names: letters, digits, '.', '_' and '-', a "
-                f"letter or digit first; got {self.id!r}"
+                "the id of a CMDP becomes part of file names: up to 100 letters, digits, '.', '_' "
+                f"and '-', a letter or digit first; got {self.id!r}"
             )
         if not isinstance(self.space, ContextSpace):
             raise InvalidInput(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import atexit
 import hashlib
 import json
+import os
 import shutil
 import tempfile
 import uuid
@@ -23,6 +24,7 @@ from urllib.parse import unquote, urlsplit
 
 from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.files import sync_entries, sync_folder
+from mbtl.study.database import check_path
 from mbtl.untrusted import inside, read_json, regular_files
 
 RECEIPT = "trained.json"
@@ -51,6 +53,14 @@ class ArtifactStore(Protocol):
 
         Returns:
             None where `fill` gave False: it cannot save.
+        """
+        ...
+
+    def check(self) -> None:
+        """Find out that policies can be kept, before any is made.
+
+        Raises:
+            StorageError: nothing can be written there.
         """
         ...
 
@@ -102,6 +112,20 @@ class FolderStore:
             return made
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
+
+    def check(self) -> None:
+        """By a file that comes and goes."""
+        folder = self.root / "policies"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder) as file:
+                file.write(b"may be written")
+        except OSError as error:
+            raise StorageError(
+                f"policies are kept in {folder}, and nothing can be written there "
+                f"({error.strerror or error}), so nothing is trained; mend access, or choose "
+                "another place with --artifacts (artifacts=)"
+            ) from error
 
     def receipt(self, place: str) -> Mapping[str, Any] | None:
         """Of version 0.1, whose receipts have no hash, it is computed."""
@@ -161,6 +185,12 @@ class RemoteStore:
                 files.pipe_file(f"{root}/{place}/{RECEIPT}", json.dumps(record).encode())
         return made
 
+    def check(self) -> None:
+        """By a small object that stays."""
+        with self._remote() as (files, root):
+            files.makedirs(f"{root}/policies", exist_ok=True)
+            files.pipe_file(f"{root}/policies/README", b"Policies of studies by mbtl.\n")
+
     def receipt(self, place: str) -> Mapping[str, Any] | None:
         """One small object."""
         with self._remote() as (files, root):
@@ -215,6 +245,18 @@ class RemoteStore:
             ) from error
 
 
+def spools_of(database: Path | None) -> tuple[FolderStore, ...]:
+    """Where policies wait that could not be saved in their store, best first: whoever runs the
+    study again finds them there.
+
+    Args:
+        database: file of the study; None: it has none.
+    """
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    beside = () if database is None else (database.parent / "waiting",)
+    return tuple(FolderStore(root) for root in (*beside, Path(home, "mbtl", "waiting")))
+
+
 def store_at(artifacts: str | Path | None, beside: Path | None) -> ArtifactStore | None:
     """The store of a study.
 
@@ -223,13 +265,14 @@ def store_at(artifacts: str | Path | None, beside: Path | None) -> ArtifactStore
         beside: the folder of the database; None: it is no file.
 
     Raises:
-        InvalidInput: an empty text.
+        InvalidInput: an empty text, or a path that cannot be.
     """
     if artifacts is None:
         return None if beside is None else FolderStore(beside.absolute())
     text = str(artifacts)
     if not text:
         raise InvalidInput("artifacts must be a folder or a URL, got an empty text")
+    check_path(text)
     if "://" not in text:
         return FolderStore(Path(text).absolute())
     parts = urlsplit(text)

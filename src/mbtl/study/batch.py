@@ -15,6 +15,7 @@ from logging import getLogger
 from typing import TYPE_CHECKING, Any
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
+from mbtl.study.artifacts import spools_of
 from mbtl.study.callbacks import Callback, where
 from mbtl.study.flights import Flights, brought_back, may_try_again, too_long
 from mbtl.study.job import (
@@ -231,6 +232,7 @@ class Batches:
             tuple(places[:-1]),
             Kept(study.untold[pick.number]) if pick.number in study.untold else None,
             self.rehearse and not study.has_succeeded,
+            spools_of(study.database) if study.is_durable else (),
         )
 
     def _keep(self, pick: Pick, kept: Kept | None) -> None:

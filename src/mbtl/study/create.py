@@ -280,8 +280,8 @@ def create_study(
     )
     check_spec(spec)
     address = None if storage is None else fixed_url(storage)
-    log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
     folder = policy_store(address, artifacts)
+    log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
     created = {"spec": spec.to_json(), "version": __version__, "uid": uuid.uuid4().hex[:8]}
     try:
         log.append(Event("created", created), after=0)

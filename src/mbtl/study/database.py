@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, StudyError, Unreachable, few
+from mbtl.plain import short
 
 if TYPE_CHECKING:
     from sqlalchemy import Engine, Table
@@ -22,19 +23,59 @@ _FILES = ("sqlite", "duckdb")
 _FOR_GOOD = ("authentication failed", "no password supplied", "does not exist", "pg_hba.conf")
 """What a server says that will say the same in a minute."""
 
+LATEST = 2e11
+"""Seconds since the epoch that are still a date."""
+
+_LONGEST_NAME, _LONGEST_PART = 200, 255
+"""Letters of a study's name, as its column has them, and bytes of a name in a path."""
+
 WRITES = "mbtl_writes"
 """Option of a connection that writes: a reader takes no lock, so a study may be read-only."""
+
+
+def check_path(path: str | Path) -> None:
+    """Refuse what can be no path of a study, or no URL.
+
+    Raises:
+        InvalidInput: it is not written in UTF-8, or a name in it is too long.
+    """
+    text = str(path)
+    try:
+        longest = max(len(part) for part in text.encode("utf-8").split(b"/"))
+    except UnicodeEncodeError:
+        raise InvalidInput(
+            f"the path of a study is written in UTF-8, got {text!r}; choose another, or rename it"
+        ) from None
+    if "\0" in text or (longest > _LONGEST_PART and "://" not in text):
+        raise InvalidInput(
+            f"each name in a path has up to {_LONGEST_PART} bytes and no zeros, got {longest} in "
+            f"{short(text)}; choose a shorter one"
+        )
+
+
+def check_name(name: str) -> None:
+    """Refuse what can be no name of a study.
+
+    Raises:
+        InvalidInput: so it is.
+    """
+    if not 1 <= len(name) <= _LONGEST_NAME or not name.isprintable():
+        raise InvalidInput(
+            f"the name of a study, or of its folder, has 1 to {_LONGEST_NAME} printable letters, "
+            f"got {len(name)}: {short(name)}; choose another"
+        )
 
 
 def as_url(url: str | Path) -> str:
     """A path becomes an SQLite URL, whatever characters it has; a URL stays as it is.
 
     Raises:
-        InvalidInput: ":memory:"; a study in memory needs no storage.
+        InvalidInput: ":memory:", since a study in memory needs no storage; or no path at all.
     """
     from sqlalchemy import URL
 
     text = str(url)
+    check_path(text)
     if "://" in text:
         return text
     if text in ("", ":memory:"):
@@ -75,7 +116,11 @@ def shown(url: str) -> str:
 
 
 def clock(engine: Engine) -> Any:
-    """The time: an expression for a server; of a file, this machine's."""
+    """The time: an expression for a server; of a file, this machine's.
+
+    Raises:
+        StorageError: this machine's clock shows no date.
+    """
     from sqlalchemy import Float, extract, func, literal
 
     name = engine.dialect.name
@@ -83,7 +128,13 @@ def clock(engine: Engine) -> Any:
         return extract("epoch", func.clock_timestamp()).cast(Float(53))
     if name in ("mysql", "mariadb"):
         return func.unix_timestamp(func.now(6)).cast(Float(53))
-    return literal(time.time(), Float(53))
+    now = time.time()
+    if not 0.0 <= now < LATEST:
+        raise StorageError(
+            f"a study notes when things happen, and the clock of this machine says {now:.0f} s "
+            "after the beginning of 1970; set it, then run again"
+        )
+    return literal(now, Float(53))
 
 
 def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:

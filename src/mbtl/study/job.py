@@ -10,15 +10,16 @@ import contextlib
 import shutil
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingPruned
-from mbtl.study.artifacts import Artifact, ArtifactStore
+from mbtl.study.artifacts import RECEIPT, Artifact, ArtifactStore, FolderStore
 from mbtl.trainer import (
     OnProgress,
     Progress,
@@ -61,6 +62,7 @@ class Job:
         former: places where others may have left the policy, or an unfinished training of it.
         kept: the policy, where it was trained before in this process and could not be saved.
         rehearse: no evaluation of this study has succeeded yet, so a short one goes first.
+        spools: where the policy waits while the store cannot be written, best first.
     """
 
     trainer: Trainer
@@ -73,6 +75,7 @@ class Job:
     former: tuple[str, ...] = ()
     kept: Kept | None = None
     rehearse: bool = False
+    spools: tuple[FolderStore, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -197,12 +200,37 @@ def reason_of(error: Exception) -> str:
 
 
 def _left(job: Job) -> Artifact | None:
-    """The policy of this very training, by somebody who was ended after it."""
+    """The policy of this very training, by somebody who was ended after it.
+
+    One that waits in a spool is brought to the store.
+
+    Raises:
+        StorageError: it is there, and the store still cannot be written.
+    """
     if job.store is None:
         return None
+    if (found := _left_in(job.store, job)) is not None:
+        return found
+    for spool in job.spools:
+        if (waiting := _left_in(spool, job)) is None:
+            continue
+        folder = spool.read(waiting.place)
+        try:
+            kept = job.store.write(
+                job.place, partial(_copied, folder), dict(spool.receipt(waiting.place) or {})
+            )
+        except (StorageError, OSError) as error:
+            raise _unsaved(job, error, folder) from error
+        spool.remove(waiting.place)
+        return kept
+    return None
+
+
+def _left_in(store: ArtifactStore, job: Job) -> Artifact | None:
+    """The policy of this training in one store."""
     made = equipment_of(job.trainer)
     for place in (job.place, *reversed(job.former)):
-        receipt = job.store.receipt(place)
+        receipt = store.receipt(place)
         if (
             receipt is not None
             and receipt.get("seed") == job.seed
@@ -211,7 +239,7 @@ def _left(job: Job) -> Artifact | None:
             and isinstance(receipt.get("sha256"), str)
         ):
             try:
-                job.store.read(place, receipt["sha256"])
+                store.read(place, receipt["sha256"])
             except StorageError:  # of other files by now: no policy of this training
                 continue
             return Artifact(place, receipt["sha256"])
@@ -254,26 +282,48 @@ def _forget_partial(job: Job) -> None:
 
 
 def _save(job: Job, policy: Any) -> Artifact | None:
+    """Keep it in the store; where that cannot be written it waits in a spool, for the next run."""
     if job.store is None:
         return None
-    made = equipment_of(job.trainer)
+    made, fill = equipment_of(job.trainer), partial(job.trainer.save, policy)
     receipt = {"seed": job.seed, "context": dict(job.context)}
     receipt |= {"format": made["policy_format"], "recipe": made["recipe"]}
     try:
-        return job.store.write(job.place, lambda folder: job.trainer.save(policy, folder), receipt)
+        kept = job.store.write(job.place, fill, receipt)
+    except (StorageError, OSError) as error:
+        raise _unsaved(job, error, _spooled(job, fill, receipt)) from error
     except NOT_THE_TRAININGS_FAULT:
         raise
-    except OSError as error:
-        raise StorageError(
-            f"the policy could not be saved in {job.place} ({error.strerror or error}); "
-            "what was told before is kept: free space or mend access, then run the same command "
-            "again"
-        ) from error
     except Exception as error:
         raise StorageError(
             f"the trained policy could not be saved, save raised {reason_of(error)}; what was told "
             "before is kept: mend save, then run again"
         ) from error
+    for spool in job.spools:
+        spool.remove(job.place)
+    return kept
+
+
+def _spooled(job: Job, fill: Callable[[Path], bool], receipt: Mapping[str, Any]) -> Path | None:
+    """Where the policy waits; None: it could be saved nowhere."""
+    for spool in job.spools:
+        with contextlib.suppress(Exception):  # the next one may do
+            if spool.write(job.place, fill, receipt) is not None:
+                return spool.read(job.place)
+    return None
+
+
+def _copied(source: Path, folder: Path) -> bool:
+    shutil.copytree(source, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(RECEIPT))
+    return True
+
+
+def _unsaved(job: Job, error: Exception, waits: Path | None) -> StorageError:
+    kept = f"it waits in {waits}, and is not trained again" if waits else "what was told is kept"
+    return StorageError(
+        f"the policy could not be saved in {job.place} ({getattr(error, 'strerror', None) or error}"
+        f"); {kept}: free space or mend access, then run the same command again"
+    )
 
 
 def _traceback(error: Exception) -> str:

@@ -9,7 +9,14 @@ from pathlib import Path
 from mbtl.errors import StudyError, unknown_name
 from mbtl.study.artifacts import FolderStore
 from mbtl.study.asking import stop_reason
-from mbtl.study.database import WRITES, as_url, database_errors, open_database, shown
+from mbtl.study.database import (
+    WRITES,
+    as_url,
+    check_path,
+    database_errors,
+    open_database,
+    shown,
+)
 from mbtl.study.events import OPENED, Event
 from mbtl.study.leases import Watch
 from mbtl.study.places import database_file, fixed_url, policy_store
@@ -117,6 +124,7 @@ def is_paid_in_steps(events: Sequence[Event]) -> bool:
 def database_at(storage: str | Path) -> str:
     """The URL of a database; of a folder that holds `study.db`, of that."""
     place = storage
+    check_path(place)
     if "://" not in str(storage) and Path(storage).is_dir():
         place = Path(storage) / "study.db"
     return fixed_url(place)

@@ -308,10 +308,19 @@ def _next_batch(study: Study, size: int, ask: Callable[[], Pick | None]) -> list
 
 
 def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
-    """Before the first training: what is stored should not outlive its policies unnoticed."""
-    if not study.is_durable or study.is_finished:
+    """Before the first training: what is stored should not outlive its policies unnoticed.
+
+    Raises:
+        StorageError: they cannot be written where they are to be kept.
+    """
+    saves = getattr(trainer, "saves", True)
+    if study.is_finished:
         return
-    if not getattr(trainer, "saves", True):
+    if saves and study.artifacts is not None:
+        study.artifacts.check()
+    if not study.is_durable:
+        return
+    if not saves:
         fix = "give save and load functions, or make the study without storage"
     elif study.artifacts is None:
         fix = "its database is no file, so give artifacts=<a folder or URL> where the study is made"

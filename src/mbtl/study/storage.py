@@ -24,7 +24,16 @@ import numpy as np
 
 from mbtl.arrays import Array, python_value
 from mbtl.errors import InvalidInput, StorageError, Unreachable
-from mbtl.study.database import WRITES, as_url, clock, database_errors, open_database, shown
+from mbtl.study.database import (
+    LATEST,
+    WRITES,
+    as_url,
+    check_name,
+    clock,
+    database_errors,
+    open_database,
+    shown,
+)
 from mbtl.study.events import KINDS, Event, Kind
 from mbtl.study.leases import Beat
 from mbtl.study.patience import Patience
@@ -35,9 +44,6 @@ if TYPE_CHECKING:
     from sqlalchemy import Connection
 
 T = TypeVar("T")
-
-_LATEST = 2e11
-"""Seconds since the epoch that are still a date."""
 
 
 class Conflict(StorageError):
@@ -131,6 +137,7 @@ class SqlLog:
         create: make the file and table when they are missing.
 
     Raises:
+        InvalidInput: a name or path that cannot be.
         Unreachable: the server does not answer.
         StorageError: the database is missing, unreadable or not ours.
     """
@@ -138,6 +145,8 @@ class SqlLog:
     def __init__(self, url: str | Path, study: str, *, create: bool = False) -> None:
         self.url = as_url(url)
         self.study = study
+        if create:
+            check_name(study)
         self.patience = Patience()
         self._engine, self._table, self._heartbeats = open_database(self.url, create=create)
         self._has_beats = False
@@ -350,7 +359,7 @@ def _unpack(seq: int, when: float, kind: str, data: str, arrays: bytes) -> Event
         facts = read_json(data)
         if not isinstance(facts, dict):
             raise ValueError(f"facts as a JSON {type(facts).__name__}")
-        if not 0 <= when < _LATEST:
+        if not 0 <= when < LATEST:
             raise ValueError(f"the time {when!r}")
         packed = read_arrays(io.BytesIO(arrays)) if arrays else {}
     except (TypeError, ValueError) as error:

@@ -58,6 +58,7 @@ class StudyView:
     Attributes:
         name: within its storage.
         artifacts: keeps the policies; None: they cannot be kept.
+        database: its file; None: it is on a server, or in memory.
         trainer: trains and reads policies where no other is given.
         worker: name by which this object holds picks.
         presence: who surely is gone, where that can be known.
@@ -84,7 +85,8 @@ class StudyView:
         self.stopping: str | None = None
         self._made: str | None = None  # digest of what this object's policies are made with
         self.worker = new_worker()
-        self.presence = Presence(database_file(getattr(log, "url", "")))
+        self.database = database_file(getattr(log, "url", ""))
+        self.presence = Presence(self.database)
         self._log = log
         self._lock = threading.RLock()
         self._state = StudyState() if state is None else state

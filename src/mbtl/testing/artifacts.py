@@ -35,6 +35,14 @@ class ArtifactStoreContract:
         assert (folder / "weights" / "a.bin").read_bytes() == b"\x00\x01"
         assert (folder / "about.txt").read_text() == "1.5"
 
+    def test_a_place_that_can_be_written_says_so_and_stays_usable(
+        self, store: ArtifactStore
+    ) -> None:
+        """It is asked before every run."""
+        store.check()
+        store.check()
+        assert store.write(PLACE, fill, {}) is not None
+
     def test_what_is_not_there_is_not_there(self, store: ArtifactStore) -> None:
         """No error: a row may have no policy."""
         assert store.receipt(PLACE) is None

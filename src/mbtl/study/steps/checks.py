@@ -77,6 +77,8 @@ def check_trainer(study: StepStudy, trainer: Trainer, *, accept_changes: bool = 
             "a study that is stored goes on from saved policies, got a trainer that saves none; "
             "give save and load functions, or leave storage out"
         )
+    if study.artifacts is not None and getattr(trainer, "saves", True) and not study.is_finished:
+        study.artifacts.check()
     _equip(study, trainer, accept_changes)
 
 

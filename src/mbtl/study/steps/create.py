@@ -130,8 +130,8 @@ def create_step_study(
         described({**facts.settings, **(settings or {})}),
     )
     address = None if storage is None else fixed_url(storage)
-    log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
     store = policy_store(address, artifacts)
+    log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
     given: dict[str, Any] = {"store": store, "name": name, "trainer": facts.trainer}
     if next(iter(log.read()), None) is not None:
         return _existing(log, spec, chosen, storage, load_if_exists, **given)
