@@ -205,6 +205,33 @@ def test_what_own_code_uses_of_its_module_counts_and_where_it_writes_does_not(tm
     assert first_difference(was, described_code(module.make_env))[0] == "World"
 
 
+class Maker:
+    """A factory that counts, as many do."""
+
+    everything = []  # noqa: RUF012
+
+    def __init__(self, gravity):
+        self.gravity, self.made = gravity, 0
+
+    def __call__(self, context):
+        self.made += 1
+        self.everything.append(context)
+
+
+def test_what_code_counts_while_it_runs_is_no_change():
+    calls, make = [], Maker(9.8)
+
+    def train(context, seed):
+        calls.append(context)
+
+    was = described_code(train), described_code(make)
+    for _ in range(3):
+        train({}, 0)
+        make({})
+    assert (described_code(train), described_code(make)) == was
+    assert was[1]["gravity"] == 9.8 != described_code(Maker(1.6))["gravity"]
+
+
 def test_code_of_packages_is_known_by_its_name_alone():
     assert described_code(json.dumps) is None
     held = {"function": "dumps", "args": [[1]], "indent": 2}

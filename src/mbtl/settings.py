@@ -208,13 +208,18 @@ def _code(value: Any, inside: Inside) -> dict[str, Any]:
         value = bare
     if id(value) in inside or len(inside) > _DEEP:
         return {}
-    inside = (*inside, id(value))
-    if isinstance(value, types.FunctionType):
-        if not _is_own(value.__code__):
-            return {}
+    try:
         if value not in _FIRST:
-            _FIRST[value] = _function(value, inside)
+            _FIRST[value] = _code_now(value, (*inside, id(value)))
         return _FIRST[value]
+    except TypeError:  # it cannot be remembered
+        return _code_now(value, (*inside, id(value)))
+
+
+def _code_now(value: Any, inside: Inside) -> dict[str, Any]:
+    """`_code`, as the value is at this moment."""
+    if isinstance(value, types.FunctionType):
+        return _function(value, inside) if _is_own(value.__code__) else {}
     if isinstance(value, type):
         used: dict[str, Any] = {}
         return {"code": _class(value, used), **used} if _is_own_class(value) else {}
