@@ -69,7 +69,7 @@ class WorldSteps:
         each = 1 if trainer.episodes is None else engine.counted.decisions_of(world, params)
         file, weights = engine.SavedTraining(saved), None
         if start is not None:
-            weights = _beginning(start, engine.start(world, recipe, [seed], params).best)
+            weights = engine.taught(world, start, recipe.activation)
 
         def on_block(block: Any) -> None:
             at = int(block.training.updates)
@@ -250,14 +250,3 @@ def _check_storable(world: Any) -> None:
             f"a training that pauses is saved, and one in {type(world).__name__} lives in one "
             "process; choose another --engine, or count trainings (without --steps or cost=)"
         )
-
-
-def _beginning(policy: Any, fresh: Any) -> Any:
-    """Weights of one training that acts as a policy does; its critic is a fresh one."""
-    if not hasattr(policy, "weights"):
-        raise InvalidInput(
-            f"a training begins from a policy of this engine, got {type(policy).__name__}; train "
-            "one with this trainer"
-        )
-    actor = engine.import_actor([policy])
-    return fresh._replace(actor=actor.network, log_std=actor.log_std)

@@ -15,7 +15,7 @@ from mbtl.training.jax.blocks import Block, Training, from_arrays, to_arrays, we
 from mbtl.training.jax.episodic.episodes import actor_of, import_actor
 from mbtl.training.jax.episodic.learning import episodes_met
 from mbtl.training.jax.evaluation import evaluate, evaluate_multitask, on_cpu, reference_returns
-from mbtl.training.jax.export import export_policies
+from mbtl.training.jax.export import export_policies, taught
 from mbtl.training.jax.loop import start, start_multitask, train, train_multitask
 from mbtl.training.jax.multitask.run import (
     Judged,
@@ -83,6 +83,7 @@ __all__ = [
     "stack_params",
     "start",
     "start_multitask",
+    "taught",
     "to_arrays",
     "train",
     "train_multitask",

@@ -88,10 +88,10 @@ def init(
     options(world)
     if weights is None:
         weights = networks.stack(fresh(world, recipe.hidden, seeds, params))
-    weights, moments, *lives = start(adam, world, recipe, seeds, params, weights)
+    begun = start(adam, world, recipe, seeds, params, weights)
     target = jax.tree.map(jnp.copy, weights.actor)  # memory of its own: a block takes over both
     replay = jnp.zeros((len(seeds), recipe.buffer_size, 2 * world.n_features + 3))
-    return State(weights, target, moments, replay, *lives)
+    return State(weights, target, begun.optimizer, replay, begun.copies, begun.key)
 
 
 def fresh(world: World, hidden: Sequence[int], seeds: Sequence[int], params: Tree) -> list[Weights]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from mbtl.errors import InvalidInput
 from mbtl.portfolio import BoxHead, DiscreteHead, MLPPolicy
+from mbtl.training.jax.episodic.episodes import import_actor
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import Activation
 from mbtl.worlds.environments import Box, Discrete, Law
@@ -51,6 +55,33 @@ def lawful(weights: Weights, law: Law, activation: Activation) -> Weights:
     layers[-1] = (np.concatenate([scale * matrix, carried]), scale * bias)
     log_std = weights.log_std + np.log(scale)
     return weights._replace(actor=tuple(layers), log_std=log_std)
+
+
+def taught(world: World, policy: Any, activation: Activation) -> Weights:
+    """The weights of one exported policy, (1, ...), as a training in this world has them.
+
+    There is no critic, (). Undoes `export_policies`, in a lesson up to float32 rounding.
+
+    Raises:
+        InvalidInput: it is none, or has another activation between its layers.
+    """
+    if getattr(policy, "activation", None) != activation:
+        kind = getattr(policy, "activation", type(policy).__name__)
+        raise InvalidInput(
+            f"a training begins from a policy of this engine with the activation {activation}, "
+            f"got {kind}; train one with this trainer"
+        )
+    actor = import_actor([policy])
+    network, log_std = actor.network, actor.log_std
+    if (law := getattr(world, "law", None)) is not None:
+        scale, last = np.float32(law.scale), len(network) - 1
+        network = tuple(
+            (w[:, :, :-1], b[:, :-1]) if k < last else (w / scale, b / scale)
+            for k, (w, b) in enumerate(network)
+        )
+        network = (network[0], *((w[:, :-1], b) for w, b in network[1:]))
+        log_std = log_std - jnp.log(scale)
+    return Weights(network, (), log_std)
 
 
 def _policy(action: Discrete | Box, weights: Weights, activation: Activation) -> MLPPolicy:

@@ -101,7 +101,8 @@ def train(
             is (`world.max_return`): the best weights, the earliest of equals, cannot change any
             more.
         weights: P networks to begin from, e.g. `best` of trainings on other contexts; the optimiser
-            knows nothing of their past, and they are no checkpoint themselves. None for fresh ones.
+            knows nothing of their past, and they are no checkpoint themselves. Without a critic,
+            (), that is fresh; None: all are.
         marks: (L,) shares of the training at which weights are kept, `along`; where it ends early,
             those of its end stand for all that were to come.
         resume: what an interrupted call had reached (given again with the same arguments).
@@ -221,6 +222,7 @@ def _updates(
 
 def _fitting(weights: Weights, fresh: Weights) -> Weights:
     """A copy, since the training takes over its memory."""
+    fresh = fresh if weights.critic else fresh._replace(critic=())
     given, needed = ([np.shape(x) for x in jax.tree.leaves(w)] for w in (weights, fresh))
     if given != needed:
         raise InvalidInput(

@@ -86,6 +86,17 @@ def fresh(
     return [init_weights(seed, *own) for seed in seeds]
 
 
+def begun(given: Any, fresh: Callable[[], Sequence[Weights]]) -> Any:
+    """Weights to begin with: those given, and fresh networks for what is missing in them.
+
+    Nothing is given at all, or no critic, which no exported policy has.
+    """
+    if given is not None and given.critic:
+        return given
+    new = stack(fresh())
+    return new if given is None else given._replace(critic=new.critic)
+
+
 def init_q_network(seed: int, widths: Sequence[int]) -> Weights:
     """A network of action values as the actor; uniform in +-1 / sqrt(n_in), PyTorch's default.
 

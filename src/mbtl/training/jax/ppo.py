@@ -12,9 +12,9 @@ Notation (shapes of one policy): T steps, E environment copies, o observation.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ from mbtl.training.jax.episodic.recipes import EpisodicPPORecipe
 from mbtl.training.jax.networks import Weights
 from mbtl.training.jax.recipes import PPORecipe
 from mbtl.training.jax.rollout import Rollout, State, advantages, draw, play, start
-from mbtl.training.jax.units import Units, both
+from mbtl.training.jax.units import Units
 from mbtl.worlds.environments import Box, Discrete, Tree
 from mbtl.worlds.world import Solo
 
@@ -75,7 +75,16 @@ class Limits(NamedTuple):
 Progress = tuple[jax.Array, Tree, jax.Array, jax.Array]
 """Within an update: weights, Adam's state, whether it has gone too far, and the latest KL."""
 
-init = partial(start, adam)
+
+def init(
+    world: Solo, recipe: PPORecipe, seeds: Sequence[int], params: Tree, weights: Any = None
+) -> State:
+    """As `rollout.start`; from standardised observations the fresh networks are told apart."""
+    state = start(adam, world, recipe, seeds, params, weights)
+    if not recipe.standardize:
+        return state
+    fresh = weights is None, weights is None or not weights.critic
+    return state._replace(fresh=jnp.tile(jnp.array(fresh), (len(seeds), 1)))
 
 
 def update(world: Solo, recipe: PPORecipe, state: State, params: Tree, clock: Clock) -> State:
@@ -95,16 +104,24 @@ def learn_in_units(
 ) -> State:
     """As `learn`, from standardised observations; see `units`.
 
-    New weights are meant for those, too: the first rollout only shows the units.
+    Fresh networks are meant for those, too. A fresh actor becomes another policy by that, so its
+    first rollout only shows the units, and nothing is learnt from it.
     """
-    units = Units.of(rollout.obs)
+    units, weights, fresh = Units.of(rollout.obs), state.weights, state.fresh
     obs, after = map(units.measured, (rollout.obs, rollout.after))
     rollout = rollout._replace(obs=obs, after=after)
-    entered = state._replace(weights=both(units.entered, state.weights))
-    learnt = learn(world, recipe, entered, rollout, clock)
-    first = clock.progress == 0.0
-    learnt = cast(State, jax.tree.map(partial(jnp.where, first), state, learnt))
-    return learnt._replace(weights=both(units.left, learnt.weights))
+    each = zip(fresh, (weights.actor, weights.critic), strict=True)
+    actor, critic = (either(new, network, units.entered(network)) for new, network in each)
+    entered = state._replace(weights=weights._replace(actor=actor, critic=critic))
+    learnt: State = either(fresh[0], entered, learn(world, recipe, entered, rollout, clock))
+    weights = learnt.weights
+    weights = weights._replace(actor=units.left(weights.actor), critic=units.left(weights.critic))
+    return learnt._replace(weights=weights, fresh=jnp.zeros_like(fresh))
+
+
+def either(first: jax.Array, one: Any, other: Any) -> Any:
+    """The one tree, or the other."""
+    return jax.tree.map(partial(jnp.where, first), one, other)
 
 
 def learn(world: Solo, recipe: PPORecipe, state: State, rollout: Rollout, clock: Clock) -> State:

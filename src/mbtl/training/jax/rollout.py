@@ -27,14 +27,19 @@ from mbtl.worlds.world import Solo
 class State(NamedTuple):
     """All of one training: with the next `update`'s arguments it decides everything to come.
 
-    The networks, what the optimiser remembers of all weights as one vector, where the policy lives,
-    and its own random key.
+    Attributes:
+        weights: the networks.
+        optimizer: what it remembers of all weights as one vector.
+        copies: where the policy lives.
+        key: its own random key.
+        fresh: (2,) whether actor and critic have never learnt; () where nothing depends on it.
     """
 
     weights: Any
     optimizer: Tree
     copies: Copies
     key: jax.Array
+    fresh: Tree = ()
 
 
 class Noise(NamedTuple):
@@ -69,9 +74,8 @@ def start(
     Fresh networks are for actor-critics; `optimizer` makes what moves them from the recipe, and is
     a module's function, since jax compiles it in.
     """
-    if weights is None:
-        assert isinstance(recipe, ActorCritic)
-        weights = networks.stack(networks.fresh(world, recipe, seeds, params))
+    if isinstance(recipe, ActorCritic):
+        weights = networks.begun(weights, partial(networks.fresh, world, recipe, seeds, params))
     roots = jnp.asarray(np.array(seeds, dtype=np.uint32))
     return cast(State, _start(world, recipe, optimizer, weights, roots, params))
 

@@ -9,7 +9,7 @@ observations, and back afterwards; neither changes what a policy does.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -48,8 +48,3 @@ class Units(NamedTuple):
         (weight, bias), *others = network
         weight = weight / self.spread[:, None]
         return ((weight, bias - self.mean @ weight), *others)
-
-
-def both(change: Any, weights: Any) -> Any:
-    """Weights with actor and critic changed."""
-    return weights._replace(actor=change(weights.actor), critic=change(weights.critic))

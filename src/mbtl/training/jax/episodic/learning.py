@@ -54,8 +54,7 @@ def init(
     world: World, recipe: TwinRecipe, seeds: Sequence[int], params: Tree, weights: Any = None
 ) -> State:
     """P policies before their first update; fresh unless given weights."""
-    if weights is None:
-        weights = networks.stack(_fresh(world, recipe, seeds, params))
+    weights = networks.begun(weights, partial(_fresh, world, recipe, seeds, params))
     memory = jax.vmap(partial(_ALGORITHMS[type(recipe)].start, recipe))(weights)
     return State(weights, memory, jnp.asarray(np.array(seeds, dtype=np.uint32)))
 
