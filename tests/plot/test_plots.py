@@ -4,10 +4,12 @@ import contextlib
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import mbtl
 from mbtl.benchmark import TransferMatrix
+from mbtl.plot.style import distinct
 
 N = 20
 LINE = mbtl.ContextSpace.grid({mbtl.Log("mass", 0.1, 10.0, unit="kg"): N})
@@ -47,15 +49,100 @@ def test_the_curve_is_v_of_fresh_episodes_beside_named_baselines_on_axes_of_the_
     assert mbtl.plot.curve([0.1, 0.2]).get_lines()[0].get_ydata().tolist() == [0.1, 0.2]
 
 
-def test_a_policy_map_on_a_logarithmic_axis_is_drawn_as_such_with_every_source_numbered():
+def names_in(ax):
+    """Policies, from 0, that are named where they serve; and frames at what they are trained on."""
+    serve = [int(text.get_text()) - 1 for text in ax.texts if text.get_gid() == "serves"]
+    framed = [text.get_text() for text in ax.texts if text.get_gid() != "serves"]
+    return serve, sorted(int(n) - 1 for text in framed for n in text.split(","))
+
+
+def legend_of(owner):
+    """Words by policy, from 0, and its colour."""
+    legend = owner.get_legend() if hasattr(owner, "get_legend") else owner.legends[0]
+    words = [text.get_text() for text in legend.get_texts()]
+    colours = [patch.get_facecolor() for patch in legend.get_patches()]
+    return {int(w.split(":")[0]) - 1: (w, c) for w, c in zip(words, colours, strict=True)}
+
+
+def test_a_policy_map_on_a_logarithmic_axis_is_drawn_as_such_and_names_whom_it_shows():
     study = study_on(LINE)
-    ax = mbtl.plot.policy_map(study)
+    ax, route = mbtl.plot.policy_map(study), study.routing.route
     assert ax.get_xscale() == "log"
     assert ax.get_xlabel() == "mass [kg]"
-    assert sorted(texts(ax)) == ["1", "2", "3", "4"]
-    drawn = [line for line in ax.get_lines() if line.get_marker() == "s"]
-    assert sum(len(line.get_xdata()) for line in drawn) == N
+    assert "by the episodes that chose" in ax.get_ylabel()
+    legend = legend_of(ax)
+    assert set(legend) == set(route.tolist())
+    for policy, (words, colour) in legend.items():
+        source = study.routing.sources[policy]
+        said = f"{LINE.describe(LINE.context(source))} ({(route == policy).sum()})"
+        assert words == f"{policy + 1}: {said}"
+        (drawn,) = (d for d in ax.get_lines() if d.get_marker() == "s" and d.get_color() == colour)
+        assert set(drawn.get_xdata()) == set(np.array(LINE.values("mass"))[route == policy])
+    serve, framed = names_in(ax)
+    assert (sorted(serve), framed) == (sorted(legend), [0, 1, 2, 3])
+    for text in ax.texts:
+        if text.get_gid() == "serves":
+            at = np.argmin(abs(np.array(LINE.values("mass")) - text.xy[0]))
+            assert route[at] == int(text.get_text()) - 1
     assert mbtl.plot.policy_map(study.portfolio()).get_xscale() == "log"
+
+
+ROADS = ("wet", "dry", "icy")
+SOLID = mbtl.ContextSpace.grid(
+    {
+        mbtl.Categorical("road", ROADS): 3,
+        mbtl.Log("mass", 0.1, 10.0, unit="kg"): 6,
+        mbtl.Linear("length", 0.0, 1.0, unit="m"): 5,
+    }
+)
+
+
+def test_three_axes_are_a_map_for_each_value_of_the_third_and_every_cell_is_the_route():
+    study = study_on(SOLID, 6)
+    panels = mbtl.plot.policy_map(study)
+    legend = legend_of(panels[0].figure)
+    assert set(legend) == set(study.routing.route.tolist())
+    route = study.routing.route.reshape(3, 6, 5)
+    assert [panel.get_title("left") for panel in panels] == [f"road {road}" for road in ROADS]
+    framed = []
+    for k, panel in enumerate(panels):
+        mesh = panel.collections[0]
+        shown = mesh.cmap(mesh.norm(np.asarray(mesh.get_array())))
+        expected = np.array([[legend[p][1] for p in row] for row in route[k].T])
+        assert shown == pytest.approx(expected, abs=0.01)
+        serve, here = names_in(panel)
+        framed += here
+        assert set(route[k].ravel().tolist()) <= {*serve, *here}
+    assert sorted(framed) == list(range(6))
+    with pytest.raises(mbtl.MbtlError, match="are 3 maps, got axes for one"):
+        mbtl.plot.policy_map(study, ax=Figure().subplots())
+
+
+def test_many_values_of_a_third_axis_are_nine_maps_that_say_how_much_they_show():
+    axes = {"x": 12, "y": 11, "z": 10}
+    space = mbtl.ContextSpace.grid({mbtl.Linear(a, 0.0, 1.0): n for a, n in axes.items()})
+    panels = mbtl.plot.policy_map(study_on(space, 2))
+    assert len(panels) == 9
+    assert "(1188 of 1320 contexts)" in panels[0].figure.get_suptitle()
+    assert {panels[0].get_title("left"), panels[8].get_title("left")} == {"z 0", "z 1"}
+    points = mbtl.ContextSpace.sample(space.axes, 40, seed=0)
+    study = mbtl.create_study(points, budget=2, bounds=(0.0, 1.0), selector="random")
+    for _ in range(2):
+        pick = study.ask()
+        study.tell(pick, row(points, pick.source))
+    panels = mbtl.plot.policy_map(study)  # no grid: ranges, with all of its points
+    assert sum(len(panel.collections[0].get_offsets()) for panel in panels) == 40
+
+
+def test_colours_of_policies_are_told_apart():
+    """By their distance in CIELAB, of which a just noticeable difference is 2.3."""
+    rgb = np.array([to_rgb(colour) for colour in distinct(15)])
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    mixed = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    f = np.cbrt(linear @ np.array(mixed).T / [0.9505, 1.0, 1.089])
+    lab = np.stack([116 * f[:, 1], 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=1)
+    apart = np.linalg.norm(lab[:, None] - lab, axis=-1)[np.triu_indices(15, 1)]
+    assert apart.min() > 30
 
 
 def test_numbers_of_sources_side_by_side_do_not_hide_each_other():
@@ -63,7 +150,8 @@ def test_numbers_of_sources_side_by_side_do_not_hide_each_other():
     study = mbtl.create_study(space, budget=3, bounds=(0.0, 1.0))
     for source in (50, 51, 52):
         study.tell(source, row(space, source))
-    heights = [note.xyann[1] for note in mbtl.plot.policy_map(study).texts]
+    ax = mbtl.plot.policy_map(study)
+    heights = [note.xyann[1] for note in ax.texts if note.get_gid() != "serves"]
     assert len(set(heights)) == 3
 
 
@@ -78,8 +166,11 @@ def test_two_axes_are_a_map_with_its_colour_scale_and_the_sources_in_it():
     assert "performance" in [other.get_ylabel() for other in ax.figure.axes]
     turned = mbtl.plot.heatmap(PLANE, study.routing.served, over=("length", "mass"))
     assert turned.collections[0].get_array().shape == (6, 5)
-    served = mbtl.plot.policy_map(study).collections[0].get_array()
-    assert len(np.unique(served)) == len(set(study.routing.route))
+    chart = mbtl.plot.policy_map(study)
+    assert np.unique(chart.collections[0].get_array()).tolist() == list(
+        range(len(legend_of(chart)))
+    )
+    assert set(legend_of(chart)) == set(study.routing.route.tolist())
 
 
 def test_what_cannot_be_a_map_is_said():
@@ -158,7 +249,6 @@ def test_a_curve_has_the_intervals_of_the_episodes_it_is_of():
     study.record_fresh_returns(means, value_errors=np.array([0.1, 0.1, 0.05]), episodes=3)
     fresh = mbtl.plot.curve(study).collections[0].get_segments()[-1]
     assert np.ptp(fresh[:, 1]) / 2 == pytest.approx(0.05 * 4.303, rel=1e-3)
-    assert "by the episodes that chose" in mbtl.plot.policy_map(study).get_title("left")
 
 
 def test_the_name_of_a_matrix_is_answered_with_the_way_to_open_it():

@@ -105,15 +105,20 @@ def test_three_axes_are_maps_that_can_be_sliced_and_pairs_and_a_phone_needs_no_s
             mbtl.Categorical("road", ("wet", "dry")): 2,
         }
     )
+    study = study_on(space, picks=3)
     found = probe(
-        page([of_study(study_on(space, picks=3)), of_matrix(matrix_on(space), "auto", budget=3)]),
+        page([of_study(study), of_matrix(matrix_on(space), "auto", budget=3)]),
         """
         await plotted("policies");
         const box = seen("policies"), selects = [...box.parentElement.querySelectorAll("select")];
         found.type = box.data[0].type;
         found.shape = [box.data[0].z.length, box.data[0].z[0].length];
-        found.policies = [...new Set(box.data[0].z.flat())].sort();
+        found.policies = box.data[0].z;
         const text = (s) => s.parentElement.firstChild.textContent;
+        const road = selects.find((s) => text(s) === "road");
+        choose(road, "");
+        found.both = box.data[0].z;
+        choose(road, "1");
         choose(selects[0], "performance");
         const averaged = box.data[0].z[0][0], slice = selects.find((s) => text(s) === "road");
         choose(slice, "0");
@@ -130,7 +135,10 @@ def test_three_axes_are_maps_that_can_be_sliced_and_pairs_and_a_phone_needs_no_s
         width=390,
     )
     assert (found["type"], found["shape"]) == ("heatmap", [3, 4])
-    assert set(found["policies"]) <= {1, 2, 3}  # people count from 1
+    wet, dry = study.routing.route.reshape(4, 3, 2).T + 1  # people count from 1
+    assert found["policies"] == dry.tolist()  # a slice at a time
+    alone = np.where(wet == dry, wet, 0).tolist()
+    assert found["both"] == [[policy or None for policy in row] for row in alone]
     assert found["changed"]
     assert found["turned"] == ["wet", "dry"]
     assert found["pairs"] == 3

@@ -21,7 +21,7 @@ from mbtl.cli.run_steps import StepWish, check_steps, run_steps, steps_of
 from mbtl.cli.worker import check_evaluated
 from mbtl.cmdps import resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
-from mbtl.plot import curve, policy_map, policy_shares, save
+from mbtl.plot import curve, policy_map, save
 from mbtl.report import reference_curves, summarise_study
 from mbtl.report.text import show_summary
 from mbtl.selectors import get_selector
@@ -323,13 +323,12 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
             files["portfolio"] = str(folder / "portfolio")
         except StorageError as error:
             notes.append(f"no portfolio: {error}")
-        curves, note = reference_curves(study)
-        notes += [note] if curves is None else [curves.said, note]
+        if (curves := reference_curves(study)) is not None:
+            notes.append(curves.said)
         try:
             drawn = curve(study, baselines={} if curves is None else curves.baselines)
             files["curve"] = str(save(drawn, folder / "curve.png"))
-            draw = policy_map if study.space.d < 3 else policy_shares
-            files["policy map"] = str(save(draw(study), folder / "policy-map.png"))
+            files["policy map"] = str(save(policy_map(study), folder / "policy-map.png"))
         except (MissingExtra, StorageError) as error:
             notes.append(f"no pictures: {error}")
     if as_json:

@@ -14,7 +14,7 @@ from mbtl.cli.step_progress import StepProgress
 from mbtl.cli.step_worker import follow
 from mbtl.cmdps import resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError
-from mbtl.plot import policy_map, policy_shares, save
+from mbtl.plot import policy_map, save
 from mbtl.report.step_text import show_steps
 from mbtl.study.steps.create import create_step_study
 from mbtl.study.steps.prices import episodes_of, units_to
@@ -165,8 +165,7 @@ def _finish(study: StepStudy, trainer: Trainer, folder: Path, *, as_json: bool) 
         try:
             portfolio.save(folder / "portfolio", overwrite=True, allow_missing=True)
             files["portfolio"] = str(folder / "portfolio")
-            draw = policy_map if study.space.d < 3 else policy_shares
-            files["policy map"] = str(save(draw(portfolio), folder / "policy-map.png"))
+            files["policy map"] = str(save(policy_map(portfolio), folder / "policy-map.png"))
         except (MissingExtra, StorageError) as error:
             notes.append(f"no portfolio or picture: {error}")
     if as_json:

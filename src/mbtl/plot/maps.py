@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from mbtl.plot.style import (
     GREY,
     axes_for,
     cells,
-    colours,
+    distinct,
     dress,
     edges,
     new_figure,
@@ -26,7 +27,7 @@ from mbtl.plot.style import (
 from mbtl.portfolio import Portfolio
 from mbtl.study import Study
 
-_MOST_BARS = 12
+_MOST_BARS, _MOST_MAPS, _MOST_OTHERS, _MOST_LINES = 12, 9, 3, 24
 _BY = "by the episodes that chose"
 
 
@@ -47,7 +48,8 @@ def heatmap(
         values: (N,) one per context.
         label: what they are, with their unit.
         sources: contexts trained on, in order; each is marked with its number.
-        over: names of the two axes of the map; None: the first two. Others are averaged.
+        over: names of the two axes of the map; None: those with the most values. Others are
+            averaged.
         ax: axes to draw on; None: new ones.
 
     Raises:
@@ -70,7 +72,7 @@ def heatmap(
     x, y = (positions(axis, space.values(axis.name)) for axis in (first, second))
     mesh = _mesh(ax, first, second, cells(x, y, shown)[:3])
     ax.figure.colorbar(mesh, ax=ax, label=label)
-    _mark(ax, x, y, sources)
+    _mark(ax, x, y, dict(enumerate(sources)))
     return ax
 
 
@@ -80,96 +82,208 @@ def policy_map(
 ) -> Any:
     """Which policy serves which context, and how well.
 
-    On one axis performance is drawn along it, coloured by policy; on two or more the map has a
-    colour per policy, and the number of each at the context it was trained on. In a cell that
-    several policies serve, because more axes are averaged, the one of most contexts counts.
+    Policies have a colour each and are numbered in the order of their trainings. The number of a
+    policy stands where it serves, and the legend says what it was trained on and how many contexts
+    it serves; numbers in frames stand at the contexts trained on.
+
+    On one axis performance is drawn along it. On two it is a map. On three to five there is a map
+    for each value of the other axes: at most nine maps, whose values are evenly spread where there
+    are more; for ranges of values where contexts are no grid. On six and more it is
+    `policy_shares`.
 
     Args:
         result: a study with rows, or a portfolio.
-        over: names of the two axes of the map; None: the first two.
-        ax: axes to draw on; None: new ones.
-    """
-    space, routing = result.space, result.routing
-    sources, route, served = routing.sources, routing.route, routing.served
-    used = np.unique(route)
-    palette = dict(
-        zip(used[np.argsort([sources[i] for i in used])], colours(len(used)), strict=True)
-    )
-    if space.d == 1:
-        ax = axes_for(ax, 6.4, 3.4)
-        axis = space.axes[0]
-        x = positions(axis, space.values(axis.name))
-        order = np.argsort(x)
-        ax.plot(x[order], served[order], lw=0.6, color=GREY, zorder=1)
-        for i in used:
-            mine = route == i
-            ax.plot(x[mine], served[mine], "s", ms=3.5, color=palette[i], zorder=2)
-        dress(ax, axis)
-        ax.set_ylabel("performance")
-        ax.set_title(f"which policy serves; performance {_BY}", fontsize=8)
-        number(ax, x[list(sources)], palette)
-        return ax
-    ax = axes_for(ax, height=3.8)
-    first, second = _pair(space, over)
-    x, y = (positions(axis, space.values(axis.name)) for axis in (first, second))
-    across, up, table, cell = cells(x, y, served)
-    votes = np.zeros((len(sources), table.size))
-    np.add.at(votes, (route, cell), 1.0)
-    winner = np.where(np.isfinite(table.ravel()), votes.argmax(axis=0), -1)
-    rank = {policy: place for place, policy in enumerate(palette)}
-    codes = np.array([rank.get(w, np.nan) for w in winner]).reshape(table.shape)
-    from matplotlib.colors import ListedColormap
+        over: names of the two axes of a map; None: those with the most values.
+        ax: axes to draw on, of one map; None: new ones.
 
-    ax.pcolormesh(
-        edges(first, across), edges(second, up), codes,
-        cmap=ListedColormap(list(palette.values())), vmin=-0.5, vmax=len(palette) - 0.5,
-        alpha=0.75,
-    )  # fmt: skip
-    dress(ax, first, "x")
-    dress(ax, second, "y")
-    if min(table.shape) > 1 and np.ptp(served) > 0 and np.isfinite(table).all():
-        lines = ax.contour(across, up, table, 4, colors="black", linewidths=0.6, alpha=0.7)
-        ax.clabel(lines, fontsize=6)
-        ax.set_title(f"which policy serves; lines: performance {_BY}", fontsize=8)
-    _mark(ax, x, y, sources)
-    return ax
+    Returns:
+        The axes; (m,) where there are several maps.
+
+    Raises:
+        InvalidInput: `over` are not two axes, or `ax` is one for several maps.
+    """
+    space, patches = result.space, _patches(result)
+    if space.d == 1:
+        return _along(result, patches, axes_for(ax, 6.8, 3.4))
+    first, second = _pair(space, over)
+    others = [axis for axis in space.axes if axis not in (first, second)]
+    if len(others) > _MOST_OTHERS:
+        return policy_shares(result)
+    facets = _facets(space, others)
+    if len(facets) == 1:
+        one = axes_for(ax, 6.8, 4.2)
+        lined = _territory(result, patches, one, (first, second), facets[0][1])
+        said = f"; lines: performance {_BY}" if lined else ""
+        one.set_title(f"which policy serves{said}", fontsize=8)
+        _legend(one, patches, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        return one
+    if ax is not None:
+        raise InvalidInput(
+            f"policies on {space.d} axes are {len(facets)} maps, got axes for one; leave ax out"
+        )
+    columns = min(len(facets), 3)
+    rows = -(-len(facets) // columns)
+    figure = new_figure(0.8 + 2.6 * columns, 0.8 + 2.4 * rows + 0.17 * len(patches))
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for panel in panels[len(facets) :]:
+        panel.set_axis_off()
+    for panel, (title, here) in zip(panels, facets, strict=False):
+        _territory(result, patches, panel, (first, second), here)
+        panel.label_outer()
+        panel.set_title(title, fontsize=8)
+    shown = sum(len(here) for _, here in facets)
+    part = f" ({shown} of {space.n} contexts)" if shown < space.n else ""
+    figure.suptitle(f"which policy serves{part}", fontsize=9)
+    _legend(figure, patches, loc="outside lower center")
+    return panels[: len(facets)]
 
 
 @styled
 def policy_shares(result: Study | Portfolio) -> NDArray[Any]:
     """A panel per axis: at each of its values, the share of contexts that each policy serves.
 
-    Dots are the mean performance of the contexts with that value. For three axes and more, or
-    where contexts are no grid.
+    Dots are the mean performance of the contexts with that value. For many axes.
 
     Returns:
         (d,) axes.
     """
-    space, routing = result.space, result.routing
-    sources = routing.sources
-    serving = np.asarray([sources[i] for i in routing.route])
-    used = sorted(set(serving.tolist()))
-    coloured = list(zip(used, colours(len(used)), strict=True))
-    columns = max(1, 6 // (space.d + 1))
-    rows = -(-len(coloured) // columns)
-    figure = new_figure(min(3.0 * space.d + 1.5, 14.0), 3.2 + 0.17 * rows)
+    space, routing, patches = result.space, result.routing, _patches(result)
+    figure = new_figure(min(3.0 * space.d + 1.5, 14.0), 3.2 + 0.17 * len(patches))
     panels = np.atleast_1d(figure.subplots(1, space.d))
     every = [
-        _bars(panel, axis, space.values(axis.name), serving, coloured, routing.served)
+        _bars(panel, axis, space.values(axis.name), routing.route, patches, routing.served)
         for axis, panel in zip(space.axes, panels, strict=True)
     ]
-    from matplotlib.patches import Patch
-
     limits = np.array([dots.get_ylim() for dots in every])
     for dots in every:
         dots.set_ylim(min(0.0, limits.min()), max(1.0, limits.max()))
     figure.supylabel("share of contexts; dots, right: performance", fontsize=9)
     figure.suptitle(f"which policy serves; performance {_BY}", fontsize=9)
-    figure.legend(
-        handles=[Patch(color=c, label=space.describe(space.context(i))) for i, c in coloured],
-        loc="outside lower center", ncols=columns,
-    )  # fmt: skip
+    _legend(figure, patches, loc="outside lower center")
     return panels
+
+
+# ---- who serves ----------------------------------------------------------------------------------
+
+
+def _patches(result: Study | Portfolio) -> dict[int, Any]:
+    """Colour and words of every policy that serves, by its position."""
+    from matplotlib.patches import Patch
+
+    space, routing = result.space, result.routing
+    counts = np.bincount(routing.route)
+    used = np.flatnonzero(counts)
+
+    def words(i: int) -> str:
+        if isinstance(result, Portfolio):
+            where = result.trained_on(i)
+        else:
+            where = space.describe(space.context(routing.sources[i]))
+        return f"{i + 1}: {shorten(where, 60)} ({counts[i]})"
+
+    pairs = zip(used.tolist(), distinct(len(used)), strict=True)
+    return {i: Patch(color=colour, label=words(i)) for i, colour in pairs}
+
+
+def _legend(owner: Any, patches: Mapping[int, Any], **place: Any) -> None:
+    columns = -(-len(patches) // _MOST_LINES)
+    title = "policy: trained on (contexts it serves)"
+    owner.legend(handles=list(patches.values()), ncols=columns, title=title, **place)
+
+
+def _along(result: Study | Portfolio, patches: Mapping[int, Any], ax: Any) -> Any:
+    """Performance along the only axis, coloured by policy, each named at its longest stretch."""
+    (axis,), routing = result.space.axes, result.routing
+    x = positions(axis, result.space.values(axis.name))
+    order = np.argsort(x, kind="stable")
+    if not isinstance(axis, Categorical):
+        ax.plot(x[order], routing.served[order], lw=0.6, color=GREY, zorder=1)
+    for i, patch in patches.items():
+        mine = routing.route == i
+        ax.plot(x[mine], routing.served[mine], "s", ms=3.5, color=patch.get_facecolor(), zorder=2)
+    dress(ax, axis)
+    ax.set_ylabel(f"performance {_BY}")
+    number(ax, x[list(routing.sources)], {i: p.get_facecolor() for i, p in patches.items()})
+    along = routing.route[order]
+    stretches = np.split(order, np.flatnonzero(np.diff(along)) + 1)
+    for i in patches:
+        mine = max((one for one in stretches if routing.route[one[0]] == i), key=len)
+        middle = mine[len(mine) // 2]
+        _name(ax, i, x[middle], routing.served[middle], xytext=(0, 7))
+    _legend(ax, patches, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return ax
+
+
+def _territory(
+    result: Study | Portfolio,
+    patches: Mapping[int, Any],
+    ax: Any,
+    drawn: tuple[Axis, Axis],
+    here: NDArray[np.intp],
+) -> bool:
+    """Some contexts over two axes, coloured and named by policy; whether there are lines of V."""
+    from matplotlib.colors import ListedColormap
+
+    space, routing = result.space, result.routing
+    x, y = (positions(axis, space.values(axis.name)) for axis in drawn)
+    rank = {policy: place for place, policy in enumerate(patches)}
+    code = np.array([rank[i] for i in routing.route[here].tolist()], dtype=float)
+    look: Any = {
+        "cmap": ListedColormap([patch.get_facecolor() for patch in patches.values()]),
+        "vmin": -0.5, "vmax": len(patches) - 0.5,
+    }  # fmt: skip
+    lined = False
+    above = (0, 8) if space.shape is None else (0, 0)
+    if space.shape is None:
+        ax.scatter(x[here], y[here], c=code, marker="s", s=16, **look)
+    else:  # one context in a cell
+        across, up, table, _ = cells(x[here], y[here], code)
+        ax.pcolormesh(edges(drawn[0], across), edges(drawn[1], up), table, alpha=0.75, **look)
+        served = cells(x[here], y[here], routing.served[here])[2]
+        ordered = not any(isinstance(axis, Categorical) for axis in drawn)
+        whole = ordered and len(here) == space.n and min(served.shape) > 1
+        lined = bool(whole and np.ptp(served) > 0)
+        if lined:
+            lines = ax.contour(across, up, served, 4, colors="black", linewidths=0.6, alpha=0.7)
+            ax.clabel(lines, fontsize=6)
+    for axis, side in zip(drawn, "xy", strict=True):
+        dress(ax, axis, side)
+    inside = set(here.tolist())
+    trained = {p: source for p, source in enumerate(routing.sources) if source in inside}
+    _mark(ax, x, y, trained)
+    places = np.column_stack([np.unique(v, return_inverse=True)[1] for v in (x, y)])
+    for i in np.unique(routing.route[here]).tolist():
+        mine = here[routing.route[here] == i]
+        if trained.get(i) not in mine:
+            away = np.linalg.norm(places[mine] - places[mine].mean(axis=0), axis=1)
+            _name(ax, i, x[mine[away.argmin()]], y[mine[away.argmin()]], xytext=above)
+    return lined
+
+
+def _name(ax: Any, policy: int, x: float, y: float, xytext: tuple[int, int] = (0, 0)) -> None:
+    """The number of a policy where it serves."""
+    from matplotlib.patheffects import withStroke
+
+    ax.annotate(
+        str(policy + 1), (x, y), xytext=xytext, textcoords="offset points", fontsize=8,
+        weight="bold", ha="center", va="center", gid="serves",
+        path_effects=[withStroke(linewidth=1.8, foreground="white")],
+    )  # fmt: skip
+
+
+def _facets(space: ContextSpace, others: Sequence[Axis]) -> list[tuple[str, NDArray[np.intp]]]:
+    """Contexts by the values of the axes that a map does not show, with words for them."""
+    facets = [("", np.ones(space.n, dtype=bool))]
+    for axis in others:
+        most = int(_MOST_MAPS ** (1.0 / len(others)))
+        names, group = _groups(axis, space.values(axis.name), most, runs=space.shape is None)
+        some = np.unique(np.linspace(0, len(names) - 1, min(most, len(names))).round().astype(int))
+        facets = [
+            (f"{words}, {axis.name} {names[k]}".removeprefix(", "), mask & (group == k))
+            for words, mask in facets
+            for k in some
+        ]
+    return [(words, np.flatnonzero(mask)) for words, mask in facets if mask.any()]
 
 
 # ---- inside --------------------------------------------------------------------------------------
@@ -177,7 +291,8 @@ def policy_shares(result: Study | Portfolio) -> NDArray[Any]:
 
 def _pair(space: ContextSpace, over: tuple[str, str] | None) -> tuple[Axis, Axis]:
     by_name = {axis.name: axis for axis in space.axes}
-    names = tuple(by_name)[:2] if over is None else over
+    most = sorted(by_name, key=lambda name: -len(set(space.values(name))))[:2]
+    names = tuple(name for name in by_name if name in most) if over is None else over
     if len(set(names)) != 2 or not set(names) <= set(by_name):
         raise InvalidInput(f"a map needs two of the axes {list(by_name)}, got {names!r}")
     return by_name[names[0]], by_name[names[1]]
@@ -191,11 +306,11 @@ def _mesh(ax: Any, first: Axis, second: Axis, table: tuple[Array, Array, Array])
     return mesh
 
 
-def _mark(ax: Any, x: Array, y: Array, sources: Sequence[int]) -> None:
-    """The number of every context trained on, those of one place together."""
+def _mark(ax: Any, x: Array, y: Array, sources: Mapping[int, int]) -> None:
+    """The number of every policy in a frame at its context, those of one place together."""
     together: dict[tuple[float, float], list[str]] = {}
-    for place, source in enumerate(sources, 1):
-        together.setdefault((x[source], y[source]), []).append(str(place))
+    for policy, source in sources.items():
+        together.setdefault((x[source], y[source]), []).append(str(policy + 1))
     box = {"boxstyle": "round,pad=0.18", "fc": "white", "ec": "black", "lw": 0.6, "alpha": 0.9}
     for (across, up), numbers in together.items():
         ax.text(across, up, ",".join(numbers), fontsize=7, ha="center", va="center", bbox=box)
@@ -205,16 +320,16 @@ def _bars(
     panel: Any,
     axis: Axis,
     values: Sequence[Value],
-    serving: Array,
-    coloured: list[tuple[int, Any]],
+    route: NDArray[np.intp],
+    patches: Mapping[int, Any],
     performance: Array,
 ) -> Any:
-    names, group = _groups(axis, values)
+    names, group = _groups(axis, values, _MOST_BARS)
     counts, places = np.bincount(group), np.arange(len(names))
     below = np.zeros(len(names))
-    for source, colour in coloured:
-        share = np.bincount(group[serving == source], minlength=len(names)) / counts
-        panel.bar(places, share, bottom=below, width=1.0, color=colour)
+    for policy, patch in patches.items():
+        share = np.bincount(group[route == policy], minlength=len(names)) / counts
+        panel.bar(places, share, bottom=below, width=1.0, color=patch.get_facecolor())
         below += share
     dots = panel.twinx()
     dots.plot(places, np.bincount(group, performance) / counts, "o", color="black", ms=3)
@@ -224,14 +339,16 @@ def _bars(
     return dots
 
 
-def _groups(axis: Axis, values: Sequence[Value]) -> tuple[list[str], NDArray[np.intp]]:
-    """Names of the bars of an axis, and the bar of each context: its values, or runs of them."""
+def _groups(
+    axis: Axis, values: Sequence[Value], most: int, *, runs: bool = True
+) -> tuple[list[str], NDArray[np.intp]]:
+    """Names of an axis's values, or of at most so many runs of them, and which each context has."""
     if isinstance(axis, Categorical):
         kinds = list(dict.fromkeys(values))
         return [str(kind) for kind in kinds], np.array([kinds.index(v) for v in values])
     levels, group = np.unique(np.asarray(values, dtype=float), return_inverse=True)
-    runs = np.array_split(np.arange(len(levels)), min(len(levels), _MOST_BARS))
-    bar = np.repeat(np.arange(len(runs)), [len(run) for run in runs])
-    ends = [(levels[run[0]], levels[run[-1]]) for run in runs]
+    parts = np.array_split(np.arange(len(levels)), min(len(levels), most) if runs else len(levels))
+    bar = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    ends = [(levels[part[0]], levels[part[-1]]) for part in parts]
     names = [f"{low:.6g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in ends]
     return names, bar[group]

@@ -22,6 +22,12 @@ GREY, DARK = "#777777", "#333333"
 WIDTHS = (3.4, 5.2, 6.8)
 """Inches: one column of a paper, one picture of a page, two columns."""
 
+_DISTINCT = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#d2d23c", "#695a1e", "#d2d2c3", "#784bc3",
+    "#00e1ff", "#c3003c", "#3c8700", "#2d5a5a", "#ffb478", "#b40f87", "#c3c3ff", "#873c3c",
+    "#a5e187", "#f087ff", "#2d87ff", "#b48700", "#ff8787", "#694b87", "#968796", "#00d278",
+)  # fmt: skip
+
 
 def style() -> AbstractContextManager[None]:
     """The project's style while the block runs, for axes of your own.
@@ -91,6 +97,15 @@ def colours(n: int) -> list[Any]:
     from matplotlib import colormaps
 
     return [colormaps["viridis"](0.05 + 0.87 * i / max(n - 1, 1)) for i in range(n)]
+
+
+def distinct(n: int) -> list[str]:
+    """So many colours that are told apart at a glance, for things without an order.
+
+    Each is as far as can be from all before it in CIELAB, and neither pale nor glaring; after 24
+    they begin again.
+    """
+    return [_DISTINCT[i % len(_DISTINCT)] for i in range(n)]
 
 
 # ---- one context axis ----------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import Categorical, ContextSpace, Log
+from mbtl.plot.style import distinct
 from mbtl.report.next_training import predicted
 from mbtl.report.subject import Subject
 from mbtl.routing import rank
@@ -111,6 +112,7 @@ def served_by(
             second[target] = next(i for i in order if i != route[target])
     return {
         "policy": route,
+        "colours": distinct(len(sources)),
         "performance": believed[route, every],
         "runnerUp": second,
         "runnerUpPerformance": np.where(second >= 0, believed[second, every], np.nan),

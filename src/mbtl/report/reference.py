@@ -46,25 +46,24 @@ class ReferenceCurves:
 
     @property
     def said(self) -> str:
-        """The levels in a sentence."""
+        """Where they are from, and the levels, in a sentence."""
         values = ", ".join(f"{name} {value:.4f}" for name, value in self.levels.items())
-        return f"Without selection, on the shipped matrix: {values}."
+        where = f"On the shipped matrix of {self.matrix!r}, {len(self.random)} seeds"
+        return f"{where}: other methods as drawn; without selection {values}."
 
 
-def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
-    """Curves of a shipped matrix whose recipe is this study's, and a sentence on what was found."""
+def reference_curves(study: Study) -> ReferenceCurves | None:
+    """Curves of a shipped matrix whose recipe is this study's, where there is one."""
     name, settings = study.spec.problem, study.spec.settings
     if name not in shipped_matrices():
-        return None, f"other selectors are not drawn: that needs a transfer matrix of {name!r}"
+        return None
     matrix = load_matrix(name)
     same = [
         all(record.get(key) == settings.get(key) for key in _SAME)
         for record in matrix.provenance["seeds"]
     ]
-    if not all(same) or matrix.space != study.space:
-        return None, f"other selectors are not drawn: {name!r} has a matrix of another recipe only"
-    if study.spec.risk < 1.0:
-        return None, "other selectors are not drawn: their V is a mean over all contexts"
+    if not all(same) or matrix.space != study.space or study.spec.risk < 1.0:
+        return None  # its V would be of something else
     budget, seeds = min(study.spec.budget, matrix.n), range(matrix.n_seeds)
     known = [reference(matrix, seed, budget) for seed in seeds]
     greedy: Array = np.empty((0, budget))
@@ -72,11 +71,10 @@ def reference_curves(study: Study) -> tuple[ReferenceCurves | None, str]:
         runs = compare(["greedy"], [matrix], budget, 1).results
         greedy = np.array([run.performance for run in runs])
     levels = [reference_levels(matrix, seed) for seed in seeds]
-    curves = ReferenceCurves(
+    return ReferenceCurves(
         name,
         np.array([k.random for k in known]),
         greedy,
         np.array([k.oracle.curve for k in known]),
         {NAMES.get(n, n): float(np.mean([one[n] for one in levels])) for n in levels[0]},
     )
-    return curves, f"other methods: on the shipped matrix of {name!r}, {matrix.n_seeds} seeds"

@@ -109,7 +109,7 @@ def of_study(study: Study) -> Subject:
     summary, state, space = summarise_study(study), study.state, study.space
     history = study.history
     known = bool(len(history))
-    curves, note = reference_curves(study) if known else (None, "")
+    curves = reference_curves(study) if known else None
     fresh = fresh_value(study) if known else None
     measured = fresh is not None and bool(np.isfinite(fresh.values).all())
     promised = {pick.number: pick.acquisition for pick in state.picks}
@@ -151,7 +151,7 @@ def of_study(study: Study) -> Subject:
         picks,
         {} if curves is None else curves.baselines,
         {} if curves is None else curves.levels,
-        (*lines(summary, space), *([note[0].upper() + note[1:] + "."] if note else [])),
+        (*lines(summary, space), *([] if curves is None else [curves.said])),
         provenance=made,
         finished=study.is_finished,
     )

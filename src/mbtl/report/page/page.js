@@ -4,7 +4,6 @@
   const byId = (id) => document.getElementById(id);
   const root = document.documentElement;
   const SCALE = "Cividis";
-  const RAMP = ["#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0da39", "#fde725"];
   const LINES = ["#8a8f98", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
   const DASHES = ["dash", "dot", "dashdot", "longdash", "dash", "dot"];
   const state = { items: [], which: 0, steps: [], maps: [], drawn: new Map() };
@@ -59,22 +58,6 @@
   const home = (item, p) => (item.policies ? item.policies[p] : "trained on " + describe(item, item.sources[p]));
   const contexts = (item) => (item.said ??= Array.from({ length: item.n }, (_, i) => describe(item, i)));
 
-  function ramp(share) {
-    const at = share * (RAMP.length - 1), i = Math.min(Math.floor(at), RAMP.length - 2);
-    const mix = (k) => {
-      const [a, b] = [RAMP[i], RAMP[i + 1]].map((c) => parseInt(c.slice(1 + 2 * k, 3 + 2 * k), 16));
-      return Math.round(a + (b - a) * (at - i));
-    };
-    return `rgb(${mix(0)},${mix(1)},${mix(2)})`;
-  }
-
-  function policyColours(item) {
-    const order = item.sources.map((_, i) => i).sort((a, b) => item.sources[a] - item.sources[b]);
-    const colours = [];
-    order.forEach((policy, place) => (colours[policy] = ramp(order.length > 1 ? place / (order.length - 1) : 0.5)));
-    return colours;
-  }
-
   function axisOf(axis, more = {}) {
     const look = { title: { text: axis.label }, type: axis.log ? "log" : "linear", gridcolor: css("--line"), zeroline: false };
     if (axis.choices) Object.assign(look, { tickvals: axis.choices.map((_, i) => i), ticktext: axis.choices });
@@ -112,7 +95,10 @@
 
   function mapOf(i) {
     const item = state.items[i];
-    return (state.maps[i] ??= { x: 0, y: 1, fixed: item.axes.map(() => null), show: {} });
+    if (state.maps[i]) return state.maps[i];
+    const levels = item.axes.map((axis) => distinct(axis.values)), widest = levels.map((_, q) => q).sort((a, b) => levels[b].length - levels[a].length);
+    const [x, y] = widest.slice(0, 2).sort((a, b) => a - b); // the others are held in their middle
+    return (state.maps[i] = { x, y, fixed: levels.map((own) => own[own.length >> 1]), show: {} });
   }
 
   /* Which contexts belong to each cell of two axes, where some others are held. */
@@ -130,16 +116,11 @@
     const known = those.map((i) => values[i]).filter(Number.isFinite);
     return known.length ? known.reduce((a, b) => a + b, 0) / known.length : null;
   };
-  function most(values) {
-    return (those) => {
-      const votes = new Map();
-      those.forEach((i) => votes.set(values[i], (votes.get(values[i]) || 0) + 1));
-      return those.length ? [...votes].sort((a, b) => b[1] - a[1])[0][0] : null;
-    };
-  }
+  /* The policy of a cell; none of several is shown for all. */
+  const only = (values) => (those) => (new Set(those.map((i) => values[i])).size === 1 ? values[those[0]] : null);
 
   function mapTraces(item, view, values, { kind, label, range, taken }) {
-    const { x, y, fixed: held } = view, policies = kind === "policy", colours = policyColours(item);
+    const { x, y, fixed: held } = view, policies = kind === "policy", colours = item.served.colours;
     const scale = policies ? colours.flatMap((c, p) => [[p / colours.length, c], [(p + 1) / colours.length, c]]) : SCALE;
     if (policies) values = Array.from(values, (p) => p + 1); // people count from 1
     const bar = policies ? { tickvals: colours.map((_, p) => p + 1), title: { text: "policy" } }
@@ -148,10 +129,11 @@
     const traces = [];
     if (item.isGrid) {
       const { across, up, members } = cells(item, x, y, held);
-      const pick = policies ? most(values) : average(values);
+      const pick = policies ? only(values) : average(values);
+      const several = (those) => `${those.length} contexts` + (policies ? ": policies " + distinct(those.map((c) => values[c])).join(", ") : "");
       traces.push({
         type: "heatmap", x: edges(across, item.axes[x]), y: edges(up, item.axes[y]), z: members.map((row) => row.map(pick)),
-        text: members.map((row) => row.map((those) => (those.length === 1 ? describe(item, those[0]) : `${those.length} contexts`))),
+        text: members.map((row) => row.map((those) => (those.length === 1 ? describe(item, those[0]) : several(those)))),
         hovertemplate: `%{text}<br>${label}: %{z:.4~f}<extra></extra>`, colorscale: scale, zmin: low, zmax: high, colorbar: bar,
       });
     } else {
@@ -204,7 +186,7 @@
     }
     item.axes.forEach((axis, q) => {
       const levels = distinct(axis.values).map((v) => [v, named(axis, v)]);
-      const slice = select(axis.name, [["", "all, averaged"], ...levels], "", (v) => { view.fixed[q] = v === "" ? null : +v; sync(i); });
+      const slice = select(axis.name, [["", "all: averages, and policies that serve alone"], ...levels], view.fixed[q], (v) => { view.fixed[q] = v === "" ? null : +v; sync(i); });
       slice.dataset.slice = q;
       box.append(slice);
     });
@@ -290,7 +272,7 @@
 
     policies(i, box) {
       const item = state.items[i], { policy, performance, runnerUp, runnerUpPerformance: second } = item.served;
-      const colours = policyColours(item), margin = Array.from(performance, (v, j) => v - second[j]);
+      const { colours } = item.served, margin = Array.from(performance, (v, j) => v - second[j]);
       if (item.axes.length > 1) {
         mapControls(i, "policies", [["policy", "policy"], ["performance", "performance"], ["margin", "lead over the runner-up"]]);
         const view = mapOf(i), show = view.show.policies, values = { policy, performance, margin }[show];
