@@ -1,6 +1,6 @@
 """A traffic light under any demand on one of its roads, in your own SUMO network or a crossing.
 
-NET=yours.net.xml python examples/own_sumo_network.py       # needs mbtl[traffic,train]
+NET=yours.net.xml python examples/own_sumo_network.py       # needs mbtl[traffic,train,plots]
 NET=yours.net.xml mbtl check examples/own_sumo_network.py:problem
 """
 

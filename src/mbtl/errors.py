@@ -99,6 +99,7 @@ def cannot_write(path: object, error: OSError) -> StorageError:
 
 def missing_extra(package: str, extra: str) -> MissingExtra:
     """Build the error for an optional dependency, with the one-line install."""
-    return MissingExtra(
-        f"{package} is needed for this and is not installed; run: pip install 'mbtl[{extra}]'"
-    )
+    how = f"pip install 'mbtl[{extra}]'"
+    if extra == "train":
+        how += " (without a GPU install PyTorch's CPU build first, see pytorch.org)"
+    return MissingExtra(f"{package} is needed for this and is not installed; run: {how}")
