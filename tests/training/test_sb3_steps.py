@@ -97,12 +97,27 @@ def test_environments_that_cannot_be_copied_begin_a_new_episode(tmp_path):
     assert not same(ways[0].policy, one.train({}, seed=0))  # ... and not the undisturbed one
 
 
-def test_a_training_begins_from_another_model():
-    first = trainer().train_steps(POLE, 0, 384).policy
-    frozen = trainer()
-    frozen.hyperparameters["learning_rate"] = 0.0
-    warm = frozen.train_steps({"length": 1.0}, 1, 64, start=first).policy
-    assert same(warm, first)
+@pytest.mark.parametrize(
+    ("one", "context"),
+    [
+        (trainer(), POLE),
+        (trainer(normalize_reward=True), POLE),
+        (trainer(algorithm="DQN"), POLE),
+        (trainer(pendulum, "SAC", 120), MASS),
+    ],
+    ids=["PPO", "rewards normalised", "DQN", "SAC"],
+)
+def test_a_training_that_begins_from_another_model_acts_as_that_until_it_learns(one, context):
+    first = one.train_steps(context, 0, one.whole_steps).policy
+    frozen = replace(one, hyperparameters={**one.hyperparameters, "learning_rate": 0.0})
+    warm = frozen.train_steps({name: 2.0 * x for name, x in context.items()}, 1, 64, start=first)
+    space = first.observation_space
+    seen = np.random.default_rng(0).normal(0.0, 2.0, (50, *space.shape)).astype(space.dtype)
+    expected, _ = first.predict(seen, deterministic=True)
+    assert np.array_equal(warm.policy.predict(seen, deterministic=True)[0], expected)
+
+
+def test_a_model_of_another_kind_is_refused():
     with pytest.raises(InvalidInput, match="model of its own algorithm and network, got DQN"):
         trainer().train_steps(POLE, 0, 64, start=trainer(algorithm="DQN").train(POLE, 0))
 
