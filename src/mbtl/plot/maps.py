@@ -187,8 +187,8 @@ def _patches(result: Study | Portfolio) -> dict[int, Any]:
 
 def _legend(owner: Any, patches: Mapping[int, Any], **place: Any) -> None:
     columns = -(-len(patches) // _MOST_LINES)
-    title = "policy: trained on (contexts it serves)"
-    owner.legend(handles=list(patches.values()), ncols=columns, title=title, **place)
+    words: Any = {"title": "policy: trained on (contexts it serves)", "alignment": "left"}
+    owner.legend(handles=list(patches.values()), ncols=columns, **words, **place)
 
 
 def _along(result: Study | Portfolio, patches: Mapping[int, Any], ax: Any) -> Any:
@@ -209,7 +209,7 @@ def _along(result: Study | Portfolio, patches: Mapping[int, Any], ax: Any) -> An
     for i in patches:
         mine = max((one for one in stretches if routing.route[one[0]] == i), key=len)
         middle = mine[len(mine) // 2]
-        _name(ax, i, x[middle], routing.served[middle], xytext=(0, 7))
+        _name(ax, i, x[middle], routing.served[middle], xytext=(0, -9))
     _legend(ax, patches, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return ax
 
