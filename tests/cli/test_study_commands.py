@@ -1,5 +1,7 @@
+import io
 import json
 import sqlite3
+import sys
 
 import numpy as np
 import pytest
@@ -82,3 +84,18 @@ def test_trust_reaches_the_policies_that_are_played(tmp_path):
     folder = portfolio.save(tmp_path / "p", allow_missing=True)
     assert _portfolio(str(folder), True).trust
     assert not _portfolio(str(folder), False).trust
+
+
+@pytest.mark.parametrize("console", ["cp437", "cp1252", "latin-1", "ascii"])
+def test_letters_that_a_console_lacks_are_escaped_and_end_nothing(
+    mbtl_command, monkeypatch, tmp_path, console
+):
+    space = mbtl.ContextSpace.grid({mbtl.Linear("\u03b8\u4e00", 0.0, 1.0, "\u00b5m"): 3})
+    mbtl.create_study(space, budget=1, storage=tmp_path / "study.db").tell(0, np.arange(3.0))
+    out = io.TextIOWrapper(io.BytesIO(), encoding=console)
+    monkeypatch.setattr(sys, "stdout", out)
+    code, _, err = mbtl_command("study", "show", tmp_path)
+    out.flush()
+    shown = out.buffer.getvalue().decode(console)
+    assert (code, err) == (0, "")
+    assert "\\u03b8\\u4e00 = 1" in shown

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import signal
@@ -79,7 +80,13 @@ def program() -> None:
 
 
 def main() -> None:
-    """Run the program; errors cost one line, not a page."""
+    """Run the program; errors cost one line, not a page.
+
+    A letter that a console or a pipe cannot show is written as its escape, such as "\\u03b8".
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     logging.getLogger("mbtl").addHandler(logging.NullHandler())  # callbacks show it all
     try:
         app()
