@@ -16,6 +16,14 @@ from mbtl.settings import first_difference
 from mbtl.untrusted import read_json
 
 
+def from_home(path: str | Path) -> Path:
+    """A path as a shell would read it: `~` is the home folder, `~ann` that of ann, if any."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:  # nobody of that name
+        return Path(path)
+
+
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[IO[bytes]]:
     """Write to a file that replaces `path` only when the block ends without an error.

@@ -164,6 +164,35 @@ def test_contexts_of_whole_numbers_given_as_others_are_whole():
     assert ContextSpace.from_json(json.loads(json.dumps(space.to_json()))) == space
 
 
+SINGLE, DOUBLE = np.linspace(0.1, 0.7, 7, dtype=np.float32), np.linspace(0.1, 0.7, 7)
+
+
+@pytest.mark.parametrize(
+    ("axis", "own", "asked"),
+    [
+        (Linear("x", 0.1, 0.7), DOUBLE, SINGLE),  # the last float32 lies outside the axis
+        (Linear("x", 0.1, 0.7), SINGLE, DOUBLE),
+        (Linear("x", -500.0, 0.7), DOUBLE, 1e3 + SINGLE - np.float32(1e3)),
+        (Log("x", 0.1, 0.7), DOUBLE, SINGLE),
+        (Log("x", 0.1, 0.7), SINGLE, DOUBLE),
+        (Categorical("x", tuple(DOUBLE)), DOUBLE, SINGLE),
+        (Categorical("x", tuple(SINGLE.tolist())), SINGLE.tolist(), DOUBLE),
+        (Integer("x", 1, 7), range(1, 8), np.arange(1, 8, dtype=np.float32)),
+        (Integer("x", 1, 7), range(1, 8), 10 * SINGLE),
+    ],
+)
+def test_contexts_in_single_precision_are_those_of_the_space(axis, own, asked):
+    space = ContextSpace.grid({axis: list(own)})
+    assert [space.index({"x": value}) for value in asked] == list(range(7))
+
+
+def test_what_single_precision_cannot_tell_apart_is_found_exactly_or_not_at_all():
+    space = ContextSpace.grid({Linear("time", 0.0, 1e9): [1e9 - 20.0, 1e9 - 10.0, 1e9]})
+    assert [space.index({"time": value}) for value in space.values("time")] == [0, 1, 2]
+    with pytest.raises(ContextMismatch, match="is not one of the 3 contexts"):
+        space.index({"time": 1e9 - 15.0})
+
+
 def test_any_damage_to_a_stored_space_gets_a_sentence_from_whoever_reads_it():
     whole = [ContextSpace.grid(MIXED, weights=np.arange(60)).to_json(),
              ContextSpace.sample([LENGTH, *MIXED], 5, seed=0).to_json()]  # fmt: skip

@@ -189,7 +189,7 @@ def test_categorical_contexts_are_trained_one_per_level():
 @pytest.mark.parametrize("selector", ["greedy", "equidistant"])
 def test_one_dimensional_selectors_say_so(selector):
     space = ContextSpace.grid({Linear("a", 0, 1): 3, Linear("b", 0, 1): 3})
-    with pytest.raises(InvalidInput, match="one context axis"):
+    with pytest.raises(InvalidInput, match="one numeric axis, got a, b"):
         play(selector, np.eye(9), 2, space)
 
 

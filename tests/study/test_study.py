@@ -1,4 +1,5 @@
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -197,13 +198,63 @@ def test_a_stored_study_refuses_other_settings(tmp_path):
         new(tmp_path)
 
 
-def test_a_stored_study_refuses_another_space(tmp_path):
-    new(tmp_path)
-    other = mbtl.ContextSpace.grid({mbtl.Linear("y", 0.0, 1.0): N})
-    with pytest.raises(StudyMismatch, match="space was ContextSpace"):
+X = mbtl.Linear("x", 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("axes", "weights", "words"),
+    [
+        (
+            {mbtl.Linear("y", 0.0, 1.0, "m"): N},
+            None,
+            r"axes of the space was \['x'\], got \['y \[m\]'\]",
+        ),
+        ({mbtl.Linear("x", 0.0, 2.0): N}, None, r"axis 'x', high was 1\.0, got 2\.0"),
+        ({mbtl.Log("x", 0.1, 1.0): N}, None, "axis 'x', kind was 'linear', got 'log'"),
+        ({X: N - 1}, None, "number of contexts was 20, got 19"),
+        (
+            {X: np.linspace(0, 1, N) ** 2},
+            None,
+            r"context of index 1 was {'x': 0\.05\d*}, got {'x': 0\.002",
+        ),
+        ({X: N}, np.arange(1, N + 1), r"weight of {'x': 0\.0} was 0\.05, got 0\.0047"),
+        (None, None, "form of the space was 'a grid', got 'a list'"),
+    ],
+)
+def test_a_stored_study_says_what_differs_in_another_space(tmp_path, axes, weights, words):
+    study = new(tmp_path)
+    other = mbtl.ContextSpace.points([X], study.space.contexts)
+    if axes is not None:
+        other = mbtl.ContextSpace.grid(axes, weights=weights)
+    with pytest.raises(StudyMismatch, match=words):
         mbtl.create_study(
             other, budget=6, bounds=(0, 1), storage=tmp_path / "study.db", load_if_exists=True
         )
+
+
+def test_a_leading_tilde_is_the_home_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    study = mbtl.create_study(
+        mbtl.ContextSpace.grid({X: N}), budget=1, storage="~/a/study.db", artifacts="~/policies"
+    )
+    study.tell(0, np.zeros(N))
+    assert study.folder == tmp_path / "home" / "policies"
+    assert [path.name for path in tmp_path.iterdir()] == ["home"]
+    for place in ("~/a", "~/a/study.db", Path("~/a")):
+        assert len(mbtl.load_study(place).state.rows) == 1
+
+
+@pytest.mark.parametrize("selector", ["greedy", "equidistant"])
+def test_a_selector_of_one_axis_refuses_others_before_there_is_a_database(tmp_path, selector):
+    road = mbtl.Categorical("road", ("dry", "wet"))
+    for axes, words in (({X: 3, road: 2}, "x, road"), ({road: 2}, "road")):
+        with pytest.raises(InvalidInput, match=f"on one numeric axis, got {words}; choose"):
+            mbtl.create_study(
+                mbtl.ContextSpace.grid(axes), budget=2, selector=selector, storage=tmp_path / "s.db"
+            )
+    assert not (tmp_path / "s.db").exists()
 
 
 class Last:

@@ -82,7 +82,7 @@ def program() -> None:
 def main() -> None:
     """Run the program; errors cost one line, not a page.
 
-    A letter that a console or a pipe cannot show is written as its escape, such as "\\u03b8".
+    A letter that a console or a pipe cannot show is written as its escape.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -21,6 +22,7 @@ import typer
 from rich.console import Console
 
 from mbtl.errors import UnsavedPolicies
+from mbtl.files import from_home
 
 console = Console(stderr=True)
 """Progress, notes and errors: always standard error."""
@@ -48,6 +50,9 @@ def interruptible(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def wrapped(*args: Any, **kwargs: Any) -> None:
+        for name, given in kwargs.items():  # `--study=~/x` is no affair of most shells
+            if isinstance(given, Path):
+                kwargs[name] = from_home(given)
         try:
             command(*args, **kwargs)
         except KeyboardInterrupt:

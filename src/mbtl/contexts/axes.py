@@ -25,8 +25,10 @@ Value = float | int | str
 
 MOST = 10_000_000
 """Contexts of a space: a few GB."""
-_ROUNDING = 1e-9
-"""Share of an axis that a value may lie outside, as sums and powers are rounded."""
+SINGLE = 2.0**-22
+"""Two units in the last place of single precision: what float32 does to a number, relatively."""
+_LEAST_ROUNDING, _MOST_ROUNDING = 1e-9, 1e-3
+"""Share of an axis that rounding may move a value by: of sums and powers, and at most."""
 
 
 class Axis(ABC):
@@ -44,6 +46,11 @@ class Axis(ABC):
     @abstractmethod
     def width(self) -> int:
         """Number of unit-cube columns."""
+
+    @property
+    def rounding(self) -> float:
+        """How far apart in the unit cube two values may be that are one in single precision."""
+        return _LEAST_ROUNDING
 
     @abstractmethod
     def own(self, values: Sequence[Any]) -> list[Value]:
@@ -119,9 +126,15 @@ class _Numeric(Axis):
         return number
 
     @property
+    def rounding(self) -> float:
+        """Of the largest values; see `Axis.rounding`."""
+        largest = max(abs(self.low), abs(self.high))
+        return _rounding(SINGLE * (largest / (self.high - self.low)))
+
+    @property
     def _limits(self) -> tuple[float, float]:
         """Low and high, with room for rounding."""
-        slack = _ROUNDING * (self.high - self.low)
+        slack = self.rounding * (self.high - self.low)
         return self.low - slack, self.high + slack
 
     def _checked(self, values: Sequence[Value]) -> Array:
@@ -174,8 +187,13 @@ class Log(_Numeric):
             )
 
     @property
+    def rounding(self) -> float:
+        """The same for all values; see `Axis.rounding`."""
+        return _rounding(SINGLE / math.log(self.high / self.low))
+
+    @property
     def _limits(self) -> tuple[float, float]:
-        slack = max((self.high / self.low) ** _ROUNDING, 1.0 + 1e-12)
+        slack = (self.high / self.low) ** self.rounding
         return self.low / slack, self.high * slack
 
     def encode(self, values: Sequence[Value]) -> Array:
@@ -203,8 +221,13 @@ class Integer(_Numeric):
             )
 
     @property
+    def rounding(self) -> float:
+        """That of sums alone, since neighbouring numbers are others; see `Axis.rounding`."""
+        return _LEAST_ROUNDING
+
+    @property
     def _limits(self) -> tuple[float, float]:
-        return self.low - _ROUNDING, self.high + _ROUNDING
+        return self.low, self.high  # values are whole by then
 
     def own(self, values: Sequence[Any]) -> list[Value]:
         """Whole numbers; see `Axis.own`."""
@@ -212,7 +235,7 @@ class Integer(_Numeric):
 
     def _whole(self, value: Any) -> int:
         whole: int = round(value)
-        if abs(value - whole) <= _ROUNDING:
+        if abs(value - whole) <= _rounding(SINGLE * abs(value)):
             return whole
         raise ContextMismatch(f"axis {self.name!r} takes whole numbers, got {value!r}; use Linear")
 
@@ -270,6 +293,12 @@ class Categorical(Axis):
     def _own(self, value: Any) -> Value:
         if not isinstance(value, np.ndarray) and value in self.choices:
             return self.choices[self.choices.index(value)]
+        number = _number(value)
+        if number is not None:
+            levels = [c for c in self.choices if not isinstance(c, str)]
+            same = [c for c in levels if abs(c - number) <= SINGLE * abs(c)]
+            if len(same) == 1:
+                return same[0]
         raise ContextMismatch(f"axis {self.name!r} takes one of {self.choices!r}, got {value!r}")
 
     def encode(self, values: Sequence[Value]) -> Array:
@@ -325,6 +354,10 @@ def grid_values(axis: Axis, given: int | Sequence[Value]) -> list[Value]:
             f"axis {axis.name!r} needs from 1 to {MOST:,} grid values, got {short(count)}"
         )
     return axis.spread(count)
+
+
+def _rounding(share: float) -> float:
+    return min(max(share, _LEAST_ROUNDING), _MOST_ROUNDING)
 
 
 def _check_names(name: str, unit: str) -> None:

@@ -28,6 +28,7 @@ from mbtl.contexts.axes import (
     grid_values,
 )
 from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, unknown_name
+from mbtl.settings import first_difference
 from mbtl.untrusted import MALFORMED
 
 Context = dict[str, Value]
@@ -214,7 +215,7 @@ class ContextSpace:
         return between.join(parts)
 
     def index(self, context: Mapping[str, Value]) -> int:
-        """Index of a context.
+        """Index of a context; a number in single precision is the one it was rounded from.
 
         Raises:
             ContextMismatch: it is not one of the N contexts, or not a context of these axes.
@@ -222,7 +223,11 @@ class ContextSpace:
         unit = self.encode(context)
         found = self._lookup.get(_key(unit))
         if found is None:
-            near = int(np.argmin(((self.unit - unit) ** 2).sum(axis=1)))
+            apart = np.abs(self.unit - unit)
+            same = np.flatnonzero((apart <= self._rounding).all(axis=1))
+            if len(same) == 1:
+                return int(same[0])
+            near = int(np.argmin((apart**2).sum(axis=1)))
             raise ContextMismatch(
                 f"{dict(context)!r} is not one of the {self.n} contexts; the nearest is "
                 f"{self.context(near)!r} (index {near})"
@@ -282,6 +287,30 @@ class ContextSpace:
     def __hash__(self) -> int:
         return hash((self.axes, self.n))
 
+    def difference(self, now: ContextSpace) -> tuple[str, Any, Any] | None:
+        """What differs first, what it is here, and what it is `now`; None: the spaces are equal."""
+        if self == now:
+            return None
+        before, after = ([axis.label for axis in space.axes] for space in (self, now))
+        if before != after:
+            return "the axes of the space", before, after
+        for mine, its in zip(self.axes, now.axes, strict=True):
+            found = first_difference(mine.to_json(), its.to_json(), f"axis {mine.name!r}, ")
+            if found:
+                return found
+        if self.n != now.n:
+            return "the number of contexts", self.n, now.n
+        for i in range(self.n):
+            if self.context(i) != now.context(i):
+                return f"the context of index {i}", self.context(i), now.context(i)
+        moved = np.flatnonzero(self.weights != now.weights)
+        if len(moved):
+            i = int(moved[0])
+            which = f"the weight of {self.context(i)}"
+            return which, float(self.weights[i]), float(now.weights[i])
+        was, is_now = ("a grid" if space.shape else "a list" for space in (self, now))
+        return "the form of the space", was, is_now
+
     def __repr__(self) -> str:
         names = ", ".join(axis.label for axis in self.axes)
         return f"ContextSpace({names}; {self.n} contexts)"
@@ -291,6 +320,11 @@ class ContextSpace:
     @cached_property
     def _lookup(self) -> dict[tuple[float, ...], int]:
         return {_key(row): i for i, row in enumerate(self.unit)}
+
+    @cached_property
+    def _rounding(self) -> Array:
+        """(D,) distances in the unit cube at which two values are one in single precision."""
+        return np.repeat([a.rounding for a in self.axes], [a.width for a in self.axes])
 
     @cached_property
     def _levels(self) -> list[list[Value]]:

@@ -124,9 +124,17 @@ class SelectionProblem:
 
     @cached_property
     def line(self) -> Array:
-        """(N,) grid steps of a one-dimensional problem."""
+        """(N,) grid steps of a one-dimensional problem.
+
+        Raises:
+            InvalidInput: the contexts have several axes, or levels.
+        """
         if not self.is_line:
-            raise InvalidInput(f"this needs one context axis, got {self.steps.shape[1]} columns")
+            axes = ", ".join(axis.name for axis in self.axes) or f"{self.steps.shape[1]} of them"
+            raise InvalidInput(
+                f"this selector needs contexts on one numeric axis, got {axes}; choose one that "
+                "takes any, such as 'auto'"
+            )
         return self.steps[:, 0]
 
     @cached_property

@@ -27,11 +27,13 @@ class Traits:
         deterministic: it ignores its generator, so one run of it says all.
         retrains: it may propose a context again, where the problem allows for repeats.
         predicts_chances: its proposals say how probable a gain is, where the problem asks.
+        one_axis: it needs contexts on one numeric axis (`SelectionProblem.line`).
     """
 
     deterministic: bool = False
     retrains: bool = False
     predicts_chances: bool = False
+    one_axis: bool = False
 
 
 @runtime_checkable

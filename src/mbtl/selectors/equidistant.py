@@ -17,7 +17,7 @@ class Equidistant:
     """The K cell midpoints of a fixed budget K, on one axis; K must be known beforehand."""
 
     name: str = "equidistant"
-    traits: ClassVar[Traits] = Traits(deterministic=True)
+    traits: ClassVar[Traits] = Traits(deterministic=True, one_axis=True)
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator

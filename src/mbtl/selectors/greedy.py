@@ -25,7 +25,7 @@ class Greedy:
     """
 
     name: str = "greedy"
-    traits: ClassVar[Traits] = Traits(deterministic=True)
+    traits: ClassVar[Traits] = Traits(deterministic=True, one_axis=True)
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator

@@ -23,7 +23,7 @@ from typing import Any, Protocol
 from urllib.parse import unquote, urlsplit
 
 from mbtl.errors import InvalidInput, StorageError, missing_extra
-from mbtl.files import sync_entries, sync_folder
+from mbtl.files import from_home, sync_entries, sync_folder
 from mbtl.study.database import check_path
 from mbtl.untrusted import inside, read_json, regular_files
 
@@ -274,7 +274,7 @@ def store_at(artifacts: str | Path | None, beside: Path | None) -> ArtifactStore
         raise InvalidInput("artifacts must be a folder or a URL, got an empty text")
     check_path(text)
     if "://" not in text:
-        return FolderStore(Path(text).absolute())
+        return FolderStore(from_home(text).absolute())
     parts = urlsplit(text)
     if parts.scheme == "file":
         return FolderStore(Path(unquote(parts.path)).absolute())

@@ -22,6 +22,7 @@ from mbtl.study.described import FROM, describe_selector, without_origin
 from mbtl.study.events import Event
 from mbtl.study.given import (
     any_given,
+    check_axes,
     check_paid_in_steps,
     check_paid_in_trainings,
     check_wishes,
@@ -279,6 +280,7 @@ def create_study(
         floor,
     )
     check_spec(spec)
+    check_axes(chosen, spec.selection_problem())
     address = None if storage is None else fixed_url(storage)
     folder = policy_store(address, artifacts)
     log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
@@ -382,9 +384,7 @@ def _check_same(state: StudyState, given: StudySpec) -> None:
         records.append({name: record[name] for name in state.settings_named})
     was, now = records
     was["budget"] = max(stored.budget, given.budget)  # less is refused, more extends the study
-    difference = first_difference(was, now)
-    if stored.space != given.space:
-        difference = ("space", stored.space, given.space)
+    difference = stored.space.difference(given.space) or first_difference(was, now)
     if difference:
         key, old, new = difference
         raise StudyMismatch(

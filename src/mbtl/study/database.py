@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, StudyError, Unreachable, few
+from mbtl.files import from_home
 from mbtl.plain import short
 
 if TYPE_CHECKING:
@@ -67,7 +68,9 @@ def check_name(name: str) -> None:
 
 
 def as_url(url: str | Path) -> str:
-    """A path becomes an SQLite URL, whatever characters it has; a URL stays as it is.
+    """A path becomes an SQLite URL, whatever characters it has; `~` is the home folder.
+
+    A URL stays as it is.
 
     Raises:
         InvalidInput: ":memory:", since a study in memory needs no storage; or no path at all.
@@ -82,7 +85,7 @@ def as_url(url: str | Path) -> str:
         raise InvalidInput(
             f"storage must be a path or a URL, got {text!r}; leave it out for memory"
         )
-    return URL.create("sqlite", database=text).render_as_string(hide_password=False)
+    return URL.create("sqlite", database=str(from_home(text))).render_as_string(hide_password=False)
 
 
 def sqlite_path(url: str) -> Path | None:

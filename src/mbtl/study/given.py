@@ -14,7 +14,7 @@ from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds
 from mbtl.plain import float_of, short, whole
-from mbtl.selectors import Selector
+from mbtl.selectors import SelectionProblem, Selector
 from mbtl.selectors.contract import traits_of
 
 
@@ -85,6 +85,12 @@ def check_wishes(
             f"stop_gain needs a selector that predicts chances of a gain, such as 'auto', got "
             f"{selector.name!r}"
         )
+
+
+def check_axes(selector: Selector, problem: SelectionProblem) -> None:
+    """Contexts on several axes are not for every selector."""
+    if traits_of(selector).one_axis:
+        _ = problem.line  # refuses others
 
 
 def target_count(count: int | None, n: int) -> int | None:

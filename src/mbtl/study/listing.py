@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mbtl.errors import StudyError, unknown_name
+from mbtl.files import from_home
 from mbtl.study.artifacts import FolderStore
 from mbtl.study.asking import stop_reason
 from mbtl.study.database import (
@@ -125,8 +126,8 @@ def database_at(storage: str | Path) -> str:
     """The URL of a database; of a folder that holds `study.db`, of that."""
     place = storage
     check_path(place)
-    if "://" not in str(storage) and Path(storage).is_dir():
-        place = Path(storage) / "study.db"
+    if "://" not in str(storage) and from_home(storage).is_dir():
+        place = from_home(storage) / "study.db"
     return fixed_url(place)
 
 

@@ -84,9 +84,7 @@ def check_problem(spec: StudySpec, facts: ProblemFacts) -> None:
     names = [name for name in ("version", "switches") if name in spec.settings]
     stored = {"problem": spec.problem, **{name: spec.settings[name] for name in names}}
     given = {"problem": facts.id, **{name: facts.settings.get(name) for name in names}}
-    difference = first_difference(stored, given)
-    if spec.space != facts.space:
-        difference = ("space", spec.space, facts.space)
+    difference = spec.space.difference(facts.space) or first_difference(stored, given)
     if difference is not None:
         name, was, now = difference
         raise StudyMismatch(

@@ -182,7 +182,9 @@ def _existing(
     for record in (was, now):
         record["strategy"] = without_origin(record["strategy"])
     was["budget"] = max(study.spec.budget, spec.budget)
-    difference = first_difference(described(was), described(now))
+    difference = study.spec.space.difference(spec.space) or first_difference(
+        described(was), described(now)
+    )
     if difference:
         key, old, new = difference
         raise StudyMismatch(
