@@ -126,9 +126,9 @@ def standard_errors(deviations: Array, episodes: Sequence[int]) -> Array | None:
     """
     seen = np.isfinite(deviations)
     variances = np.where(seen, np.square(deviations), 0.0)
-    if not variances.any():
+    overall = float(variances[seen].mean()) if seen.any() else 0.0
+    if overall == 0.0:
         return None
-    overall = float(variances[seen].mean())
 
     def usual(axis: int) -> Array:
         total, count = variances.sum(axis=axis, keepdims=True), seen.sum(axis=axis, keepdims=True)
@@ -136,5 +136,5 @@ def standard_errors(deviations: Array, episodes: Sequence[int]) -> Array | None:
 
     count = np.asarray(episodes, dtype=np.float64)[:, None]
     own = np.where(seen, count - 1.0, 0.0)
-    pooled = usual(1) * usual(0) / overall
+    pooled = usual(1) * (usual(0) / overall)
     return np.asarray(np.sqrt((own * variances + _USUAL * pooled) / (own + _USUAL) / count))

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.plain import is_finite, short
+from mbtl.plain import LARGEST, is_finite, short
 
 Direction = Literal["maximize", "minimize"]
 
@@ -66,15 +66,18 @@ class Bounds:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "direction", direction_named(self.direction))
-        proper = is_finite(self.low) and is_finite(self.high)
-        if not (proper and self.low < self.high and is_finite(float(self.high) - float(self.low))):
+        most = 2.0 * LARGEST  # means of returns are rounded
+        proper = is_finite(self.low, most) and is_finite(self.high, most)
+        if not (proper and float(self.high) - float(self.low) >= 1.0 / LARGEST):
             raise InvalidInput(
-                "bounds must be finite with low < high, got "
-                f"({short(self.low)}, {short(self.high)}); where small returns are good, say so by "
-                "direction='minimize' and keep this order"
+                f"bounds must be finite, within {most:g}, and low < high by {1.0 / LARGEST:g} or "
+                f"more, got ({short(self.low)}, {short(self.high)}); where small returns are good, "
+                "say so by direction='minimize' and keep this order"
             )
         if self.floor is not None and not is_finite(self.floor):
-            raise InvalidInput(f"a floor must be a finite return, got {short(self.floor)}")
+            raise InvalidInput(
+                f"a floor must be a return within {LARGEST:g}, got {short(self.floor)}"
+            )
 
     def __iter__(self) -> Iterator[float]:
         return iter((self.low, self.high))
@@ -95,13 +98,15 @@ class Bounds:
 
     @classmethod
     def of(cls, returns: ArrayLike, direction: Direction = "maximize") -> Bounds:
-        """Smallest bounds that hold all finite `returns`; a constant array gets unit width."""
+        """Smallest bounds that hold all finite `returns`; a constant array gets a width."""
         values = np.asarray(returns, dtype=np.float64)
         values = values[np.isfinite(values)]
         if values.size == 0:
             raise InvalidInput("automatic bounds need at least one finite return; got none")
         low, high = float(values.min()), float(values.max())
-        return cls(low, high if high > low else low + 1.0, direction)
+        if high - low < 1.0 / LARGEST:
+            high = low + max(1.0, 1e-9 * abs(low))
+        return cls(low, high, direction)
 
     def normalise(self, returns: ArrayLike) -> Array:
         """Return -> performance, same shape."""

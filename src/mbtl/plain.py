@@ -8,7 +8,15 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
+
+LARGEST = 1e30
+"""Magnitude of any number that is told: nothing that is measured is larger, only what has diverged.
+
+Performance is a return over the width of bounds, which is 1 / LARGEST or more. Its fourth powers,
+which models take, and sums of them over all contexts, are numbers then, too.
+"""
 
 
 def float_of(number: Any) -> float | None:
@@ -21,10 +29,10 @@ def float_of(number: Any) -> float | None:
         return None
 
 
-def is_finite(number: Any) -> bool:
-    """True for a real number that is neither NaN nor infinite."""
+def is_finite(number: Any, most: float = LARGEST) -> bool:
+    """True for a real number of magnitude up to `most`: neither NaN nor infinite, nor nearly so."""
     value = None if isinstance(number, (str, bytes)) else float_of(number)
-    return value is not None and bool(np.isfinite(value))
+    return value is not None and abs(value) <= most
 
 
 def whole(name: str, number: Any) -> int:
@@ -50,37 +58,59 @@ def real(name: str, number: float) -> float: ...
 
 
 def real(name: str, number: float | None) -> float | None:
-    """A finite number > 0, as Python's own, or None.
+    """A number > 0 and within `LARGEST`, as Python's own, or None.
 
     Raises:
         InvalidInput: it is none.
     """
     value = None if number is None else _float(name, number)
-    if value is not None and not (np.isfinite(value) and value > 0):
-        raise InvalidInput(f"{name} must be finite and > 0, got {short(number)}")
+    if value is not None and not 0 < value <= LARGEST:
+        raise InvalidInput(f"{name} must be > 0 and at most {LARGEST:g}, got {short(number)}")
     return value
 
 
-def finite(name: str, number: float | None) -> float | None:
-    """A finite number, as Python's own, or None.
+def finite(name: str, number: float | None, least: float = -LARGEST) -> float | None:
+    """A number within `LARGEST`, and not below `least`, as Python's own, or None.
 
     Raises:
         InvalidInput: it is none.
     """
     value = None if number is None else _float(name, number)
-    if value is not None and not np.isfinite(value):
-        raise InvalidInput(f"{name} must be finite, got {short(number)}")
+    if value is not None and not least <= value <= LARGEST:
+        raise InvalidInput(f"{name} must be from {least:g} to {LARGEST:g}, got {short(number)}")
     return value
+
+
+def floats(given: Any) -> Array:
+    """Numbers as float64: NaN where a masked array has none, and tensors as they are now.
+
+    Raises:
+        TypeError: they are no real numbers.
+        ValueError: rows of different lengths.
+    """
+    if hasattr(given, "detach"):  # a tensor that gradients flow through
+        given = given.detach().cpu()
+    parts = given if isinstance(given, (list, tuple)) else [given]
+    if any(isinstance(part, np.ma.MaskedArray) for part in parts):
+        given = np.ma.array(given, dtype=np.float64).filled(np.nan)
+    if np.iscomplexobj(given):
+        raise TypeError("complex numbers")
+    return np.asarray(given, dtype=np.float64)
+
+
+def refused(numbers: NDArray[Any]) -> NDArray[np.bool_]:
+    """True where one is NaN, infinite, or beyond `LARGEST`."""
+    return np.asarray(~(np.abs(numbers) <= LARGEST))
 
 
 def array_of(name: str, given: Any) -> NDArray[Any]:
-    """An array of whatever kind.
+    """An array of whatever kind; NaN where a masked array has no number.
 
     Raises:
         InvalidInput: rows of different lengths.
     """
     try:
-        return np.asarray(given)
+        return floats(given) if isinstance(given, np.ma.MaskedArray) else np.asarray(given)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInput(
             f"{name} must be an array of rows of one length ({error!s:.90})"

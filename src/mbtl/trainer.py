@@ -21,6 +21,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, TrainingFailed, unknown_name
+from mbtl.plain import LARGEST, floats, refused
 from mbtl.settings import described, described_code
 
 
@@ -297,9 +298,9 @@ class FunctionTrainer:
             return self.evaluate_fn(policy, some, **{takes.name: luck})
 
         if takes is None or takes.name != "seed":
-            return np.asarray(returns(contexts, seeds), dtype=np.float64)
+            return floats(returns(contexts, seeds))
         each = zip(contexts, seeds, strict=True)
-        rows = [checked_returns(returns([context], seed), 1)[0] for context, seed in each]
+        rows = [checked_returns(returns([c], seed), 1, _always(c))[0] for c, seed in each]
         if len(lengths := {len(row) for row in rows}) > 1:
             raise TrainingFailed(
                 "every context must have as many episodes as the others, got "
@@ -343,17 +344,27 @@ def _luck_of(evaluate: Callable[..., Any]) -> inspect.Parameter | None:
     return takes
 
 
-def checked_returns(returns: Any, n_targets: int) -> Array:
-    """Returns of one evaluation as (n_targets, n_episodes) finite numbers.
+def _always(context: Context) -> Callable[[int], str]:
+    """The name of the only target, for messages."""
+    return lambda _: str(dict(context))
+
+
+def checked_returns(
+    returns: Any, n_targets: int, name: Callable[[int], str] = "target {}".format
+) -> Array:
+    """Returns of one evaluation as (n_targets, n_episodes) numbers that can be computed with.
+
+    Args:
+        returns: what an evaluation gave; what a masked array hides is missing.
+        n_targets: number of contexts evaluated on.
+        name: what a target is called, by its place among them.
 
     Raises:
-        TrainingFailed: wrong shape, or a value that is NaN or infinite.
+        TrainingFailed: wrong shape, or a value that is NaN, infinite, or beyond `LARGEST`.
     """
     try:
-        if np.iscomplexobj(returns):
-            raise TypeError("complex")
-        array = np.asarray(returns, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        array = floats(returns)
+    except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # the last of tensors
         raise TrainingFailed(
             f"returns must be real numbers, got {type(returns).__name__} ({error})"
         ) from error
@@ -364,10 +375,13 @@ def checked_returns(returns: Any, n_targets: int) -> Array:
             f"returns must have shape ({n_targets},) or ({n_targets}, n_episodes), "
             f"got {np.shape(returns)}"
         )
-    bad = int(np.count_nonzero(~np.isfinite(array)))
-    if bad:
+    bad = np.argwhere(refused(array))
+    if len(bad):
+        target, episode = bad[0].tolist()
         raise TrainingFailed(
-            f"returns must be finite numbers, got {bad} NaN or infinite of {array.size}"
+            f"returns must be finite and within {LARGEST:g}, got "
+            f"{float(array[target, episode])!r} for {name(target)}, the first of {len(bad)} of "
+            f"{array.size}; give an episode that broke off the worst return there is"
         )
     return array
 

@@ -7,9 +7,12 @@ read, copy or run what its user never named.
 from __future__ import annotations
 
 import json
+import math
 import stat
 import threading
 import unicodedata
+import zipfile
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import IO, Any
 
@@ -21,6 +24,9 @@ from mbtl.errors import StorageError
 MALFORMED = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError)
 """What taking a record apart raises where it is of another form than ours."""
 
+
+MOST_BYTES = 1 << 31
+"""Of all arrays that are read from one file."""
 
 _ONE_AT_A_TIME = threading.Lock()
 """Numpy parses headers by `ast`, in which threads disturb each other in Python 3.11 (gh-106905)."""
@@ -98,25 +104,55 @@ def read_json(text: str | bytes) -> Any:
         raise ValueError("lists or objects are nested too deeply") from None
 
 
-def read_arrays(file: IO[bytes]) -> dict[str, NDArray[Any]]:
-    """All arrays of an `.npz` file by name; pickled objects are never loaded.
+def read_arrays(
+    file: IO[bytes], wanted: Callable[[str], bool] = lambda name: True
+) -> dict[str, NDArray[Any]]:
+    """Arrays of an `.npz` file by name; pickled objects are never loaded.
+
+    A few megabytes can unfold to many gigabytes: nothing is unpacked before the shapes of all
+    arrays are known.
+
+    Args:
+        file: to read.
+        wanted: whether an array of this name is read; others stay packed.
 
     Raises:
-        ValueError: it is no archive of plain arrays, or a damaged one.
+        ValueError: it is no archive of plain arrays, a damaged one, or larger than `MOST_BYTES`.
     """
     try:
-        with _ONE_AT_A_TIME:
-            loaded = np.load(file, allow_pickle=False)
-            if not isinstance(loaded, np.lib.npyio.NpzFile):
-                raise ValueError("a single array, no archive of named ones")
-            with loaded:
-                arrays = {name: loaded[name] for name in loaded.files}
+        if file.read(len(np.lib.format.MAGIC_PREFIX)) == np.lib.format.MAGIC_PREFIX:
+            raise ValueError("a single array, no archive of named ones")
+        with zipfile.ZipFile(file) as archive, _ONE_AT_A_TIME:
+            files = {name.removesuffix(".npy"): name for name in archive.namelist()}
+            names = [name for name in files if wanted(name)]
+            total = sum(_unpacked(archive, files[name]) for name in names)
+            if total > MOST_BYTES:
+                raise ValueError(
+                    f"arrays of {total / 1e9:.1f} GB; {MOST_BYTES / 1e9:.1f} GB are read at most"
+                )
+            arrays = {}
+            for name in names:
+                with archive.open(files[name]) as member:
+                    arrays[name] = np.lib.format.read_array(member, allow_pickle=False)
     except Exception as error:  # numpy and zipfile raise whatever their parts raise
         raise ValueError(f"something else or a damaged file ({error})") from error
-    for name, array in arrays.items():
-        if not isinstance(array, np.ndarray):
-            raise ValueError(f"{name!r} is no array")
     return arrays
+
+
+def _unpacked(archive: zipfile.ZipFile, name: str) -> int:
+    """Bytes of an array, by its header."""
+    with archive.open(name) as member:
+        version = np.lib.format.read_magic(member)
+        read = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }.get(version)
+        if read is None:
+            raise ValueError(f"{name!r} is an array with fields")
+        shape, _, dtype = read(member)
+    if dtype.hasobject or min(shape, default=0) < 0:
+        raise ValueError(f"{name!r} holds Python objects, or has no size")
+    return math.prod(shape) * dtype.itemsize
 
 
 def _link(path: Path, owner: str) -> StorageError:

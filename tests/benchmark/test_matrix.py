@@ -140,7 +140,7 @@ GOOD = np.zeros((1, 3, 3))
         ({"returns": np.zeros((3, 3))}, r"returns\[None\]"),
         ({"returns": np.zeros((1, 3, 4))}, "as many sources as targets"),
         ({"returns": np.zeros((0, 3, 3))}, "shape"),
-        ({"returns": np.full((1, 3, 3), np.nan)}, "9 NaN or infinite of 9"),
+        ({"returns": np.full((1, 3, 3), np.nan)}, "got nan at .* the first of 9 of 9"),
         ({"returns": np.where(np.eye(3) > 0, np.inf, 0)[None]}, "seed 0, source 0, target 0"),
         ({"returns": np.zeros((1, 2, 2), dtype=complex)}, "real numbers"),
         ({"returns": np.full((1, 2, 2), "a")}, "real numbers"),

@@ -1,5 +1,8 @@
+import io
 import json
 import random
+import tracemalloc
+import zipfile
 
 import numpy as np
 import pytest
@@ -56,3 +59,34 @@ def test_a_record_is_a_json_object_of_sane_length(monkeypatch):
         with pytest.raises(InvalidInput, match="JSON object"):
             read_text(wrong, "provenance")
     assert LONGEST_TEXT > 1_000_000
+
+
+def huge(shape, dtype="<f8"):
+    """The header of an array as a file has it, without its numbers."""
+    file = io.BytesIO()
+    header = {"descr": dtype, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(file, header)
+    return file.getvalue()
+
+
+def test_a_small_file_that_unfolds_to_gigabytes_is_refused_by_its_header(matrix, tmp_path):
+    path = tmp_path / "m.npz"
+    for name, shape in (("std", (1, 20_000, 20_000)), ("contexts", (1 << 62,)), ("theta", (-1,))):
+        matrix.save(path)
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.writestr(f"{name}.npy", huge(shape))
+        tracemalloc.start()
+        with pytest.raises(InvalidInput, match=r"GB; 2\.1 GB are read at most|no size"):
+            TransferMatrix.load(path)
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+        tracemalloc.stop()
+
+
+def test_what_a_matrix_has_no_name_for_stays_packed(matrix, tmp_path):
+    path = tmp_path / "m.npz"
+    matrix.save(path)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("mine.npy", huge((1 << 40,)))
+        archive.writestr("objects.npy", huge((1,), "|O"))
+        archive.writestr("readme.txt", "no array")
+    assert np.array_equal(TransferMatrix.load(path).returns, matrix.returns)

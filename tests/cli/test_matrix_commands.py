@@ -371,3 +371,25 @@ def test_every_second_context_is_a_source(mbtl_command, problem):
     assert (code, "has 2 sources and this build 4" in err) == (2, True)
     code, _, err = mbtl_command(*BUILD, "--seeds", 1, "--sources-every", 5)
     assert (code, "--sources-every must be from 1" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        *({"seeds": odd} for odd in (5, "two", {}, [1, 2], [{}], None)),
+        {"seeds": [{"recipe": 3, "problem": [], "seed": "x"}, {"nominal": 1}]},
+        {"nominal": {"x": "far"}},
+        {"nominal": {"x": 99.0}},
+        {"nominal": 5, "problem": ["a"], "recipe": "PPO"},
+    ],
+    ids=str,
+)
+def test_odd_provenance_breaks_no_command(mbtl_command, tmp_path, record):
+    returns = np.random.default_rng(0).random((2, 4, 4))
+    matrix = TransferMatrix.of(returns, contexts=np.arange(4.0)[:, None], provenance=record)
+    matrix.save(tmp_path / "m.npz")
+    assert matrix.records[0].get("problem", "") == matrix.cmdp == ""
+    bench = ("bench", "--matrix", "m.npz", "--budget", "2", "--selectors", "random,auto")
+    for command in (("matrix", "show", "m.npz"), bench, ("report", "m.npz")):
+        code, _, err = mbtl_command(*command)
+        assert code == 0, (command, err)

@@ -251,7 +251,7 @@ def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
     study.tell(study.ask(), np.zeros(6), seconds=number, cost=number)
     assert mbtl.load_study(tmp_path / "a.db").spec.theta == 0.5
     assert study.spec.direction == "maximize"
-    with pytest.raises(InvalidInput, match="seconds must be finite"):
+    with pytest.raises(InvalidInput, match="seconds must be from 0"):
         study.tell(study.ask(), np.zeros(6), seconds=np.nan)
     with pytest.raises(InvalidInput, match="distinct context indices"):
         study.tell(2, np.zeros(1), targets=[0.9])

@@ -16,19 +16,21 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.benchmark.entries import Floats, halves, keywords, same_sources
+from mbtl.benchmark.entries import Floats, halves, is_entry, keywords, same_sources
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.npz import read_npz, write_npz
 from mbtl.benchmark.shipped import DEFAULT, data_folder, matrix_id, seed_files
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StorageError, unknown_name
 from mbtl.objective import Bounds
+from mbtl.plain import LARGEST, refused
 
 Kind = Literal["best", "last"]
 """Which policy of a training at a length: the best so far on its own context, or the latest."""
 
 FOLDER = "curves"
 _ROWS = ("best_returns", "best_fresh_returns", "last_returns", "last_fresh_returns")
+_OWN = ("lengths", "steps", "unit", *_ROWS)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,10 +89,10 @@ class TransferCurves:
         shape = (n_seeds, len(lengths), 2, m, n)
         for kind in get_args(Kind):
             got = self.returns[kind].shape if kind in self.returns else None
-            if got != shape or not np.isfinite(self.returns[kind]).all():
+            if got != shape or refused(self.returns[kind]).any():
                 raise InvalidInput(
-                    f"returns of the {kind} policies must be finite numbers of shape (seed, "
-                    f"length, half, source, target) {shape}, got {got}"
+                    f"returns of the {kind} policies must be numbers within {LARGEST:g}, of shape "
+                    f"(seed, length, half, source, target) {shape}, got {got}"
                 )
 
     @classmethod
@@ -179,7 +181,7 @@ class TransferCurves:
             InvalidInput: the file cannot be read or breaks a rule; the message names file and rule.
         """
         file = Path(path)
-        arrays = read_npz(file)
+        arrays = read_npz(file, lambda name: is_entry(name) or name in _OWN)
         missing = {"lengths", "steps", "episodes", *_ROWS} - set(arrays)
         if missing:
             raise InvalidInput(f"{file}: transfer curves need {sorted(missing)}, which is missing")

@@ -18,7 +18,7 @@ from mbtl.contexts import ContextSpace, Integer, Linear
 from mbtl.contexts.space import factorial_shape
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds, Direction
-from mbtl.plain import array_of
+from mbtl.plain import LARGEST, array_of, refused
 from mbtl.untrusted import MALFORMED
 
 Floats = NDArray[np.floating[Any]]
@@ -43,12 +43,13 @@ def checked_returns(returns: ArrayLike, key: str = "returns", *, square: bool = 
             f"{key} must have shape (seed, source, target) with as many sources as targets, "
             f"got {array.shape}{hint}"
         )
-    bad = np.argwhere(~np.isfinite(array))
+    bad = np.argwhere(refused(array))
     if len(bad):
         seed, source, target = bad[0].tolist()
         raise InvalidInput(
-            f"{key} must be finite, got {len(bad)} NaN or infinite of {array.size}, the first at "
-            f"[seed {seed}, source {source}, target {target}]"
+            f"{key} must be finite and within {LARGEST:g}, got "
+            f"{float(array[seed, source, target])!r} at [seed {seed}, source {source}, target "
+            f"{target}], the first of {len(bad)} of {array.size}"
         )
     return array
 
@@ -88,6 +89,17 @@ def checked_like(returns: Floats, entry: ArrayLike, key: str) -> Floats:
     return np.asarray(entry)
 
 
+def checked_deviations(returns: Floats, std: ArrayLike) -> Floats:
+    """Deviations of episodes in the shape of `returns`, NaN where unknown."""
+    array = checked_like(returns, array_of("std", std), "std")
+    if array.dtype.kind not in "fiu" or ((array < 0) | (array > 2.0 * LARGEST)).any():
+        raise InvalidInput(
+            f"std must be deviations from 0 to {2.0 * LARGEST:g}, or NaN where unknown, got "
+            f"{array.dtype} from {np.nanmin(array):g} to {np.nanmax(array):g}"
+        )
+    return array
+
+
 def checked_episodes(episodes: Sequence[int] | None, n_halves: int) -> tuple[int, ...] | None:
     """Episodes of each half, whole numbers >= 1."""
     if episodes is None:
@@ -108,10 +120,10 @@ def checked_references(
     rows = {}
     for name, given in references.items():
         row = array_of(REFERENCE, given)
-        if row.shape != shape or row.dtype.kind != "f" or not np.isfinite(row).all():
+        if row.shape != shape or row.dtype.kind != "f" or refused(row).any():
             raise InvalidInput(
-                f"{REFERENCE}{name} must be finite numbers of shape (seed, half, target) {shape}, "
-                f"got shape {row.shape} and dtype {row.dtype}"
+                f"{REFERENCE}{name} must be numbers within {LARGEST:g}, of shape (seed, half, "
+                f"target) {shape}, got shape {row.shape} and dtype {row.dtype}"
             )
         rows[name] = row
     return rows
@@ -186,8 +198,21 @@ def _axis_through(name: str, column: Array) -> Linear:
     return Linear(name, low, high)
 
 
+_ENTRIES = frozenset(
+    (
+        *("returns", "contexts", "bounds", "std", "fresh_returns", "episodes", "sources", "axes"),
+        *("direction", "theta", "floor", "space", "name", "provenance"),
+    )
+)
+
+
+def is_entry(name: str) -> bool:
+    """Whether a matrix file means something by this name; others are the user's own."""
+    return name in _ENTRIES or name.startswith(REFERENCE)
+
+
 def keywords(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Entries of a file as keywords of `TransferMatrix.of`; other entries are the user's own."""
+    """Entries of a file as keywords of `TransferMatrix.of`."""
     words: dict[str, Any] = {"returns": arrays["returns"]}
     for key in ("contexts", "bounds", "std", "fresh_returns", "episodes", "sources"):
         if key in arrays:

@@ -28,12 +28,14 @@ from mbtl.benchmark.entries import (
     REFERENCE,
     Floats,
     checked_bounds,
+    checked_deviations,
     checked_episodes,
     checked_like,
     checked_references,
     checked_returns,
     checked_sources,
     halves,
+    is_entry,
     keywords,
     space_of,
 )
@@ -43,6 +45,9 @@ from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds, direction_named
 from mbtl.plain import array_of
 from mbtl.selectors.base import SelectionProblem, default_theta
+
+_MEANT: Mapping[str, type] = {"problem": str, "recipe": dict, "nominal": dict, "seed": int}
+"""What entries of a provenance are, where they mean something here."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,7 +94,7 @@ class TransferMatrix:
                 f"contexts must be one per target of `returns` ({self.n}), got {self.space.n}"
             )
         if self.std is not None:
-            object.__setattr__(self, "std", _read_only(checked_like(self.returns, self.std, "std")))
+            object.__setattr__(self, "std", _read_only(checked_deviations(self.returns, self.std)))
         if self.fresh_returns is not None:
             fresh = checked_like(self.returns, self.fresh_returns, "fresh_returns")
             fresh = checked_returns(fresh, "fresh_returns", square=self.sources is None)
@@ -223,7 +228,7 @@ class TransferMatrix:
             InvalidInput: the file cannot be read or breaks a rule; the message names file and rule.
         """
         file = Path(path)
-        arrays = read_npz(file)
+        arrays = read_npz(file, is_entry)
         if "returns" not in arrays:
             raise InvalidInput(
                 f"{file}: needs `returns` of shape (seed, source, target), got {sorted(arrays)}"
@@ -339,8 +344,15 @@ class TransferMatrix:
 
     @property
     def records(self) -> list[Mapping[str, Any]]:
-        """The provenance of each seed."""
-        return list(self.provenance.get("seeds", [self.provenance] * self.n_seeds))
+        """The provenance of each seed, without entries that are not what their name means."""
+        seeds = self.provenance.get("seeds")
+        told = seeds if isinstance(seeds, Sequence) else []
+        if len(told) != self.n_seeds or not all(isinstance(record, Mapping) for record in told):
+            told = [self.provenance] * self.n_seeds
+        return [
+            {key: fact for key, fact in record.items() if isinstance(fact, _MEANT.get(key, object))}
+            for record in told
+        ]
 
     @property
     def cmdp(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +18,22 @@ LONGEST_TEXT = 50_000_000
 """Characters of a record; a longer one is no record of ours."""
 
 
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """All arrays of a `.npz` file by name.
+def read_npz(
+    path: Path, wanted: Callable[[str], bool] = lambda name: True
+) -> dict[str, NDArray[Any]]:
+    """Arrays of a `.npz` file by name.
+
+    Args:
+        path: of the file.
+        wanted: whether an array of this name is read.
 
     Raises:
-        InvalidInput: there is no such file, it is no `.npz`, it is damaged, or it holds pickled
-            objects, which are never loaded.
+        InvalidInput: there is no such file, it is no `.npz`, it is damaged or too large, or it
+            holds pickled objects, which are never loaded.
     """
     try:
         with path.open("rb") as file:
-            return read_arrays(file)
+            return read_arrays(file, wanted)
     except FileNotFoundError:
         raise InvalidInput(f"there is no file {path}; give the path of an .npz file") from None
     except IsADirectoryError:

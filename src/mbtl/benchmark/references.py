@@ -18,6 +18,7 @@ import numpy as np
 
 from mbtl.benchmark.base import RowSource, levels
 from mbtl.benchmark.matrix import TransferMatrix
+from mbtl.errors import ContextMismatch
 
 NAMES: Mapping[str, str] = {
     "random_actions": "random actions",
@@ -54,7 +55,10 @@ def nominal_source(matrix: TransferMatrix) -> int | None:
     nominal = matrix.records[0].get("nominal")
     if nominal is None or set(nominal) != {axis.name for axis in matrix.axes}:
         return None
-    away = np.linalg.norm(matrix.space.unit - matrix.space.encode(nominal), axis=1)
+    try:
+        away = np.linalg.norm(matrix.space.unit - matrix.space.encode(nominal), axis=1)
+    except ContextMismatch:  # a stranger's file may say anything
+        return None
     if matrix.sources is None:
         return int(away.argmin())
     return int(matrix.sources[away[matrix.sources].argmin()])

@@ -19,6 +19,7 @@ from mbtl.benchmark.entries import Floats, same_sources
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.npz import write_npz
 from mbtl.errors import InvalidInput, StorageError, unknown_name
+from mbtl.plain import short
 
 _FILE = re.compile(r"(?P<id>.+)-seed(?P<seed>\d+)\.npz")
 DEFAULT = "default"
@@ -144,10 +145,10 @@ def save_shipped(
         InvalidInput: the provenance lists another number of seeds.
         StorageError: the place cannot be written.
     """
-    records = matrix.records
-    if len(records) != matrix.n_seeds:
+    records = matrix.provenance.get("seeds", [matrix.provenance] * matrix.n_seeds)
+    if not isinstance(records, Sequence) or len(records) != matrix.n_seeds:
         raise InvalidInput(
-            f"provenance must have one record per seed ({matrix.n_seeds}), got {len(records)}"
+            f"provenance must have one record per seed ({matrix.n_seeds}), got {short(records)}"
         )
     place = Path(folder)
     try:

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array, uniform_weights
 from mbtl.contexts.axes import (
@@ -213,6 +213,10 @@ class ContextSpace:
             number = f"{value:.4g}" if isinstance(value, float) else str(value)
             parts.append(f"{name} = {number} {units.get(name, '')}".rstrip())
         return between.join(parts)
+
+    def named(self, indices: Sequence[int] | NDArray[np.intp]) -> Callable[[int], str]:
+        """What the place-th of these contexts is called, for messages."""
+        return lambda place: self.describe(self.context(int(indices[place])))
 
     def index(self, context: Mapping[str, Value]) -> int:
         """Index of a context; a number in single precision is the one it was rounded from.

@@ -23,6 +23,7 @@ from mbtl.contexts.words import describe_set
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.notebook import table
 from mbtl.objective import Bounds
+from mbtl.plain import LARGEST, floats
 from mbtl.portfolio import router
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
 from mbtl.portfolio.choice import Choice, explanation
@@ -77,10 +78,10 @@ class Portfolio:
     _loaded: dict[int, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        returns = np.array(self.returns, dtype=np.float64)
+        returns = floats(self.returns).copy()
         returns.setflags(write=False)
         if self.deviations is not None:
-            deviations = np.array(self.deviations, dtype=np.float64)
+            deviations = floats(self.deviations).copy()
             deviations.setflags(write=False)
             object.__setattr__(self, "deviations", deviations)
         sources = tuple(int(source) for source in self.sources)
@@ -109,18 +110,21 @@ class Portfolio:
             raise InvalidInput(
                 f"policy_folders needs one folder or None per policy, got {len(folders)} for {k}"
             )
-        if self.deviations is not None and self.deviations.shape != returns.shape:
+        if self.deviations is not None and (
+            self.deviations.shape != returns.shape or (self.deviations < 0).any()
+        ):
             raise InvalidInput(
-                f"deviations must have the shape of returns {returns.shape}, got "
+                f"deviations must be >= 0, and of the shape of returns {returns.shape}, got "
                 f"{self.deviations.shape}"
             )
         if len(episodes) != k or min(episodes) < 1:
             raise InvalidInput(
                 f"episodes needs a whole number >= 1 for each of {k} policies, got {episodes}"
             )
-        if np.isinf(returns).any():
+        if (np.abs(returns) > LARGEST).any():
             raise InvalidInput(
-                "returns must be finite, or NaN where not evaluated; got an infinite one"
+                f"returns must be within {LARGEST:g}, or NaN where not evaluated; got one of "
+                f"{float(np.nanmax(np.abs(returns)))!r}"
             )
         if not np.isfinite(returns).any():
             raise InvalidInput(

@@ -14,7 +14,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import Axis, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.history import History
-from mbtl.plain import is_finite, short, whole
+from mbtl.plain import LARGEST, finite, is_finite, short, whole
 
 
 def default_theta(n: int) -> float:
@@ -81,15 +81,15 @@ class SelectionProblem:
             )
         if self.costs is not None and not (
             self.costs.shape == (self.n,)
-            and np.isfinite(self.costs).all()
-            and (self.costs > 0).all()
+            and (self.costs >= 1.0 / LARGEST).all()
+            and (self.costs <= LARGEST).all()
         ):
             raise InvalidInput(
-                f"costs must be {self.n} finite numbers > 0, one per context, got "
-                f"{self.costs.shape[0]} from {self.costs.min():g} to {self.costs.max():g}"
+                f"costs must be {self.n} numbers from {1.0 / LARGEST:g} to {LARGEST:g}, one per "
+                f"context, got {self.costs.shape[0]} from {self.costs.min():g} to "
+                f"{self.costs.max():g}"
             )
-        if not (is_finite(self.theta) and self.theta >= 0):
-            raise InvalidInput(f"theta must be finite and >= 0, got {short(self.theta)}")
+        finite("theta", self.theta, 0.0)
 
     @classmethod
     def of(

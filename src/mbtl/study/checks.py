@@ -15,6 +15,7 @@ import numpy as np
 
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds
+from mbtl.plain import LARGEST
 from mbtl.study.events import Event, Kind
 from mbtl.untrusted import is_local
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from mbtl.study.state import StudyState
 
 _HUGE = 1e300
-"""Differences of numbers below this are numbers, too."""
+"""Of facts: differences of numbers below this are numbers, too."""
 
 Rule = tuple[Callable[[Any], bool], str]
 """What a fact must satisfy, and that in words."""
@@ -46,10 +47,13 @@ def check_event(event: Event, state: StudyState) -> None:
         )
     for name, shape in shapes.items():
         array = event.arrays[name]
-        if array.dtype.kind not in "fiu" or array.shape != shape or (abs(array) >= _HUGE).any():
+        most = 2.0 * LARGEST  # of a mean, and of a deviation of numbers within it
+        least = 0.0 if name == "std" else -most
+        proper = array.dtype.kind in "fiu" and array.shape == shape
+        if not proper or ((array < least) | (array > most)).any():
             raise InvalidInput(
-                f"array `{name}` must hold numbers of shape {shape}, below {_HUGE:g} or NaN, got "
-                f"{array.dtype} of shape {array.shape}"
+                f"array `{name}` must hold numbers of shape {shape}, from {least:g} to {most:g} or "
+                f"NaN, got {array.dtype} of shape {array.shape}"
             )
     if event.kind == "told" and np.isnan(event.arrays["returns"]).all():
         raise InvalidInput("array `returns` must hold one number or more, got none")
@@ -247,7 +251,7 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
             "source": source,
             "episodes": _COUNT,
             "cost": (_at_least(0.0), "a finite number >= 0"),
-            "seconds": _NUMBER,
+            "seconds": _SECONDS,
             "steps": _SECONDS,
             "policy": _POLICY,
             "sha256": _MAYBE_TEXT,

@@ -73,9 +73,8 @@ def report_fresh_returns(study: Study, trainer: Trainer) -> None:
         if targets.size:
             contexts = [study.space.context(int(t)) for t in targets]
             seeds = study.evaluation_seeds(targets, Purpose.REPORT)
-            returns = checked_returns(
-                trainer.evaluate(portfolio.policy(i), contexts, seeds), targets.size
-            )
+            told = trainer.evaluate(portfolio.policy(i), contexts, seeds)
+            returns = checked_returns(told, targets.size, study.space.named(targets))
         found.append((targets, returns))
     counts = {returns.shape[1] for targets, returns in found if targets.size}
     means = np.full(routes.shape, np.nan)

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds
-from mbtl.plain import float_of, short, whole
+from mbtl.plain import float_of, floats, short, whole
 from mbtl.selectors import SelectionProblem, Selector
 from mbtl.selectors.contract import traits_of
 
@@ -26,7 +25,7 @@ def costs_of(
         return None
     given = [costs(context) for context in space.contexts] if callable(costs) else costs
     try:
-        array = np.asarray(given, dtype=np.float64)
+        array = floats(given)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInput(f"costs must be numbers, one per context ({error})") from error
     if array.shape != (space.n,):

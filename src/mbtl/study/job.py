@@ -191,7 +191,8 @@ def evaluated(
     trainer: Trainer, policy: Any, targets: Sequence[Context], seeds: Sequence[int]
 ) -> Array:
     """Checked returns (n_targets, n_episodes) of a policy."""
-    return checked_returns(trainer.evaluate(policy, list(targets), list(seeds)), len(targets))
+    returns = trainer.evaluate(policy, list(targets), list(seeds))
+    return checked_returns(returns, len(targets), lambda t: str(dict(targets[t])))
 
 
 def reason_of(error: Exception) -> str:

@@ -78,16 +78,14 @@ class Study(LeasingStudy):
             returns are in the log, and count for nothing.
 
         Raises:
-            TrainingFailed: returns of wrong shape, NaN or infinite. Nothing is recorded; tell
+            TrainingFailed: returns of wrong shape, NaN, or beyond 1e30. Nothing is recorded; tell
                 again, or record it with `fail`.
             InvalidInput: `policy` leads out of the study's folder, or another fact is not what it
                 should be. Nothing is recorded.
             StudyError: the pick was answered before, or is another study's.
         """
         source = telling.source_of(self.space, pick)
-        price = finite("cost", cost)
-        if price is not None and price < 0:
-            raise InvalidInput(f"cost must be finite and >= 0, got {cost!r}")
+        price = finite("cost", cost, 0.0)
         usual = 1.0 if self.spec.costs is None else self.spec.costs[source]
         if targets is None and isinstance(pick, Pick):
             targets = pick.targets
@@ -95,7 +93,7 @@ class Study(LeasingStudy):
             with self._lock:
                 targets = telling.asked_targets(self.refresh(), source)
         evaluated = checked_targets(targets, self.space.n)
-        rows = checked_returns(returns, len(evaluated))
+        rows = checked_returns(returns, len(evaluated), self.space.named(evaluated))
         arrays = {name: np.full(self.space.n, np.nan) for name in ("returns", "std")}
         arrays["returns"][evaluated] = rows.mean(axis=1)
         if rows.shape[1] > 1:
@@ -104,8 +102,8 @@ class Study(LeasingStudy):
             "source": source,
             "ddof": 1,
             "episodes": rows.shape[1],
-            "seconds": finite("seconds", seconds),
-            "steps": finite("steps", steps),
+            "seconds": finite("seconds", seconds, 0.0),
+            "steps": finite("steps", steps, 0.0),
             "policy": policy.place if isinstance(policy, Artifact) else policy,
             "sha256": policy.sha256 if isinstance(policy, Artifact) else None,
         }

@@ -39,7 +39,7 @@ def evaluated(
         returns, steps = trainer.evaluate_steps(weights, contexts, seeds)
     else:
         returns = trainer.evaluate(weights, contexts, seeds)
-    found = checked_returns(returns, len(contexts))
+    found = checked_returns(returns, len(contexts), study.space.named(targets))
     lasted = np.asarray(steps, dtype=np.float64)
     lasted = np.broadcast_to(lasted.reshape(-1, 1) if lasted.ndim < 2 else lasted, found.shape)
     return found, np.where(np.isfinite(lasted), lasted, float(study.spec.horizon))
