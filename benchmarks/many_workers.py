@@ -32,6 +32,7 @@ from postgres import Server, missing
 
 import mbtl
 from mbtl.study import StudyFinished
+from mbtl.study.storage import checksum_of
 
 
 def forked(job: Callable[[], object]) -> tuple[int, int]:
@@ -157,8 +158,7 @@ TOLD = 20
 """Rows of a large study that are told one by one."""
 _AGAIN = """
     insert into mbtl_events
-    select study, :seq, time, kind, json_set(data, '$.source', :source), arrays
-    from mbtl_events where seq = :like
+    select study, :seq, time, kind, :data, arrays, :checksum from mbtl_events where seq = :like
 """
 
 
@@ -177,8 +177,14 @@ def load(contexts: int, rows: int, episodes: int) -> None:
                 study.tell(row, rng.random((contexts, episodes), dtype=np.float32))
             seconds = (time.process_time() - start) / told
             with contextlib.closing(sqlite3.connect(file)) as base:  # the same ones, over again
+                entries = "select kind, data, arrays from mbtl_events where seq > 1 order by seq"
+                known = base.execute(entries).fetchall()
                 for row in range(told, rows):
-                    base.execute(_AGAIN, {"seq": row + 2, "like": row % told + 2, "source": row})
+                    kind, data, arrays = known[row % told]
+                    data, seq = json.dumps({**json.loads(data), "source": row}), row + 2
+                    like = {"seq": seq, "like": row % told + 2, "data": data}
+                    checksum = checksum_of(seq, kind, data, arrays)
+                    base.execute(_AGAIN, {**like, "checksum": checksum})
                 base.commit()
             return seconds
 

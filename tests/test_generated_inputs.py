@@ -24,6 +24,7 @@ from mbtl.benchmark import TransferMatrix
 from mbtl.cli import main
 from mbtl.loading import load_object
 from mbtl.selectors import SelectionProblem
+from mbtl.study.storage import checksum_of
 
 from damage import places  # isort: skip
 
@@ -156,10 +157,12 @@ def test_study_files(made, tmp_path_factory, data):
         file.write_bytes(data.draw(broken(file.read_bytes())))
     else:
         with contextlib.closing(sqlite3.connect(file)) as base:
-            rows = base.execute("select seq, data from mbtl_events order by seq").fetchall()
-            seq, text = data.draw(st.sampled_from(rows))
-            record = data.draw(changed(json.loads(text)))
-            base.execute("update mbtl_events set data=? where seq=?", (text_of(record), seq))
+            rows = base.execute("select seq, kind, data, arrays from mbtl_events order by seq")
+            seq, kind, text, arrays = data.draw(st.sampled_from(rows.fetchall()))
+            text = text_of(data.draw(changed(json.loads(text))))
+            checksum = checksum_of(seq, kind, text, arrays)
+            change = "update mbtl_events set data=?, checksum=? where seq=?"
+            base.execute(change, (text, checksum, seq))
             base.commit()
     with ours():
         study = mbtl.load_study(file)

@@ -65,7 +65,9 @@ def real(name: str, number: float | None) -> float | None:
     """
     value = None if number is None else _float(name, number)
     if value is not None and not 0 < value <= LARGEST:
-        raise InvalidInput(f"{name} must be > 0 and at most {LARGEST:g}, got {short(number)}")
+        raise InvalidInput(
+            f"{name} must be finite and > 0, at most {LARGEST:g}, got {short(number)}"
+        )
     return value
 
 
@@ -77,7 +79,9 @@ def finite(name: str, number: float | None, least: float = -LARGEST) -> float | 
     """
     value = None if number is None else _float(name, number)
     if value is not None and not least <= value <= LARGEST:
-        raise InvalidInput(f"{name} must be from {least:g} to {LARGEST:g}, got {short(number)}")
+        raise InvalidInput(
+            f"{name} must be finite, from {least:g} to {LARGEST:g}, got {short(number)}"
+        )
     return value
 
 

@@ -71,7 +71,7 @@ def huge(shape, dtype="<f8"):
 
 def test_a_small_file_that_unfolds_to_gigabytes_is_refused_by_its_header(matrix, tmp_path):
     path = tmp_path / "m.npz"
-    for name, shape in (("std", (1, 20_000, 20_000)), ("contexts", (1 << 62,)), ("theta", (-1,))):
+    for name, shape in (("std", (1, 20_000, 20_000)), ("sources", (1 << 62,)), ("floor", (-1,))):
         matrix.save(path)
         with zipfile.ZipFile(path, "a") as archive:
             archive.writestr(f"{name}.npy", huge(shape))

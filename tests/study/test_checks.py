@@ -19,6 +19,7 @@ from mbtl.report import summarise_study
 from mbtl.selectors import get_selector
 from mbtl.study import MemoryLog, Study
 from mbtl.study.events import Event
+from mbtl.study.storage import checksum_of
 from mbtl.trainer import Trainer
 
 SPACE = mbtl.ContextSpace.grid(
@@ -67,10 +68,14 @@ def written(place, log):
         np.savez(packed, **e["arrays"])
         arrays = e.get("packed", packed.getvalue() if e["arrays"] else b"")
         text = e.get("text", json.dumps(e["data"]))
-        rows.append(("study", i + 1, e.get("time", 1.0), e["kind"], text, arrays))
+        try:
+            checksum = checksum_of(i + 1, e["kind"], text, arrays)
+        except TypeError:  # no text, or no bytes
+            checksum = ""
+        rows.append(("study", i + 1, e.get("time", 1.0), e["kind"], text, arrays, checksum))
     with sqlite3.connect(place / "study.db") as connection:
         connection.execute("DELETE FROM mbtl_events")
-        connection.executemany("INSERT INTO mbtl_events VALUES (?, ?, ?, ?, ?, ?)", rows)
+        connection.executemany("INSERT INTO mbtl_events VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
     connection.close()
     return place
 
@@ -179,6 +184,37 @@ def test_any_damage_to_the_facts_gets_a_sentence(study):
     assert all(re.search(r"event \d+ |newer mbtl", said) for said in refused.values())
 
 
+def test_no_flipped_bit_loads(study, tmp_path):
+    rng, place = random.Random(0), written(tmp_path, events(study))
+    with sqlite3.connect(place / "study.db") as base:
+        whole = base.execute("SELECT seq, kind, data, arrays FROM mbtl_events").fetchall()
+        for _ in range(100):
+            seq, *entry = rng.choice(whole)
+            column = rng.choice([i for i, value in enumerate(entry) if value])
+            value = entry[column]
+            changed = bytearray(value.encode() if isinstance(value, str) else value)
+            changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(7)
+            entry[column] = changed.decode() if isinstance(value, str) else bytes(changed)
+            change = "UPDATE mbtl_events SET kind = ?, data = ?, arrays = ? WHERE seq = ?"
+            base.execute(change, (*entry, seq))
+            base.commit()
+            with pytest.raises(StorageError, match=f"event {seq} .* does not fit its checksum"):
+                mbtl.load_study(place)
+            base.executemany(change, [(*was, seq) for seq, *was in whole])
+        for here, there in ((5, 99), (6, 5), (99, 6)):
+            base.execute("UPDATE mbtl_events SET seq = ? WHERE seq = ?", (there, here))
+        base.commit()
+    with pytest.raises(StorageError, match=r"event 5 .* does not fit its checksum"):
+        mbtl.load_study(place)
+
+
+def test_a_database_of_before_the_checksums_is_refused(study, tmp_path):
+    with sqlite3.connect(tmp_path / "study.db") as base:
+        base.execute("ALTER TABLE mbtl_events DROP COLUMN checksum")
+    with pytest.raises(StorageError, match="is of an older mbtl, whose entries have no checksums"):
+        mbtl.load_study(tmp_path)
+
+
 def test_any_damage_to_the_database_gets_a_sentence(study, tmp_path):
     whole = events(study)
     odd = [
@@ -251,7 +287,7 @@ def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
     study.tell(study.ask(), np.zeros(6), seconds=number, cost=number)
     assert mbtl.load_study(tmp_path / "a.db").spec.theta == 0.5
     assert study.spec.direction == "maximize"
-    with pytest.raises(InvalidInput, match="seconds must be from 0"):
+    with pytest.raises(InvalidInput, match="seconds must be finite, from 0"):
         study.tell(study.ask(), np.zeros(6), seconds=np.nan)
     with pytest.raises(InvalidInput, match="distinct context indices"):
         study.tell(2, np.zeros(1), targets=[0.9])
@@ -260,14 +296,14 @@ def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ({"theta": np.nan}, "theta must be finite, got nan"),
+        ({"theta": np.nan}, "theta must be finite, from"),
         ({"theta": "steep"}, "theta must be a number"),
-        ({"stop_value": np.nan, "bounds": (0, 1)}, "stop_value must be finite, got nan"),
+        ({"stop_value": np.nan, "bounds": (0, 1)}, "stop_value must be finite, from"),
         ({"stop_value": 1.5, "bounds": (0, 1)}, r"at most 1 \(the better bound\), got 1.5"),
         ({"bounds": 5}, "two numbers"),
         ({"bounds": (0, 1, 2)}, "two numbers"),
         ({"bounds": ("a", 1)}, "two numbers"),
-        ({"bounds": (-1e308, 1e308)}, "finite with low < high"),
+        ({"bounds": (-1e308, 1e308)}, "finite, .* low < high"),
         ({"direction": "upwards"}, "'maximize' or 'minimize'"),
     ],
 )

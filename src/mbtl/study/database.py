@@ -13,7 +13,7 @@ from mbtl.files import from_home
 from mbtl.plain import short
 
 if TYPE_CHECKING:
-    from sqlalchemy import Engine, Table
+    from sqlalchemy import Connection, Engine, Table
     from sqlalchemy.exc import DBAPIError
 
 _BUSY_SECONDS = 60.0
@@ -157,7 +157,6 @@ def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:
         Text,
         create_engine,
         event,
-        inspect,
     )
     from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 
@@ -215,6 +214,7 @@ def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:
         Column("kind", String(20), nullable=False),
         Column("data", Text, nullable=False),
         Column("arrays", LargeBinary(length=2**31 - 1), nullable=False),
+        Column("checksum", String(16), nullable=False),
     )
     heartbeats = Table(
         "mbtl_heartbeats",
@@ -230,11 +230,23 @@ def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:
         if create:
             table.create(connection, checkfirst=True)
             heartbeats.create(connection, checkfirst=True)
-        elif not inspect(connection).has_table(table.name):
-            raise StorageError(
-                f"{url} is a database without mbtl studies; give the path of a study"
-            )
+        _check_table(connection, table, url)
     return engine, table, heartbeats
+
+
+def _check_table(connection: Connection, table: Table, url: str) -> None:
+    from sqlalchemy import inspect
+
+    if not inspect(connection).has_table(table.name):
+        raise StorageError(
+            f"{shown(url)} is a database without mbtl studies; give the path of a study"
+        )
+    known = {column["name"] for column in inspect(connection).get_columns(table.name)}
+    if not {column.name for column in table.c} <= known:
+        raise StorageError(
+            f"{shown(url)} is of an older mbtl, whose entries have no checksums; open it with "
+            "that, or start a new study elsewhere"
+        )
 
 
 @contextmanager

@@ -10,6 +10,7 @@ for ever; what follows from one that is missing is an event again.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import threading
@@ -162,8 +163,9 @@ class SqlLog:
         from sqlalchemy.exc import IntegrityError
 
         t = self._table
-        facts = {"kind": event.kind, "data": _text(event), "arrays": _pack(event)}
+        facts: dict[str, Any] = {"kind": event.kind, "data": _text(event), "arrays": _pack(event)}
         row = {"study": self.study, "seq": after + 1, "time": clock(self._engine), **facts}
+        row["checksum"] = checksum_of(after + 1, **facts)
         values = [literal(row[c.name], c.type) if c is not t.c.time else row["time"] for c in t.c]
         names = [c.name for c in t.c]
         # one statement: the server may be far away, and is asked thousands of times
@@ -197,7 +199,7 @@ class SqlLog:
         from sqlalchemy import select
 
         t = self._table.c
-        query = select(t.seq, t.time, t.kind, t.data, t.arrays)
+        query = select(t.seq, t.time, t.kind, t.data, t.arrays, t.checksum)
         query = query.where((t.study == self.study) & (t.seq > after)).order_by(t.seq)
         events: list[Event] = []
 
@@ -350,7 +352,19 @@ def _pack(event: Event) -> bytes:
     return buffer.getvalue()
 
 
-def _unpack(seq: int, when: float, kind: str, data: str, arrays: bytes) -> Event:
+def checksum_of(seq: int, kind: str, data: str, arrays: bytes) -> str:
+    """Of an entry as it is stored, so that a bit that flips on a disk is noticed."""
+    digest = hashlib.sha256(json.dumps([seq, kind, data]).encode())
+    digest.update(arrays)
+    return digest.hexdigest()[:16]
+
+
+def _unpack(seq: int, when: float, kind: str, data: str, arrays: bytes, checksum: str) -> Event:
+    if checksum != checksum_of(seq, kind, data, arrays):
+        raise StorageError(
+            f"event {seq} of the study is damaged or not ours: it does not fit its checksum; "
+            "restore a copy of the study"
+        )
     if kind not in KINDS:
         raise StorageError(
             f"event {seq} is of kind {kind!r}, which this version does not know; upgrade mbtl"
