@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
+import mbtl
 from mbtl.benchmark.replay import replay
 from mbtl.contexts import ContextSpace, Linear
+from mbtl.models import transfer_gp
 from mbtl.selectors.base import Proposal, SelectionProblem
 from mbtl.threads import MANY, threads_for
 
@@ -48,3 +50,38 @@ def test_many_contexts_keep_the_threads_there_are():
         assert most_threads() == before
     with threads_for(MANY):
         assert most_threads() == 1
+
+
+@pytest.fixture
+def two_threads():
+    with threadpool_limits(limits=2, user_api="blas"):
+        assert most_threads() == 2
+        yield
+
+
+def test_the_threads_come_back_when_the_last_of_several_is_out(two_threads):
+    one, other = threads_for(MANY), threads_for(1)
+    one.__enter__(), other.__enter__()
+    assert most_threads() == 1
+    one.__exit__(None, None, None)
+    assert most_threads() == 1
+    other.__exit__(None, None, None)
+    assert most_threads() == 2
+
+
+@pytest.mark.parametrize("risk", [1.0, 0.3])
+def test_value_curve_and_routes_take_one_thread_as_a_pick_does(two_threads, monkeypatch, risk):
+    seen, solve = [], transfer_gp.half_solved
+    noted = lambda *given: seen.append(most_threads()) or solve(*given)  # noqa: E731
+    monkeypatch.setattr(transfer_gp, "half_solved", noted)
+    space = ContextSpace.grid({Linear("x", 0.0, 4.0): 5})
+    study = mbtl.create_study(space, budget=3, risk=risk, selector="equidistant")
+    rng = np.random.default_rng(0)
+    for ask in ("value", "curve", "routing"):
+        study.tell(study.ask(), rng.random((5, 3)))
+        found = getattr(study, ask)
+        if ask == "routing":
+            found.value, found.route, found.believed, found.singles, found.gain_over(0)
+    assert len(seen) > 10
+    assert set(seen) == {1}
+    assert most_threads() == 2

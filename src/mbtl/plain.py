@@ -8,7 +8,6 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 
 LARGEST = 1e30
@@ -85,7 +84,7 @@ def finite(name: str, number: float | None, least: float = -LARGEST) -> float | 
     return value
 
 
-def floats(given: Any) -> Array:
+def floats(given: Any) -> NDArray[np.float64]:
     """Numbers as float64: NaN where a masked array has none, and tensors as they are now.
 
     Raises:

@@ -8,7 +8,9 @@ cores, and 3.6 s of one (`mbtl bench --matrix pendulum-length --selectors auto`,
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +20,43 @@ if TYPE_CHECKING:
 MANY = 10_000  # contexts from which threads earn their keep
 
 
-def threads_for(n: int) -> AbstractContextManager[Any]:
+@contextmanager
+def threads_for(n: int) -> Iterator[None]:
     """Within it, linear algebra over n contexts has as many threads as pay: one, when they are few.
 
-    It counts for the whole process, not for the thread that asks.
+    It counts for the whole process, not for the thread that asks: until the last one is out.
     """
-    return nullcontext() if n > MANY else _controller().limit(limits=1, user_api="blas")
+    if n > MANY:
+        yield
+        return
+    _SINGLE.enter()
+    try:
+        yield
+    finally:
+        _SINGLE.leave()
+
+
+class _Single:
+    """One thread of linear algebra, for as long as anybody wants that."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside = threading.Lock(), 0
+        self._limit: Any = None
+
+    def enter(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._limit = _controller().limit(limits=1, user_api="blas")
+            self._inside += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self._limit.restore_original_limits()
+
+
+_SINGLE = _Single()
 
 
 @cache

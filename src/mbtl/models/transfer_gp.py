@@ -28,6 +28,7 @@ from mbtl.models.transfer_kernel import (
     same_pair,
     variance,
 )
+from mbtl.threads import threads_for
 
 _SHRINK = 2.0
 """Observations that the prior scale is worth."""
@@ -82,11 +83,12 @@ class TransferGP:
                 f"{y.shape}; drop what was not evaluated"
             )
         self._places, self._prior, self._pairs = places, prior, pairs
-        kernel = covariance(places, prior, pairs, pairs)
-        if relative is None:
-            fit = _fit(kernel, prior.noise, y, noise)
-        else:
-            fit = _fit_relative(kernel, relative, y)
+        with threads_for(len(places.x)):
+            kernel = covariance(places, prior, pairs, pairs)
+            if relative is None:
+                fit = _fit(kernel, prior.noise, y, noise)
+            else:
+                fit = _fit_relative(kernel, relative, y)
         self._chol, self._residual, self._ones = fit.chol, fit.residual, fit.ones
         self.mean, self.scale, self.log_likelihood = fit.mean, fit.scale, fit.log_likelihood
 
@@ -122,19 +124,21 @@ class TransferGP:
         only known noise is smoothed away. That the mean mu is fitted counts as well.
         """
         mean, std = np.empty((2, len(pairs)))
-        for some in _blocks(len(pairs), len(self._pairs)):
-            half, mean[some], unsure = self._weighed(pairs[some])
-            left = self._own - np.einsum("ij,ij->j", half, half) + unsure**2
-            std[some] = np.sqrt(self.scale * np.maximum(left, 0.0))
+        with threads_for(len(self._places.x)):
+            for some in _blocks(len(pairs), len(self._pairs)):
+                half, mean[some], unsure = self._weighed(pairs[some])
+                left = self._own - np.einsum("ij,ij->j", half, half) + unsure**2
+                std[some] = np.sqrt(self.scale * np.maximum(left, 0.0))
         return mean, std
 
     def joint_at(self, pairs: Pairs) -> tuple[Array, Array]:
         """Mean (m,) and covariance (m, m) of the same; O(n^2 m + n m^2)."""
-        half, mean, unsure = self._weighed(pairs)
-        left = covariance(self._places, self._prior, pairs, pairs)
-        left += self._prior.noise * same_pair(pairs, pairs)
-        left -= half.T @ half
-        left += np.outer(unsure, unsure)
+        with threads_for(len(self._places.x)):
+            half, mean, unsure = self._weighed(pairs)
+            left = covariance(self._places, self._prior, pairs, pairs)
+            left += self._prior.noise * same_pair(pairs, pairs)
+            left -= half.T @ half
+            left += np.outer(unsure, unsure)
         return mean, self.scale * left
 
     @property
@@ -259,7 +263,8 @@ def likely_noise(
     kernel = covariance(places, prior, pairs[some], pairs[some])
     quiet, noisy = prior.noise, _NOISIER * prior.noise
     beliefs = [(quiet, share) for share in _SHARES if share == 1.0 or known.any()] + [(noisy, 1.0)]
-    fits = {(own, share): _fit(kernel, own, y[some], share * known[some]) for own, share in beliefs}
+    with threads_for(len(places.x)):
+        fits = {(o, share): _fit(kernel, o, y[some], share * known[some]) for o, share in beliefs}
     likely = {belief: fit.log_likelihood for belief, fit in fits.items()}
     best = max(likely.values())
     close = [belief for belief in beliefs if likely[belief] >= best - slack]
