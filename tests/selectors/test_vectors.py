@@ -1,5 +1,7 @@
 """Test vectors of the specification and closed answers of a linear-gap world."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sklearn_gp import fit_sklearn
@@ -18,6 +20,7 @@ from mbtl.selectors import (
     Random,
     SelectionProblem,
     get_selector,
+    model_based,
     selector_names,
 )
 from mbtl.selectors.mbtl_release import running_own_best
@@ -251,3 +254,26 @@ def test_warm_up_goes_on_when_nothing_is_known_of_own_performance():
     history = History(12).with_row(5, row).with_pending(0)
     proposal = MBTL().propose(SelectionProblem.of(line(12), budget=5), history, None)
     assert proposal.source == 1
+
+
+@pytest.mark.parametrize("name", ["gp-mbtl", "mbtl-ei", "mbtl", "mbtl-release"])
+@pytest.mark.parametrize("axes", [1, 2])
+def test_a_part_of_very_many_contexts_stands_for_all_and_the_pick_says_so(monkeypatch, name, axes):
+    each = {1: 400, 2: 20}[axes]
+    space = ContextSpace.grid({Linear(f"x{q}", 0.0, 1.0): each for q in range(axes)})
+    problem = SelectionProblem.of(space, budget=9, theta=0.5 / each)
+    history, unit, proposals = History(space.n), space.unit, []
+    for source in (20, 210, 390, 5, 111, 333):
+        away = np.linalg.norm(unit - unit[source], axis=1)
+        history = history.with_row(source, 0.9 - 0.5 * away - 0.2 * abs(unit[source, 0] - 0.4))
+    for most, open_ones in ((400, range(400)), (100, range(400)), (400, ())):
+        monkeypatch.setattr(model_based, "MOST", most)
+        closed = set(range(400)) - {*history.sources, *(open_ones or [proposals[1].source])}
+        past = replace(history, failed=tuple(closed))
+        proposals.append(get_selector(name).propose(problem, past, np.random.default_rng(0)))
+    whole, thin, there = proposals  # the last is the gain of the second, of all targets
+    exact = axes == 1 and name in ("mbtl", "mbtl-release")
+    said = () if exact else ("100 candidates and 100 targets stood for 400 contexts",)
+    assert (whole.notes, thin.notes) == ((), said)
+    assert thin.source == there.source
+    assert there.acquisition >= (1.0 if exact else 0.9) * whole.acquisition

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -47,6 +47,7 @@ from mbtl.selectors.base import (
     first_pick,
     nearest_distance,
     open_candidates,
+    spread,
 )
 from mbtl.selectors.contract import Traits
 
@@ -136,7 +137,7 @@ class Auto:
         costs = np.ones(problem.n)
         if problem.costs is not None:  # their unit must not matter to what counts as a tie
             costs = problem.costs / problem.costs.mean()
-        wide = _spread(problem, np.flatnonzero(problem.weights > 0), self.final_targets)
+        wide = spread(problem, np.flatnonzero(problem.weights > 0), self.final_targets)
         outlook = first = self._judged(problem, beliefs)
         if not problem.is_line and self.finalists and len(wide) > len(first.targets):
             # a few targets on several axes are a sample, with its luck; on a line they are even
@@ -196,7 +197,7 @@ class Auto:
     def _beliefs(self, problem: SelectionProblem, history: History) -> Beliefs:
         """Condition the model on the rows, at some of the targets."""
         count = self.most_targets if len(history) <= _ROWS else (self.most_targets + 1) // 2
-        targets = _spread(problem, np.flatnonzero(problem.weights > 0), count)
+        targets = spread(problem, np.flatnonzero(problem.weights > 0), count)
         columns = Columns.of(problem.axes, problem.unit.shape[1])
         places = columns.places(problem.unit, problem.steps)
         pairs, y = observed(history, targets)
@@ -217,7 +218,7 @@ class Auto:
         if beliefs.trend is None:
             return beliefs.row_gain(beliefs.targets)
         counted = np.flatnonzero(problem.weights > 0)
-        return beliefs.row_gain(_spread(problem, counted, _TREND_TARGETS))
+        return beliefs.row_gain(spread(problem, counted, _TREND_TARGETS))
 
 
 def _largest(
@@ -267,9 +268,9 @@ def _chance_left(
     assert problem.least_left is not None
     best = candidates[np.argsort(-gain, kind="stable")[: _LEFT // 2]]
     rest = np.setdiff1d(candidates, best)
-    sources = np.union1d(best, _spread(problem, rest, _LEFT - len(best)))
+    sources = np.union1d(best, spread(problem, rest, _LEFT - len(best)))
     return outlook.chance_together(
-        sources, _spread(problem, outlook.targets, _LEFT), problem.least_left
+        sources, spread(problem, outlook.targets, _LEFT), problem.least_left
     )
 
 
@@ -290,9 +291,9 @@ def _search(
     """
     found = among
     if len(among) > most:
-        spread = _spread(problem, np.union1d(among, np.asarray(pending, dtype=np.intp)), most)
-        found = np.intersect1d(spread, among)
-        found = found if len(found) else _spread(problem, among, most)
+        stay = spread(problem, np.union1d(among, np.asarray(pending, dtype=np.intp)), most)
+        found = np.intersect1d(stay, among)
+        found = found if len(found) else spread(problem, among, most)
     gain = gain_of(found)
     reach, pool = max(4 * len(among) // most, _AROUND), among
     while len(found) < len(among):
@@ -304,7 +305,7 @@ def _search(
             for scale in (problem.unit, problem.steps)
         ]
         width = 4 * _AROUND if reach == _AROUND else _AROUND  # in the end, all neighbours
-        some = [_spread(problem, around, width) for around in near]
+        some = [spread(problem, around, width) for around in near]
         new = np.setdiff1d(np.concatenate(some), found)
         if len(new):
             found, gain = np.append(found, new), np.append(gain, gain_of(new))
@@ -330,19 +331,3 @@ def _nearest(places: Array, among: Indices, place: int, count: int) -> Indices:
     squared = np.square(places[among] - places[place]).sum(axis=1)
     limit = np.partition(squared, count)[count]  # a value; which of equals comes first varies
     return np.asarray(among[squared <= limit * (1.0 + 1e-9)])
-
-
-def _spread(problem: SelectionProblem, among: Indices, most: int) -> Indices:
-    """At most `most` of the contexts, spread over the space, always the same ones."""
-    if len(among) <= most:
-        return among
-    if problem.is_line:
-        order = among[np.argsort(problem.line[among], kind="stable")]
-        return np.sort(order[np.linspace(0, len(order) - 1, most).round().astype(np.intp)])
-    return np.sort(among[np.argsort(_shuffled(problem.n)[among], kind="stable")[:most]])
-
-
-@lru_cache(maxsize=1)
-def _shuffled(n: int) -> Indices:
-    """(n,) place of each context in a random order, always the same."""
-    return np.argsort(np.random.default_rng(0).permutation(n))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -249,3 +249,19 @@ def first_pick(problem: SelectionProblem, history: History, mask: NDArray[np.boo
 def centre(problem: SelectionProblem) -> Array:
     """(D,) middle of the grid in steps: halfway between the smallest and largest of each column."""
     return np.asarray((problem.steps.min(axis=0) + problem.steps.max(axis=0)) / 2.0)
+
+
+def spread(problem: SelectionProblem, among: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """At most `most` of the contexts, spread over the space, always the same ones."""
+    if len(among) <= most:
+        return among
+    if problem.is_line:
+        order = among[np.argsort(problem.line[among], kind="stable")]
+        return np.sort(order[np.linspace(0, len(order) - 1, most).round().astype(np.intp)])
+    return np.sort(among[np.argsort(_shuffled(problem.n)[among], kind="stable")[:most]])
+
+
+@lru_cache(maxsize=1)
+def _shuffled(n: int) -> NDArray[np.intp]:
+    """(n,) place of each context in a random order, always the same."""
+    return np.argsort(np.random.default_rng(0).permutation(n))

@@ -21,7 +21,12 @@ from mbtl.selectors.base import Proposal, SelectionProblem, open_candidates
 from mbtl.selectors.contract import Traits
 from mbtl.selectors.m_mbtl import middle
 from mbtl.selectors.mbtl import start
-from mbtl.selectors.model_based import choose, fit_posterior, observed_best
+from mbtl.selectors.model_based import (
+    choose,
+    fit_posterior,
+    gain_by_pairs,
+    observed_best,
+)
 
 _SETTINGS = GPSettings(noise_std=1e-2, amplitude_bounds=(1e-9, 1e3))
 
@@ -40,6 +45,8 @@ class GPMBTL:
     pick's values, which depends on how the study went. A pending pick is believed at the row that
     GP and gap predict. Where no gain is predicted anywhere the most uncertain context is taken, not
     the first.
+
+    Of more than 4,000 contexts so many, spread over the space, are candidates and targets.
 
     Attributes:
         warm_up: number of worst-first picks after the first (published: 2); they count towards K.
@@ -74,8 +81,12 @@ class GPMBTL:
         k = len(history) + len(history.pending) + 1
         upper = mean + np.sqrt(np.log(k) * (np.square(std) + gp.noise_variance))
         best = _incumbent(problem, history, gp, gap)
-        gain = gap.gain(upper, steps, steps, best, problem.weights)
-        return choose(gain, std, mask, "largest optimistic gain", gp.notes)
+        gain, asked, notes = gain_by_pairs(
+            problem,
+            mask,
+            lambda x, t, weights: gap.gain(upper[x], steps[x], steps[t], best[t], weights),
+        )
+        return choose(gain, std, asked, "largest optimistic gain", (*gp.notes, *notes))
 
 
 def _incumbent(

@@ -11,7 +11,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.acquisition import expected_gain, linear_gap_gain
+from mbtl.acquisition import expected_gain
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
@@ -22,12 +22,15 @@ from mbtl.selectors.contract import Traits
 from mbtl.selectors.model_based import (
     choose,
     fit_posterior,
+    gain_by_pairs,
     observed_incumbent,
+    optimistic_gains,
     predicted_incumbent,
 )
 from mbtl.selectors.worst_first import worst_context
 from mbtl.theory import beta_experiments
 
+Indices = NDArray[np.intp]
 Incumbent = Literal["observed", "predicted"]
 
 
@@ -38,6 +41,9 @@ class MBTL:
     k = 1: the middle. k = 2 .. 1 + warm_up: the worst-served context. Then
     argmax_x E_x' [ mu(x) + sqrt(beta_k) sigma(x) - theta |x - x'| - best(x') ]_+ with
     beta_k = 2 log(N k^2), or the expected gain.
+
+    Of more than 4,000 contexts so many, spread over the space, are candidates and targets; but for
+    the optimistic gain on one axis, which all of them are.
 
     Attributes:
         acquisition: "ucb", the paper's optimistic gain, or "ei", the expected gain.
@@ -89,32 +95,44 @@ class MBTL:
         theta: float,
     ) -> Proposal:
         """The acquisition and its argmax over the open contexts."""
-        gain, _, std = self._gain(problem, history, gp, theta)
+        mean, std = gp.predict(problem.steps)
+        gain, asked, notes = self._gain(problem, history, mask, gp, theta, mean, std)
         kind = "expected" if self.acquisition == "ei" else "optimistic"
-        return choose(gain, std, mask, f"largest {kind} gain", gp.notes)
+        return choose(gain, std, asked, f"largest {kind} gain", (*gp.notes, *notes))
 
     def outlook(
         self, problem: SelectionProblem, history: History, candidates: NDArray[np.intp]
     ) -> Outlook:
         """The posterior and the acquisition, with the number of the next pick."""
         gp = fit_posterior(problem, history, history.training_performance, self.gp, self.fitter)
-        gain, mean, std = self._gain(problem, history, gp, self.theta(problem, history))
+        mean, std = gp.predict(problem.steps)
+        every = np.ones(problem.n, dtype=bool)
+        theta = self.theta(problem, history)
+        gain, _, _ = self._gain(problem, history, every, gp, theta, mean, std)
         return Outlook(self.name, mean, std, gain)
 
     def _gain(
-        self, problem: SelectionProblem, history: History, gp: FittedGP, theta: float
-    ) -> tuple[Array, Array, Array]:
-        """Acquisition, posterior mean and standard deviation of every context; (N,) each."""
-        where, weights = problem.steps, problem.weights
-        mean, std = gp.predict(where)
-        best = self.best(problem, history, gp, theta)
+        self,
+        problem: SelectionProblem,
+        history: History,
+        mask: NDArray[np.bool_],
+        gp: FittedGP,
+        theta: float,
+        mean: Array,
+        std: Array,
+    ) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
+        """(N,) acquisition, where it was asked, and notes; see `gain_by_pairs`."""
+        where, best = problem.steps, self.best(problem, history, gp, theta)
         if self.acquisition == "ei":
-            gain = expected_gain(mean, std, where, where, best, weights, theta=theta)
-            return gain, mean, std
+
+            def expected(x: Indices, t: Indices, weights: Array) -> Array:
+                places = (where[x], where[t])
+                return expected_gain(mean[x], std[x], *places, best[t], weights, theta=theta)
+
+            return gain_by_pairs(problem, mask, expected)
         k = len(history) + len(history.pending) + 1
         upper = mean + np.sqrt(beta_experiments(k, problem.n)) * std
-        gain = linear_gap_gain(upper, where, where, best, weights, theta=theta)
-        return gain, mean, std
+        return optimistic_gains(problem, mask, upper, best, theta)
 
     def theta(self, problem: SelectionProblem, history: History) -> float:
         """Slope of the linear gap now, performance per grid step."""

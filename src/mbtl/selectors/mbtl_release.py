@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from mbtl.acquisition import linear_gap_gain
 from mbtl.arrays import Array
 from mbtl.history import History
 from mbtl.models import GPSettings, fit_gp
@@ -15,7 +14,12 @@ from mbtl.models.gp import Fitter
 from mbtl.selectors.base import Proposal, SelectionProblem, open_candidates
 from mbtl.selectors.contract import Traits
 from mbtl.selectors.mbtl import start
-from mbtl.selectors.model_based import choose, fit_posterior, observed_incumbent
+from mbtl.selectors.model_based import (
+    choose,
+    fit_posterior,
+    observed_incumbent,
+    optimistic_gains,
+)
 
 
 @dataclass(frozen=True)
@@ -45,10 +49,8 @@ class MBTLRelease:
         n = len(history) + len(history.pending)
         upper = mean + np.sqrt(np.log(n + 1.0)) * std
         best = np.maximum(observed_incumbent(problem, history, gp, problem.theta), 0.0)
-        gain = linear_gap_gain(
-            upper, problem.steps, problem.steps, best, problem.weights, theta=problem.theta
-        )
-        return choose(gain, std, mask, "largest optimistic gain", gp.notes)
+        gain, asked, notes = optimistic_gains(problem, mask, upper, best, problem.theta)
+        return choose(gain, std, asked, "largest optimistic gain", (*gp.notes, *notes))
 
 
 def running_own_best(history: History) -> Array:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.acquisition import argmax_open
+from mbtl.acquisition import argmax_open, linear_gap_gain
 from mbtl.arrays import Array
 from mbtl.errors import MbtlError
 from mbtl.history import History
 from mbtl.models import FittedGP, GPSettings, fit_gp, predicted_rows
 from mbtl.models.gp import Fitter, squared_distances
-from mbtl.selectors.base import Proposal, SelectionProblem
+from mbtl.selectors.base import Proposal, SelectionProblem, spread
 
+GainOf = Callable[[NDArray[np.intp], NDArray[np.intp], Array], Array]
+MOST = 4000
+"""Contexts that are candidates, and targets, where every pair of them takes time."""
 _NOTHING = 1e-12  # cmdp-spec 8.2: an acquisition below this everywhere says nothing
 
 
@@ -96,6 +100,51 @@ def _believed_rows(
     if not len(pending):
         return np.empty((0, problem.n))
     return predicted_rows(gp.predict(pending)[0], pending, problem.steps, theta)
+
+
+def gain_by_pairs(
+    problem: SelectionProblem, mask: NDArray[np.bool_], gain_of: GainOf
+) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
+    """A gain that takes time for every pair of a candidate and a target.
+
+    Of more than `MOST` contexts so many open ones are candidates and so many targets, spread over
+    the space; a note says so.
+
+    Args:
+        problem: gives the contexts and their weights.
+        mask: (N,) of the open ones.
+        gain_of: (M,) gain of candidates on targets with weights, sum 1.
+
+    Returns:
+        (N,) gain, NaN where it was not asked; (N,) mask of the open ones where it was; notes.
+    """
+    n = problem.n
+    if n <= MOST:
+        every = np.arange(n)
+        return gain_of(every, every, problem.weights), mask, ()
+    candidates = spread(problem, np.flatnonzero(mask), MOST)
+    targets = spread(problem, np.flatnonzero(problem.weights > 0), MOST)
+    weights = problem.weights[targets]
+    gain, asked = np.full(n, np.nan), np.zeros(n, dtype=bool)
+    gain[candidates] = gain_of(candidates, targets, weights / weights.sum())
+    asked[candidates] = True
+    note = f"{len(candidates):,} candidates and {len(targets):,} targets stood for {n:,} contexts"
+    return gain, asked, (note,)
+
+
+def optimistic_gains(
+    problem: SelectionProblem, mask: NDArray[np.bool_], upper: Array, best: Array, theta: float
+) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
+    """`linear_gap_gain` as `gain_by_pairs` gives it, but exact for any number on one axis."""
+    where = problem.steps
+
+    def gain_of(x: NDArray[np.intp], t: NDArray[np.intp], weights: Array) -> Array:
+        return linear_gap_gain(upper[x], where[x], where[t], best[t], weights, theta=theta)
+
+    if problem.is_line:
+        every = np.arange(problem.n)
+        return gain_of(every, every, problem.weights), mask, ()
+    return gain_by_pairs(problem, mask, gain_of)
 
 
 def choose(
