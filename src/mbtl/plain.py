@@ -103,7 +103,7 @@ def floats(given: Any) -> NDArray[np.float64]:
 
 def refused(numbers: NDArray[Any]) -> NDArray[np.bool_]:
     """True where one is NaN, infinite, or beyond `LARGEST`."""
-    return np.asarray(~(np.abs(numbers) <= LARGEST))
+    return np.asarray(~(np.abs(numbers) <= np.float64(LARGEST)))  # half precision ends before
 
 
 def array_of(name: str, given: Any) -> NDArray[Any]:

@@ -76,7 +76,7 @@ def test_a_damaged_study_gets_one_line_and_hides_no_other(mbtl_command, place):
     assert "Traceback" not in err
     code, out, err = mbtl_command("study", "list", "--json")
     assert [row["name"] for row in json.loads(out)] == ["the second", "study"]
-    assert "event 3 (asked)" in " ".join(err.split())
+    assert "event 3 of the study is damaged" in " ".join(err.split())
 
 
 def test_trust_reaches_the_policies_that_are_played(tmp_path):

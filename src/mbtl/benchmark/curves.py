@@ -91,7 +91,7 @@ class TransferCurves:
             got = self.returns[kind].shape if kind in self.returns else None
             if got != shape or refused(self.returns[kind]).any():
                 raise InvalidInput(
-                    f"returns of the {kind} policies must be numbers within {LARGEST:g}, of shape "
+                    f"returns of the {kind} policies must be finite, within {LARGEST:g}, of shape "
                     f"(seed, length, half, source, target) {shape}, got {got}"
                 )
 

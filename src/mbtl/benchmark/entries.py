@@ -92,7 +92,7 @@ def checked_like(returns: Floats, entry: ArrayLike, key: str) -> Floats:
 def checked_deviations(returns: Floats, std: ArrayLike) -> Floats:
     """Deviations of episodes in the shape of `returns`, NaN where unknown."""
     array = checked_like(returns, array_of("std", std), "std")
-    if array.dtype.kind not in "fiu" or ((array < 0) | (array > 2.0 * LARGEST)).any():
+    if array.dtype.kind not in "fiu" or ((array < 0) | (array > np.float64(2.0 * LARGEST))).any():
         raise InvalidInput(
             f"std must be deviations from 0 to {2.0 * LARGEST:g}, or NaN where unknown, got "
             f"{array.dtype} from {np.nanmin(array):g} to {np.nanmax(array):g}"
@@ -122,7 +122,7 @@ def checked_references(
         row = array_of(REFERENCE, given)
         if row.shape != shape or row.dtype.kind != "f" or refused(row).any():
             raise InvalidInput(
-                f"{REFERENCE}{name} must be numbers within {LARGEST:g}, of shape (seed, half, "
+                f"{REFERENCE}{name} must be finite, within {LARGEST:g}, of shape (seed, half, "
                 f"target) {shape}, got shape {row.shape} and dtype {row.dtype}"
             )
         rows[name] = row

@@ -47,8 +47,8 @@ def check_event(event: Event, state: StudyState) -> None:
         )
     for name, shape in shapes.items():
         array = event.arrays[name]
-        most = 2.0 * LARGEST  # of a mean, and of a deviation of numbers within it
-        least = 0.0 if name == "std" else -most
+        most = np.float64(2.0 * LARGEST)  # of a mean, and of a deviation of numbers within it
+        least = np.float64(0.0) if name == "std" else -most
         proper = array.dtype.kind in "fiu" and array.shape == shape
         if not proper or ((array < least) | (array > most)).any():
             raise InvalidInput(
