@@ -28,7 +28,7 @@ from mbtl.contexts.axes import (
     grid_values,
 )
 from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, unknown_name
-from mbtl.settings import first_difference
+from mbtl.settings import differences
 from mbtl.untrusted import MALFORMED
 
 Context = dict[str, Value]
@@ -299,7 +299,7 @@ class ContextSpace:
         if before != after:
             return "the axes of the space", before, after
         for mine, its in zip(self.axes, now.axes, strict=True):
-            found = first_difference(mine.to_json(), its.to_json(), f"axis {mine.name!r}, ")
+            found = next(differences(mine.to_json(), its.to_json(), f"axis {mine.name!r}, "), None)
             if found:
                 return found
         if self.n != now.n:
