@@ -253,7 +253,7 @@ def _function(
         used: what others used before, by name, is added to; None: it is part of the answer.
         whole: with objects that it holds; else with plain values and functions only.
     """
-    code, held = function.__code__, dict[str, Any]()
+    code, held, captured = function.__code__, dict[str, Any](), set(function.__code__.co_freevars)
     if own := _is_own(code):
         defaults = function.__defaults__ or ()
         last = code.co_varnames[: code.co_argcount][-len(defaults) :] if defaults else ()
@@ -271,6 +271,8 @@ def _function(
             found[name] = _described(value, inside)
         elif isinstance(value, type):
             found[name] = _class(value, uses)
+        elif name in captured and isinstance(value, (list, dict, set, np.ndarray)):
+            continue  # it may be filled while it runs, and the next function captures it filled
         elif _is_plain(value):
             found[name] = _plain(value)
         elif callable(value) and (inner := _code(value, inside)):

@@ -35,8 +35,8 @@ OWN = PROBLEM.replace(
     "problem =",
     """FAR = {far}
 
-def evaluate(policy, contexts, seed):
-    return [FAR * one for one in q.evaluate(policy, contexts, seed)]
+def evaluate(policy, contexts, seeds):
+    return [FAR * one for one in q.evaluate(policy, contexts, seeds)]
 
 problem =""",
 ).replace("evaluate=q.evaluate", "evaluate=evaluate")
@@ -494,7 +494,10 @@ def test_failures_end_the_run_say_why_and_are_trained_again_when_asked(mbtl_comm
     _, out, _ = mbtl_command("study", "show", "runs/sim-default-seed0")
     assert out.count("Traceback") == 1  # one cause for three picks
     assert out.count("licence [x] expired") > 1
-    code, out, err = mbtl_command(*simulator())
+    code, _, err = mbtl_command(*simulator())
+    assert code == 2
+    assert "`train` changed" in err
+    code, out, err = mbtl_command(*simulator(), "--accept-changes")
     assert code == 0
     assert "3 trainings failed" in out
     assert "--retry-failed trains there again" in out
@@ -511,7 +514,8 @@ def test_a_policy_that_was_not_evaluated_is_said_and_waits(mbtl_command, simulat
         "open: the policy "
     ]
     (tmp_path / "sim.py").unlink()
-    code, out, err = mbtl_command(*simulator(train="raise RuntimeError('not again')"), "--json")
+    again = simulator(train="raise RuntimeError('not again')")
+    code, out, err = mbtl_command(*again, "--json", "--accept-changes")
     assert code == 0, err
     assert json.loads(out)["picks"][-1]["context"] == {"x": 0.1}
 

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from mbtl.testing.postgres import Server, missing
+from postgres import Server, missing
 
 import mbtl
 from mbtl.errors import StudyError
