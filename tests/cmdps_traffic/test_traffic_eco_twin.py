@@ -1,6 +1,6 @@
 """The eco-driving twin is SUMO step for step with the same cars, in distribution with its own."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -16,9 +16,9 @@ import mbtl.training.jax as engine
 from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic import eco
 from mbtl.cmdps.traffic.corridor import FEEDERS, STARTS
-from mbtl.cmdps.traffic.population import Car
 from mbtl.cmdps.traffic.twins import EcoProblem
 from mbtl.worlds.traffic.arrivals import Car as Waiting
+from mbtl.worlds.traffic.arrivals import Demand
 
 ATOL = 2e-3  # m, m/s, and what follows from them
 
@@ -49,27 +49,30 @@ def test_the_inflow_is_hidden_in_both_simulators_as_in_the_reference(id, shown):
     assert (twin.n_features, *params.visible.shape) == (eco.SIZE, shown)
 
 
-class Script:
-    """The cars of an episode in SUMO, given to the twin one after another."""
+@dataclass(frozen=True)
+class Script(Demand):
+    """The cars of an episode in SUMO, as a demand of the twin: per feeder (gap, *car) each."""
 
-    def __init__(self, cars):
-        nobody = Car("", "", 1e9, False, 5.0, cars[0].driver)
-        self.queues = [[*(c for c in cars if c.feeder == f), nobody] for f in FEEDERS]
-        self.given = np.array([-1, -1])
+    given: tuple[tuple[tuple[float, ...], ...], ...] = ()
 
-    def give(self, state):
-        entered = np.asarray(state.entered)[:, 0]
-        if (entered == self.given).all():
-            return state
-        self.given = entered
-        cars = [queue[k] for queue, k in zip(self.queues, entered, strict=True)]
-        rows = zip(*[(c.length, *c.driver, c.controlled) for c in cars], strict=True)
-        waiting = [
-            np.array(values, old.dtype)[:, None]
-            for values, old in zip(rows, state.waiting, strict=True)
-        ]
-        due = np.array([[round(c.depart, 3)] for c in cars], np.float32)  # SUMO counts in ms
-        return state._replace(due=due, waiting=Waiting(*waiting))
+    @classmethod
+    def of(cls, demand, cars):
+        given = []
+        for feeder in FEEDERS:
+            mine = [c for c in cars if c.feeder == feeder]
+            times = [0.0, *(round(c.depart, 3) for c in mine), 1e9]  # SUMO counts in ms
+            drivers = [(c.length, *c.driver, c.controlled) for c in [*mine, mine[-1]]]
+            gaps = np.diff(times).tolist()
+            given.append(tuple((g, *d) for g, d in zip(gaps, drivers, strict=True)))
+        return cls(**vars(demand), given=tuple(given))
+
+    def draw(self, seed, number, inflow, penetration):
+        rows = []
+        for k in (0, 1):
+            table = jnp.array(self.given[k], jnp.float32)
+            rows.append(table[jnp.minimum(number[k], len(table) - 1)].T)
+        gap, *car = jnp.stack(rows, axis=1)
+        return gap, Waiting(*car[:-1], car[-1].astype(jnp.int32))
 
 
 def in_sumo(api):
@@ -122,10 +125,10 @@ def test_with_the_same_cars_every_step_is_as_in_sumo(context, monkeypatch):
     moves = wrong = 0
     try:
         seen, _ = env.reset(seed=1)
-        script = Script(drawn[-1])
-        state = script.give(start(twin, params))
+        twin = replace(twin, demand=Script.of(twin.demand, drawn[-1]))
+        state = start(twin, params)
         for _ in range(eco.WARM_UP):
-            state = script.give(step(twin, state, actions, params).state)
+            state = step(twin, state, actions, params).state
         while env._left > 0:
             main, side = in_sumo(env.simulation.api)
             for cars, sumo in ((state.main, main), (state.side, side)):
@@ -145,7 +148,7 @@ def test_with_the_same_cars_every_step_is_as_in_sumo(context, monkeypatch):
             actions[0, places] = np.reshape(list(told.values()), (-1, 1))
             seen, rewards, ended, *_ = env.step(told)
             moved = step(twin, state, actions, params)
-            state = script.give(moved.state)
+            state = moved.state
             for place, car in zip(places, told, strict=True):
                 assert float(moved.reward[0, place]) == pytest.approx(rewards[car], abs=0.01)
                 assert bool(moved.done[0, place]) == ended[car] or env._left == 0
@@ -154,6 +157,8 @@ def test_with_the_same_cars_every_step_is_as_in_sumo(context, monkeypatch):
         measures = {name: float(value[0]) for name, value in twin.measures(state).items()}
         assert measures["completed"] > 0
         assert measures == pytest.approx({name: env.summary[name] for name in measures}, rel=1e-3)
+        for score, measure in eco.SCORES.items():
+            assert float(replace(twin, scored=score).score(state)[0]) == measures[measure]
     finally:
         env.close()
 
@@ -180,7 +185,7 @@ def test_unguided_traffic_is_distributed_as_in_sumo(context):
     env.close()
     twin, (params,) = EcoProblem()([context])
     found = unguided(twin, jnp.arange(64, dtype=jnp.uint32), params)
-    for name in ("score", "co2", "stops", "throughput"):
+    for name in ("mean_speed", "trip_speed", "co2", "stops", "throughput"):
         sumo, ours = np.array([m[name] for m in measures]), np.asarray(found[name])
         error = np.hypot(sumo.std(ddof=1) / np.sqrt(len(sumo)), ours.std() / np.sqrt(len(ours)))
         assert abs(sumo.mean() - ours.mean()) < 4 * error, name

@@ -377,13 +377,20 @@ class TransferMatrix:
     @property
     def caveat(self) -> str | None:
         """What must be said beside every number of it; None where there is nothing to say."""
-        if self.measures_apart:
-            return None
-        return (
-            "selection and report used the same evaluation episodes, so V is too high where "
-            "episodes differ by luck (`fresh_returns`, or TransferMatrix.of_episodes, keeps them "
-            "apart)"
-        )
+        said = []
+        record = self.records[0] if self.records else {}
+        if dict(record.get("switches") or {}).get("score") == "paper":
+            said.append(
+                f"returns are the paper's score of {record.get('problem')} (--score paper, version "
+                f"{record.get('version')}), not the one that is the default today"
+            )
+        if not self.measures_apart:
+            said.append(
+                "selection and report used the same evaluation episodes, so V is too high where "
+                "episodes differ by luck (`fresh_returns`, or TransferMatrix.of_episodes, keeps "
+                "them apart)"
+            )
+        return "; ".join(said) or None
 
     def performance(self, seed: int) -> Array:
         """(M, N) performance of one seed as a selector sees it, axis order (source, target)."""

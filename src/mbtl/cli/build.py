@@ -45,6 +45,10 @@ def build(
     ] = None,
     physics: Annotated[str, typer.Option(help="How contexts act on CartPole.")] = "intended",
     engine: Annotated[str | None, typer.Option(help="jax, gymnasium or sumo.")] = None,
+    score: Annotated[
+        str | None,
+        typer.Option(help="What an episode of traffic is worth: paper, or the CMDP's own."),
+    ] = None,
     every: Annotated[
         int, typer.Option(help="Keep only every n-th context of the grid, per axis.")
     ] = 1,
@@ -106,7 +110,9 @@ def build(
     """
     if seeds < 1:
         raise InvalidInput(f"--seeds must be >= 1, got {seeds}")
-    cmdp = resolve_cmdp(problem, visibility=visibility, physics=physics, engine=engine)
+    cmdp = resolve_cmdp(
+        problem, visibility=visibility, physics=physics, score=score, engine=engine
+    )
     if every != 1:
         cmdp = cmdp.every(every)
     if not 1 <= sources_every <= cmdp.space.n:
@@ -145,6 +151,7 @@ def build(
                 "visibility": visibility,
                 "physics": None if physics == "intended" else physics,
                 "engine": engine,
+                "score": score,
                 "every": None if every == 1 else every,
                 "sources-every": None if sources_every == 1 else sources_every,
                 "lanes": lanes,
@@ -213,7 +220,7 @@ def _variant(cmdp: CMDP, given: Mapping[str, Any]) -> str:
     """Name of the set: what differs from the CMDP as it is by default."""
     parts = []
     usual = _usual(cmdp)
-    for switch in ("visibility", "engine"):
+    for switch in ("visibility", "engine", "score"):
         now = cmdp.settings.get(switch)
         if usual.get(switch, now) != now:
             parts.append(str(now))

@@ -48,11 +48,11 @@ def artifacts_for(url: str, given: str | None, folder: Path) -> str | None:
 
 
 def command(
-    url: str, name: str, problem: str, engine: str | None, selector: str, artifacts: str | None
+    url: str, name: str, problem: str, selector: str = "", **options: str | None
 ) -> str:
-    """What starts a worker of this study."""
+    """What starts a worker of this study; `options` are further ones by name, if they are given."""
     words = ["mbtl", "worker", url, problem, "--name", name]
-    optional = {"--engine": engine, "--artifacts": artifacts}
+    optional = {f"--{key}": value for key, value in options.items()}
     optional["--selector"] = selector if ":" in selector else None  # a rule of the user's own
     words += [word for key, value in optional.items() if value for word in (key, value)]
     return shlex.join(words)

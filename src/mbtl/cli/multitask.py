@@ -50,6 +50,10 @@ def multitask(
         str | None,
         typer.Option(help="jax, gymnasium or sumo; default: that of the CMDP.", show_default=False),
     ] = None,
+    score: Annotated[
+        str | None,
+        typer.Option(help="What an episode of traffic is worth: paper, or the CMDP's own."),
+    ] = None,
     visibility: Annotated[
         str | None,
         typer.Option(
@@ -86,18 +90,18 @@ def multitask(
             raise InvalidInput(f"--{name} must be >= 1, got {number}")
     usual = visibility_on_all(cmdp_id)
     other = None if visibility in (None, usual) else visibility
-    cmdp = get_cmdp(cmdp_id, visibility=visibility or usual, engine=engine)
+    cmdp = get_cmdp(cmdp_id, visibility=visibility or usual, engine=engine, score=score)
     usual_preset = preset_on_all(cmdp_id)
     job = _job(cmdp, method, factor, preset or usual_preset, timesteps, episodes, eval_episodes)
     if engine == get_cmdp(cmdp_id).settings["engine"]:
         engine = None
     given = {"method": method, "factor": factor if factor > 1 else None,
              "preset": None if preset == usual_preset else preset, "engine": engine,
-             "visibility": other, "timesteps": timesteps, "episodes": episodes,
+             "score": score, "visibility": other, "timesteps": timesteps, "episodes": episodes,
              "eval-episodes": eval_episodes}  # fmt: skip
     words = [f"--{name} {value}" for name, value in given.items() if value is not None]
     command = " ".join(["mbtl matrix multitask", cmdp_id, *words, "--seeds 1 --first-seed"])
-    name = "-".join(filter(None, (job.method, other, f"x{factor}" if factor > 1 else None)))
+    name = "-".join(filter(None, (job.method, other, score, f"x{factor}" if factor > 1 else None)))
     files = {
         seed: multitask_file(out, cmdp.id, name, seed)
         for seed in range(first_seed, first_seed + seeds)

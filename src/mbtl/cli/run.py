@@ -68,6 +68,10 @@ def run(
     engine: Annotated[
         str | None, typer.Option(help="jax, gymnasium or sumo; default: the fastest there is.")
     ] = None,
+    score: Annotated[
+        str | None,
+        typer.Option(help="What an episode of traffic is worth: paper, or the CMDP's own."),
+    ] = None,
     timesteps: Annotated[int | None, typer.Option(help="Environment steps per training.")] = None,
     episodes: Annotated[
         int | None, typer.Option(help="Episodes per training, where those are counted.")
@@ -174,13 +178,13 @@ def run(
             "--retry-failed": retry_failed, "--all": whole_budget,
         }  # fmt: skip
         check_steps(steps, [k for k, given in meant_for_trainings.items() if given])
-        wish = StepWish(problem, steps_of(str(steps)), strategy, preset, seed, engine, timesteps,
-                        episodes, eval_episodes, tensorboard, artifacts, workers,
+        wish = StepWish(problem, steps_of(str(steps)), strategy, preset, seed, engine, score,
+                        timesteps, episodes, eval_episodes, tensorboard, artifacts, workers,
                         accept_changes)  # fmt: skip
         run_steps(wish, study, new=new, failures=stop_after_failures, as_json=as_json)
         return
     check_options(parallel, stop_after_failures=stop_after_failures)
-    cmdp = resolve_cmdp(problem, engine=engine)
+    cmdp = resolve_cmdp(problem, engine=engine, score=score)
     get_selector(selector)  # a mistyped name must not set a study aside
     if timesteps is not None and cmdp.preset(preset).episodes is not None:
         raise InvalidInput(
@@ -231,7 +235,9 @@ def run(
     _announce(running, folder)
     ended: TrainingFailed | None = None
     if workers is not None:
-        start = command(workers, running.name, problem, engine, selector, artifacts)
+        start = command(
+            workers, running.name, problem, selector, engine=engine, score=score, artifacts=artifacts
+        )
         follow(running, start, retry_failed=retry_failed)
     with plain_warnings(), LiveProgress(running, console) as live:
         callbacks: list[Callback] = [live]

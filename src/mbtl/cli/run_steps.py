@@ -38,6 +38,7 @@ class StepWish:
         preset: recipe; None: the default.
         seed: root of all randomness.
         engine: of the simulation; None: the fastest there is.
+        score: what an episode of traffic is worth; None: the default.
         timesteps: of a whole training; None: the preset's.
         episodes: likewise, where those are counted.
         eval_episodes: of a policy on a target; None: the default.
@@ -53,6 +54,7 @@ class StepWish:
     preset: str | None
     seed: int
     engine: str | None
+    score: str | None
     timesteps: int | None
     episodes: int | None
     eval_episodes: int | None
@@ -98,7 +100,7 @@ def run_steps(
     wish: StepWish, place: Path | None, *, new: bool, failures: int, as_json: bool
 ) -> None:
     """Make the study or go on with it, spend its steps, and sum up."""
-    cmdp = resolve_cmdp(wish.problem, engine=wish.engine)
+    cmdp = resolve_cmdp(wish.problem, engine=wish.engine, score=wish.score)
     strategy = strategy_named(wish.strategy or DEFAULT)  # before a study is set aside
     given = {
         "timesteps": wish.timesteps, "episodes": wish.episodes, "tensorboard": wish.tensorboard,
@@ -130,7 +132,10 @@ def run_steps(
     )
     _announce(study, trainer, folder)
     if url is not None:
-        follow(study, command(url, study.name, wish.problem, wish.engine, "", artifacts))
+        start = command(
+            url, study.name, wish.problem, engine=wish.engine, score=wish.score, artifacts=artifacts
+        )
+        follow(study, start)
     with plain_warnings(), StepProgress(console) as live:
         study.run(
             progress=False,

@@ -64,6 +64,10 @@ def worker(
     engine: Annotated[
         str | None, typer.Option(help="jax, gymnasium or sumo; default: the fastest there is.")
     ] = None,
+    score: Annotated[
+        str | None,
+        typer.Option(help="What an episode of traffic is worth: paper, or the CMDP's own."),
+    ] = None,
     selector: Annotated[
         str | None, typer.Option(help="Only for a rule of your own: as the study was made with.")
     ] = None,
@@ -112,7 +116,7 @@ def worker(
     """
     check_options(1, "continue", stop_after_failures, lease, retries, timeout)
     end = _end(wall_time, until)
-    cmdp = resolve_cmdp(problem, engine=engine)
+    cmdp = resolve_cmdp(problem, engine=engine, score=score)
     tally, over = _Tally(), threading.Event()
     opened: Study | None = None
     with plain_warnings(), _spoken(), _alarm(end, over):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from typing import Any
 
 from mbtl.cmdps.cmdp import Preset
 from mbtl.contexts import Axis, Context, ContextSpace, Linear
+from mbtl.errors import unknown_name
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,8 @@ class Family:
         check_steps: environment steps of a rollout of `mbtl check`; fewer where steps are long.
         floor: return below which none is worse in performance.
         best_return: the largest return there is; None: not known.
+        scores: what an episode can be worth, where there is a choice; the first is the default. By
+            name what of the fields above is different then. Bounds and floor are of that score.
     """
 
     entry_point: str
@@ -83,6 +86,20 @@ class Family:
     check_steps: int | None = None
     floor: float | None = None
     best_return: float | None = None
+    scores: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def scored(self, name: str | None) -> Family:
+        """The family by one of its scores; None: the default one.
+
+        Raises:
+            UnknownName: it has no such score.
+        """
+        if name is None:
+            return self
+        if name not in self.scores:
+            only = "" if self.scores else "It has one score; leave the choice out."
+            raise unknown_name("score", name, self.scores, hint=only)
+        return replace(self, **self.scores[name])
 
 
 @dataclass(frozen=True)

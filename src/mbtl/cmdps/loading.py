@@ -15,6 +15,7 @@ def resolve_cmdp(
     *,
     visibility: str | None = None,
     physics: str = "intended",
+    score: str | None = None,
     engine: str | None = None,
 ) -> CMDP:
     """A CMDP by id, or a user's own by `module:attribute`.
@@ -23,6 +24,7 @@ def resolve_cmdp(
         name: id, or "module:attribute".
         visibility: of ours, what of the context the policy sees; see `get_cmdp`.
         physics: of ours, how contexts act on CartPole.
+        score: of ours, what an episode is worth, where there is a choice.
         engine: where one of ours is simulated.
 
     Raises:
@@ -34,11 +36,12 @@ def resolve_cmdp(
             raise InvalidInput(
                 f"a file needs the name of the CMDP inside it, got {name!r}; write {name}:<name>"
             )
-        return get_cmdp(name, visibility=visibility, physics=physics, engine=engine)
-    if visibility is not None or engine is not None or physics != "intended":
+        return get_cmdp(name, visibility=visibility, physics=physics, score=score, engine=engine)
+    given = visibility or engine or score or (None if physics == "intended" else physics)
+    if given is not None:
         raise InvalidInput(
-            "visibility, physics and engine are switches of our CMDPs, got "
-            f"{visibility or engine or physics!r} with {name!r}; set it in your problem"
+            "visibility, physics, score and engine are switches of our CMDPs, got "
+            f"{given!r} with {name!r}; set it in your problem"
         )
     found = load_object(name)
     if not isinstance(found, CMDP):

@@ -74,10 +74,12 @@ def env_factory(
     visibility: str | None = None,
     time_limit: str = "truncation",
     obs: str = "fresh",
+    score: str | None = None,
     grid: str = "code",
 ) -> EnvFactory:
     """The environment factory of a CMDP; arguments as in `get_cmdp`."""
     variant, family = _entry(id)
+    family = family.scored(score)
     if visibility is None:
         visibility = family.visibility if variant.visibility is None else variant.visibility
     switches = {"physics": physics, "obs": obs}
@@ -91,6 +93,7 @@ def env_factory(
         "time_limit": time_limit,
         "horizon": family.horizon,
         **{name: switches[name] for name in family.switches},
+        **({"score": score or next(iter(family.scores))} if family.scores else {}),
     }
     return EnvFactory(family.entry_point, options, tuple(variant.levels(grid)))
 
@@ -103,6 +106,7 @@ def get_cmdp(
     grid: str = "code",
     time_limit: str = "truncation",
     obs: str = "fresh",
+    score: str | None = None,
     engine: str | None = None,
 ) -> CMDP:
     """One of our CMDPs, or one of another package (`mbtl.cmdps.plugins`), which has no switches.
@@ -119,6 +123,9 @@ def get_cmdp(
         time_limit: how the horizon is reported, "truncation" or "terminal" (the reference).
         obs: what an advised driver sees (ring, ramp): "fresh", the state at the decision, or
             "stale", that of one hold before, as in the reference.
+        score: what an episode is worth. None: in eco-driving "everyone", the mean speed of all
+            cars, those waiting to enter included; of signals "delay", seconds per car. "paper": the
+            paper's, which does not see who waits outside. Of the others there is one only.
         engine: "jax" (vectorised, needs the extra), or Stable-Baselines3 in the simulator of the
             family, "gymnasium" or "sumo", or "sumo-jax", the learners of jax in SUMO; None: jax
             where it is installed and this CMDP has it. The presets are those of the engine.
@@ -129,14 +136,22 @@ def get_cmdp(
             cannot be loaded or was given a switch.
     """
     if id not in VARIANTS:
-        switches = (physics, visibility, grid, time_limit, obs, engine)
-        return _of_package(id, switches != ("intended", None, "code", "truncation", "fresh", None))
+        switches = (physics, visibility, grid, time_limit, obs, score, engine)
+        usual = ("intended", None, "code", "truncation", "fresh", None, None)
+        return _of_package(id, switches != usual)
     variant, family = _entry(id)
+    family = family.scored(score)
     if engine is None:
         engine = "jax" if family.jax is not None and jax_is_installed() else family.simulator
     _check_choice("engine", engine)
     make_env = env_factory(
-        id, physics=physics, visibility=visibility, time_limit=time_limit, obs=obs, grid=grid
+        id,
+        physics=physics,
+        visibility=visibility,
+        time_limit=time_limit,
+        obs=obs,
+        score=score,
+        grid=grid,
     )
     presets, trainer = _training(id, family, engine, make_env)
     return CMDP(
@@ -162,6 +177,7 @@ def get_cmdp(
             "time_limit": time_limit,
             "engine": engine,
             **({"obs": obs} if "obs" in family.switches else {}),
+            **({"score": make_env.options["score"]} if family.scores else {}),
         },
         description=variant.description,
     )
@@ -174,7 +190,7 @@ def _of_package(id: str, switched: bool) -> CMDP:
         raise unknown_name("CMDP", id, known, hint="`mbtl cmdps` lists all.")
     if switched:
         raise InvalidInput(
-            f"physics, visibility, grid, time limit, obs and engine are switches of our CMDPs, and "
+            f"physics, visibility, grid, time limit, obs, score and engine are switches of our CMDPs, and "
             f"{id!r} is of the package {plugin_ids()[id]!r}; leave them out"
         )
     return found

@@ -348,7 +348,8 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
     "eco": Family(
         entry_point="mbtl.cmdps.traffic.eco:Eco",
         horizon=1500,
-        bounds=(0.0, 15.0),
+        bounds=(0.0, 14.0),  # nobody drives, everybody at the limit
+        scores={"everyone": {}, "paper": {"bounds": (0.0, 15.0)}},
         theta=0.005,
         presets=_ECO,
         jax=TwinFamily("mbtl.cmdps.traffic.twins:EcoProblem", _ECO_TWIN),
@@ -381,15 +382,15 @@ TRAFFIC_VARIANTS: Mapping[str, Variant] = {
         description="Traffic signal; the speed limit varies",
     ),
     "eco-penetration": line(
-        "eco", "penetration", "share", "0.02", 0.2, n=50, version=1,
+        "eco", "penetration", "share", "0.02", 0.2, n=50, version=2,
         description="Eco-driving; the share of controlled cars varies",
     ),
     "eco-inflow": line(
-        "eco", "inflow", "veh/h", "40", 400.0, n=50, version=1, visibility="hidden",
+        "eco", "inflow", "veh/h", "40", 400.0, n=50, version=2, visibility="hidden",
         description="Eco-driving; the demand varies",
     ),
     "eco-green": line(
-        "eco", "green", "s", "1", 35.0, n=50, paper_step="3.5", version=1,
+        "eco", "green", "s", "1", 35.0, n=50, paper_step="3.5", version=2,
         description="Eco-driving; the green time varies",
     ),
     "ring-acc": _hold("ring-acc", "Ring road, accelerations advised; the hold varies"),

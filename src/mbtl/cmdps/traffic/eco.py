@@ -9,13 +9,17 @@ agents come and go. Cars outside the region, and human drivers, follow IDM.
                   for one step of 0.5 s
     reward        (v - 35 max(0, 1 - v) - 3 E)/15 with the agent's speed v [m/s] and its CO2 of the
                   step E [g] after the step; 0 in the step in which it leaves
-    score         mean over completed cars of their mean speed in the region [m/s]: all drivers,
-                  those in the region in the warm-up left out; 0 if no car completes
+    score         "everyone": mean speed over all cars and steps after the warm-up [m/s], on the
+                  feeders, too; a car that wants to enter and cannot counts with 0, so that no jam
+                  can win
+                  "paper": mean over completed cars of their mean speed in the region [m/s]: all
+                  drivers, those in the region in the warm-up left out; 0 if no car completes. It
+                  does not see who waits outside, and rewards whoever lets few cars in
 
-The last step's info and `summary` also hold, per completed car, `co2` [g] and `stops` (below
-0.1 m/s after having been above 1), `throughput` [cars/h], `completed`, `not_inserted` (cars that
-still wait to enter, which nothing else counts) and `collisions`. The spec's end of jammed episodes
-(over 150 agents) cannot occur: the region holds fewer.
+The last step's info and `summary` also hold both speeds (`mean_speed`, `trip_speed`), per completed
+car `co2` [g] and `stops` (below 0.1 m/s after having been above 1), `throughput` [cars/h],
+`completed`, `not_inserted` (cars that still wait to enter) and `collisions`. The spec's end of
+jammed episodes (over 150 agents) cannot occur: the region holds fewer.
 
 Visible context: "hidden" nothing (39 numbers); "multiplier" every varied feature over its unit, as
 in all our environments (40 where one varies); "raw" the reference's block: penetration, approach
@@ -51,7 +55,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Unpack
+from typing import Any, ClassVar, Literal, Unpack
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -73,7 +77,9 @@ from mbtl.cmdps.traffic.population import CONTROLLED, CONTROLLED_LENGTH, populat
 from mbtl.cmdps.traffic.team import TrafficTeam
 from mbtl.cmdps.traffic.trips import Region, Trip
 from mbtl.contexts import Value
-from mbtl.errors import ContextMismatch, InvalidInput
+from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
+
+Score = Literal["everyone", "paper"]
 
 WARM_UP = 50
 """Steps before the first decision."""
@@ -102,6 +108,9 @@ LAYOUT = {
 
 SIZE = 39
 
+SCORES = {"everyone": "mean_speed", "paper": "trip_speed"}
+"""What an episode can be worth, and the measure that says it; the first is the default."""
+
 _ONE_HOT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _LANE = (0.0, *_ONE_HOT[1])  # the only lane, and straight on
 
@@ -128,13 +137,26 @@ class Eco(TrafficTeam):
     most_agents = math.ceil(LENGTH / (CONTROLLED_LENGTH + CONTROLLED.min_gap))
 
     def __init__(
-        self, context: Mapping[str, Value] | None = None, **settings: Unpack[Settings]
+        self,
+        context: Mapping[str, Value] | None = None,
+        *,
+        score: Score = "everyone",
+        **settings: Unpack[Settings],
     ) -> None:
-        """Arguments as in `Traffic`; the horizon counts steps of 0.5 s after the warm-up.
+        """Arguments as in `Traffic`, and one more; the horizon counts steps after the warm-up.
+
+        Args:
+            context: features that differ from the nominal ones.
+            score: what an episode is worth, see the module.
+            **settings: see `Traffic`.
 
         Raises:
             ContextMismatch: a penetration outside (0, 1], or a green that no signal can show.
+            UnknownName: no such score.
         """
+        if score not in SCORES:
+            raise unknown_name("score", score, SCORES)
+        self.scored = score
         check_context(context or {})
         super().__init__(context, **settings)
         self._light = light(self.features["green"])
@@ -175,7 +197,7 @@ class Eco(TrafficTeam):
             for _ in range(WARM_UP):
                 api.simulationStep()
                 self._region.update(api)
-            self._region.ignore(self._region.present)
+            self._region.begin()
             self._find_agents()
             self._wait(api)
             seen = self._look(api)
@@ -253,7 +275,8 @@ class Eco(TrafficTeam):
         """At the horizon: the measures, and the end of the simulation."""
         if self._left > 0:
             return {}
-        self.summary = self._region.summary(self.horizon * STEP) | {
+        found = self._region.summary(self.horizon * STEP)
+        self.summary = {"score": found[SCORES[self.scored]], **found} | {
             "not_inserted": float(len(api.simulation.getPendingVehicles())),
             "collisions": float(api.simulation.getParameter("", "stats.safety.collisions") or 0),
         }

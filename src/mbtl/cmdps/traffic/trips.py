@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import Any
 
-from mbtl.cmdps.traffic.corridor import ROADS, STEP
+from mbtl.cmdps.traffic.corridor import FEEDERS, ROADS, STEP
 from mbtl.cmdps.traffic.emissions import co2_rate
 
 HALTED, MOVING = 0.1, 1.0
 """A stop: slower than the first [m/s] after having been faster than the second."""
 
 _LANES = tuple(f"{road}_0" for road in reversed(ROADS))
+_FEEDERS = tuple(f"{road}_0" for road in FEEDERS)
 
 
 class Trip:
@@ -51,7 +51,7 @@ class Trip:
 
 
 class Region:
-    """All trips of an episode.
+    """All trips of an episode, and what all cars do before and between them.
 
     Attributes:
         roads: cars on exit, box and approach; on each, the foremost first.
@@ -65,10 +65,12 @@ class Region:
         self.present: dict[str, Trip] = {}
         self.completed: list[Trip] = []
         self._uncounted: frozenset[str] = frozenset()
+        self._speeds, self._cars = 0.0, 0
 
-    def ignore(self, cars: Collection[str]) -> None:
-        """Leave these cars out of what counts: they were there before the measurement."""
-        self._uncounted = frozenset(cars)
+    def begin(self) -> None:
+        """The measurement begins: cars that are in the region are no trips that count."""
+        self._uncounted = frozenset(self.present)
+        self._speeds, self._cars = 0.0, 0
 
     def update(self, api: Any) -> None:
         """Read the state after a simulation step: a call per lane and a call per car."""
@@ -87,22 +89,30 @@ class Region:
                 trip.move(speed, acceleration)
                 after[car] = trip
         self.present = after
+        for lane in _FEEDERS:
+            cars = api.lane.getLastStepVehicleNumber(lane)
+            self._speeds += cars * api.lane.getLastStepMeanSpeed(lane)
+            self._cars += cars
+        self._speeds += sum(trip.speed for trip in after.values())
+        self._cars += len(after) + len(api.simulation.getPendingVehicles())
         self.completed += [trip for car, trip in before.items() if car not in self._uncounted]
 
     def summary(self, seconds: float) -> dict[str, float]:
-        """Means over the completed trips; 0 where there is none.
+        """Means over the completed trips, but for the first; 0 where there is none.
 
         Args:
             seconds: of the measurement.
 
         Returns:
-            score: mean speed [m/s]; co2: [g] per car; stops: per car; throughput: cars per hour;
-            completed: cars.
+            mean_speed: over all cars and steps, those outside the region too [m/s], where a car
+            that waits to enter stands; trip_speed: in the region [m/s]; co2: [g] per car; stops:
+            per car; throughput: cars per hour; completed: cars.
         """
         n = len(self.completed)
         share = 1.0 / n if n else 0.0
         return {
-            "score": share * sum(trip.mean_speed for trip in self.completed),
+            "mean_speed": self._speeds / max(self._cars, 1),
+            "trip_speed": share * sum(trip.mean_speed for trip in self.completed),
             "co2": share * sum(trip.co2_sum for trip in self.completed),
             "stops": share * sum(trip.stops for trip in self.completed),
             "throughput": 3600.0 * n / seconds,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from mbtl.cmdps.contextual import TimeLimit, Visibility, full_context, visible_features
 from mbtl.cmdps.traffic import advisory, ring
@@ -88,12 +88,14 @@ class EcoProblem:
         unit: varied features and their value at multiplier 1.
         visibility: what of the context the policy sees.
         time_limit: how the end of an episode is reported.
+        score: what an episode is worth, see `mbtl.cmdps.traffic.eco`.
         agents: most controlled cars that are agents at once; any beyond drive by themselves.
     """
 
     unit: Mapping[str, float] = field(default_factory=dict)
     visibility: Visibility = "hidden"
     time_limit: TimeLimit = "truncation"
+    score: Literal["everyone", "paper"] = "everyone"
     agents: int = 40
 
     def __call__(self, contexts: Sequence[Context]) -> tuple[Any, list[Any]]:
@@ -145,6 +147,7 @@ class EcoProblem:
             side_rows=math.ceil(south / shortest),
             agents=self.agents,
             n_features=eco.SIZE,
+            scored=self.score,
             time_limit=self.time_limit,
         )
         params = []

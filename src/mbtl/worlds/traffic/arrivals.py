@@ -67,20 +67,22 @@ class Demand:
     shares: tuple[float, float]
 
     def draw(
-        self, seed: jax.Array, moment: jax.Array, inflow: jax.Array, penetration: jax.Array
+        self, seed: jax.Array, number: jax.Array, inflow: jax.Array, penetration: jax.Array
     ) -> tuple[jax.Array, Car]:
-        """The next car of each feeder.
+        """One car of each feeder. It follows from its number, so that every policy meets the same.
 
         Args:
             seed: (n,) uint32.
-            moment: scalar integer; another one gives other cars.
+            number: (2, n) of the car among those of its feeder, from 0.
             inflow: cars per hour, a scalar or (n,).
             penetration: probability that a car is controlled, a scalar or (n,).
 
         Returns:
             (2, n) seconds after the car before, and the cars.
         """
-        draws = random.uniform(seed, _STREAM, moment, 2 * _DRAWS).reshape(_DRAWS, 2, -1)
+        draws = jnp.stack(
+            [random.uniform(seed, _STREAM, 2 * number[k] + k, _DRAWS) for k in (0, 1)], axis=1
+        )
         per_second = jnp.array(self.shares)[:, None] * jnp.asarray(inflow) / 3600.0
         gap = -jnp.log(draws[0]) / per_second
         controlled = draws[1] < penetration

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, get_args
+from typing import ClassVar, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -41,7 +41,9 @@ from mbtl.worlds.traffic.lane import Cars, Incomer
 from mbtl.worlds.traffic.light import Light
 from mbtl.worlds.world import Moved, Seeded, Seen, everyone
 
-_FIRST_CARS = jnp.uint32(1 << 20)  # moment of random numbers, apart from those of steps
+Score = Literal["everyone", "paper"]
+"""What an episode is worth: the mean speed of all cars, those waiting to enter included, or of the
+cars that completed their trip while they were in the region."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,7 @@ class EcoTwin(Seeded):
         side_rows: cars of the side feeder, likewise.
         agents: A.
         few: rows of `main` and `side` that are computed while no simulation needs more, ascending.
+        scored: what an episode is worth.
         reward: what agents are taught by; it changes no score.
         law: what a lesson's actions are in accelerations; None: they are those.
         time_limit: how the end of an episode is reported.
@@ -84,6 +87,7 @@ class EcoTwin(Seeded):
     side_rows: int
     agents: int
     few: tuple[tuple[int, int], ...] = ((28, 10), (64, 16))
+    scored: Score = "everyone"
     reward: Reward = "paper"
     law: Law | None = None
     time_limit: TimeLimit = "truncation"
@@ -115,8 +119,9 @@ class EcoTwin(Seeded):
     def start(self, seeds: jax.Array, params: EcoParams) -> EcoState:
         """An empty road, then the warm-up."""
         n = len(seeds)
-        due, waiting = self.demand.draw(seeds, _FIRST_CARS, params.inflow, params.penetration)
-        count = jnp.zeros(n, jnp.int32)
+        count, nothing = jnp.zeros(n, jnp.int32), jnp.zeros(n)
+        entered = jnp.zeros((2, n), jnp.int32)
+        due, waiting = self.demand.draw(seeds, entered, params.inflow, params.penetration)
         shape = (self.rows, n)
         state = EcoState(
             main=lane.empty(self.rows, n),
@@ -124,10 +129,11 @@ class EcoTwin(Seeded):
             side=lane.empty(self.side_rows, n),
             due=due,
             waiting=waiting,
-            entered=jnp.zeros((2, n), jnp.int32),
+            entered=entered,
+            inflow=jnp.broadcast_to(params.inflow, (n,)),
             row=jnp.full((self.agents, n), -1),
             first=count,
-            totals=Totals(count, jnp.zeros(n), jnp.zeros(n), count),
+            totals=Totals(count, nothing, nothing, count, nothing, nothing),
             seed=seeds,
             steps=jnp.int32(0),
         )
@@ -161,8 +167,28 @@ class EcoTwin(Seeded):
         return self._advance(state, None, params)
 
     def score(self, state: EcoState) -> jax.Array:
+        """Mean speed [m/s], of whom: see `Score`; 0 without any car."""
+        return self.mean_speed(state) if self.scored == "everyone" else self.trip_speed(state)
+
+    def trip_speed(self, state: EcoState) -> jax.Array:
         """Mean over completed cars of their mean speed in the region [m/s]; 0 without any."""
         return state.totals.speed / jnp.maximum(state.totals.completed, 1)
+
+    def mean_speed(self, state: EcoState) -> jax.Array:
+        """Mean over all cars and steps so far [m/s]; whoever waits to enter stands."""
+        waits = self._waited(state.due, state.steps)
+
+        def next_one(found: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+            number, due, waited = found
+            gap, _ = self.demand.draw(state.seed, number, state.inflow, jnp.float32(1.0))
+            return number + 1, due + gap, waited + self._waited(due + gap, state.steps)
+
+        def some_wait(found: tuple[jax.Array, ...]) -> jax.Array:
+            return (self._waited(found[1], state.steps) > 0.0).any()
+
+        queue = (state.entered + 1, state.due, waits)  # the cars behind the first are not drawn yet
+        waits = jax.lax.while_loop(some_wait, next_one, queue)[2].sum(axis=0)
+        return state.totals.speeds / jnp.maximum(state.totals.cars + waits, 1.0)
 
     def measures(self, state: EcoState) -> dict[str, jax.Array]:
         """(n,) what an episode is compared by, in the units of `mbtl.cmdps.traffic.trips`."""
@@ -171,6 +197,8 @@ class EcoTwin(Seeded):
         hours = (state.steps - self.warm_up) * (self.dt / 3600.0)
         return {
             "score": self.score(state),
+            "mean_speed": self.mean_speed(state),
+            "trip_speed": self.trip_speed(state),
             "co2": totals.co2 / cars,
             "stops": totals.stops / cars,
             "throughput": totals.completed / hours,
@@ -236,7 +264,13 @@ class EcoTwin(Seeded):
             (leaves | passes | enters).any(), rearranged, lambda *same: same, cars, side
         )
         row, place, first = self._agents(state, main, trip.place, leaves)
-        gap, newcomer = self.demand.draw(state.seed, state.steps, params.inflow, params.penetration)
+        gap, newcomer = self.demand.draw(
+            state.seed, state.entered + 1, params.inflow, params.penetration
+        )
+        waited = jnp.where(enters, self._waited(state.due, state.steps), 0.0).sum(axis=0)
+        totals = self._counted(state, leaves)._replace(
+            **self._on_the_road(state, main, side, waited)
+        )
         state = EcoState(
             main=main,
             trip=trip._replace(place=place),
@@ -246,9 +280,10 @@ class EcoTwin(Seeded):
                 *(jnp.where(enters, a, b) for a, b in zip(newcomer, state.waiting, strict=True))
             ),
             entered=state.entered + enters,
+            inflow=state.inflow,
             row=row,
             first=first,
-            totals=self._counted(state, leaves),
+            totals=totals,
             seed=state.seed,
             steps=state.steps + 1,
         )
@@ -310,12 +345,32 @@ class EcoTwin(Seeded):
         totals, trip = state.totals, Trip(*(field[0] for field in state.trip))
         counts = leaves & (trip.counts > 0)
         mean = trip.distance / (jnp.maximum(trip.steps, 1) * self.dt)
-        return Totals(
-            totals.completed + counts,
-            totals.speed + jnp.where(counts, mean, 0.0),
-            totals.co2 + jnp.where(counts, trip.co2, 0.0),
-            totals.stops + jnp.where(counts, trip.stops, 0),
+        return totals._replace(
+            completed=totals.completed + counts,
+            speed=totals.speed + jnp.where(counts, mean, 0.0),
+            co2=totals.co2 + jnp.where(counts, trip.co2, 0.0),
+            stops=totals.stops + jnp.where(counts, trip.stops, 0),
         )
+
+    def _on_the_road(
+        self, state: EcoState, main: Cars, side: Cars, waited: jax.Array
+    ) -> dict[str, jax.Array]:
+        """Totals with all cars after a step; `waited` are steps of those that have just entered."""
+        totals, measured = state.totals, state.steps >= self.warm_up
+        speeds, cars = jnp.float32(0.0), jnp.float32(0.0)
+        for road in (main, side):
+            there = road.x > 0.5 * lane.EMPTY
+            speeds += jnp.where(there, road.speed, 0.0).sum(axis=0)
+            cars += there.sum(axis=0)
+        return {
+            "speeds": totals.speeds + jnp.where(measured, speeds, 0.0),
+            "cars": totals.cars + jnp.where(measured, cars + waited, 0.0),
+        }
+
+    def _waited(self, due: jax.Array, steps: jax.Array) -> jax.Array:
+        """Steps after the warm-up, of the first `steps`, for which a car due then has waited."""
+        first = jnp.maximum(jnp.ceil(due / self.dt), self.warm_up)
+        return jnp.maximum(steps - first, 0.0)
 
     def _entering(
         self, state: EcoState, main: Cars, side: Cars, time: jax.Array

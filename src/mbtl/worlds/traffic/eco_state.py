@@ -56,17 +56,23 @@ class Trip(NamedTuple):
 class Totals(NamedTuple):
     """Sums over completed cars, (n,): those that came after the warm-up and have left the region.
 
+    The last two are over all cars and the steps after the warm-up.
+
     Attributes:
         completed: cars.
         speed: of their mean speeds [m/s].
         co2: [g].
         stops: stops.
+        speeds: of all cars on the road, step by step [m/s].
+        cars: all that were on the road or had waited to enter it, step by step.
     """
 
     completed: jax.Array
     speed: jax.Array
     co2: jax.Array
     stops: jax.Array
+    speeds: jax.Array
+    cars: jax.Array
 
 
 class EcoState(NamedTuple):
@@ -79,6 +85,7 @@ class EcoState(NamedTuple):
         due: (2, n) when the next car of each feeder wants to enter [s].
         waiting: that car, (2, n).
         entered: (2, n) cars that have entered.
+        inflow: (n,) cars per hour that want to.
         row: (A, n) where in `main` each agent is; -1: nobody has the place.
         first: (n,) place of the foremost agent.
         totals: what the measures are made of.
@@ -92,6 +99,7 @@ class EcoState(NamedTuple):
     due: jax.Array
     waiting: Car
     entered: jax.Array
+    inflow: jax.Array
     row: jax.Array
     first: jax.Array
     totals: Totals
