@@ -236,7 +236,8 @@ class ReferenceTrainer(Protocol):
     def reference_rows(self, contexts: Sequence[Context], seeds: Sequence[int]) -> dict[str, Array]:
         """(n_targets, n_episodes) returns by name, in the episodes of `evaluate` with these seeds.
 
-        "random_actions", and "unguided", the system without a controller, where there is one.
+        "random_actions"; "unguided", the system without a controller, where there is one; and the
+        system's own controllers.
         """
         ...
 

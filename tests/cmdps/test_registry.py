@@ -39,12 +39,12 @@ def test_grids_and_constants_of_the_paper(id, axis, unit, first, last, nominal):
 
 TRAFFIC = {
     # id: axis, unit, N, first, last, unit of the multiplier, nominal, bounds, theta (spec, 2)
-    "signal-length": ("length", "m", 50, 50.0, 2500.0, 500.0, 750.0, (-100.0, 0.0), 0.001),
-    "signal-inflow": ("inflow", "cars", 50, 50.0, 2500.0, 500.0, 1000.0, (-100.0, 0.0), 0.001),
-    "signal-speed": ("speed", "m/s", 50, 0.5, 25.0, 5.0, 14.0, (-100.0, 0.0), 0.001),
-    "eco-penetration": ("penetration", "share", 50, 0.02, 1.0, 0.2, 0.2, (0.0, 15.0), 0.005),
-    "eco-inflow": ("inflow", "veh/h", 50, 40.0, 2000.0, 400.0, 400.0, (0.0, 15.0), 0.005),
-    "eco-green": ("green", "s", 50, 1.0, 50.0, 10.0, 35.0, (0.0, 15.0), 0.005),
+    "signal-length": ("length", "m", 50, 50.0, 2500.0, 500.0, 750.0, (-120.0, 0.0), 0.001),
+    "signal-inflow": ("inflow", "cars", 50, 50.0, 2500.0, 500.0, 1000.0, (-120.0, 0.0), 0.001),
+    "signal-speed": ("speed", "m/s", 50, 0.5, 25.0, 5.0, 14.0, (-120.0, 0.0), 0.001),
+    "eco-penetration": ("penetration", "share", 50, 0.02, 1.0, 0.2, 0.2, (0.0, 14.0), 0.005),
+    "eco-inflow": ("inflow", "veh/h", 50, 40.0, 2000.0, 400.0, 400.0, (0.0, 14.0), 0.005),
+    "eco-green": ("green", "s", 50, 1.0, 50.0, 10.0, 35.0, (0.0, 14.0), 0.005),
     "ring-acc": ("hold", "s", 40, 1.0, 40.0, 10.0, 1.0, (0.0, 4.5), 0.005),
     "ring-vel": ("hold", "s", 40, 1.0, 40.0, 10.0, 1.0, (0.0, 4.5), 0.005),
     "ramp-acc": ("hold", "s", 40, 1.0, 40.0, 10.0, 1.0, (0.0, 8.78), 0.005),
@@ -63,8 +63,22 @@ def test_grids_and_constants_of_traffic(id):
     assert (cmdp.bounds, cmdp.theta) == (bounds, theta)
     shown = id in ("eco-penetration", "eco-green")  # the reference hides the rest
     assert cmdp.settings["visibility"] == ("multiplier" if shown else "hidden")
-    assert cmdp.version == (3 if id.startswith("signal") else 1)
-    assert cmdp.floor == (-100.0 if id.startswith("signal") else None)
+    assert cmdp.version == {"signal": 4, "eco": 2}.get(cmdp.family, 1)
+    assert cmdp.floor == (-120.0 if cmdp.family == "signal" else None)
+
+
+def test_the_paper_s_scores_are_switches_with_their_own_bounds():
+    eco, signal = (get_cmdp(id, score="paper") for id in ("eco-green", "signal-inflow"))
+    assert (eco.bounds, eco.floor, eco.settings["score"]) == ((0.0, 15.0), None, "paper")
+    assert (signal.bounds, signal.floor) == ((-100.0, 0.0), -100.0)
+    for cmdp, default in ((eco, "everyone"), (signal, "delay")):
+        assert get_cmdp(cmdp.id).settings == {**cmdp.settings, "score": default}
+        assert cmdp.trainer.problem([])[0].scored == "paper"
+        assert cmdp.make_env.options["score"] == "paper"
+    with pytest.raises(UnknownName, match="one score; leave the choice out"):
+        get_cmdp("ring-acc", score="paper")
+    with pytest.raises(UnknownName, match="everyone, paper"):
+        get_cmdp("eco-green", score="all")
 
 
 ROBOTS = ["walker-gravity", "walker-friction", "walker-scale", "walker-512"]

@@ -1,3 +1,5 @@
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -6,10 +8,10 @@ pytest.importorskip("libsumo")
 from mbtl.cmdps import check_cmdp, get_cmdp
 from mbtl.cmdps.engines import EnvFactory
 from mbtl.cmdps.traffic import demand
-from mbtl.cmdps.traffic.signal import CELLS, JAM, LOWEST, Signal, cell_of
+from mbtl.cmdps.traffic.signal import CELLS, SCORES, Signal, cell_of
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.envs.rollout import Actor, Job, play
-from mbtl.errors import ContextMismatch, InvalidInput
+from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
 from mbtl.portfolio.heads import DiscreteHead
 from mbtl.portfolio.mlp import MLPPolicy
 
@@ -129,9 +131,53 @@ def test_a_fixed_time_signal_serves_the_nominal_demand(make):
     decisions, total, info = episode(make(), FIXED_TIME)
     assert decisions == 451
     assert total == 0.0  # rewards are differences: nobody waited before, nobody waits at the end
-    assert info["waiting"] == -info["score"]
-    assert -13.5 < info["score"] < -5.7  # the range of the paper's raw waiting
+    assert info["score"] == -info["delay"]
+    assert 5.7 < info["waiting"] < 13.5  # the range of the paper's raw waiting
+    assert info["delay"] == pytest.approx(26.0, abs=2.0)  # half a cycle of 96 s, half of the time
     assert info["not_inserted"] == info["collisions"] == 0
+
+
+def test_the_delay_is_what_sumo_says_cars_lose_and_what_they_wait_to_enter(make):
+    env = make({"inflow": 300, "length": 60})  # on so short a road some wait outside
+    env.reset(seed=0)
+    lost, outside = {}, 0
+    original = env.simulation.api.simulationStep
+
+    def watched(time):
+        nonlocal outside
+        original(time)
+        api = env.simulation.api
+        outside += len(api.simulation.getPendingVehicles())
+        for car in api.vehicle.getIDList():
+            if "_in" in api.vehicle.getRoadID(car):
+                lost[car] = api.vehicle.getTimeLoss(car)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(env.simulation.api, "simulationStep", watched)
+        for k in range(80):
+            env.step(FIXED_TIME[k % 8])
+    assert outside > 0
+    assert len(lost) > 30
+    assert env._delay * 300 == pytest.approx(sum(lost.values()) + outside, rel=0.03)
+
+
+def test_lights_of_sumos_own_stand_beside_policies(make):
+    def alone(way):
+        env = make({"inflow": 500})
+        env.reset(seed=0)
+        while True:
+            *_, terminated, truncated, info = env.follow(way)
+            if terminated or truncated:
+                return info
+
+    *_, decided = episode(make({"inflow": 500}), FIXED_TIME)
+    fixed, actuated = alone("fixed_time"), alone("actuated")
+    assert fixed["delay"] == pytest.approx(decided["delay"])  # the same lights, second by second
+    assert actuated["delay"] < 0.8 * fixed["delay"]
+    env = make({"inflow": 500})
+    env.reset(seed=0)
+    with pytest.raises(UnknownName, match="Did you mean 'actuated'"):
+        env.follow("actuatd")
 
 
 @pytest.mark.parametrize(
@@ -233,11 +279,11 @@ def test_rewards_sum_to_minus_the_waiting_of_those_who_are_still_there(make):
 
 
 def test_cars_that_block_each_other_at_the_stop_line_do_not_stop_the_traffic_for_good(make):
-    # without the rule, -3,907 with 599 cars outside, and the queue never moves again
+    # without the rule, 3,907 with 599 cars outside, and the queue never moves again
     _, _, info = episode(make({"length": 30}), FIXED_TIME)
     assert info["missed_turns"] > 0
     assert info["not_inserted"] == 0
-    assert info["score"] > -50.0
+    assert info["waiting"] < 50.0
 
 
 def test_a_car_without_its_turn_leaves_by_its_lane_after_its_patience_only(make):
@@ -275,37 +321,39 @@ def test_a_car_without_its_turn_leaves_by_its_lane_after_its_patience_only(make)
 
 def test_a_jam_ends_the_episode_and_no_score_is_clipped(make):
     # those of the other axis wait from their arrival on
-    decisions, _, whole = episode(make({"inflow": 200}, jam=-np.inf), (0,))
+    paper = partial(make, {"inflow": 200}, score="paper")
+    decisions, _, whole = episode(paper(jam=-np.inf), (0,))
     assert decisions == 540
     assert whole["waiting"] > 1000.0
     assert whole["score"] == -whole["waiting"]
     assert not whole["jammed"]
     assert whole["mean_queue"] > 40.0
-    decisions, _, cut = episode(make({"inflow": 200}), (0,))
+    decisions, _, cut = episode(paper(), (0,))
     assert decisions < 540
     assert cut["jammed"]
     assert cut["score"] == -cut["waiting"]
-    assert 1000.0 == -JAM <= cut["waiting"] < whole["waiting"]
-    decisions, _, above = episode(make({"inflow": 200}, jam=-whole["waiting"] - 1.0), (0,))
+    assert 1000.0 == -SCORES["paper"].jam <= cut["waiting"] < whole["waiting"]
+    decisions, _, above = episode(paper(jam=-whole["waiting"] - 1.0), (0,))
     assert decisions == 540
     assert above["waiting"] == whole["waiting"]
 
 
-def test_a_score_at_the_floor_is_told_as_soon_as_it_is_there(make):
-    env = make({"inflow": 200})
+@pytest.mark.parametrize("score", SCORES)
+def test_a_score_at_the_floor_is_told_as_soon_as_it_is_there(make, score):
+    env, lowest = make({"inflow": 200}, score=score), SCORES[score].lowest
     env.reset(seed=0)
-    told, waiting, ended = [], [], False
+    told, scores, ended = [], [], False
     while not ended:
         _, _, terminated, truncated, info = env.step(0)
         told.append(info.get("final_score"))
-        waiting.append(env._waited)
+        scores.append(env._score)
         ended = terminated or truncated
-    assert told == [-waited if waited >= -LOWEST else None for waited in waiting]
+    assert told == [one if one <= lowest else None for one in scores]
     assert None in told
     assert len(told) - told.count(None) > 10
-    signal = get_cmdp("signal-inflow")
+    signal = get_cmdp("signal-inflow", score=score)
     assert signal.normalisation.normalise(min(t for t in told if t)) == 0.0
-    assert (signal.floor, signal.version) == (LOWEST, 3)
+    assert (signal.floor, signal.version) == (lowest, 4)
     assert "final_score" not in episode(make({"inflow": 50}), FIXED_TIME)[2]
 
 

@@ -17,8 +17,9 @@ class Road:
         self.lane = SimpleNamespace(
             getLastStepVehicleIDs=self.lanes.get,
             getLastStepVehicleNumber=lambda lane: len(self.lanes[lane]),
-            getLastStepMeanSpeed=lambda lane: sum(map(self.speeds.get, self.lanes[lane]))
-            / max(len(self.lanes[lane]), 1),
+            getLastStepMeanSpeed=lambda lane: (
+                sum(map(self.speeds.get, self.lanes[lane])) / max(len(self.lanes[lane]), 1)
+            ),
         )
         self.simulation = SimpleNamespace(getPendingVehicles=lambda: self.pending)
         self.vehicle = SimpleNamespace(getSpeed=self.speeds.get, getAcceleration=lambda car: 0.0)

@@ -1,5 +1,6 @@
 """The signal's twin by itself: Krauss's rules, who comes, and that company changes nothing."""
 
+from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
@@ -175,8 +176,42 @@ def test_waiting_is_booked_as_the_environment_defines_it():
         waited = float((np.asarray(moved.state.queues.waited) * on).sum())
         assert float(moved.reward[0, 0]) == pytest.approx(float(state.waiting[0]) - waited)
         state, total = moved.state, total + waited
-    assert float(twin.score(state)[0]) == pytest.approx(-total / 5400.0, rel=1e-5)
+    assert float(twin.waiting(state)[0]) == pytest.approx(total / 5400.0, rel=1e-5)
+    paper = replace(twin, scored="paper")
+    assert float(paper.score(state)[0]) == -float(twin.waiting(state)[0])
+    assert float(twin.score(state)[0]) == -float(twin.delay(state)[0])
     assert float(state.time[0]) == 120 * 10 + 29 * 4
+
+
+def test_whoever_never_has_green_loses_all_the_time_since_its_departure():
+    twin, params = twin_at(inflow=100.0, length=60.0)
+    state = played(twin, params, [3, 7], lambda k: 1, 400)  # green for left turns of two roads
+    plan, entered = np.asarray(state.plan), np.asarray(state.entered)
+    due = np.where(plan < coming.NEVER, np.floor(plan), np.nan)
+    blocked = [lane for lane in range(16) if lane not in (7, 15)]
+    until = np.asarray(state.time)
+    longest = np.nansum(np.maximum(until - due[:, blocked], 0.0), axis=(0, 1))
+    served = 60.0 * np.isfinite(due[:, [7, 15]]).sum(axis=(0, 1))
+    assert (entered.sum(axis=0) < 100).all()  # the roads are full
+    lost = np.asarray(twin.delay(state)) * 100.0
+    assert (lost < longest + served).all()
+    assert (lost > 0.97 * longest).all()  # but for the way to the queue
+
+
+def test_lights_of_its_own_need_no_policy():
+    twin, params = twin_at(inflow=300.0)
+    seeds = jnp.arange(4, dtype=jnp.uint32)
+    delays = {}
+    for way in twin.ways:
+        one = replace(twin, way=way)
+        run = jax.jit(
+            lambda state, one=one: jax.lax.fori_loop(
+                0, 540, lambda _, s: one.drive(s, params).state, state
+            )
+        )
+        delays[way] = np.asarray(one.delay(run(one.start(seeds, params))))
+    assert delays["fixed_time"] == pytest.approx(17.5, abs=2.0)  # in SUMO 17.5
+    assert (delays["actuated"] < 0.8 * delays["fixed_time"]).all()
 
 
 def test_an_episode_is_the_same_in_any_company():

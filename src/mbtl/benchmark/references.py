@@ -2,12 +2,14 @@
 
     random actions   a policy that looks at nothing
     unguided         the system without a controller, where there is such a thing
+    fixed time,      of signals: lights that need no policy
+    actuated
     nominal policy   the policy of the context on which a user would train without help, or of the
                      nearest that was trained on
     random policy    the policy of a random context; the exact mean over all of them
 
-The first two are played when a matrix is built, in the episodes of its policies; the others are
-rows of the matrix.
+All but the last two are played when a matrix is built, in the episodes of its policies; the others
+are rows of the matrix.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ from mbtl.errors import ContextMismatch
 NAMES: Mapping[str, str] = {
     "random_actions": "random actions",
     "unguided": "unguided",
+    "fixed_time": "fixed time",
+    "actuated": "actuated",
     "nominal_policy": "nominal policy",
     "random_policy": "random policy",
 }

@@ -110,9 +110,7 @@ def build(
     """
     if seeds < 1:
         raise InvalidInput(f"--seeds must be >= 1, got {seeds}")
-    cmdp = resolve_cmdp(
-        problem, visibility=visibility, physics=physics, score=score, engine=engine
-    )
+    cmdp = resolve_cmdp(problem, visibility=visibility, physics=physics, score=score, engine=engine)
     if every != 1:
         cmdp = cmdp.every(every)
     if not 1 <= sources_every <= cmdp.space.n:

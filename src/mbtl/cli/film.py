@@ -1,8 +1,9 @@
-"""Films of episodes: what a policy does, with clock, speed and score, beside unguided traffic."""
+"""Films of one episode: what a policy does, with clock, speed and score, beside a baseline."""
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +13,12 @@ import numpy as np
 
 _RATE = 10
 """Pictures per second."""
-_BAND, _GAP = 56, 8
-"""Pixels of the words above a picture, and between two pictures."""
-_COLOURS = 64
+_LONGEST = 30
+"""Seconds of a film; longer episodes run faster in it."""
+_MOST = _RATE * _LONGEST
+_BAND, _GAP, _LEGEND = 56, 8, 30
+"""Pixels of the words above a picture, between two pictures, and of the legend under all."""
+_COLOURS = 128
 """Of a film."""
 _NARROW = 560
 """Pixels that words need at least."""
@@ -26,56 +30,73 @@ class Picture:
 
     Attributes:
         image: as the simulator draws it.
-        clock: seconds since the episode began; NaN where the simulator has no clock.
+        when: seconds since the episode began; decisions where the simulator has no clock.
         speed: mean speed of all cars [m/s]; NaN where there are none.
         gained: sum of the rewards so far.
-        episode: number of the episode, from 0.
     """
 
     image: Any
-    clock: float
+    when: float
     speed: float
     gained: float
-    episode: int
 
 
 class Watched:
-    """An environment whose episodes are seen to their end, and which can keep pictures of them.
+    """An environment whose episodes are seen to their end; pictures are kept of the first.
 
-    It tells `on_look` where it is after every decision.
+    It tells `on_look` where it is after every decision. An episode is played as it comes: kinds of
+    luck that an evaluation plays one of each (`strata`) are hidden.
 
     Attributes:
         env: the environment.
-        pictures: of all decisions of all episodes, if it is filmed.
+        pictures: of the first episode, if it is filmed: first, last, and at most `2 * _MOST` in
+            all, evenly spread over its decisions.
+        has_clock: the environment says what time it is in a picture.
+        ends: what the last step of each episode said.
         scores: of the episodes, once they are known.
     """
+
+    strata = ()
 
     def __init__(
         self, env: Any, filming: bool, on_look: Callable[[str], None] = lambda where: None
     ) -> None:
         self.env, self._filming, self._on_look = env, filming, on_look
         self.pictures: list[Picture] = []
+        self.ends: list[dict[str, Any]] = []
         self.scores: list[float] = []
-        self._episode, self._decisions, self._gained, self._begun = -1, 0, 0.0, 0.0
+        self.has_clock = False
+        self._decisions, self._looks, self._every = 0, 0, 1
+        self._gained, self._begun = 0.0, 0.0
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.env, name)
 
     def reset(self, **options: Any) -> Any:
         """Begin an episode, and look."""
+        self._decisions, self._gained = 0, 0.0
+        self._simulator.watcher = None  # what passes before the first decision is not seen
         started = self.env.reset(**options)
-        self._episode, self._decisions, self._gained = self._episode + 1, 0, 0.0
-        self._look(first=True)
+        over = self._is_team and not self.env.agents
+        self._look(last=over)
+        if self._films:
+            self._simulator.watcher = self._look
+        if over:
+            self._ended(self.env.summary)
         return started
 
     def step(self, action: Any) -> Any:
         """One decision, and look."""
         *moved, info = self.env.step(action)
         self._decisions += 1
-        reward = moved[1]
-        self._gained += float(np.mean([*reward.values()] or [0.0])
-                              if isinstance(reward, dict) else reward)  # fmt: skip
-        self._look()
+        reward, terminated, truncated = moved[1:4]
+        self._gained += float(
+            np.mean([*reward.values()] or [0.0]) if isinstance(reward, dict) else reward
+        )
+        over = not self.env.agents if self._is_team else terminated or truncated
+        self._look(last=over)
+        if over:
+            self._ended(next(iter(info.values()), {}) if self._is_team else info)
         info.pop("final_score", None)  # a score that is known is no reason to look away
         return *moved, info
 
@@ -84,86 +105,155 @@ class Watched:
         """Of the score."""
         return str(getattr(self.env, "SCORE", "return"))
 
-    def _look(self, first: bool = False) -> None:
-        self._on_look(f"episode {self._episode + 1}, decision {self._decisions}")
-        if not self._filming:
+    def measures(self, episode: int) -> dict[str, tuple[float, str]]:
+        """What stands beside the score of an episode: value and unit by name."""
+        units: Mapping[str, str] = getattr(self.env, "MEASURES", {})
+        end = self.ends[episode]
+        return {name: (float(end[name]), unit) for name, unit in units.items() if name in end}
+
+    # ---- inside ------------------------------------------------------------------------------
+
+    @property
+    def _is_team(self) -> bool:
+        return hasattr(self.env, "possible_agents")
+
+    @property
+    def _simulator(self) -> Any:
+        return getattr(self.env, "unwrapped", self.env)
+
+    @property
+    def _films(self) -> bool:
+        return self._filming and not self.ends
+
+    def _ended(self, info: Mapping[str, Any]) -> None:
+        self.ends.append(dict(info))
+        self._simulator.watcher = None
+
+    def _look(self, last: bool = False) -> None:
+        self._on_look(f"episode {len(self.ends) + 1}, decision {self._decisions}")
+        if not self._films:
+            return
+        first = not self.pictures
+        self._looks += 1
+        if not (first or last) and self._looks % self._every:
             return
         image = np.asarray(self.env.render()).copy()
         sight = getattr(self.env, "sight", None)
-        clock, speed = (math.nan, math.nan) if sight is None else sight
+        self.has_clock = sight is not None
+        clock, speed = (float(self._looks), math.nan) if sight is None else sight
         self._begun = clock if first else self._begun
-        seconds = clock - self._begun
-        self.pictures.append(Picture(image, seconds, speed, self._gained, self._episode))
+        self.pictures.append(Picture(image, clock - self._begun, speed, self._gained))
+        if len(self.pictures) >= 2 * _MOST:  # too many for a film: look half as often
+            del self.pictures[1:-1:2]
+            self._every *= 2
 
 
-def save_film(file: Path, title: str, takes: Mapping[str, Watched]) -> int:
-    """Write a GIF of some takes side by side, each with its name, clock, speed and score.
+def save_film(
+    file: Path,
+    title: str,
+    takes: Mapping[str, Watched],
+    on_picture: Callable[[int, int], None] = lambda drawn, planned: None,
+) -> int:
+    """Write a GIF of some takes side by side, on one clock, each with its name, speed and score.
 
-    Pictures of the same number stand beside each other; a take that has ended keeps its last one.
-    Wide pictures stand below each other.
+    Every picture shows all takes at the same moment; a take that has ended keeps its last one. Wide
+    pictures stand below each other. It lasts `_LONGEST` seconds at most.
 
     Args:
         file: to write.
         title: problem and context.
         takes: name -> what was watched; each has one picture or more.
+        on_picture: told how many pictures were drawn, of how many.
 
     Returns:
         Number of pictures.
     """
-    length = max(len(take.pictures) for take in takes.values())
-    frames = [
-        _beside([_captioned(f"{title}: {name}", take, i) for name, take in takes.items()])
-        for i in range(length)
-    ]
+    end = max(take.pictures[-1].when for take in takes.values())
+    length = min(_MOST, max(len(take.pictures) for take in takes.values()))
+    moments = np.linspace(0.0, end, length) if length > 1 else np.array([end])
+    legend = next(iter(takes.values())).env
+    words = tuple(getattr(legend, "LEGEND", ()))
+    seconds = all(take.has_clock for take in takes.values())
+    pace = f"{end * _RATE / (length - 1):.0f} times real time" if seconds and length > 1 else ""
+    frames = []
+    for k, moment in enumerate(moments.tolist()):
+        shown = [_captioned(f"{title}: {name}", take, moment) for name, take in takes.items()]
+        frames.append(_beside(shown, words, pace))
+        on_picture(k + 1, length)
     first, *rest = frames
     first.save(file, save_all=True, append_images=rest, duration=1000 // _RATE, loop=0)
     return length
 
 
-def caption(take: Watched, number: int) -> str:
-    """What is said of a picture: clock, speed, and the score once the episode has ended."""
-    picture = take.pictures[number]
-    later = take.pictures[number + 1 :]
+def caption(take: Watched, moment: float) -> str:
+    """What is said of a moment: clock, speed, and the score once the episode has ended."""
+    picture = _picture(take, moment)
+    ended = picture is take.pictures[-1]
     parts = []
-    if math.isfinite(picture.clock):
-        parts.append(f"{picture.clock:.0f} s")
+    if take.has_clock:
+        parts.append(f"ended at {picture.when:.0f} s" if moment > picture.when and ended
+                     else f"{moment:.0f} s")  # fmt: skip
     if math.isfinite(picture.speed):
         parts.append(f"mean speed now {picture.speed:.1f} m/s")
-    elif not math.isfinite(picture.clock):
+    elif not take.has_clock:
         parts.append(f"return so far {picture.gained:.0f}")
-    ended = not any(one.episode == picture.episode for one in later)
-    if ended and picture.episode < len(take.scores):
-        score = f"{take.scores[picture.episode]:.2f}"
+    if ended and take.scores:
+        score = f"{take.scores[0]:.2f}"
         named = take.unit == "return"  # it says all
         parts.append(f"return {score}" if named else f"score {score} {take.unit}")
-    return "    ".join(parts)
+        parts += [f"{value:.4g} {unit}" for value, unit in take.measures(0).values()]
+    return "   ".join(parts)
 
 
-def _captioned(name: str, take: Watched, number: int) -> Any:
-    from PIL import Image, ImageDraw, ImageFont
+def _picture(take: Watched, moment: float) -> Picture:
+    """The latest that was taken by then."""
+    known = [picture.when for picture in take.pictures]
+    return take.pictures[max(bisect_right(known, moment + 1e-6) - 1, 0)]
 
-    number = min(number, len(take.pictures) - 1)
-    seen = Image.fromarray(take.pictures[number].image)
+
+def _captioned(name: str, take: Watched, moment: float) -> Any:
+    from PIL import Image, ImageDraw
+
+    seen = Image.fromarray(_picture(take, moment).image)
     width = max(seen.width, _NARROW)
     framed = Image.new("RGB", (width, seen.height + _BAND), "white")
     framed.paste(seen, ((width - seen.width) // 2, _BAND))
-    pen, font = ImageDraw.Draw(framed), ImageFont.load_default(20)
-    pen.text((6, 3), name, fill=(20, 20, 20), font=font)
-    pen.text((6, 29), caption(take, number), fill=(20, 60, 160), font=font)
+    pen = ImageDraw.Draw(framed)
+    _write(pen, 3, name, (20, 20, 20), width)
+    _write(pen, 29, caption(take, moment), (20, 60, 160), width)
     return framed
 
 
-def _beside(images: list[Any]) -> Any:
-    """Several pictures as one, in few colours."""
-    from PIL import Image
+def _write(pen: Any, top: int, words: str, colour: tuple[int, int, int], width: int) -> None:
+    """Words in the largest letters that fit."""
+    from PIL import ImageFont
+
+    sizes = (20, 18, 16, 14, 12, 10)
+    fonts = [ImageFont.load_default(size) for size in sizes]
+    font = next((f for f in fonts if pen.textlength(words, font=f) <= width - 12), fonts[-1])
+    pen.text((6, top), words, fill=colour, font=font)
+
+
+def _beside(
+    images: list[Any], legend: tuple[tuple[tuple[int, int, int], str], ...], pace: str
+) -> Any:
+    """Several pictures as one, in few colours, above a legend."""
+    from PIL import Image, ImageDraw, ImageFont
 
     across = images[0].width <= 1.5 * images[0].height
     sizes = [(one.width, one.height) for one in images]
     spare = _GAP * (len(images) - 1)
     width = sum(w for w, _ in sizes) + spare if across else max(w for w, _ in sizes)
     height = max(h for _, h in sizes) if across else sum(h for _, h in sizes) + spare
-    whole, at = Image.new("RGB", (width, height), "white"), 0
+    under = _LEGEND if legend or pace else 0
+    whole, at = Image.new("RGB", (width, height + under), "white"), 0
     for one in images:
         whole.paste(one, (at, 0) if across else (0, at))
         at += (one.width if across else one.height) + _GAP
+    pen, font, x = ImageDraw.Draw(whole), ImageFont.load_default(16), 6
+    for colour, words in legend:
+        pen.rectangle((x, height + 10, x + 14, height + 22), fill=colour, outline=(90, 90, 90))
+        pen.text((x + 20, height + 6), words, fill=(20, 20, 20), font=font)
+        x += 40 + int(pen.textlength(words, font=font))
+    pen.text((x, height + 6), pace, fill=(20, 60, 160), font=font)
     return whole.convert("P", palette=Image.Palette.ADAPTIVE, colors=_COLOURS)

@@ -47,9 +47,7 @@ def artifacts_for(url: str, given: str | None, folder: Path) -> str | None:
     return str(folder.absolute())
 
 
-def command(
-    url: str, name: str, problem: str, selector: str = "", **options: str | None
-) -> str:
+def command(url: str, name: str, problem: str, selector: str = "", **options: str | None) -> str:
     """What starts a worker of this study; `options` are further ones by name, if they are given."""
     words = ["mbtl", "worker", url, problem, "--name", name]
     optional = {f"--{key}": value for key, value in options.items()}

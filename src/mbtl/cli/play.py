@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
@@ -40,8 +41,12 @@ def play(
     gui: Annotated[
         bool, typer.Option("--gui", help="Show it in sumo-gui, where there is a screen.")
     ] = False,
+    score: Annotated[
+        str | None,
+        typer.Option(help="What an episode of traffic is worth: paper, or the CMDP's own."),
+    ] = None,
     film: Annotated[
-        Path | None, typer.Option(help="Save pictures of all decisions as this GIF.")
+        Path | None, typer.Option(help="Save the first episode as this GIF, 30 s at most.")
     ] = None,
     trust: Annotated[
         bool,
@@ -51,18 +56,24 @@ def play(
 ) -> None:
     """Play episodes of a CMDP in its simulator and print what they are worth.
 
+    The same episodes are played without a policy, too, where the system goes on by itself. A film
+    is of the first episode.
+
     Example: mbtl play runs/ring-acc-quick-seed0/portfolio --at hold=5 --film ring.gif
     """
     if episodes < 1:
         raise InvalidInput(f"--episodes must be >= 1, got {episodes}")
+    from mbtl.benchmark.references import NAMES
     from mbtl.envs import rollout
+    from mbtl.envs.references import ByItself, ways_of
     from mbtl.training.watch import actor_for
 
     if film is not None:
         _check_film(film)
     portfolio = None if target in cmdp_ids() else _portfolio(target, trust)
     made = {} if portfolio is None else _record(portfolio.metadata, "settings")
-    cmdp = _cmdp(target if portfolio is None else str(portfolio.cmdp), _record(made, "switches"))
+    switches = _record(made, "switches") | ({} if score is None else {"score": score})
+    cmdp = _cmdp(target if portfolio is None else str(portfolio.cmdp), switches)
     nominal = dict(cmdp.nominal or {})
     context = {**nominal, **_parsed(at or [])}
     nominal_part = {axis: context[axis] for axis in nominal}
@@ -85,21 +96,38 @@ def play(
     own = evaluation_seeds(seed, 0, [_place(cmdp, nominal_part)])
     (seeds,) = episode_seeds(own, 1, episodes)
     pictures = 0
+    takes = {"choices at random" if portfolio is None else "guided": env}
     with status:
-        (scores,) = rollout.play([rollout.Job(lambda: env, seeds)], actor, max_envs=1)
+        for way in () if gui else ways_of(env):
+            told = partial(_aloud, says, f"{NAMES.get(way, way)}: ")
+            by_itself = Watched(ByItself(make_env(context), way), film is not None, told)
+            takes[NAMES.get(way, way)] = by_itself
+        for take in takes.values():
+            (scores,) = rollout.play([rollout.Job(partial(_same, take), seeds)], actor, max_envs=1)
+            take.scores = scores.tolist()
         if film is not None:
-            env.scores = scores.tolist()
-            takes = {"choices at random" if portfolio is None else "guided": env}
-            if hasattr(env, "drive"):
-                takes["unguided"] = _unguided(make_env(context), seeds, actor, says)
-            says(f"writing {film}")
-            pictures = save_film(film, f"{cmdp.id} at {cmdp.space.describe(nominal_part)}", takes)
+            name = f"{cmdp.id} at {cmdp.space.describe(nominal_part)}"
+            filmed = dict([*takes.items()][:1] + [*takes.items()][-1:])  # and the best baseline
+            pictures = save_film(
+                film, name, filmed, lambda k, n: says(f"drawing picture {k} of {n} of {film}")
+            )
+    found = {name: take.scores for name, take in takes.items()}
+    beside = {name: _measured(take) for name, take in takes.items()}
     if json:
-        print_json({"cmdp": cmdp.id, "context": context, "policy": why, "scores": scores.tolist()})
+        print_json(
+            {"cmdp": cmdp.id, "context": context, "policy": why, "scores": env.scores,
+             "unit": env.unit, "all": found,
+             "measures": {n: {m: v for m, (v, _) in each.items()} for n, each in beside.items()}}
+        )  # fmt: skip
         return
     out = printer()
     out.print(f"{cmdp.id} at {cmdp.space.describe(context)}; {why}", markup=False, highlight=False)
-    out.print(f"score: {' '.join(f'{score:.4g}' for score in scores)}", highlight=False)
+    for name, scores in found.items():
+        of = "score" if name == next(iter(found)) else f"{name}: score"
+        unit = "" if env.unit == "return" else f" {env.unit}"
+        values = " ".join(f"{score:.4g}" for score in scores)
+        rest = "".join(f"; {value:.4g} {of}" for value, of in beside[name].values())
+        out.print(f"{of}: {values}{unit}{rest}", markup=False, highlight=False)
     if film is not None:
         out.print(f"{pictures} pictures: {film}", markup=False, highlight=False)
 
@@ -115,15 +143,22 @@ def _place(cmdp: CMDP, context: Context) -> int:
         return cmdp.space.n
 
 
-def _unguided(env: Any, seeds: Sequence[int], actor: Any, says: Callable[[str], None]) -> Watched:
-    """The same episodes without a controller."""
-    from mbtl.envs import rollout
-    from mbtl.envs.references import Unguided
+def _same(take: Watched) -> Watched:
+    return take
 
-    alone = Watched(Unguided(env), True, lambda where: says(f"unguided: {where}"))
-    (scores,) = rollout.play([rollout.Job(lambda: alone, seeds)], actor, max_envs=1)
-    alone.scores = scores.tolist()
-    return alone
+
+def _aloud(says: Callable[[str], None], who: str, where: str) -> None:
+    says(f"{who}{where}")
+
+
+def _measured(take: Watched) -> dict[str, tuple[float, str]]:
+    """What stands beside the score, mean over the episodes, and its unit, by name."""
+    each = [take.measures(k) for k in range(len(take.ends))]
+    first = each[0] if each else {}
+    return {
+        name: (sum(one[name][0] for one in each) / len(each), unit)
+        for name, (_, unit) in first.items()
+    }
 
 
 class _AtRandom:

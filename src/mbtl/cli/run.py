@@ -236,7 +236,13 @@ def run(
     ended: TrainingFailed | None = None
     if workers is not None:
         start = command(
-            workers, running.name, problem, selector, engine=engine, score=score, artifacts=artifacts
+            workers,
+            running.name,
+            problem,
+            selector,
+            engine=engine,
+            score=score,
+            artifacts=artifacts,
         )
         follow(running, start, retry_failed=retry_failed)
     with plain_warnings(), LiveProgress(running, console) as live:

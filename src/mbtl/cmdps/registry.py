@@ -190,8 +190,8 @@ def _of_package(id: str, switched: bool) -> CMDP:
         raise unknown_name("CMDP", id, known, hint="`mbtl cmdps` lists all.")
     if switched:
         raise InvalidInput(
-            f"physics, visibility, grid, time limit, obs, score and engine are switches of our CMDPs, and "
-            f"{id!r} is of the package {plugin_ids()[id]!r}; leave them out"
+            f"physics, visibility, grid, time limit, obs, score and engine are switches of our "
+            f"CMDPs, and {id!r} is of the package {plugin_ids()[id]!r}; leave them out"
         )
     return found
 

@@ -335,7 +335,8 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
     "signal": Family(
         entry_point="mbtl.cmdps.traffic.signal:Signal",
         horizon=540,
-        bounds=(-100.0, 0.0),
+        bounds=(-120.0, 0.0),
+        scores={"delay": {}, "paper": {"bounds": (-100.0, 0.0), "floor": -100.0}},
         theta=0.001,
         presets=_SIGNAL,
         jax=TwinFamily("mbtl.cmdps.traffic.twins:SignalProblem", _SIGNAL_TWIN),
@@ -343,7 +344,7 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
         simulator="sumo",
         visibility="hidden",
         check_steps=40,
-        floor=-100.0,
+        floor=-120.0,
     ),
     "eco": Family(
         entry_point="mbtl.cmdps.traffic.eco:Eco",
@@ -370,15 +371,15 @@ def _hold(family: str, description: str) -> Variant:
 
 TRAFFIC_VARIANTS: Mapping[str, Variant] = {
     "signal-length": line(
-        "signal", "length", "m", "50", 750.0, n=50, paper_step="75", version=3,
+        "signal", "length", "m", "50", 750.0, n=50, paper_step="75", version=4,
         description="Traffic signal; the length of the approaches varies",
     ),
     "signal-inflow": line(
-        "signal", "inflow", "cars", "50", 1000.0, n=50, version=3,
+        "signal", "inflow", "cars", "50", 1000.0, n=50, version=4,
         description="Traffic signal; the demand varies",
     ),
     "signal-speed": line(
-        "signal", "speed", "m/s", "0.5", 14.0, n=50, paper_step="1.389", version=3,
+        "signal", "speed", "m/s", "0.5", 14.0, n=50, paper_step="1.389", version=4,
         description="Traffic signal; the speed limit varies",
     ),
     "eco-penetration": line(

@@ -1,8 +1,9 @@
-"""What an environment gives without any policy of ours: random actions, and no control at all.
+"""What an environment gives without any policy of ours: random actions, and what goes by itself.
 
 They are played in the same episodes as policies are evaluated in, so a row of policies can be
 compared with them. *Unguided* is the system without a controller: an environment says how it goes
-on by itself with a method `drive()`, which returns what `step` does; many have no such thing.
+on by itself with a method `drive()`, which returns what `step` does. One that has controllers of
+its own names them in `ways`, and takes a step of one with `follow(way)`. Many have no such thing.
 """
 
 from __future__ import annotations
@@ -38,14 +39,14 @@ def reference_rows(
         max_envs: environments alive at once.
     """
     first = make_env(contexts[0])
-    drives = hasattr(first, "drive")
+    ways = ways_of(first)
     space = first.action_space
     policy = RandomActions(space("") if callable(space) else space)
     first.close()
     actor = Actor(policy, sampled=True)
     makers: dict[str, Callable[[Context], Any]] = {RANDOM_ACTIONS: make_env}
-    if drives:
-        makers[UNGUIDED] = partial(_unguided, make_env)
+    for way in ways:
+        makers[way] = partial(_by_itself, make_env, way)
     pairs = list(zip(contexts, seeds, strict=True))
     return {
         name: np.array(
@@ -82,20 +83,26 @@ class RandomActions:
         return space.sample()
 
 
-class Unguided:
+def ways_of(env: Any) -> tuple[str, ...]:
+    """Names of the ways in which an environment goes on without decisions."""
+    own = tuple(getattr(env, "ways", ()))
+    return (UNGUIDED, *own) if hasattr(env, "drive") else own
+
+
+class ByItself:
     """An environment whose decision makers are not heard."""
 
-    def __init__(self, env: Any) -> None:
-        """The environment needs a method `drive`."""
-        self._env = env
+    def __init__(self, env: Any, way: str = UNGUIDED) -> None:
+        """The environment has this way, one of `ways_of`."""
+        self._env, self._way = env, way
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._env, name)
 
     def step(self, actions: Any) -> Any:
         """One decision without control."""
-        return self._env.drive()
+        return self._env.drive() if self._way == UNGUIDED else self._env.follow(self._way)
 
 
-def _unguided(make_env: Callable[[Context], Any], context: Context) -> Unguided:
-    return Unguided(make_env(context))
+def _by_itself(make_env: Callable[[Context], Any], way: str, context: Context) -> ByItself:
+    return ByItself(make_env(context), way)

@@ -26,6 +26,10 @@ FASTEST = 14.0
 _GRASS, _ROAD = (236, 238, 230), (92, 96, 102)
 _STOPPED, _FREE = np.array([200.0, 30.0, 30.0]), np.array([250.0, 235.0, 90.0])
 _CONTROLLED, _HALO = (20, 90, 220), (255, 255, 255)
+Legend = tuple[tuple[tuple[int, int, int], str], ...]
+"""Colours and what they mean."""
+CARS: Legend = (((200, 30, 30), "stands"), ((225, 132, 60), "half speed"), ((250, 235, 90), "free"))
+CONTROLLED = (_CONTROLLED, "controlled")
 _LIGHTS = {"G": (40, 170, 70), "g": (40, 170, 70), "y": (245, 170, 20), "r": (220, 40, 40)}
 
 

@@ -64,6 +64,7 @@ from mbtl.cmdps.canvas import Window
 from mbtl.cmdps.contextual import Observation
 from mbtl.cmdps.traffic.corridor import (
     APPROACH,
+    FEEDERS,
     LENGTH,
     LIMIT,
     RED,
@@ -132,7 +133,13 @@ class Eco(TrafficTeam):
     HIDDEN = frozenset({"inflow"})
     STEP = STEP
     HORIZON = 1500
-    WINDOW = Window(-50.0, -12.0, LENGTH + 4.0, 9.0)
+    WINDOW = Window(-FEEDERS["AB"] - 4.0, -12.0, LENGTH + 4.0, 9.0)
+    MEASURES: ClassVar[Mapping[str, str]] = {
+        "throughput": "cars/h",
+        "co2": "g CO2/trip",
+        "stops": "stops/trip",
+        "not_inserted": "cars outside",
+    }
     metadata: ClassVar[dict[str, Any]] = {**TrafficTeam.metadata, "name": "mbtl-eco"}
     most_agents = math.ceil(LENGTH / (CONTROLLED_LENGTH + CONTROLLED.min_gap))
 
@@ -267,6 +274,8 @@ class Eco(TrafficTeam):
         """Let traffic go on while there is nobody to decide."""
         while self._left > 0 and not self.agents:
             self._advance(api)
+            if self.watcher is not None:
+                self.watcher()
 
     def _find_agents(self) -> None:
         self.agents = [car for car in self._region.present if car in self._controlled]

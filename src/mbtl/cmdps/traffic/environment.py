@@ -9,7 +9,7 @@ The return is the sum of the rewards that a policy is trained on. The score is t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, TypedDict
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from mbtl.cmdps.canvas import Image, Window
 from mbtl.cmdps.contextual import Contextual, ContextualEnv, TimeLimit, Visibility
-from mbtl.cmdps.traffic.drawing import draw
+from mbtl.cmdps.traffic.drawing import CARS, CONTROLLED, Legend, draw
 from mbtl.cmdps.traffic.simulation import Engine, Simulation
 from mbtl.contexts import Value
 from mbtl.errors import InvalidInput, unknown_name
@@ -68,8 +68,14 @@ class Traffic(Contextual):
     """Most decisions of an episode, unless another horizon is given."""
     WINDOW: ClassVar[Window | None] = None
     """What `render` shows of the network; None: all of it."""
-    SCORE: ClassVar[str] = "m/s"
+    SCORE: str = "m/s"
     """Unit of the score."""
+    MEASURES: ClassVar[Mapping[str, str]] = {}
+    """What is worth a look beside the score: unit by its name in the last step's info."""
+    LEGEND: ClassVar[Legend] = (*CARS, CONTROLLED)
+    """Of the colours of pictures."""
+    watcher: Callable[[], None] | None = None
+    """Told of every step that is simulated while nobody decides."""
 
     np_random: np.random.Generator
     render_mode: str | None

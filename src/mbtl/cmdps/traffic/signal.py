@@ -8,14 +8,21 @@ others straight. A green lasts 10 s, after 4 s of yellow if the phase changes.
     action        0 north-south, 1 north-south left, 2 east-west, 3 east-west left
     reward        previous minus present total W of accumulated waiting time [s] over the cars on
                   the approaches; cars that have left are dropped (the reference keeps some)
-    score         -(sum of W over all decisions) / 5400
+    score         "delay": -(seconds lost before the stop line) per car of the demand: a second on
+                  the approach counts 1 - v/limit, and one of waiting to enter counts 1
+                  "paper": -(sum of W over all decisions) / 5400, which does not see who waits to
+                  enter and has no unit of its own
+
+Beside policies stand two lights of SUMO's own (`follow`): "fixed_time", 30 s of green for cars that
+go straight and 10 s for left turns, and "actuated", which keeps green while cars come (SUMO's
+defaults, 5 to 50 s).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Unpack
+from typing import Any, ClassVar, Literal, NamedTuple, Unpack
 
 import numpy as np
 from gymnasium.spaces import Discrete
@@ -26,10 +33,11 @@ from mbtl.cmdps.canvas import Window
 from mbtl.cmdps.contextual import Observation
 from mbtl.cmdps.traffic import demand
 from mbtl.cmdps.traffic.demand import APPROACHES
+from mbtl.cmdps.traffic.drawing import CARS
 from mbtl.cmdps.traffic.environment import Settings, TrafficEnv
 from mbtl.cmdps.traffic.networks import network
 from mbtl.contexts import Value
-from mbtl.errors import ContextMismatch, InvalidInput
+from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
 
 SECONDS = 5400
 GREEN, YELLOW = 10, 4
@@ -51,19 +59,44 @@ PATIENCE = 120
 the lane leads. On short roads cars that each want the other's lane would else stand there for ever,
 and nobody behind them could move: there is no teleport. Nothing leaves the demand."""
 
-LOWEST = -100.0
-"""Score of performance 0, the paper's lower bound and the CMDPs' floor: no jam is worse than
-another. The published values cannot hold any below it (docs/traffic.md). An episode that has come
-to it tells its score so far at once, as `info["final_score"]`: waiting only adds up, so who only
-evaluates need not see the rest."""
-JAM = -1000.0
-"""Score at which an episode ends as a jam: SUMO needs ten times as long for hundreds of cars that
-stand as for traffic that flows. Not earlier: whoever tries phases at random in dense traffic is
-soon at `LOWEST` and still has the peak to learn."""
+Score = Literal["delay", "paper"]
+
+
+class Limits(NamedTuple):
+    """Of a score; both only fall within an episode.
+
+    Attributes:
+        lowest: of performance 0, the CMDPs' floor: no jam is worse than another. An episode that
+            has come to it tells its score so far at once, as `info["final_score"]`: who only
+            evaluates need not see the rest.
+        jam: where an episode ends as a jam: SUMO needs ten times as long for hundreds of cars that
+            stand as for traffic that flows. Not earlier: whoever tries phases at random in dense
+            traffic is soon at `lowest` and still has the peak to learn.
+        unit: of the score.
+    """
+
+    lowest: float
+    jam: float
+    unit: str
+
+
+SCORES: Mapping[str, Limits] = {
+    "delay": Limits(-120.0, -600.0, "s of delay per car"),
+    "paper": Limits(-100.0, -1000.0, "(accumulated waiting per second)"),
+}
+"""The first is the default. The paper's lower bound is -100; the published values cannot hold any
+below it (docs/traffic.md)."""
+WAYS: Mapping[str, int] = {"fixed_time": 0, "actuated": 3}
+"""Lights of SUMO's own, and its numbers of their kinds."""
+_CYCLE = (30.0, 10.0, 30.0, 10.0)
+"""Seconds of green of the phases of a fixed cycle."""
+_SHORTEST_GREEN, _LONGEST_GREEN = 5.0, 50.0
+"""SUMO's defaults of actuated lights [s]."""
 
 _PHASES = (("NS", False), ("NS", True), ("WE", False), ("WE", True))
 PHASES = len(_PHASES)
 _PLACES = {"W": (-1, 0), "N": (0, 1), "E": (1, 0), "S": (0, -1)}
+_APPROACHES = tuple(f"{approach}_in" for approach in APPROACHES)
 _LANES = [(f"{a}_in_{lane}", 2 * k + (lane == LEFT_LANE)) for k, a in enumerate(APPROACHES)
           for lane in range(LANES)]  # fmt: skip
 
@@ -80,32 +113,43 @@ class Signal(TrafficEnv):
     STEP = 1.0
     HORIZON = SECONDS // GREEN
     WINDOW = Window(-110.0, -110.0, 110.0, 110.0)
-    SCORE = "s of waiting"
+    MEASURES: ClassVar[Mapping[str, str]] = {"mean_queue": "halted cars", "not_inserted": "outside"}
+    LEGEND = CARS
+    ways: ClassVar[tuple[str, ...]] = tuple(WAYS)
 
     def __init__(
         self,
         context: Mapping[str, Value] | None = None,
         *,
-        jam: float = JAM,
+        score: Score = "delay",
+        jam: float | None = None,
         **settings: Unpack[Settings],
     ) -> None:
-        """Arguments as in `Traffic`, and one more.
+        """Arguments as in `Traffic`, and two more.
 
         An episode that changes phases has fewer decisions than `horizon`, down to 386.
 
         Args:
             context: features that differ from the nominal ones.
-            jam: where an episode is given up; see `JAM`. -inf: never.
+            score: what an episode is worth, see the module.
+            jam: score at which an episode is given up; None: see `Limits`. -inf: never.
             **settings: see `Traffic`.
 
         Raises:
             ContextMismatch: a road too short to stop on, or an inflow that is no number of cars.
             InvalidInput: a jam that every episode is.
+            UnknownName: no such score.
         """
+        if score not in SCORES:
+            raise unknown_name("score", score, SCORES)
+        self.scored, self._limits = score, SCORES[score]
+        self.SCORE = self._limits.unit
+        jam = self._limits.jam if jam is None else jam
         if not jam < 0.0:
             raise InvalidInput(f"jam takes numbers < 0, got {jam!r}; -inf: no jam ends early")
         super().__init__(context, **settings)
         self._jam = jam
+        self._limit = min(self.features["speed"], demand.MAX_SPEED)
         self._edges = CELLS * (self.features["length"] / self.FEATURES["length"])
         self.observation_space = self._space([0.0] * 80, [1.0] * 80)
         self.action_space = Discrete(PHASES)
@@ -140,6 +184,7 @@ class Signal(TrafficEnv):
         trips = demand.routes(self.np_random, cars, SECONDS, speed, crowded=crowded)
         self.simulation.start(trips, self._draw_seed())
         self._phase: int | None = None
+        self._way, self._lost = "", 0.0
         self._time, self._decisions = 0, 0
         self._waiting, self._waiting_sum, self._queue_sum = 0.0, 0.0, 0.0
         self._speed_sum, self._seen, self._missed_turns = 0.0, 0, 0
@@ -160,40 +205,93 @@ class Signal(TrafficEnv):
         phase = int(action)
         if phase != action or not 0 <= phase < PHASES:
             raise InvalidInput(f"a phase is 0, 1, 2 or 3, got {action!r}")
-        info: dict[str, Any] = {}
         with self.simulation.guard() as api:
             self._release(api)
             if self._phase not in (None, phase):
                 self._show(api, self._states[self._phase].replace("G", "y"), YELLOW)
             self._phase = phase
             self._show(api, self._states[phase], GREEN)
-            observation = self._observe(api)
-            reward = self._account(api)
-            self._left -= 1
-            jammed = -self._waited <= self._jam
-            ended = self._time >= SECONDS or self._left == 0 or jammed
-            if -self._waited <= LOWEST:
-                info = {"final_score": -self._waited}
-            if ended:
-                info |= {**self._summary(api), "jammed": jammed}
-        if ended:
-            self._finish()
-        return observation, reward, *self._ends(ended), info
+            return self._decided(api)
+
+    def follow(self, way: str) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Ten seconds of a light of SUMO's own, from the beginning of the episode on.
+
+        Args:
+            way: one of `ways`.
+
+        Raises:
+            InvalidInput: no episode is running.
+            UnknownName: there is no such light.
+            SimulationFailed: the simulator has stopped.
+        """
+        self._check_running()
+        if way not in WAYS:
+            raise unknown_name("light", way, WAYS)
+        with self.simulation.guard() as api:
+            if self._way != way:
+                api.trafficlight.setProgramLogic("centre", self._program(api, way))
+                self._way = way
+            self._release(api)
+            self._drive(api, GREEN)
+            return self._decided(api)
 
     # ---- inside ------------------------------------------------------------------------------
 
+    def _decided(self, api: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What a step returns."""
+        observation, info = self._observe(api), {}
+        reward = self._account(api)
+        self._left -= 1
+        score = self._score
+        jammed = score <= self._jam
+        ended = self._time >= SECONDS or self._left == 0 or jammed
+        if score <= self._limits.lowest:
+            info = {"final_score": score}
+        if ended:
+            info |= {**self._summary(api), "jammed": jammed}
+            self._finish()
+        return observation, reward, *self._ends(ended), info
+
+    @property
+    def _score(self) -> float:
+        """Of the episode so far; it only falls."""
+        return -self._delay if self.scored == "delay" else -self._waited
+
     @property
     def _waited(self) -> float:
-        """Waiting of the episode so far, as the score has it; it only rises."""
+        """Accumulated waiting, summed over the decisions so far, over the episode's seconds."""
         return self._waiting_sum / SECONDS
+
+    @property
+    def _delay(self) -> float:
+        """Seconds per car of the demand that were lost before the stop line so far."""
+        return self._lost / self.features["inflow"]
 
     def _show(self, api: Any, state: str, seconds: int) -> None:
         """Let the light show `state`, no longer than the episode lasts."""
-        if self._time >= SECONDS:
-            return
-        api.trafficlight.setRedYellowGreenState("centre", state)
-        self._time = min(self._time + seconds, SECONDS)
-        api.simulationStep(float(self._time))
+        if self._time < SECONDS:
+            api.trafficlight.setRedYellowGreenState("centre", state)
+            self._drive(api, seconds)
+
+    def _drive(self, api: Any, seconds: int) -> None:
+        """Simulate second by second, no longer than the episode lasts, and book what is lost."""
+        edge, end = api.edge, min(self._time + seconds, SECONDS)
+        while self._time < end:
+            self._time += 1
+            api.simulationStep(float(self._time))
+            self._lost += len(api.simulation.getPendingVehicles())
+            for road in _APPROACHES:
+                if cars := edge.getLastStepVehicleNumber(road):
+                    self._lost += cars * (1.0 - edge.getLastStepMeanSpeed(road) / self._limit)
+
+    def _program(self, api: Any, way: str) -> Any:
+        """A light of SUMO's own, as SUMO wants it."""
+        light, phases = api.trafficlight, []
+        for green, state in zip(_CYCLE, self._states, strict=True):
+            bounds = (green, green) if way == "fixed_time" else (_SHORTEST_GREEN, _LONGEST_GREEN)
+            phases.append(light.Phase(green, state, *bounds))
+            phases.append(light.Phase(YELLOW, state.replace("G", "y"), YELLOW, YELLOW))
+        return light.Logic(way, WAYS[way], 0, phases)
 
     def _observe(self, api: Any) -> Observation:
         cells = np.zeros((8, len(CELLS)), dtype=np.float32)
@@ -237,13 +335,14 @@ class Signal(TrafficEnv):
     def _summary(self, api: Any) -> dict[str, Any]:
         """Measures of the episode.
 
-        score: see the module; waiting: the same, positive; mean_queue: halted cars on the
-        approaches at decisions; mean_speed: of the cars there [m/s]; not_inserted: cars that still
-        wait to enter, which no other measure counts; missed_turns: see `PATIENCE`; collisions.
+        score: see the module; delay and waiting: those of the two scores, positive; mean_queue:
+        halted cars on the approaches at decisions; mean_speed: of the cars there [m/s];
+        not_inserted: cars that still wait to enter; missed_turns: see `PATIENCE`; collisions.
         """
         statistic = api.simulation.getParameter("", "stats.safety.collisions")
         return {
-            "score": -self._waited,
+            "score": self._score,
+            "delay": self._delay,
             "waiting": self._waited,
             "mean_queue": self._queue_sum / self._decisions,
             "mean_speed": self._speed_sum / self._seen if self._seen else 0.0,

@@ -260,11 +260,13 @@ class SignalProblem:
         unit: varied features and their value at multiplier 1.
         visibility: what of the context the policy sees.
         time_limit: how the end of an episode is reported.
+        score: what an episode is worth, see `mbtl.cmdps.traffic.signal`.
     """
 
     unit: Mapping[str, float] = field(default_factory=dict)
     visibility: Visibility = "hidden"
     time_limit: TimeLimit = "truncation"
+    score: Literal["delay", "paper"] = "delay"
 
     def __call__(self, contexts: Sequence[Context]) -> tuple[Any, list[Any]]:
         """The twin, and the parameters of each context.
@@ -303,7 +305,8 @@ class SignalProblem:
             nominal_length=nominal["length"],
             halted=signal.HALTED,
             easing=0.5 * demand.ACCELERATION,
-            jam=signal.JAM,
+            jam=signal.SCORES[self.score].jam,
+            scored=self.score,
             action=Discrete(signal.PHASES),
             cars=size * int(nominal["inflow"]),
             rows=_ROWS + _ROWS // 2 * (size - 1),

@@ -9,8 +9,9 @@ its seed and the moment: it is the same in any company.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -31,9 +32,6 @@ CPU_ROWS = 400
 
 DEVICE_ROWS = 1 << 20
 """The same on an accelerator: 256 MB for each layer of 64 units."""
-
-REFERENCES: dict[str, Literal["random", "none"]] = {"random_actions": "random", "unguided": "none"}
-"""How agents act in the rows without a policy; the second only where a world drives itself."""
 
 
 def on_cpu() -> bool:
@@ -163,11 +161,17 @@ def evaluate_multitask(
 def reference_returns(world: World, params: Tree, seeds: ArrayLike) -> dict[str, Array]:
     """(C, E) scores by name without any policy, in the episodes of these (C, E) seeds."""
     nobody = Actor((), jnp.zeros((1, 1)))
-    return {
-        name: evaluate(world, nobody, params, seeds, how=how)[0]
-        for name, how in REFERENCES.items()
-        if how != "none" or world.drives
-    }
+
+    def played(one: World, how: Acting) -> Array:
+        found: Array = evaluate(one, nobody, params, seeds, how=how)[0]
+        return found
+
+    rows = {"random_actions": played(world, "random")}
+    if world.drives:
+        rows["unguided"] = played(world, "none")
+    for way in getattr(world, "ways", ()):  # controllers of the world's own
+        rows[way] = played(replace(cast(Any, world), way=way), "none")
+    return rows
 
 
 def _take(tree: Tree, first: int, count: int) -> Tree:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import NamedTuple
+from typing import ClassVar, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -45,6 +45,15 @@ _COME = 8
 """W: at 10 m/s cars enter 17 m apart at least, which takes two seconds."""
 
 
+Score = Literal["delay", "paper"]
+"""What an episode is worth: seconds of delay per car, or the paper's sum of accumulated waiting."""
+Way = Literal["fixed_time", "actuated"]
+FIXED = (0, 0, 0, 1, 2, 2, 2, 3)
+"""A fixed cycle, a phase per decision: 30 s for cars that go straight, 10 s for left turns."""
+_GAP, _LONGEST = 40.0, 5
+"""An actuated light keeps green while a car is that near [m], for so many decisions at most."""
+
+
 class _Second(NamedTuple):
     """What changes within a decision.
 
@@ -52,11 +61,13 @@ class _Second(NamedTuple):
         queues: the cars.
         come: (16, n) cars that have come since the decision.
         time: (n,) seconds since the beginning of the episode.
+        lost: (n,) as in `Totals`, since the decision.
     """
 
     queues: Queues
     come: jax.Array
     time: jax.Array
+    lost: jax.Array
 
 
 @dataclass(frozen=True)
@@ -81,6 +92,8 @@ class CrossingTwin(Seeded):
         halted: a car that is not faster stands [m/s].
         easing: a car that accelerates more does not wait [m/s^2].
         jam: score at which an episode ends.
+        scored: what an episode is worth.
+        way: who decides where nobody else does: a fixed cycle, or whoever looks for gaps.
         action: a phase.
         cars: of an episode at most.
         rows: cars of a lane at most; while there are as many, none enters.
@@ -113,7 +126,10 @@ class CrossingTwin(Seeded):
     away: float = 40.0
     time_limit: TimeLimit = "truncation"
     agents: int = 1
+    scored: Score = "delay"
+    way: Way = "fixed_time"
     drives: bool = False
+    ways: ClassVar[tuple[str, ...]] = get_args(Way)
     n_features: int = 80
     params: type[CrossingParams] = CrossingParams
 
@@ -147,6 +163,7 @@ class CrossingTwin(Seeded):
             ),
             entered=jnp.zeros((_ALL, n), jnp.int32),
             phase=jnp.full(n, -1, jnp.int32),
+            held=jnp.zeros(n, jnp.int32),
             time=none,
             waiting=none,
             totals=Totals(*[none] * len(Totals._fields)),
@@ -171,13 +188,53 @@ class CrossingTwin(Seeded):
         moved: Moved = jax.lax.switch(level, sizes, state, phase, params)
         return moved
 
+    def drive(self, state: CrossingState, params: CrossingParams) -> Moved:
+        """A decision of the light's own, by its `way`."""
+        if self.way == "fixed_time":
+            phase = jnp.asarray(FIXED)[state.steps % len(FIXED)]
+            phase = jnp.broadcast_to(phase, state.phase.shape)
+        else:
+            phase = self._actuated(state, params)
+        return self.step(state, phase[:, None], params)
+
+    def _actuated(self, state: CrossingState, params: CrossingParams) -> jax.Array:
+        """(n,) the phase as it is while its cars come, then the next for which some are there."""
+        left = params.length - state.queues.x
+        on_road = there(state.queues.x) & (left >= 0.0)
+        greens = jnp.asarray(_greens())
+        near, some = (
+            (greens[:, :, None] & cars.any(axis=0)).any(axis=1)  # (4, n)
+            for cars in (on_road & (left < _GAP), on_road)
+        )
+        now = jnp.maximum(state.phase, 0)
+        keeps = jnp.take_along_axis(near, now[None], axis=0)[0] & (state.held < _LONGEST)
+        turns = (now + jnp.arange(1, len(greens))[:, None]) % len(greens)
+        asks = jnp.take_along_axis(some, turns, axis=0)
+        following = jnp.take_along_axis(turns, asks.argmax(axis=0)[None], axis=0)[0]
+        return jnp.where(keeps | ~asks.any(axis=0), now, following).astype(jnp.int32)
+
     def over(self, state: CrossingState) -> jax.Array:
         """The time is up, or there is a jam."""
         return (state.time >= self.total_seconds) | (self.score(state) <= self.jam)
 
     def score(self, state: CrossingState) -> jax.Array:
-        """-(sum of the waiting over all decisions) / seconds of an episode."""
-        return -state.totals.waiting / self.total_seconds
+        """What `Signal` says of its two scores; both only fall."""
+        return -self.delay(state) if self.scored == "delay" else -self.waiting(state)
+
+    def waiting(self, state: CrossingState) -> jax.Array:
+        """Accumulated waiting of the cars, summed over decisions, over the episode's seconds."""
+        return state.totals.waiting / self.total_seconds
+
+    def delay(self, state: CrossingState) -> jax.Array:
+        """Seconds per car of the demand that were lost before the stop line so far.
+
+        On the approach a second counts 1 - v/limit; a second of waiting to enter counts 1.
+        """
+        number = jnp.arange(len(state.plan))[:, None, None]
+        outside = (number >= state.entered) & (state.plan < NEVER)
+        waits = jnp.where(outside, jnp.maximum(state.time - jnp.floor(state.plan), 0.0), 0.0)
+        cars = (state.plan < NEVER).sum(axis=(0, 1))
+        return (state.totals.lost + waits.sum(axis=(0, 1))) / jnp.maximum(cars, 1)
 
     def measures(self, state: CrossingState) -> dict[str, jax.Array]:
         """(n,) what an episode is compared by, as the environment's `info` has it."""
@@ -185,6 +242,8 @@ class CrossingTwin(Seeded):
         due = (state.plan <= state.time).sum(axis=(0, 1))
         return {
             "score": self.score(state),
+            "delay": self.delay(state),
+            "waiting": self.waiting(state),
             "mean_queue": totals.queue / jnp.maximum(totals.decisions, 1.0),
             "mean_speed": totals.speed / jnp.maximum(totals.cars, 1.0),
             "not_inserted": due - state.entered.sum(axis=0),
@@ -202,7 +261,8 @@ class CrossingTwin(Seeded):
         soon = state.entered + jnp.arange(_COME)[:, None, None]
         coming = jnp.take_along_axis(state.plan, soon, axis=0, mode="fill", fill_value=NEVER)
         count = there(queues.x).sum(axis=0)
-        now = _Second(queues, jnp.zeros_like(state.entered), state.time)
+        nothing = jnp.zeros_like(state.time)
+        now = _Second(queues, jnp.zeros_like(state.entered), state.time, nothing)
         first = state.steps * (self.yellow + self.green)
 
         def second(shows: jax.Array, moves: jax.Array, k: jax.Array, now: _Second) -> _Second:
@@ -229,6 +289,7 @@ class CrossingTwin(Seeded):
             ),
             entered=state.entered + now.come,
             phase=jnp.where(running, phase, state.phase),
+            held=jnp.where(changes | (state.phase < 0), 1, state.held + running),
             cells=jnp.where(running[:, None], cells, state.cells),
             steps=state.steps + 1,
         )
@@ -281,15 +342,21 @@ class CrossingTwin(Seeded):
         def kept(came: jax.Array | float, after: jax.Array, before: jax.Array) -> jax.Array:
             return jnp.where(new, came, jnp.where(moves, after, before))
 
+        after = Queues(
+            x=kept(self.clearance + self.car, x, queues.x),
+            v=kept(entry, v, queues.v),
+            waited=kept(0.0, waited, queues.waited),
+            right=jnp.where(new, turns_right, queues.right),
+        )
+        on_road = there(after.x) & (after.x <= params.length)
+        limit = jnp.minimum(params.speed, self.max_speed)
+        lost = jnp.where(on_road, 1.0 - after.v / limit, 0.0).sum(axis=(0, 1))
+        lost += jnp.where(enters, now.time - jnp.floor(next_), 0.0).sum(axis=0)
         return _Second(
-            Queues(
-                x=kept(self.clearance + self.car, x, queues.x),
-                v=kept(entry, v, queues.v),
-                waited=kept(0.0, waited, queues.waited),
-                right=jnp.where(new, turns_right, queues.right),
-            ),
+            after,
             now.come + enters,
             now.time + moves,
+            now.lost + jnp.where(moves, lost, 0.0),
         )
 
     def _speeds(
@@ -346,6 +413,7 @@ class CrossingTwin(Seeded):
             speed=added(totals.speed, queues.v),
             cars=added(totals.cars, one),
             decisions=totals.decisions + running,
+            lost=totals.lost + now.lost,
         )
         booked = state._replace(time=now.time, waiting=waiting, totals=sums)
         return booked, state.waiting - waiting

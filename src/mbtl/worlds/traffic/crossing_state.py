@@ -67,6 +67,8 @@ class Totals(NamedTuple):
         speed: of the cars on the approaches [m/s].
         cars: on the approaches.
         decisions: so many.
+        lost: seconds that cars on the approaches lost, see `CrossingTwin.score`, and those that
+            cars waited before they entered.
     """
 
     waiting: jax.Array
@@ -74,6 +76,7 @@ class Totals(NamedTuple):
     speed: jax.Array
     cars: jax.Array
     decisions: jax.Array
+    lost: jax.Array
 
 
 class CrossingState(NamedTuple):
@@ -84,6 +87,7 @@ class CrossingState(NamedTuple):
         plan: (K, 16, n) who comes, see `crossing_demand.plan`.
         entered: (16, n) cars of each lane that have come so far.
         phase: (n,) that has green; -1: none had so far.
+        held: (n,) decisions for which it has had it.
         time: (n,) seconds since the beginning.
         waiting: (n,) what was added to `totals.waiting` last.
         totals: over the decisions so far.
@@ -96,6 +100,7 @@ class CrossingState(NamedTuple):
     plan: jax.Array
     entered: jax.Array
     phase: jax.Array
+    held: jax.Array
     time: jax.Array
     waiting: jax.Array
     totals: Totals
