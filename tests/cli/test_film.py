@@ -99,9 +99,7 @@ def test_two_takes_stand_beside_each_other_or_if_they_are_wide_below(tmp_path, s
         assert (film.width > 2 * shape[1]) == across
         assert (film.height > 2 * shape[0]) != across
         legend = film.convert("RGB").crop((0, film.height - 30, 40, film.height))
-        assert (
-            (np.asarray(legend) == (20, 90, 220)).all(axis=2)
-        ).any()  # the colour of a controlled car, explained
+        assert ((np.asarray(legend) == (20, 90, 220)).all(axis=2)).any()
 
 
 LONG = [
