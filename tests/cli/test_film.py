@@ -1,7 +1,5 @@
 """Films say clock, speed and score, and stand beside unguided traffic."""
 
-from typing import ClassVar
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,6 @@ class Road:
     """Decisions of 5 s on a road that gets faster; `render` is a picture of one grey."""
 
     SCORE = "m/s"
-    MEASURES: ClassVar = {"throughput": "cars/h", "absent": "of what is not told"}
     LEGEND = (((20, 90, 220), "controlled"),)
 
     def __init__(self, last=3, shape=(40, 50), seen=True, seconds=5.0):
@@ -40,7 +37,8 @@ class Road:
 
 
 def watched(steps=3, **kwargs):
-    take = Watched(Road(steps, **kwargs), filming=True)
+    beside = {"throughput": "cars/h", "absent": "of what is not told"}
+    take = Watched(Road(steps, **kwargs), filming=True, beside=beside)
     take.reset(seed=0)
     for _ in range(steps):
         assert "final_score" not in take.step(0)[-1]

@@ -49,6 +49,7 @@ class Watched:
 
     Attributes:
         env: the environment.
+        beside: what stands beside a score: unit by its name in the last step's info.
         pictures: of the first episode, if it is filmed: first, last, and at most `2 * _MOST` in
             all, evenly spread over its decisions.
         has_clock: the environment says what time it is in a picture.
@@ -59,9 +60,14 @@ class Watched:
     strata = ()
 
     def __init__(
-        self, env: Any, filming: bool, on_look: Callable[[str], None] = lambda where: None
+        self,
+        env: Any,
+        filming: bool,
+        on_look: Callable[[str], None] = lambda where: None,
+        beside: Mapping[str, str] | None = None,
     ) -> None:
         self.env, self._filming, self._on_look = env, filming, on_look
+        self.beside = beside or {}
         self.pictures: list[Picture] = []
         self.ends: list[dict[str, Any]] = []
         self.scores: list[float] = []
@@ -107,9 +113,8 @@ class Watched:
 
     def measures(self, episode: int) -> dict[str, tuple[float, str]]:
         """What stands beside the score of an episode: value and unit by name."""
-        units: Mapping[str, str] = getattr(self.env, "MEASURES", {})
         end = self.ends[episode]
-        return {name: (float(end[name]), unit) for name, unit in units.items() if name in end}
+        return {n: (float(end[n]), unit) for n, unit in self.beside.items() if n in end}
 
     # ---- inside ------------------------------------------------------------------------------
 

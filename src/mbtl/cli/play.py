@@ -86,7 +86,7 @@ def play(
         status.update(words)
         log.say(words)
 
-    env = Watched(make_env(context), film is not None, says)
+    env = Watched(make_env(context), film is not None, says, cmdp.beside)
     if portfolio is None:
         actor, why = rollout.Actor(_AtRandom(env, seed)), "choices at random"
     else:  # other features than the axes are nobody's business but the simulator's
@@ -100,8 +100,8 @@ def play(
     with status:
         for way in () if gui else ways_of(env):
             told = partial(_aloud, says, f"{NAMES.get(way, way)}: ")
-            by_itself = Watched(ByItself(make_env(context), way), film is not None, told)
-            takes[NAMES.get(way, way)] = by_itself
+            alone = ByItself(make_env(context), way)
+            takes[NAMES.get(way, way)] = Watched(alone, film is not None, told, cmdp.beside)
         for take in takes.values():
             (scores,) = rollout.play([rollout.Job(partial(_same, take), seeds)], actor, max_envs=1)
             take.scores = scores.tolist()
@@ -122,10 +122,10 @@ def play(
         return
     out = printer()
     out.print(f"{cmdp.id} at {cmdp.space.describe(context)}; {why}", markup=False, highlight=False)
-    for name, scores in found.items():
+    for name, worth in found.items():
         of = "score" if name == next(iter(found)) else f"{name}: score"
         unit = "" if env.unit == "return" else f" {env.unit}"
-        values = " ".join(f"{score:.4g}" for score in scores)
+        values = " ".join(f"{score:.4g}" for score in worth)
         rest = "".join(f"; {value:.4g} {of}" for value, of in beside[name].values())
         out.print(f"{of}: {values}{unit}{rest}", markup=False, highlight=False)
     if film is not None:

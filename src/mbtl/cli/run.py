@@ -22,7 +22,7 @@ from mbtl.cli.worker import check_evaluated
 from mbtl.cmdps import resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
 from mbtl.plot import curve, policy_map, save
-from mbtl.report import reference_curves, summarise_study
+from mbtl.report import beside, reference_curves, summarise_study
 from mbtl.report.text import show_summary
 from mbtl.selectors import get_selector
 from mbtl.settings import first_difference
@@ -266,7 +266,7 @@ def run(
             if not running.state.rows:
                 raise
             ended = error  # the policies that there are serve all the same
-    _finish(running, trainer, folder, as_json=as_json)
+    _finish(running, trainer, folder, cmdp.beside, as_json=as_json)
     if ended is not None:
         raise ended
     check_evaluated(running)
@@ -307,7 +307,9 @@ def _announce(study: Study, folder: Path) -> None:
     )
 
 
-def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> None:
+def _finish(
+    study: Study, trainer: Trainer, folder: Path, units: Mapping[str, str], *, as_json: bool
+) -> None:
     """Save the portfolio and pictures, then print the summary."""
     summary = summarise_study(study)
     files: dict[str, str] = {}
@@ -335,6 +337,7 @@ def _finish(study: Study, trainer: Trainer, folder: Path, *, as_json: bool) -> N
             files["portfolio"] = str(folder / "portfolio")
         except StorageError as error:
             notes.append(f"no portfolio: {error}")
+        notes += beside.measure(study, trainer, units, folder)
         if (curves := reference_curves(study)) is not None:
             notes.append(curves.said)
         try:

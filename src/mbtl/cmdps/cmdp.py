@@ -107,6 +107,7 @@ class CMDP:
         settings: switches this problem was made with, e.g. {"visibility": "hidden"}. With `id` and
             `version` they say which problem this is.
         description: one line for people.
+        beside: what people need to see beside the score of an episode: unit by name of a measure.
 
     Raises:
         InvalidInput: an id unfit for a file name, bounds or theta not finite, a budget not in 1..N.
@@ -132,6 +133,7 @@ class CMDP:
     description: str = ""
     floor: float | None = None
     best_return: float | None = None
+    beside: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if isinstance(self.bounds, Bounds):

@@ -138,6 +138,7 @@ def _ramp(name: str, actions: str, checkpoint: str) -> Family:
         entry_point=f"mbtl.cmdps.traffic.ramp:{name}",
         horizon=400,
         bounds=(0.0, 8.78),
+        beside=_RAMP_SEES,
         theta=0.005,
         presets=_in_sumo(
             _RAMP_TRPO, _NEAR_SIGHTED, checkpoint=checkpoint, credit="team", **_applied(actions)
@@ -331,11 +332,17 @@ _ECO_TWIN = {
     ),
 }
 
+_FLOW = {"throughput": "cars/h", "co2": "g CO2/trip", "stops": "stops/trip"}
+_SIGNAL_SEES = {"mean_queue": "halted cars", "mean_speed": "m/s on the roads",
+                "not_inserted": "cars outside at the end"}  # fmt: skip
+_RAMP_SEES = {"throughput": "cars/h", "dropped": "of the cars found no room to enter"}
+
 TRAFFIC_FAMILIES: Mapping[str, Family] = {
     "signal": Family(
         entry_point="mbtl.cmdps.traffic.signal:Signal",
         horizon=540,
         bounds=(-120.0, 0.0),
+        beside=_SIGNAL_SEES,
         scores={"delay": {}, "paper": {"bounds": (-100.0, 0.0), "floor": -100.0}},
         theta=0.001,
         presets=_SIGNAL,
@@ -350,6 +357,7 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
         entry_point="mbtl.cmdps.traffic.eco:Eco",
         horizon=1500,
         bounds=(0.0, 14.0),  # nobody drives, everybody at the limit
+        beside=_FLOW,
         scores={"everyone": {}, "paper": {"bounds": (0.0, 15.0)}},
         theta=0.005,
         presets=_ECO,

@@ -24,6 +24,7 @@ from mbtl.benchmark.replay import replay
 from mbtl.contexts import ContextSpace
 from mbtl.history import History
 from mbtl.plot.matrices import shown_performance
+from mbtl.report import beside
 from mbtl.report.reference import reference_curves
 from mbtl.report.summary import summarise_study
 from mbtl.report.text import lines
@@ -151,7 +152,11 @@ def of_study(study: Study) -> Subject:
         picks,
         {} if curves is None else curves.baselines,
         {} if curves is None else curves.levels,
-        (*lines(summary, space), *([] if curves is None else [curves.said])),
+        (
+            *lines(summary, space),
+            *beside.sentences(study.folder),
+            *([] if curves is None else [curves.said]),
+        ),
         provenance=made,
         finished=study.is_finished,
     )

@@ -331,6 +331,42 @@ class WorldTrainer(WorldSteps):
         actor, activation = engine.import_actor(list(policies)), policies[0].activation
         return engine.evaluate(world, actor, params, each, activation=activation, how=self._how)
 
+    def beside(
+        self,
+        policies: Sequence[MLPPolicy],
+        contexts: Sequence[Sequence[Context]],
+        seeds: Sequence[int],
+    ) -> dict[str, dict[str, Array]]:
+        """What the world measures of episodes beside the score; nothing where it has no measures.
+
+        Args:
+            policies: that serve; of one that serves nowhere anything.
+            contexts: of each policy, those that it serves; none twice.
+            seeds: of the episodes, one per context, policy by policy.
+
+        Returns:
+            Per name of a measure (n, eval_episodes), the contexts policy by policy; by who: the
+            "policies", and what goes best by itself.
+        """
+        every = [context for some in contexts for context in some]
+        world, params = self.problem(every)
+        if not hasattr(world, "measures"):
+            return {}
+        own, parts, first = episode_seeds(seeds, len(every), self.eval_episodes), [], 0
+        for policy, some in zip(policies, contexts, strict=True):
+            if some:
+                end = first + len(some)
+                part = type(params)(*(field[first:end] for field in params))
+                actor, activation = engine.import_actor([policy]), policy.activation
+                acts: Any = {"activation": activation, "how": self._how}
+                parts.append(engine.measured(world, actor, part, own[first:end], **acts))
+                first = end
+        names = parts[0]
+        found = {"policies": {n: np.concatenate([part[n] for part in parts]) for n in names}}
+        for way in (*(("unguided",) if world.drives else ()), *getattr(world, "ways", ()))[-1:]:
+            found[way] = engine.measured(world, None, params, own, way=way)
+        return found
+
     def reference_rows(self, contexts: Sequence[Context], seeds: Sequence[int]) -> dict[str, Array]:
         """See `mbtl.trainer.ReferenceTrainer`."""
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)

@@ -134,12 +134,6 @@ class Eco(TrafficTeam):
     STEP = STEP
     HORIZON = 1500
     WINDOW = Window(-FEEDERS["AB"] - 4.0, -12.0, LENGTH + 4.0, 9.0)
-    MEASURES: ClassVar[Mapping[str, str]] = {
-        "throughput": "cars/h",
-        "co2": "g CO2/trip",
-        "stops": "stops/trip",
-        "not_inserted": "cars outside",
-    }
     metadata: ClassVar[dict[str, Any]] = {**TrafficTeam.metadata, "name": "mbtl-eco"}
     most_agents = math.ceil(LENGTH / (CONTROLLED_LENGTH + CONTROLLED.min_gap))
 

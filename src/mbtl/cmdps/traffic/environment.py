@@ -70,8 +70,6 @@ class Traffic(Contextual):
     """What `render` shows of the network; None: all of it."""
     SCORE: str = "m/s"
     """Unit of the score."""
-    MEASURES: ClassVar[Mapping[str, str]] = {}
-    """What is worth a look beside the score: unit by its name in the last step's info."""
     LEGEND: ClassVar[Legend] = (*CARS, CONTROLLED)
     """Of the colours of pictures."""
     watcher: Callable[[], None] | None = None

@@ -87,10 +87,6 @@ class Ramp(TrafficTeam):
     STEP = advisory.STEP
     HORIZON = advisory.HORIZON
     ACTIONS: ClassVar[Actions] = "acceleration"
-    MEASURES: ClassVar[Mapping[str, str]] = {
-        "throughput": "cars/h",
-        "dropped": "of the cars found no room to enter",
-    }
     metadata: ClassVar[dict[str, Any]] = {**TrafficTeam.metadata, "name": "mbtl-ramp"}
     most_agents = math.ceil((MAIN + MERGE + EXIT) / CAR / EVERY)
 

@@ -96,7 +96,6 @@ _SHORTEST_GREEN, _LONGEST_GREEN = 5.0, 50.0
 _PHASES = (("NS", False), ("NS", True), ("WE", False), ("WE", True))
 PHASES = len(_PHASES)
 _PLACES = {"W": (-1, 0), "N": (0, 1), "E": (1, 0), "S": (0, -1)}
-_APPROACHES = tuple(f"{approach}_in" for approach in APPROACHES)
 _LANES = [(f"{a}_in_{lane}", 2 * k + (lane == LEFT_LANE)) for k, a in enumerate(APPROACHES)
           for lane in range(LANES)]  # fmt: skip
 
@@ -113,7 +112,6 @@ class Signal(TrafficEnv):
     STEP = 1.0
     HORIZON = SECONDS // GREEN
     WINDOW = Window(-110.0, -110.0, 110.0, 110.0)
-    MEASURES: ClassVar[Mapping[str, str]] = {"mean_queue": "halted cars", "not_inserted": "outside"}
     LEGEND = CARS
     ways: ClassVar[tuple[str, ...]] = tuple(WAYS)
 
@@ -275,14 +273,14 @@ class Signal(TrafficEnv):
 
     def _drive(self, api: Any, seconds: int) -> None:
         """Simulate second by second, no longer than the episode lasts, and book what is lost."""
-        edge, end = api.edge, min(self._time + seconds, SECONDS)
+        on, end = api.lane, min(self._time + seconds, SECONDS)
         while self._time < end:
             self._time += 1
             api.simulationStep(float(self._time))
             self._lost += len(api.simulation.getPendingVehicles())
-            for road in _APPROACHES:
-                if cars := edge.getLastStepVehicleNumber(road):
-                    self._lost += cars * (1.0 - edge.getLastStepMeanSpeed(road) / self._limit)
+            for lane, _ in _LANES:  # of a whole edge SUMO's mean is another one
+                if cars := on.getLastStepVehicleNumber(lane):
+                    self._lost += cars * (1.0 - on.getLastStepMeanSpeed(lane) / self._limit)
 
     def _program(self, api: Any, way: str) -> Any:
         """A light of SUMO's own, as SUMO wants it."""

@@ -14,7 +14,13 @@ from mbtl.training.jax.algorithms import recipe_named
 from mbtl.training.jax.blocks import Block, Training, from_arrays, to_arrays, weights_of
 from mbtl.training.jax.episodic.episodes import actor_of, import_actor
 from mbtl.training.jax.episodic.learning import episodes_met
-from mbtl.training.jax.evaluation import evaluate, evaluate_multitask, on_cpu, reference_returns
+from mbtl.training.jax.evaluation import (
+    evaluate,
+    evaluate_multitask,
+    measured,
+    on_cpu,
+    reference_returns,
+)
 from mbtl.training.jax.export import export_policies, taught
 from mbtl.training.jax.loop import start, start_multitask, train, train_multitask
 from mbtl.training.jax.multitask.run import (
@@ -73,6 +79,7 @@ __all__ = [
     "from_arrays",
     "hosted",
     "import_actor",
+    "measured",
     "multitask_recipe",
     "multitask_settings",
     "on_cpu",

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.training.jax.episodic.episodes import Acting, Actor, actor_of, go_on, scores
+from mbtl.training.jax.episodic.episodes import Acting, Actor, actor_of, go_on, measures
 from mbtl.training.jax.multitask.table import seen
 from mbtl.training.jax.recipes import Activation, MultiTaskRecipe
 from mbtl.worlds import ends, strata
@@ -52,10 +52,24 @@ def own_scores(
     Parameters are of one context, which serves all; (P, ...); or (P, N, ...). Of the (P, E) seeds
     the first are for the first context.
     """
+    return own_measures(world, activation, how, actor, seeds, params)["score"]
+
+
+def own_measures(
+    world: World,
+    activation: Activation,
+    how: Acting,
+    actor: Actor,
+    seeds: NDArray[np.uint32],
+    params: Tree,
+) -> dict[str, jax.Array]:
+    """As `own_scores`, with all that the world measures of an episode."""
     drawn, actor = world.draws(seeds), actor._replace(critic=())
     every = of_simulations(params, seeds.shape[1])
     decisions = world.decisions(in_a_row(params))
-    found: jax.Array = scores(world, activation, how, actor, seeds, drawn, every, decisions)
+    found: dict[str, jax.Array] = measures(
+        world, activation, how, actor, seeds, drawn, every, decisions
+    )
     return found
 
 
@@ -156,6 +170,42 @@ def evaluate_multitask(
     contexts, actor = seen(recipe, params, places), actor_of(weights)
     activation = recipe.activation
     return evaluate(world, actor, contexts, seeds, activation=activation, on_block=on_block)
+
+
+def measured(
+    world: World,
+    actor: Actor | None,
+    params: Tree,
+    seeds: ArrayLike,
+    *,
+    activation: Activation = "tanh",
+    how: Acting = "mean",
+    way: str = "",
+) -> dict[str, Array]:
+    """(C, E) of one policy on every context, by name: all that the world measures of an episode.
+
+    Args:
+        world: the dynamics; with `measures`.
+        actor: of the policy; None: what goes by itself, by this `way` where the world has several.
+        params: of C contexts.
+        seeds: (C, E) of the episodes in each context.
+        activation: between the layers of the actor.
+        how: actions follow from the policy.
+        way: one of the world's `ways`.
+    """
+    if actor is None:
+        actor, how = Actor((), jnp.zeros((1, 1))), "none"
+        world = replace(cast(Any, world), way=way) if way in getattr(world, "ways", ()) else world
+    params, shares = strata.of_each_kind(world, params)
+    own = np.repeat(np.array(seeds, np.uint32), shares.shape[1], axis=0)
+    each = [
+        own_measures(world, activation, how, actor, own[c : c + 1], context_of(params, c))
+        for c in range(shares.size)
+    ]
+    return {
+        name: strata.merged(np.stack([np.asarray(one[name]) for one in each], axis=1), shares)[0]
+        for name in each[0]
+    }
 
 
 def reference_returns(world: World, params: Tree, seeds: ArrayLike) -> dict[str, Array]:

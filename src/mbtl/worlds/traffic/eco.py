@@ -195,10 +195,11 @@ class EcoTwin(Seeded):
         totals = state.totals
         cars = jnp.maximum(totals.completed, 1)
         hours = (state.steps - self.warm_up) * (self.dt / 3600.0)
+        everyone, trips = self.mean_speed(state), self.trip_speed(state)
         return {
-            "score": self.score(state),
-            "mean_speed": self.mean_speed(state),
-            "trip_speed": self.trip_speed(state),
+            "score": everyone if self.scored == "everyone" else trips,
+            "mean_speed": everyone,
+            "trip_speed": trips,
             "co2": totals.co2 / cars,
             "stops": totals.stops / cars,
             "throughput": totals.completed / hours,

@@ -186,6 +186,28 @@ def _indifferent(network: Network) -> Network:
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
+def measures(
+    twin: World,
+    activation: Activation,
+    how: Acting,
+    actor: Actor,
+    seeds: jax.Array,
+    drawn: jax.Array,
+    params: Tree,
+    decisions: Tree,
+) -> dict[str, jax.Array]:
+    """(P, E) scores, "score", and what else the world measures of an episode, by name.
+
+    Arguments as in `record`, `drawn` is `World.draws` of the seeds. One compiled program serves all
+    contexts, one after the other or, in beats, together; it ends as soon as all episodes have. The
+    numbers of `decisions` need not be static.
+    """
+    state = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
+    end = go_on(twin, activation, how, actor, seeds, params, state, 0, decisions)
+    found = twin.measures(end) if hasattr(twin, "measures") else {"score": twin.score(end)}
+    return {name: each.reshape(seeds.shape) for name, each in found.items()}
+
+
 def scores(
     twin: World,
     activation: Activation,
@@ -196,14 +218,8 @@ def scores(
     params: Tree,
     decisions: Tree,
 ) -> jax.Array:
-    """(P, E) scores; arguments as in `record`, `drawn` is `World.draws` of the seeds.
-
-    One compiled program serves all contexts, one after the other or, in beats, together; it ends as
-    soon as all episodes have. The numbers of `decisions` need not be static.
-    """
-    state = twin.start(drawn.reshape(-1, *drawn.shape[2:]), params)
-    end = go_on(twin, activation, how, actor, seeds, params, state, 0, decisions)
-    return twin.score(end).reshape(seeds.shape)
+    """(P, E) scores; see `measures`."""
+    return measures(twin, activation, how, actor, seeds, drawn, params, decisions)["score"]
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
