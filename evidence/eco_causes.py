@@ -244,7 +244,7 @@ def standard(asked: Namespace) -> tuple[list[str], Any]:
     from mbtl.cmdps.engines import EnvFactory, TwinProblem
 
     every, trainings = asked.every, asked.trainings
-    axes = {name: get_cmdp(name, engine="jax") for name in asked.axes}
+    axes = {name: get_cmdp(name, engine="jax", score="paper") for name in asked.axes}
     grids = {name: cmdp.space.contexts[every // 2 :: every] for name, cmdp in axes.items()}
     contexts = [at(**context) for grid in grids.values() for context in [*grid] * trainings]
     other = {"rows": asked.rows, "anneal": asked.anneal}

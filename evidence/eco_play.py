@@ -24,7 +24,7 @@ Rule = Callable[[Any, Any], Any]
 Measures = dict[str, Any]
 """Name of a measure -> (contexts, seeds)."""
 
-PROBLEM = EcoProblem()
+PROBLEM = EcoProblem(score="paper")
 TWIN = PROBLEM([{}])[0]
 HARD = eco.STRONGEST  # more than any car can: drive by yourself
 

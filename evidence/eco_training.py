@@ -108,7 +108,7 @@ def trained(context: Mapping[str, float], ways: str, episodes: int) -> tuple[Any
     """Weights of `SEEDS` policies per way, before and after training in one context."""
     chosen, recipe = WAYS[ways].values(), RECIPES[ways]
     many = [way for way in chosen for _ in range(SEEDS)]
-    base = EcoProblem(agents=AGENTS)([{}])[0]
+    base = EcoProblem(agents=AGENTS, score="paper")([{}])[0]
     if ways in LESSONS:
         base = base.lesson("speed")
     own = {field.name: getattr(base, field.name) for field in fields(base)}

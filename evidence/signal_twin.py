@@ -35,7 +35,7 @@ def in_sumo(features: dict[str, float], policy: str, seeds: int) -> tuple[np.nda
     """(seeds, measures), and processor milliseconds of an episode."""
     from mbtl.cmdps.traffic.signal import Signal
 
-    env, found = Signal(features, visibility="hidden"), []
+    env, found = Signal(features, visibility="hidden", score="paper"), []
     began = time.process_time()
     for seed in range(seeds):
         env.reset(seed=seed)
@@ -58,7 +58,7 @@ def in_twin(features: dict[str, float], policy: str) -> tuple[np.ndarray, float]
 
     from mbtl.cmdps.traffic.twins import SignalProblem
 
-    twin, (params,) = SignalProblem()([features])
+    twin, (params,) = SignalProblem(score="paper")([features])
 
     def one(seeds: Any, k: Any, state: Any) -> Any:
         if policy == "in turn":

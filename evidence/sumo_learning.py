@@ -80,7 +80,8 @@ def main() -> None:
     args = parser.parse_args()
     from mbtl.cmdps import get_cmdp
 
-    cmdp = get_cmdp(args.cmdp, engine="sumo")
+    score = "paper" if args.cmdp.startswith(("eco", "signal")) else None
+    cmdp = get_cmdp(args.cmdp, engine="sumo", score=score)
     axis, values = CONTEXTS[args.cmdp]
     contexts = [{axis: value} for value in values]
     trainers = ways(cmdp, args.episodes, args.eval_episodes)

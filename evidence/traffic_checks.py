@@ -62,7 +62,7 @@ def signal(seed: int) -> float:
     """Score of fixed times at the nominal demand."""
     from mbtl.cmdps.traffic.signal import Signal
 
-    env = Signal()
+    env = Signal(score="paper")
     env.reset(seed=seed)
     decision, info = 0, dict[str, Any]()
     while "score" not in info:
@@ -75,7 +75,7 @@ def eco(seed: int) -> float:
     """Score in which nobody is commanded."""
     from mbtl.cmdps.traffic.eco import Eco
 
-    env = Eco()
+    env = Eco(score="paper")
     unguided(env, seed)
     return float(env.summary["score"])
 

@@ -116,7 +116,7 @@ def in_sumo(family: str, context: dict[str, float], policy: Policy | None, seeds
     from mbtl.cmdps.traffic.eco import Eco
 
     if family == "eco":
-        env: Any = Eco(context, visibility="hidden")
+        env: Any = Eco(context, visibility="hidden", score="paper")
     else:
         name = "ring-acc" if family == "ring" else family
         env = get_cmdp(name, engine="sumo", visibility="hidden").make_env(context)
@@ -183,7 +183,7 @@ def in_twin(family: str, seeds: int) -> Callable[[dict[str, float], Policy | Non
         "ring": RingProblem("acceleration"),
         "ramp-acc": RampProblem("acceleration"),
         "ramp-vel": RampProblem("speed"),
-        "eco": EcoProblem(),
+        "eco": EcoProblem(score="paper"),
     }
     problem = problems[family]
     twin = problem([CONTEXTS[family][0]])[0]

@@ -104,7 +104,8 @@ def main() -> None:
     args = parser.parse_args()
     from mbtl.cmdps import get_cmdp
 
-    cmdp = get_cmdp(args.cmdp, engine="jax")
+    score = "paper" if args.cmdp.startswith(("eco", "signal")) else None
+    cmdp = get_cmdp(args.cmdp, engine="jax", score=score)
     trainer = cmdp.trainer_for()
     (axis,) = (axis.name for axis in cmdp.space.axes)
     contexts = [{axis: value} for value in CONTEXTS[args.cmdp]]

@@ -46,7 +46,8 @@ def main() -> None:
     if walks and not args.policies:
         parser.error("walkers need --policies, those that the build of a matrix kept")
     name, engine = ("Box2D", "gymnasium-jax") if walks else ("SUMO", "sumo")
-    twin, native = (get_cmdp(args.cmdp, engine=one) for one in ("jax", engine))
+    score = "paper" if args.cmdp.startswith(("eco", "signal")) else None
+    twin, native = (get_cmdp(args.cmdp, engine=one, score=score) for one in ("jax", engine))
     n = twin.space.n
     sources, targets = (
         np.unique(np.linspace(0, n - 1, count).round().astype(int))

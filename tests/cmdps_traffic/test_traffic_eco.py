@@ -71,16 +71,16 @@ def test_the_reward_pays_for_speed_and_charges_for_crawling_and_emissions():
 # 10.6 at 40 cars/h, 10.8 where all cars drive as controlled ones do (they accelerate faster).
 def test_traffic_without_control_is_slower_with_little_green_and_many_cars(make):
     nominal = unguided(make())
-    assert 8.5 < nominal["score"] < 10.5
+    assert 8.5 < nominal["trip_speed"] < 10.5
     assert 80 < nominal["co2"] < 150
     assert 0.2 < nominal["stops"] < 0.8
     assert 280 < nominal["throughput"] < 420  # 400 cars/h come, the last ones do not get through
     assert nominal["not_inserted"] == nominal["collisions"] == 0
     starved, crowded = unguided(make({"green": 1.0})), unguided(make({"inflow": 2000.0}))
-    assert 0.5 < starved["score"] < 3.5
-    assert 3.0 < crowded["score"] < 6.0
+    assert 0.5 < starved["trip_speed"] < 3.5
+    assert 3.0 < crowded["trip_speed"] < 6.0
     for jam in (starved, crowded):
-        assert jam["score"] < nominal["score"]
+        assert jam["trip_speed"] < nominal["trip_speed"]
         assert jam["co2"] > 1.5 * nominal["co2"]
         assert jam["stops"] > nominal["stops"]
         assert jam["not_inserted"] > 0
@@ -112,7 +112,27 @@ def test_cars_that_glide_do_not_stop_and_earn_more(make):
     assert by_themselves["stops"] > 0.2
     assert gliding["stops"] < 0.05
     assert careful > free + 20  # measured: 39 against -2 per car
-    assert gliding["score"] == pytest.approx(by_themselves["score"], rel=0.05)
+    assert gliding["trip_speed"] == pytest.approx(by_themselves["trip_speed"], rel=0.05)
+
+
+def test_a_jam_beats_free_traffic_by_the_paper_s_score_and_never_by_the_default_one(make):
+    """Who blocks the road after a minute is judged by the few cars that came through before."""
+    context = {"green": 16.0, "penetration": 0.4}
+    env = make(context)
+    free = unguided(env)
+    env.reset(seed=0)
+    while env.agents:
+        blocked = env._left < env.horizon - 120
+        env.step(dict.fromkeys(env.agents, [-20.0]) if blocked else {})
+    jam = env.summary
+    assert jam["throughput"] < 0.2 * free["throughput"]
+    assert jam["trip_speed"] > free["trip_speed"] + 1.0
+    assert jam["mean_speed"] < 0.3 * free["mean_speed"]
+    assert (jam["score"], free["score"]) == (jam["mean_speed"], free["mean_speed"])
+    paper = unguided(make(context, score="paper"))
+    assert paper == {**free, "score": free["trip_speed"]}
+    with pytest.raises(UnknownName, match="everyone, paper"):
+        make(score="all")
 
 
 def test_an_episode_ends_at_the_horizon_and_says_what_it_measured(make):

@@ -133,7 +133,9 @@ def test_a_fixed_time_signal_serves_the_nominal_demand(make):
     assert total == 0.0  # rewards are differences: nobody waited before, nobody waits at the end
     assert info["score"] == -info["delay"]
     assert 5.7 < info["waiting"] < 13.5  # the range of the paper's raw waiting
-    assert info["delay"] == pytest.approx(26.0, abs=2.0)  # half a cycle of 96 s, half of the time
+    # 66 s of red in a cycle of 96 s for seven of eight, 86 s for the others; and drivers dawdle
+    by_chance = (0.875 * 66.0**2 + 0.125 * 86.0**2) / (2.0 * 96.0)
+    assert by_chance < info["delay"] < by_chance + 6.0
     assert info["not_inserted"] == info["collisions"] == 0
 
 

@@ -14,8 +14,8 @@ class Trainer:
     def __init__(self):
         self.asked = []
 
-    def beside(self, policies, contexts, seed):
-        self.asked.append((policies, contexts))
+    def beside(self, policies, contexts, seeds):
+        self.asked.append((policies, contexts, seeds))
         rows = [
             [10.0 * k + context["x"]] * 2 for k, some in enumerate(contexts) for context in some
         ]
@@ -26,6 +26,8 @@ class Trainer:
 
 
 class Policies:
+    policies_missing = False
+
     def policy(self, k):
         return f"policy {k}"
 
@@ -49,6 +51,9 @@ class Study:
         def context(i):
             return {"x": float(i)}
 
+    def evaluation_seeds(self, targets, purpose):
+        return [100 + int(target) for target in targets]
+
     def portfolio(self, trainer):
         return Policies()
 
@@ -61,7 +66,8 @@ def test_measures_are_means_by_weight_where_each_policy_serves(tmp_path):
         "policies, mean over the contexts: score 8.25, 108.2 cars/h",
         "unguided, mean over the contexts: score 0, 90 cars/h",
     ]
-    assert trainer.asked == [(["policy 0", "policy 1"], [[{"x": 1.0}], [{"x": 0.0}, {"x": 2.0}]])]
+    served = [[{"x": 1.0}], [{"x": 0.0}, {"x": 2.0}]]
+    assert trainer.asked == [(["policy 0", "policy 1"], served, [101, 100, 102])]
     assert beside.sentences(tmp_path) == said
 
 

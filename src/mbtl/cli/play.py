@@ -126,7 +126,7 @@ def play(
         of = "score" if name == next(iter(found)) else f"{name}: score"
         unit = "" if env.unit == "return" else f" {env.unit}"
         values = " ".join(f"{score:.4g}" for score in worth)
-        rest = "".join(f"; {value:.4g} {of}" for value, of in beside[name].values())
+        rest = "".join(f"; {value:.4g} {what}" for value, what in beside[name].values())
         out.print(f"{of}: {values}{unit}{rest}", markup=False, highlight=False)
     if film is not None:
         out.print(f"{pictures} pictures: {film}", markup=False, highlight=False)

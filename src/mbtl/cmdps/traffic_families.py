@@ -357,8 +357,14 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
         entry_point="mbtl.cmdps.traffic.eco:Eco",
         horizon=1500,
         bounds=(0.0, 14.0),  # nobody drives, everybody at the limit
-        beside=_FLOW,
-        scores={"everyone": {}, "paper": {"bounds": (0.0, 15.0)}},
+        beside={"trip_speed": "m/s in the region", **_FLOW},
+        scores={
+            "everyone": {},
+            "paper": {
+                "bounds": (0.0, 15.0),
+                "beside": {"mean_speed": "m/s of all cars", **_FLOW},
+            },
+        },
         theta=0.005,
         presets=_ECO,
         jax=TwinFamily("mbtl.cmdps.traffic.twins:EcoProblem", _ECO_TWIN),

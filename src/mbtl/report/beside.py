@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.benchmark.references import NAMES
-from mbtl.seeds import Purpose, evaluation_seed
+from mbtl.seeds import Purpose
 from mbtl.study import Study
 
 FILE = "beside.json"
@@ -24,7 +24,8 @@ FILE = "beside.json"
 def measure(study: Study, trainer: Any, units: Mapping[str, str], folder: Path) -> list[str]:
     """Play the serving policies once more, note what was measured in the folder, and say it.
 
-    Nothing is played where it is known already, or where nothing is measured.
+    Nothing is played where it is known already, where nothing is measured, or where policies are
+    missing.
 
     Args:
         study: with rows and its policies.
@@ -33,16 +34,19 @@ def measure(study: Study, trainer: Any, units: Mapping[str, str], folder: Path) 
         folder: of the study.
     """
     told = len(study.state.rows)
-    if _read(folder).get("trainings") != told and units and hasattr(trainer, "beside") and told:
-        route, space, portfolio = study.routing.route, study.space, study.portfolio(trainer)
+    if not (units and told and hasattr(trainer, "beside")):
+        return []
+    portfolio = study.portfolio(trainer)
+    if _read(folder).get("trainings") != told and not portfolio.policies_missing:
+        route, space = study.routing.route, study.space
         served = [np.flatnonzero(route == k) for k in range(told)]
         policies = [portfolio.policy(k) if some.size else None for k, some in enumerate(served)]
         contexts = [[space.context(int(i)) for i in some] for some in served]
-        seed = evaluation_seed(study.spec.seed, study.spec.trial, Purpose.REPORT)
-        weights = space.weights[np.concatenate(served)]
+        targets = np.concatenate(served)
+        seeds, weights = study.evaluation_seeds(targets, Purpose.REPORT), space.weights[targets]
         found = {
             who: {n: float(weights @ rows[n].mean(axis=1)) for n in ("score", *units) if n in rows}
-            for who, rows in trainer.beside(policies, contexts, seed).items()
+            for who, rows in trainer.beside(policies, contexts, seeds).items()
         }
         record = {"trainings": told, "units": dict(units), "measures": found}
         (folder / FILE).write_text(json.dumps(record, indent=2), encoding="utf-8")
