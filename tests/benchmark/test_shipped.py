@@ -96,3 +96,16 @@ def test_all_are_the_sets_of_one_axis():
     assert {"cartpole-length", "pendulum-mass", "ring-vel"} <= set(opened)
     assert "cartpole-masses-length" in shipped_matrices()
     assert {source.space.d for source in opened.values()} == {1}
+
+
+def test_matrices_of_traffic_name_their_score_and_version():
+    names = [name for name in shipped_matrices() if name.startswith(("eco", "signal"))]
+    assert len(names) == 9
+    for name in names:
+        matrix = open_matrix(name)
+        assert {record["switches"]["score"] for record in matrix.records} == {"paper"}
+        version = matrix.records[0]["version"]
+        assert f"the paper's score of {matrix.cmdp} (--score paper, version {version})" in (
+            matrix.caveat
+        )
+    assert load_matrix("cartpole-length").caveat is None

@@ -189,3 +189,17 @@ def test_unguided_traffic_is_distributed_as_in_sumo(context):
         sumo, ours = np.array([m[name] for m in measures]), np.asarray(found[name])
         error = np.hypot(sumo.std(ddof=1) / np.sqrt(len(sumo)), ours.std() / np.sqrt(len(ours)))
         assert abs(sumo.mean() - ours.mean()) < 4 * error, name
+
+
+@pytest.mark.long
+def test_what_stands_beside_the_score_is_of_the_episodes_that_are_scored():
+    trainer = get_cmdp("eco-green", engine="jax").trainer_for("quick", eval_episodes=2)
+    contexts = [{"green": 16.0}, {"green": 35.0}, {"green": 50.0}]
+    policy = trainer.untrained(contexts[0])
+    found = trainer.beside([policy, policy], [contexts[:1], contexts[1:]], [3, 5, 7])
+    scores = trainer.evaluate(policy, contexts, [3, 5, 7])
+    np.testing.assert_array_equal(found["policies"]["score"], scores)
+    np.testing.assert_array_equal(found["policies"]["mean_speed"], scores)
+    alone = trainer.reference_rows(contexts, [3, 5, 7])["unguided"]
+    np.testing.assert_array_equal(found["unguided"]["score"], alone)
+    assert (found["unguided"]["throughput"] > 100.0).all()
