@@ -39,7 +39,7 @@ def make(
         context: values of the varied features, within their axes; missing: the nominal ones.
         render_mode: "rgb_array" in traffic and of HalfCheetah: `render` gives images.
         gui: in traffic, show it in sumo-gui.
-        **switches: `physics`, `visibility`, `time_limit`, `obs` as in `mbtl.cmdps.get_cmdp`.
+        **switches: `physics`, `visibility`, `time_limit`, `obs`, `score` as in `get_cmdp`.
 
     Many decision makers are one environment with a row for each, `mbtl.envs.slots.Together`.
     """
