@@ -140,7 +140,7 @@ def test_a_fixed_time_signal_serves_the_nominal_demand(make):
 
 
 def test_the_delay_is_what_sumo_says_cars_lose_and_what_they_wait_to_enter(make):
-    env = make({"inflow": 300, "length": 60})  # on so short a road some wait outside
+    env = make({"inflow": 2000, "length": 40})  # on so short a road some wait outside
     env.reset(seed=0)
     lost, outside = {}, 0
     original = env.simulation.api.simulationStep
@@ -160,7 +160,7 @@ def test_the_delay_is_what_sumo_says_cars_lose_and_what_they_wait_to_enter(make)
             env.step(FIXED_TIME[k % 8])
     assert outside > 0
     assert len(lost) > 30
-    assert env._delay * 300 == pytest.approx(sum(lost.values()) + outside, rel=0.03)
+    assert env._delay * 2000 == pytest.approx(sum(lost.values()) + outside, rel=0.03)
 
 
 def test_lights_of_sumos_own_stand_beside_policies(make):
