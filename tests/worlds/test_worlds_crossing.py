@@ -210,7 +210,7 @@ def test_lights_of_its_own_need_no_policy():
             )
         )
         delays[way] = np.asarray(one.delay(run(one.start(seeds, params))))
-    assert delays["fixed_time"] == pytest.approx(26.1, abs=2.0)  # in SUMO 27.7 +- 0.5
+    assert delays["fixed_time"].mean() == pytest.approx(26.1, abs=2.0)  # in SUMO 27.7 +- 0.5
     assert (delays["actuated"] < 0.8 * delays["fixed_time"]).all()
 
 

@@ -223,7 +223,7 @@ def test_the_light_is_that_of_the_corridor(green):
 
 def test_arrivals_are_poisson_and_drivers_as_the_population_says(twin):
     seeds = jnp.arange(40_000, dtype=jnp.uint32)
-    gap, car = twin.demand.draw(seeds, jnp.uint32(0), 400.0, 0.2)
+    gap, car = twin.demand.draw(seeds, jnp.zeros((2, len(seeds)), jnp.int32), 400.0, 0.2)
     n = len(seeds)
     for feeder, share in enumerate((0.9, 0.1)):
         mean = 3600.0 / (400.0 * share)
