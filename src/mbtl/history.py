@@ -105,7 +105,7 @@ class History:
         return np.asarray(mask)
 
 
-_USUAL = 10.0
+USUAL = 10.0
 """Degrees of freedom that the usual scatter of a row and of a target is worth."""
 
 
@@ -132,9 +132,9 @@ def standard_errors(deviations: Array, episodes: Sequence[int]) -> Array | None:
 
     def usual(axis: int) -> Array:
         total, count = variances.sum(axis=axis, keepdims=True), seen.sum(axis=axis, keepdims=True)
-        return np.asarray((total + _USUAL * overall) / (count + _USUAL))
+        return np.asarray((total + USUAL * overall) / (count + USUAL))
 
     count = np.asarray(episodes, dtype=np.float64)[:, None]
     own = np.where(seen, count - 1.0, 0.0)
     pooled = usual(1) * (usual(0) / overall)
-    return np.asarray(np.sqrt((own * variances + _USUAL * pooled) / (own + _USUAL) / count))
+    return np.asarray(np.sqrt((own * variances + USUAL * pooled) / (own + USUAL) / count))

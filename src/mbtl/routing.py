@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
-from mbtl.history import standard_errors
+from mbtl.episodes import Episodes, scatter_of_sum, student
+from mbtl.history import USUAL
 from mbtl.models.beliefs import Beliefs
 from mbtl.objective import worst_share_mean, worst_share_weights
 
@@ -35,8 +36,6 @@ _SAMPLE = 1000
 """Contexts that stand for all where more would have to be predicted, to say what V is."""
 _DRAWS = 1000
 """Samples of the served performance, for a V that is no plain mean of it."""
-_MANY = 1_000_000
-"""Episodes from which on Student's t is the Gaussian; a damaged file may name any number."""
 
 
 def routes(rows: Array, sources: Sequence[int], steps: Array) -> Indices:
@@ -98,14 +97,14 @@ def _scores(values: Array) -> Array:
 
 @dataclass(frozen=True)
 class Valuation:
-    """V of policies as they are routed, by the rows that routed them.
+    """V of policies as they are routed.
 
     Attributes:
-        value: V, performance.
+        value: V, performance, by episodes that did not choose the routes, and without flattery.
         error: its standard error: of noise, of what was predicted, of what was sampled.
         measured: share of the weight whose serving policy was evaluated right there.
-        margin: half its 95 % interval. Few episodes say little of their own scatter, so what all
-            policies share of it counts by Student's t.
+        margin: half its 95 % interval. Contexts are independent, so their scatter is known by all
+            their episodes together, as well as Student's t says.
     """
 
     value: float
@@ -117,7 +116,7 @@ class Valuation:
         """What V is at least, with this probability."""
         from scipy.special import ndtri  # kept out of `import mbtl`
 
-        return self.value - float(ndtri(confidence)) * self.error
+        return self.value - float(ndtri(confidence)) * self.margin / SURE
 
 
 class Routing:
@@ -129,8 +128,7 @@ class Routing:
         space: the N contexts.
         sources: (k,) contexts trained on, k >= 1.
         rows: (k, N) performance, NaN where a policy was not evaluated.
-        deviations: (k, N) of single episodes, with n - 1, NaN where unknown; None: all are.
-        episodes: (k,) behind each row; None: one.
+        episodes: behind the rows; None: one each, or exact.
         risk: share of the targets, the worst of them, that V is the mean of.
         earlier: a routing of the first rows of these, whose results are used again.
     """
@@ -140,17 +138,14 @@ class Routing:
         space: ContextSpace,
         sources: Sequence[int],
         rows: Array,
-        deviations: Array | None = None,
-        episodes: Sequence[int] | None = None,
+        episodes: Episodes | None = None,
         *,
         risk: float = 1.0,
         earlier: Routing | None = None,
     ) -> None:
         """Nothing is computed yet."""
         self.space, self.sources, self.rows, self.risk = space, tuple(sources), rows, risk
-        k = len(self.sources)
-        self.episodes = (1,) * k if episodes is None else tuple(episodes)
-        self.deviations = np.full(rows.shape, np.nan) if deviations is None else deviations
+        self.episodes = episodes
         self._after: dict[int, _After] = {}
         if earlier is not None and self._goes_on(earlier):
             self._after.update(earlier._after)
@@ -161,7 +156,7 @@ class Routing:
     @cached_property
     def routes(self) -> Indices:
         """(k, N) positions of the serving policies after 1, 2, ..., k trainings."""
-        if self.after().beliefs.exact and np.isfinite(self.rows).all():
+        if self.after().beliefs.exact:
             return routes(self.rows, self.sources, self.space.steps)
         return np.array([self.after(k).route for k in range(1, len(self) + 1)])
 
@@ -189,10 +184,10 @@ class Routing:
         """What holds after k trainings; None: after all."""
         k = len(self) if k is None else k
         if k not in self._after:
-            errors = standard_errors(self.deviations[:k], self.episodes[:k])
-            beliefs = Beliefs(self.space, self.sources[:k], self.rows[:k], errors)
-            tails = _tails(self.episodes[:k])
-            self._after[k] = _After(self.space, self.sources[:k], beliefs, self.risk, tails)
+            episodes = self.episodes if self.episodes is None else self.episodes.first(k)
+            self._after[k] = _After(
+                self.space, self.sources[:k], self.rows[:k], episodes, self.risk
+            )
         return self._after[k]
 
     @property
@@ -211,14 +206,15 @@ class Routing:
 
     @property
     def tails(self) -> float:
-        """Student's factor over 1.96, by the fewest episodes from which scatter was told."""
-        return _tails(self.episodes)
+        """How much wider an interval of 95 % of one context is than the Gaussian's."""
+        if self.episodes is None or not self.episodes.several:
+            return 1.0
+        return student(USUAL + self.episodes.fewest - 1) / SURE
 
     @property
     def noise_is_known(self) -> bool:
         """False where no scatter of episodes was told: how much chance there is nobody can say."""
-        several = np.asarray(self.episodes) > 1
-        return bool(np.isfinite(self.deviations[several]).any())
+        return self.episodes is not None and self.episodes.several
 
     @cached_property
     def singles(self) -> Array:
@@ -231,18 +227,19 @@ class Routing:
         same = earlier.space is self.space and earlier.risk == self.risk
         return (
             same
-            and (earlier.sources, earlier.episodes) == (self.sources[:k], self.episodes[:k])
+            and earlier.sources == self.sources[:k]
             and np.array_equal(earlier.rows, self.rows[:k], equal_nan=True)
-            and np.array_equal(earlier.deviations, self.deviations[:k], equal_nan=True)
+            and _same_episodes(earlier.episodes, self.episodes, k)
         )
 
 
-def _tails(episodes: Sequence[int]) -> float:
-    """How much wider an interval of 95 % is by Student's t than by the Gaussian."""
-    from scipy.special import stdtrit  # kept out of `import mbtl`
-
-    told = [count for count in episodes if count > 1]
-    return float(stdtrit(min(*told, _MANY) - 1, 0.975)) / SURE if told else 1.0
+def _same_episodes(earlier: Episodes | None, now: Episodes | None, k: int) -> bool:
+    if earlier is None or now is None:
+        return earlier is now
+    pairs = zip(earlier.returns, now.returns[:k], strict=True)
+    return earlier.bounds == now.bounds and all(
+        one is other or np.array_equal(one, other, equal_nan=True) for one, other in pairs
+    )
 
 
 class _After:
@@ -252,12 +249,16 @@ class _After:
         self,
         space: ContextSpace,
         sources: Sequence[int],
-        beliefs: Beliefs,
+        rows: Array,
+        episodes: Episodes | None,
         risk: float,
-        tails: float,
     ) -> None:
         self._space, self._sources, self._risk = space, sources, risk
-        self.beliefs, self._tails = beliefs, tails
+        self._episodes = episodes
+        errors = None if episodes is None else episodes.errors
+        own = 1.0 if episodes is None or errors is None else episodes.own_share
+        self.beliefs = Beliefs(space, sources, rows, errors, own)
+        self._noisy = errors is not None
 
     @cached_property
     def route(self) -> Indices:
@@ -268,42 +269,107 @@ class _After:
 
     @cached_property
     def value(self) -> Valuation:
-        """V as believed, and how sure."""
-        targets, weights = self.targets
-        route = self._route(targets)
-        mean = self.beliefs.on(targets)[0][route, np.arange(len(targets))]
-        measured = float(weights @ self.beliefs.measured[route, targets])
-        counted = worst_share_weights(mean, weights, self._risk)
-        found = float(counted @ mean)
-        own, shared = self.beliefs.doubts(route, targets, counted)
-        if self._risk < 1.0 and (own > 0.0 or shared > 0.0):
-            found, worst = self._worst_share(route, targets, weights)
-            own = max(own, float(np.sqrt(max(worst**2 - shared**2, 0.0))))
-        return self._valued(found, own, shared, self._sampling(mean, weights), measured)
+        """V now."""
+        return self._valued(None)
 
     def gain_over(self, policy: int) -> Valuation:
         """V less that of one policy alone."""
-        targets, weights = self.targets
-        route = self._route(targets)
-        means = self.beliefs.on(targets)[0]
-        served, alone = means[route, np.arange(len(targets))], means[policy]
-        ours, its = (worst_share_weights(m, weights, self._risk) for m in (served, alone))
-        differs = (route != policy) | (ours != its)
-        own, shared = self.beliefs.doubts(
-            np.concatenate([route[differs], np.full(differs.sum(), policy)]),
-            np.tile(targets[differs], 2),
-            np.concatenate([ours[differs], -its[differs]]),
-        )
-        sampling = self._sampling(served - alone, weights)
-        gain = float(ours @ served - its @ alone)
-        return self._valued(gain, own, shared, sampling, self.value.measured)
+        return self._valued(policy)
 
-    def _valued(
-        self, value: float, own: float, shared: float, sampling: float, measured: float
+    def _valued(self, alone: int | None) -> Valuation:
+        """V, or what it is more than that of one policy."""
+        targets, weights = self.targets
+        route, at = self._route(targets), np.arange(len(targets))
+        mean = self.beliefs.on(targets)[0]
+        measured = self.beliefs.measured[:, targets]
+        seen = float(weights @ measured[route, at])
+        served = mean[route, at]
+        rival = np.zeros(len(at)) if alone is None else mean[alone]
+        spread = self._sampling(served - rival, weights)
+        if self._risk < 1.0:
+            return self._worst_share(alone, route, seen, spread)
+        predicted = np.flatnonzero(~(measured[route, at] & (alone is None or measured[alone])))
+        if alone is not None:
+            predicted = predicted[route[predicted] != alone]
+        doubt = self._error(route, alone, weights, weights, predicted) if len(predicted) else 0.0
+        doubt = float(np.hypot(doubt, spread))
+        if not self._noisy:
+            return Valuation(float(weights @ (served - rival)), doubt, seen, SURE * doubt)
+        value, variance, freedom = self._cross_fitted(alone)
+        margin = float(np.hypot(student(freedom) * np.sqrt(variance), SURE * doubt))
+        return Valuation(value, float(np.hypot(np.sqrt(variance), doubt)), seen, margin)
+
+    def _cross_fitted(self, alone: int | None) -> tuple[float, float, float]:
+        """V or a gain, the variance that noise gives it, and the degrees of freedom of that.
+
+        Each fold of episodes is left out in turn: those that stay choose the routes and say what
+        they are worth, and where it was measured, those left out say by how much that flatters.
+        """
+        assert self._episodes is not None
+        (targets, weights), steps = self.targets, self._space.steps
+        at, folds = np.arange(len(targets)), self._episodes.folds
+        believed = self.beliefs.on_folds(targets, self._episodes.kept)
+        flattery, says = np.empty((2, len(at), folds))
+        for fold, mean in enumerate(believed):
+            route = last_route(mean, self._sources, steps, targets)
+            says[:, fold] = mean[route, at]
+            flattery[:, fold] = mean[route, at] - self._held(route, targets)[:, fold]
+            if alone is not None:  # the best of a few flatters, too, and another may be the best
+                best = np.full(len(at), int((mean @ weights).argmax()))
+                says[:, fold] -= mean[alone]
+                flattery[:, fold] -= mean[best, at] - self._held(best, targets)[:, fold]
+        known = np.isfinite(flattery).all(axis=1)
+        counted = np.where(known, weights, 0.0)
+        counted /= max(counted.sum(), np.finfo(float).tiny)
+        value = float(weights @ says.mean(axis=1))
+        if not known.any():
+            return value, 0.0, np.inf
+        value -= float(counted[known] @ flattery[known].mean(axis=1))
+        parts = weights[:, None] * says - counted[:, None] * flattery
+        return value, *scatter_of_sum(parts[known])
+
+    def _held(self, route: Indices, targets: Indices) -> Array:
+        """(T, F) of the serving policies by the episodes left out; NaN where not evaluated."""
+        assert self._episodes is not None
+        found = np.full((len(targets), self._episodes.folds), np.nan)
+        there = self.beliefs.measured[route, targets]
+        found[there] = self._episodes.held(route[there], targets[there])
+        return found
+
+    def _error(
+        self, route: Indices, alone: int | None, ours: Array, its: Array, some: Indices
+    ) -> float:
+        """Standard deviation of V, or of a gain, as far as some of the targets make it unsure."""
+        targets = self.targets[0][some]
+        if alone is None:
+            return self.beliefs.error(route[some], targets, ours[some])
+        return self.beliefs.error(
+            np.concatenate([route[some], np.full(len(some), alone)]),
+            np.tile(targets, 2),
+            np.concatenate([ours[some], -its[some]]),
+        )
+
+    def _worst_share(
+        self, alone: int | None, route: Indices, seen: float, spread: float
     ) -> Valuation:
-        alone = float(np.hypot(own, sampling))
-        margin = SURE * float(np.hypot(alone, self._tails * shared))
-        return Valuation(value, float(np.hypot(alone, shared)), measured, margin)
+        """The mean over the worst share, as believed: which targets are worst is not sure."""
+        targets, weights = self.targets
+        means = self.beliefs.on(targets)[0]
+        served = means[route, np.arange(len(targets))]
+        ours, value = worst_share_weights(served, weights, self._risk), 0.0
+        its = ours
+        if alone is not None:
+            its = worst_share_weights(means[alone], weights, self._risk)
+            value = -float(its @ means[alone])
+        differs = np.flatnonzero((route != alone) | (ours != its))
+        error = self._error(route, alone, ours, its, differs) if len(differs) else 0.0
+        if error > 0.0:
+            found, scatter = self._drawn_worst(route, served)
+            value, error = value + found, max(error, scatter if alone is None else 0.0)
+        else:
+            value += float(ours @ served)
+        error = float(np.hypot(error, spread))
+        return Valuation(value, error, seen, SURE * error)
 
     @cached_property
     def targets(self) -> tuple[Indices, Array]:
@@ -333,14 +399,14 @@ class _After:
         spread = float(np.sqrt(weights @ np.square(values - weights @ values)))
         return spread * float(np.sqrt((1.0 - some / n) / some))
 
-    def _worst_share(self, route: Indices, targets: Indices, weights: Array) -> tuple[float, float]:
-        """Mean and deviation of the worst share's mean: which targets are worst is not sure."""
-        mean = self.beliefs.on(targets)[0][route, np.arange(len(targets))]
+    def _drawn_worst(self, route: Indices, served: Array) -> tuple[float, float]:
+        """Mean and deviation of the worst share's mean, over what may be true."""
+        targets, weights = self.targets
         believed, covariance = self.beliefs.joint(route, targets)
         spread, turn = np.linalg.eigh(covariance)
         root = turn * np.sqrt(np.maximum(spread, 0.0))
         normal = np.random.default_rng(0).standard_normal((_DRAWS, len(spread)))
         unsure = np.diagonal(covariance) > 0
-        drawn = np.where(unsure, believed + normal @ root.T, mean)
+        drawn = np.where(unsure, believed + normal @ root.T, served)
         values = worst_share_mean(drawn, weights, self._risk)
         return float(values.mean()), float(values.std())

@@ -12,7 +12,7 @@ from rich.progress import Progress as Bars
 
 from mbtl.cli.common import LongWork
 from mbtl.study import Callback, Pick, Study
-from mbtl.study.callbacks import shared_words, waiting_words
+from mbtl.study.callbacks import estimate, report_words, shared_words, waiting_words
 from mbtl.trainer import Progress
 
 
@@ -84,7 +84,7 @@ class LiveProgress(Callback):
         self._console.print(
             f"pick {pick.number + 1}/{study.spec.budget}  "
             f"{study.space.describe(pick.context):<24}  "
-            f"V {study.value:.4f}  {took / 60:.1f} min  {pick.reason}",
+            f"{estimate(study)}  {took / 60:.1f} min  {pick.reason}",
             markup=False,
             highlight=False,
             soft_wrap=True,
@@ -116,8 +116,10 @@ class LiveProgress(Callback):
         self._console.print(words, markup=False, highlight=False, soft_wrap=True)
 
     def on_report(self, study: Study) -> None:
-        """The last step."""
+        """One line that stays: how much is evaluated."""
         self._bars.update(self._study_bar, note="measuring V on fresh episodes")
+        words = report_words(study)
+        self._console.print(words, markup=False, highlight=False, soft_wrap=True)
 
     def on_report_failed(self, study: Study, reason: str) -> None:
         """One line that stays."""
@@ -136,7 +138,7 @@ class LiveProgress(Callback):
 
     def _update(self, study: Study, share: float = 0.0) -> None:
         done = self._done(study)
-        note = f"V {study.value:.4f}" if study.state.rows else ""
+        note = estimate(study) if study.state.rows else ""
         mean = self._mean_seconds(share)
         if mean is not None:
             left = mean * max(study.spec.budget - done - share, 0.0) / max(len(self._begun), 1)

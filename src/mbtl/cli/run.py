@@ -127,6 +127,10 @@ def run(
         typer.Option("--no-rehearsal", help="Skip the trial evaluation before the first training."),
     ] = False,
     accept_changes: AcceptFlag = False,
+    no_report: Annotated[
+        bool,
+        typer.Option("--no-report", help="Skip the fresh episodes at the end; V is estimated."),
+    ] = False,
     tensorboard: Annotated[
         Path | None, typer.Option(help="Folder for TensorBoard: V per pick and training scalars.")
     ] = None,
@@ -175,7 +179,7 @@ def run(
             "--stop-value": stop_value, "--stop-gain": stop_gain, "--repeats": repeats != 1,
             "--eval-targets": eval_targets, "--costs": costs, "--cost-budget": cost_budget,
             "--risk": risk != 1.0, "--stop-on-failure": stop_on_failure,
-            "--retry-failed": retry_failed, "--all": whole_budget,
+            "--retry-failed": retry_failed, "--all": whole_budget, "--no-report": no_report,
         }  # fmt: skip
         check_steps(steps, [k for k, given in meant_for_trainings.items() if given])
         wish = StepWish(problem, steps_of(str(steps)), strategy, preset, seed, engine, score,
@@ -261,6 +265,7 @@ def run(
                 progress=False,
                 callbacks=callbacks,
                 accept_changes=accept_changes,
+                report=not no_report,
             )
         except TrainingFailed as error:
             if not running.state.rows:

@@ -147,11 +147,11 @@ def export(
                     ["source", "target", *sources, *targets, "return", "std", "episodes"]
                 )
                 for r in state.rows:
-                    home = list(space.context(r.source).values())
+                    home, std = list(space.context(r.source).values()), r.std
                     for t in range(space.n):
                         there = list(space.context(t).values())
                         writer.writerow(
-                            [r.source, t, *home, *there, r.returns[t], r.std[t], r.episodes]
+                            [r.source, t, *home, *there, r.returns[t], std[t], r.episodes]
                         )
     except OSError as error:
         raise cannot_write(out, error) from error

@@ -5,18 +5,20 @@ policy was not evaluated. What is believed of an entry is its measured value whe
 the posterior mean of the transfer model (`mbtl.models.TransferGP`) elsewhere: noise is smoothed
 away, gaps are predicted, and both come with a standard deviation.
 
-The model weighs how much of the known noise is its own luck of every pair. The rest, of episodes
-that all policies share, moves all of them alike: it changes no route, and counts fully into what
-is said of V.
+Episodes of different contexts have nothing in common; those of one context are the same for every
+policy, which share some of their luck. Entries of a row are weighed alike: where episodes were
+lucky they scatter little, so that weights by the scatter of each would believe the lucky ones.
+What is said of the errors is of the scatter of each.
 
-Notation (shapes): k policies, N contexts, T targets asked about, n observations of the model.
+Notation (shapes): k policies, N contexts, T targets asked about, n observations, F folds.
     rows    (k, N)  performance measured; NaN where it was not
     errors  (k, N)  their standard errors; None: unknown, taken as exact
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -26,7 +28,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.models.columns import Columns
 from mbtl.models.priors import PRIORS
-from mbtl.models.transfer_gp import TransferGP, likely_noise
+from mbtl.models.transfer_gp import ENOUGH, NOISIER, TransferGP
 from mbtl.models.transfer_kernel import Pairs, Places, TransferPrior
 
 Indices = NDArray[np.intp]
@@ -34,7 +36,7 @@ Indices = NDArray[np.intp]
 _MOST, _LEAST = 1000, 200
 """Observations that the model is conditioned on: fewer where many entries are asked about."""
 _SLACK = 2.0
-"""Natural logarithms of likelihood by which a belief in more noise may be behind."""
+"""Natural logarithms of likelihood by which noisier pairs must be ahead to be believed in."""
 _WORK = 1e10
 """Arithmetic that one answer about all entries may cost."""
 
@@ -52,6 +54,7 @@ class Beliefs:
         sources: (k,) contexts trained on, k >= 1.
         rows: (k, N) performance, NaN where not evaluated; something must be.
         errors: (k, N) standard errors of the rows; None: none known.
+        own: share of their variances that each policy has for itself; all share the rest.
         prior: of the transfer model; the one chosen on all shipped matrices when missing.
     """
 
@@ -61,33 +64,56 @@ class Beliefs:
         sources: Sequence[int],
         rows: Array,
         errors: Array | None = None,
+        own: float = 1.0,
         prior: TransferPrior | None = None,
     ) -> None:
         """Nothing is fitted before something is asked that the rows do not say themselves."""
         self._space, self._rows = space, rows
         self._sources = np.asarray(sources, dtype=np.intp)
-        self._known = None if errors is None else np.square(np.nan_to_num(errors))
-        self._prior = prior or PRIORS["all"]
+        self._own_share, self._prior = own, prior or PRIORS["all"]
         self.measured: NDArray[np.bool_] = np.isfinite(rows)
+        self._true: Array | None = None  # variances
+        if errors is not None and np.nan_to_num(errors).any():
+            self._true = np.square(np.nan_to_num(errors))
 
     @property
     def exact(self) -> bool:
-        """True where the rows are complete and no noise of their own is believed to be in them."""
-        return bool(self.measured.all()) and not self._luck[1]
+        """True where the rows are complete and no noise is known to be in them."""
+        return self._true is None and bool(self.measured.all())
 
     def on(self, targets: Indices) -> tuple[Array, Array]:
-        """Mean and standard deviation of every policy on some targets; (k, T) each.
-
-        The deviation compares policies: noise that all share is not in it, but in `error`.
-        """
+        """Mean and standard deviation of every policy on some targets; (k, T) each."""
         mean, std = self._rows[:, targets].copy(), np.zeros((len(self._rows), len(targets)))
-        share = self._luck[1]
-        here = self.measured[:, targets]
-        asked = ~here | (share * self._variances[:, targets] > 0)
-        row, at = np.nonzero(asked)
+        row, at = np.nonzero(self._unsure(*np.ix_(np.arange(len(mean)), targets)))
         if len(row):
             mean[row, at], std[row, at] = self._believed(row, targets[at])
         return mean, std
+
+    def on_folds(self, targets: Indices, told: Callable[[Indices, Indices], Array]) -> Array:
+        """(F, k, T) the means of `on`, had the rows been others, with the same noise.
+
+        Args:
+            targets: (T,).
+            told: (m,) policies and contexts, measured, to (m, F) performance.
+        """
+        k = len(self._rows)
+        row, at = (each.ravel() for each in np.indices((k, len(targets))))
+        target, seen = targets[at], self.measured[row, targets[at]]
+        found = told(row[seen], target[seen])
+        mean = np.full((len(row), found.shape[1]), np.nan)
+        mean[seen] = found
+        unsure = np.flatnonzero(self._unsure(row, target))
+        if len(unsure):
+            row, target = row[unsure], target[unsure]
+            model, observed, used = self._model(len(row))
+            believed = model.means_at(self._pairs(row, target), told(*observed))
+            extra = np.flatnonzero(self.measured[row, target] & ~used[row, target])
+            if len(extra):
+                std = model.returns_at(self._pairs(row[extra], target[extra]))[1]
+                gain = self._gain(std, row[extra], target[extra])[:, None]
+                believed[extra] += gain * (mean[unsure[extra]] - believed[extra])
+            mean[unsure] = believed
+        return np.moveaxis(mean.reshape(k, len(targets), -1), 2, 0)
 
     def error(self, row: Indices, target: Indices, weights: Array) -> float:
         """Standard deviation of a weighted sum of true returns, sum_i w_i J(row_i, target_i).
@@ -97,57 +123,63 @@ class Beliefs:
             target: (m,) contexts.
             weights: (m,) of the sum; of any sign.
         """
-        return float(np.hypot(*self.doubts(row, target, weights)))
-
-    def doubts(self, row: Indices, target: Indices, weights: Array) -> tuple[float, float]:
-        """The two parts of `error`: of what pairs have for themselves, and of shared episodes."""
-        share = self._luck[1]
-        common = np.zeros(self._space.n)
-        np.add.at(common, target, weights * np.sqrt(self._variances[row, target]))
-        shared = float(np.sqrt(1.0 - share) * np.abs(common).sum())
-        unsure = ~self.measured[row, target] | (share * self._variances[row, target] > 0)
-        own = 0.0
-        if unsure.any():
-            covariance = self.joint(row[unsure], target[unsure])[1]
-            own = float(weights[unsure] @ covariance @ weights[unsure])
-        return float(np.sqrt(max(own, 0.0))), shared
+        unsure = self._unsure(row, target)
+        if not unsure.any():
+            return 0.0
+        weighed, covariance = weights[unsure], self.joint(row[unsure], target[unsure])[1]
+        return float(np.sqrt(max(weighed @ covariance @ weighed, 0.0)))
 
     def joint(self, row: Indices, target: Indices) -> tuple[Array, Array]:
-        """Mean (m,) and covariance (m, m) of true returns, without noise that all share."""
-        model, used = self._model(len(row))
-        mean, covariance = model.joint_at(self._pairs(row, target))
+        """Mean (m,) and covariance (m, m) of true returns."""
+        model, observed, used = self._model(len(row))
+        excess = None
+        if self._true is not None:
+            excess = self._noise(self._true, *observed) - self._noise(self._even, *observed)
+        mean, covariance = model.joint_at(self._pairs(row, target), excess)
         extra = np.flatnonzero(self.measured[row, target] & ~used[row, target])
         if len(extra):  # measured, but not among the data: its own value counts now
-            noise = self._noise(row[extra], target[extra])
-            total = covariance[np.ix_(extra, extra)] + np.diag(noise)
+            assert self._true is not None
+            at = row[extra], target[extra]
+            total = covariance[np.ix_(extra, extra)] + np.diag(self._even[at])
             gain = np.linalg.solve(total, covariance[extra]).T
-            mean = mean + gain @ (self._rows[row[extra], target[extra]] - mean[extra])
+            mean = mean + gain @ (self._rows[at] - mean[extra])
             covariance = covariance - gain @ covariance[extra]
+            covariance += (gain * (self._true[at] - self._even[at])) @ gain.T
         return mean, covariance
 
     # ---- inside ------------------------------------------------------------------------------
+
+    def _unsure(self, row: Indices, target: Indices) -> NDArray[np.bool_]:
+        """Where something is to be believed, because nothing or not enough was measured."""
+        noisy = False if self._true is None else self._true[row, target] > 0
+        return np.asarray(~self.measured[row, target] | noisy)
 
     @cached_property
     def _places(self) -> Places:
         return transfer_places(self._space)
 
     @cached_property
-    def _variances(self) -> Array:
-        """(k, N) of the errors; zero where none is known."""
-        return np.zeros(self._rows.shape) if self._known is None else self._known
+    def _even(self) -> Array:
+        """(k, N) variances by which entries are weighed: those usual in the row."""
+        assert self._true is not None
+        there = self.measured & (self._true > 0)
+        usual = np.where(there, self._true, 0.0).sum(axis=1, keepdims=True)
+        return np.where(there, usual / np.maximum(there.sum(axis=1, keepdims=True), 1), 0.0)
+
+    def _noise(self, variances: Array, row: Indices, target: Indices) -> Array:
+        """(n, n) covariance of the noise of measured entries."""
+        deviations = np.sqrt(variances[row, target])
+        alike = np.where(row[:, None] == row, 1.0, 1.0 - self._own_share)
+        alike *= target[:, None] == target
+        return np.asarray(alike * np.outer(deviations, deviations))
 
     @cached_property
-    def _luck(self) -> tuple[TransferPrior, float]:
-        """The prior of the rows, and the share of the known noise that each pair has for itself."""
-        noisy = self._known is not None and bool(self._known.any())
-        if not noisy and self.measured.all():
-            return self._prior, 0.0  # nothing will be asked of the model
-        row, target = self._observed(_MOST)
-        known = self._variances[row, target]
-        pairs, y = self._pairs(row, target), self._rows[row, target]
-        prior, counted, _ = likely_noise(self._places, self._prior, pairs, y, known, slack=_SLACK)
-        some = known > 0
-        return prior, float(np.median(counted[some] / known[some])) if some.any() else 0.0
+    def _likely_prior(self) -> TransferPrior:
+        """With pairs that are noisy themselves, where only that explains how they scatter."""
+        noisy = replace(self._prior, noise=NOISIER * self._prior.noise)
+        found = (self._fitted(prior, ENOUGH)[0].log_likelihood for prior in (self._prior, noisy))
+        quiet, loud = found
+        return noisy if loud > quiet + _SLACK else self._prior
 
     def _observed(self, most: int) -> tuple[Indices, Indices]:
         """Rows and targets of at most so many measured entries, evenly thinned."""
@@ -157,36 +189,45 @@ class Beliefs:
             row, target = row[kept], target[kept]
         return row, target
 
-    def _noise(self, row: Indices, target: Indices) -> Array:
-        return self._luck[1] * self._variances[row, target]
-
     def _pairs(self, row: Indices, target: Indices) -> Pairs:
         return np.column_stack([self._sources[row], target, row])
 
-    def _model(self, asked: int) -> tuple[TransferGP, NDArray[np.bool_]]:
-        """The model, and (k, N) the entries it was conditioned on."""
+    def _fitted(
+        self, prior: TransferPrior, most: int
+    ) -> tuple[TransferGP, tuple[Indices, Indices]]:
+        row, target = self._observed(most)
+        noise = None if self._true is None else self._noise(self._even, row, target)
+        y = self._rows[row, target]
+        return TransferGP(self._places, prior, self._pairs(row, target), y, noise), (row, target)
+
+    def _model(self, asked: int) -> tuple[TransferGP, tuple[Indices, Indices], NDArray[np.bool_]]:
+        """The model, the entries it was conditioned on, and (k, N) which these are."""
         most = int(np.clip(np.sqrt(_WORK / max(asked, 1)), _LEAST, _MOST))
         if most not in self._models:
-            row, target = self._observed(most)
+            model, observed = self._fitted(self._likely_prior, most)
             used = np.zeros(self._rows.shape, dtype=bool)
-            used[row, target] = True
-            pairs, y = self._pairs(row, target), self._rows[row, target]
-            noise = self._noise(row, target)
-            self._models[most] = TransferGP(self._places, self._luck[0], pairs, y, noise), used
+            used[observed] = True
+            self._models[most] = model, observed, used
         return self._models[most]
 
     @cached_property
-    def _models(self) -> dict[int, tuple[TransferGP, NDArray[np.bool_]]]:
+    def _models(
+        self,
+    ) -> dict[int, tuple[TransferGP, tuple[Indices, Indices], NDArray[np.bool_]]]:
         return {}
 
+    def _gain(self, deviations: Array, row: Indices, target: Indices) -> Array:
+        """How much of the way from what is believed of entries to what was measured there."""
+        variance = np.square(deviations)
+        noise = 0.0 if self._true is None else self._even[row, target]
+        return np.asarray(variance / np.maximum(variance + noise, np.finfo(float).tiny))
+
     def _believed(self, row: Indices, target: Indices) -> tuple[Array, Array]:
-        model, used = self._model(len(row))
+        model, _, used = self._model(len(row))
         mean, std = model.returns_at(self._pairs(row, target))
         extra = self.measured[row, target] & ~used[row, target]
         if extra.any():  # as in `joint`, each by its own value alone
-            noise = self._noise(row[extra], target[extra])
-            variance = np.square(std[extra])
-            gain = variance / np.maximum(variance + noise, np.finfo(float).tiny)
+            gain = self._gain(std[extra], row[extra], target[extra])
             mean[extra] += gain * (self._rows[row[extra], target[extra]] - mean[extra])
-            std[extra] = np.sqrt(variance * (1.0 - gain))
+            std[extra] *= np.sqrt(1.0 - gain)
         return mean, std

@@ -37,8 +37,9 @@ _USUAL = 0.05
 _ROUNDS = 12
 """At most so many fits to find the factor beside a known noise."""
 _SHARES = (0.0, 0.1, 0.3, 1.0)
-_NOISIER = 50.0
-_ENOUGH = 300
+NOISIER = 50.0
+"""How many times the usual own scatter of pairs is that of pairs that are noisy themselves."""
+ENOUGH = 300
 """Observations that decide how noisy the others are."""
 _BLOCK_ENTRIES = 1 << 20
 
@@ -69,7 +70,8 @@ class TransferGP:
             prior: of the terms.
             pairs: (n, 3) observed.
             y: (n,) performance there, finite.
-            noise: (n,) variance of each y around the true mean return; None for none.
+            noise: (n,) variance of each y around the true mean return, or (n, n) covariance; None
+                for none.
             relative: (n,) all noise of each y as a multiple of the factor, that of the prior
                 included; instead of `noise`.
 
@@ -131,15 +133,41 @@ class TransferGP:
                 std[some] = np.sqrt(self.scale * np.maximum(left, 0.0))
         return mean, std
 
-    def joint_at(self, pairs: Pairs) -> tuple[Array, Array]:
-        """Mean (m,) and covariance (m, m) of the same; O(n^2 m + n m^2)."""
+    def means_at(self, pairs: Pairs, values: Array) -> Array:
+        """(m, F) means as `returns_at`, had the observations been each column of `values` (n, F).
+
+        What is believed of their noise, and the factor, stay.
+        """
+        found = np.empty((len(pairs), values.shape[1]))
+        with threads_for(len(self._places.x)):
+            solved = half_solved(self._chol, values)
+            means = self._ones @ solved / (self._ones @ self._ones)
+            residuals = solved - np.outer(self._ones, means)
+            for some in _blocks(len(pairs), len(self._pairs)):
+                found[some] = means + self._weighed(pairs[some])[0].T @ residuals
+        return found
+
+    def joint_at(self, pairs: Pairs, excess: Array | None = None) -> tuple[Array, Array]:
+        """Mean (m,) and covariance (m, m) of the same; O(n^2 m + n m^2).
+
+        Args:
+            pairs: (m, 3).
+            excess: (n, n) covariance of the noise, less that by which the observations were
+                weighed: what is said of the errors is of the true noise then.
+        """
         with threads_for(len(self._places.x)):
             half, mean, unsure = self._weighed(pairs)
             left = covariance(self._places, self._prior, pairs, pairs)
             left += self._prior.noise * same_pair(pairs, pairs)
             left -= half.T @ half
             left += np.outer(unsure, unsure)
-        return mean, self.scale * left
+            left *= self.scale
+            if excess is not None:
+                from scipy.linalg import solve_triangular  # kept out of `import mbtl`
+
+                weights = solve_triangular(self._chol, half, lower=True, trans="T", check_finite=False)
+                left += weights.T @ excess @ weights
+        return mean, left
 
     @property
     def _own(self) -> float:
@@ -181,9 +209,10 @@ def _fit(kernel: Array, own: float, y: Array, noise: Array | None) -> _Fit:
     if noise is None or not noise.any():
         return _fit_relative(kernel, own, y)
     found = _fit_relative(kernel, own, y)
+    own_part = own if noise.ndim == 1 else own * np.eye(len(y))
     for _ in range(_ROUNDS):  # the known noise is absolute and the kernel is not: fixed point
         before = found.scale
-        found = _fit_relative(kernel, own + noise / before, y)
+        found = _fit_relative(kernel, own_part + noise / before, y)
         if abs(found.scale - before) < 0.05 * before:
             break
     return found
@@ -191,7 +220,7 @@ def _fit(kernel: Array, own: float, y: Array, noise: Array | None) -> _Fit:
 
 def _fit_relative(kernel: Array, noise: float | Array, y: Array) -> _Fit:
     noisy = kernel.copy()
-    noisy[np.diag_indices_from(noisy)] += noise
+    noisy[... if np.ndim(noise) == 2 else np.diag_indices_from(noisy)] += noise
     chol = np.asarray(np.linalg.cholesky(noisy), np.float64)
     return summed_up(chol, *half_solved(chol, np.column_stack([np.ones(len(y)), y])).T)
 
@@ -239,8 +268,6 @@ def likely_noise(
     pairs: Pairs,
     y: Array,
     known: Array | None = None,
-    *,
-    slack: float = 0.0,
 ) -> LikelyNoise:
     """The noise that makes the observations most likely: that of the prior, and the known one.
 
@@ -255,20 +282,15 @@ def likely_noise(
         pairs: (n, 3) observed.
         y: (n,) performance there.
         known: (n,) variance of each y by its episodes; None for none.
-        slack: of beliefs less likely than the best by up to so much, in natural logarithms, the one
-            that takes most of the scatter for noise.
     """
     known = np.zeros(len(y)) if known is None else known
-    some = np.linspace(0, len(y) - 1, min(len(y), _ENOUGH)).round().astype(np.intp)
+    some = np.linspace(0, len(y) - 1, min(len(y), ENOUGH)).round().astype(np.intp)
     kernel = covariance(places, prior, pairs[some], pairs[some])
-    quiet, noisy = prior.noise, _NOISIER * prior.noise
+    quiet, noisy = prior.noise, NOISIER * prior.noise
     beliefs = [(quiet, share) for share in _SHARES if share == 1.0 or known.any()] + [(noisy, 1.0)]
     with threads_for(len(places.x)):
         fits = {(o, share): _fit(kernel, o, y[some], share * known[some]) for o, share in beliefs}
-    likely = {belief: fit.log_likelihood for belief, fit in fits.items()}
-    best = max(likely.values())
-    close = [belief for belief in beliefs if likely[belief] >= best - slack]
-    own, share = max(close, key=lambda belief: (belief[1], -belief[0]) if slack else likely[belief])
+    own, share = max(beliefs, key=lambda belief: fits[belief].log_likelihood)
     return LikelyNoise(replace(prior, noise=own), share * known, fits[own, share].scale)
 
 

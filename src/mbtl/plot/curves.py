@@ -12,7 +12,6 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.plot.style import DARK, GREY, axes_for, styled
 from mbtl.study import Study
-from mbtl.study.fresh import fresh_value
 
 if TYPE_CHECKING:
     from mbtl.benchmark.comparison import Comparison
@@ -35,7 +34,7 @@ def curve(
     """V after each training of a study with its 95 % interval, beside named baselines.
 
     Args:
-        study: whose V is drawn, on fresh episodes where they were played; or (K,) values of V.
+        study: whose running estimate of V is drawn; or (K,) values of V.
         baselines: name -> (K,) V of another method, or (S, K) of S seeds: mean, and all in a band.
         levels: name -> V of what needs no selection, drawn as a line across.
         label: of the curve; None: the study's selector and which episodes V is of.
@@ -107,17 +106,11 @@ def comparison(comparison: Comparison, matrix: str | None = None, *, ax: Any = N
 
 
 def _measured(study: Study) -> tuple[Array, Array | None, str]:
-    """V after each training, half its 95 % interval where known, and what it is called.
-
-    On fresh episodes only where all k have them.
-    """
-    selector, fresh = study.spec.selector["name"], fresh_value(study) if study.state.rows else None
-    if fresh is not None and np.isfinite(fresh.values).all():
-        return fresh.values, fresh.margins(), f"{selector}, on fresh episodes"
-    margins = None
+    """V after each training, half its 95 % interval where known, and what it is called."""
+    selector, margins = study.spec.selector["name"], None
     if study.state.rows and study.routing.noise_is_known:
         margins = np.array([now.margin for now in study.routing.curve])
-    return study.curve, margins, f"{selector}, on the episodes that chose"
+    return study.curve, margins, f"{selector}, estimated"
 
 
 def _seeds(ax: Any, rows: Array, name: str, number: int) -> None:

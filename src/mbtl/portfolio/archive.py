@@ -32,8 +32,8 @@ from mbtl.files import sync_entries, sync_folder
 from mbtl.portfolio.mlp import MLPPolicy, is_mlp_folder
 from mbtl.untrusted import MALFORMED, inside, read_arrays, read_json, regular_files
 
-FORMAT = 2
-"""2: routes heed the scatter of episodes; portfolios of format 1 hold none, and still open."""
+FORMAT = 3
+"""Of the folder; another one is not read."""
 KIND = "mbtl portfolio"
 MANIFEST = "portfolio.json"
 RETURNS = "returns.npz"
@@ -66,7 +66,7 @@ def write_portfolio(
     Args:
         folder: does not exist, is empty, or holds a portfolio and `overwrite` is set.
         record: JSON-able description; hashes, policies and versions are added here.
-        arrays: "returns" (k, N), and others of its shape.
+        arrays: "returns" (k, N), and what else is known of the rows.
         policies: k entries.
         overwrite: replace the portfolio that is there.
 
@@ -94,7 +94,7 @@ def write_portfolio(
 
 
 def read_portfolio(folder: Path) -> tuple[Record, dict[str, Array], list[Path | None]]:
-    """Manifest, arrays (k, N) by name, the folder of each policy; every file checked by its hash.
+    """Manifest, arrays by name, the folder of each policy; every file checked by its hash.
 
     Raises:
         StorageError: not a portfolio, a file is missing, changed or not listed, a link or a path

@@ -18,16 +18,16 @@ class Choice:
         source: index of the context it was trained on; of several, the one in their middle.
         source_context: that context.
         predicted_return: what it should return on the asked context, raw units.
-        error: standard error of that, raw units: 1.96 of it are half a 95 % interval, for which few
-            shared episodes count by Student's t. None: unknown, because returns are of one episode
-            each, or exact on the listed contexts around and nobody knows what is between.
+        error: standard error of that, raw units: 1.96 of it are half a 95 % interval. None:
+            unknown, because returns are of one episode each, or exact on the listed contexts
+            around and nobody knows what is between.
         basis: "observed" (measured there), "predicted" (by the transfer model, from what was
             measured elsewhere), "interpolated" (between the nearest listed contexts) or "gap model"
             (training return less theta per grid step).
         runner_up: position of the second best policy; None when there is none to compare.
         margin: how much better than the runner-up, >= 0, raw units; None without one.
-        margin_error: standard error of the margin, raw units, in which noise that all policies
-            share cancels; None: unknown.
+        margin_error: standard error of the margin, raw units, in which luck that policies share
+            cancels; None: unknown.
         explanation: the same in one sentence.
     """
 

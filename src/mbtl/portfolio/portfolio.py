@@ -4,7 +4,6 @@ Notation (shapes): k policies, N listed contexts.
     sources     (k,)     context index each policy was trained on
     returns     (k, N)   mean undiscounted return of each policy on each context, raw units; NaN
                          where a policy was not evaluated
-    deviations  (k, N)   standard deviation of single episodes, with n - 1; NaN where unknown
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Value
 from mbtl.contexts.words import describe_set
+from mbtl.episodes import Episodes
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.notebook import table
 from mbtl.objective import Bounds
@@ -43,8 +43,8 @@ class Portfolio:
         bounds: normalisation of returns, with the direction that is better.
         theta: slope of the linear gap, performance per grid step; used where no listed context is
             near.
-        deviations: (k, N) of single episodes, raw units; None: unknown, returns count as exact.
-        episodes: (k,) behind each row; one where not said.
+        episodes: k arrays (N, E_i), the returns of single episodes, of which `returns` are the
+            means; none: returns count as exact.
         risk: share of the contexts, the worst of them, that V is the mean of.
         policy_folders: per policy the folder a trainer saved it in; None if it was not saved.
         policy_format: "mlp", "sb3" or "custom", see `mbtl.trainer.Trainer.policy_format`.
@@ -64,8 +64,7 @@ class Portfolio:
     returns: Array
     bounds: Bounds
     theta: float
-    deviations: Array | None = None
-    episodes: Sequence[int] = ()
+    episodes: Sequence[Array] = ()
     risk: float = 1.0
     policy_folders: Sequence[Path | None] = ()
     policy_format: str = "custom"
@@ -80,16 +79,12 @@ class Portfolio:
     def __post_init__(self) -> None:
         returns = floats(self.returns).copy()
         returns.setflags(write=False)
-        if self.deviations is not None:
-            deviations = floats(self.deviations).copy()
-            deviations.setflags(write=False)
-            object.__setattr__(self, "deviations", deviations)
         sources = tuple(int(source) for source in self.sources)
         folders = tuple(self.policy_folders) or (None,) * len(sources)
         object.__setattr__(self, "returns", returns)
         object.__setattr__(self, "sources", sources)
         object.__setattr__(self, "policy_folders", folders)
-        episodes = tuple(int(count) for count in self.episodes) or (1,) * len(sources)
+        episodes = tuple(np.asarray(each, dtype=np.float64) for each in self.episodes)
         object.__setattr__(self, "episodes", episodes)
         self._loaded.update(self.in_memory)
         k, n = len(sources), self.space.n
@@ -110,16 +105,13 @@ class Portfolio:
             raise InvalidInput(
                 f"policy_folders needs one folder or None per policy, got {len(folders)} for {k}"
             )
-        if self.deviations is not None and (
-            self.deviations.shape != returns.shape or (self.deviations < 0).any()
+        shapes = [each.shape for each in episodes]
+        if episodes and not (
+            len(shapes) == k and all(len(s) == 2 and s[0] == n and s[1] > 0 for s in shapes)
         ):
             raise InvalidInput(
-                f"deviations must be >= 0, and of the shape of returns {returns.shape}, got "
-                f"{self.deviations.shape}"
-            )
-        if len(episodes) != k or min(episodes) < 1:
-            raise InvalidInput(
-                f"episodes needs a whole number >= 1 for each of {k} policies, got {episodes}"
+                f"episodes needs returns of shape ({n}, episodes) for each of {k} policies, got "
+                f"shapes {shapes}"
             )
         if (np.abs(returns) > LARGEST).any():
             raise InvalidInput(
@@ -155,11 +147,8 @@ class Portfolio:
     @cached_property
     def routing(self) -> Routing:
         """Who serves which listed context, what that is worth, and how sure."""
-        width = self.bounds.high - self.bounds.low
-        scatter = None if self.deviations is None else self.deviations / width
-        return Routing(
-            self.space, self.sources, self.performance, scatter, self.episodes, risk=self.risk
-        )
+        played = Episodes(self.episodes, self.bounds) if self.episodes else None
+        return Routing(self.space, self.sources, self.performance, played, risk=self.risk)
 
     @property
     def assignment(self) -> Indices:
@@ -214,7 +203,7 @@ class Portfolio:
     def _error(self, seen: router.Forecast, policy: int, less: int | None = None) -> float | None:
         """Error of a policy's number, or of its lead over another; raw units, None: unknown.
 
-        Noise that all policies share is in a return and cancels in a difference between two.
+        Luck that policies share is in a return and cancels in a difference between two.
         """
         row, target, weights = seen.parts(policy)
         if less is not None:
@@ -224,8 +213,7 @@ class Portfolio:
         beliefs = self.routing.beliefs
         if not self.routing.noise_is_known and beliefs.measured[row, target].any():
             return None
-        own, shared = beliefs.doubts(row, target, weights)
-        error = float(np.hypot(own, self.routing.tails * shared))
+        error = self.routing.tails * beliefs.error(row, target, weights)
         if error == 0.0 and seen.target is None:
             return None  # between the listed contexts nothing is exact
         return error * (self.bounds.high - self.bounds.low)
@@ -287,15 +275,17 @@ class Portfolio:
             "bounds": {k: v for k, v in asdict(bounds).items() if v is not None},
             "theta": self.theta,
             "sources": list(self.sources),
-            "episodes": list(self.episodes),
             "risk": self.risk,
             "policy_format": self.policy_format,
             **({"sets": {str(i): list(on) for i, on in self.sets.items()}} if self.sets else {}),
             "metadata": dict(self.metadata),
         }
         arrays = {"returns": self.returns}
-        if self.deviations is not None:
-            arrays["deviations"] = self.deviations
+        if self.routing.noise_is_known:
+            most = max(each.shape[1] for each in self.episodes)
+            arrays["episodes"] = np.full((len(self), self.space.n, most), np.nan)
+            for kept, each in zip(arrays["episodes"], self.episodes, strict=True):
+                kept[:, : each.shape[1]] = each
         return write_portfolio(
             Path(folder), record, arrays, self._saved_policies(), overwrite=overwrite
         )
@@ -336,6 +326,12 @@ class Portfolio:
         ]
 
 
+def _played(each: Array) -> Array:
+    """(N, E_i) without the episodes that other policies had more."""
+    played = np.isfinite(each).any(axis=0)
+    return each[:, played] if played.any() else each[:, :1]
+
+
 def load_portfolio(
     folder: Path | str, load: Callable[[Path], Any] | None = None, *, trust: bool = False
 ) -> Portfolio:
@@ -362,8 +358,7 @@ def load_portfolio(
             returns=arrays["returns"],
             bounds=Bounds(**record["bounds"]),
             theta=record["theta"],
-            deviations=arrays.get("deviations"),
-            episodes=record.get("episodes", ()),
+            episodes=[_played(each) for each in arrays.get("episodes", ())],
             risk=record.get("risk", 1.0),
             policy_folders=folders,
             policy_format=record["policy_format"],

@@ -1,20 +1,17 @@
 """Report: a study's numbers as a frozen record, and text and pages drawn from that record."""
 
 from mbtl.report.html import page, write_page
-from mbtl.report.next_training import NextTraining, next_training
 from mbtl.report.reference import ReferenceCurves, reference_curves
 from mbtl.report.step_subject import StepSubject, of_step_study
 from mbtl.report.subject import Subject, of_matrix, of_study
 from mbtl.report.summary import PickSummary, StudySummary, summarise_study
 
 __all__ = [
-    "NextTraining",
     "PickSummary",
     "ReferenceCurves",
     "StepSubject",
     "StudySummary",
     "Subject",
-    "next_training",
     "of_matrix",
     "of_step_study",
     "of_study",

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.contexts import Categorical, ContextSpace, Log
 from mbtl.plot.style import distinct
-from mbtl.report.next_training import predicted
 from mbtl.report.subject import Subject
 from mbtl.routing import rank
 from mbtl.selectors.outlook import outlook
@@ -44,7 +43,7 @@ def content(subject: Subject) -> dict[str, Any]:
     if (routing := subject.routing) is not None:
         sources = np.asarray(routing.sources)
         served = served_by(routing.believed, sources, routing.route, space.steps)
-        found |= {"served": served, "steps": _steps(subject), "next": _next(subject)}
+        found |= {"served": served, "steps": _steps(subject)}
     return found
 
 
@@ -134,10 +133,3 @@ def _steps(subject: Subject) -> dict[str, Any]:
             gains[j - 1, list(subject.history.sources[:j])] = np.nan
     served = np.fmax.accumulate(subject.history.rows, axis=0)
     return {"model": model, "mean": means, "std": stds, "gain": gains, "served": served}
-
-
-def _next(subject: Subject) -> dict[str, Any] | None:
-    found = predicted(subject.problem, subject.history, subject.space)
-    if found is None:
-        return None
-    return {"source": found.source, "context": found.where, "said": str(found)}

@@ -24,8 +24,8 @@ from mbtl.report.subject import Subject
 from mbtl.version import __version__
 
 _SCORE = (
-    "The score is the gain in V by which contexts are ranked. It ranks well and promises too much; "
-    "what to train next, above, says what can be expected."
+    "The score is the gain in V by which contexts are ranked. It ranks well, "
+    "and its size is no promise."
 )
 
 
@@ -116,7 +116,6 @@ def _article(i: int, item: dict[str, Any]) -> str:
         parts += [
             section("curve", "V after each training", f"V is measured on {item['curve']['of']}."),
             _picks(item["picks"]),
-            _next(item.get("next")),
             section("policies", "Which policy serves which context", ""),
             details("serving", "Every context: its policy, its performance, the runner-up"),
             section("model", f"What the model believed ({item['steps']['model']})", _SCORE),
@@ -146,12 +145,6 @@ def _picks(picks: list[dict[str, Any]]) -> str:
         "chose, if it says one; the rules of the paper are optimistic on purpose.</p>"
     )
     return f"<section><h2>What each training added</h2>{table(heads, rows)}{note}</section>"
-
-
-def _next(coming: dict[str, Any] | None) -> str:
-    if coming is None:
-        return ""
-    return f"<section><h2>What to train next</h2><p>{html.escape(coming['said'])}</p></section>"
 
 
 def _costs(item: dict[str, Any]) -> str:

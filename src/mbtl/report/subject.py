@@ -31,7 +31,6 @@ from mbtl.report.text import lines
 from mbtl.routing import Routing
 from mbtl.selectors import SelectionProblem, get_selector
 from mbtl.study import Study
-from mbtl.study.fresh import fresh_value
 
 
 @dataclass(frozen=True)
@@ -111,8 +110,6 @@ def of_study(study: Study) -> Subject:
     history = study.history
     known = bool(len(history))
     curves = reference_curves(study) if known else None
-    fresh = fresh_value(study) if known else None
-    measured = fresh is not None and bool(np.isfinite(fresh.values).all())
     promised = {pick.number: pick.acquisition for pick in state.picks}
     costs = [row.cost for row in state.rows]
     picks = tuple(
@@ -147,8 +144,8 @@ def of_study(study: Study) -> Subject:
         study.problem,
         history,
         study.routing if known else None,
-        fresh.values if fresh is not None and measured else study.curve,
-        "fresh episodes" if measured else "the episodes that chose the policies",
+        study.curve,
+        "an estimate while the study ran",
         picks,
         {} if curves is None else curves.baselines,
         {} if curves is None else curves.levels,

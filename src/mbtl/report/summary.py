@@ -1,11 +1,13 @@
 """The summary of a study: every number that the terminal, the JSON and the pictures show.
 
-Notation (shapes): k policies told, N contexts. V is performance. V on fresh episodes is the honest
-one: the rows that chose the routes are noisy, so their own maximum is biased upwards.
+Notation (shapes): k policies told, N contexts. V is performance: on fresh episodes once they were
+played, else the running estimate (`mbtl.routing.Valuation`). What is said of one policy goes by the
+same.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -14,10 +16,9 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.objective import value, worst_share_mean
-from mbtl.report.next_training import one_more
-from mbtl.routing import Routing, Valuation
 from mbtl.study import Study
 from mbtl.study.fresh import fresh_value
+from mbtl.study.records import ToldRow
 
 TENTH = 0.1
 ENOUGH_GAIN = 0.01
@@ -37,8 +38,7 @@ class PickSummary:
         reason: why the selector chose it.
         status: "told", "failed: ...", "open", or "open: ..." for a policy that could not be
             evaluated.
-        value: V after this row, by the rows that routed the policies; None unless told.
-        fresh_value: the same on fresh episodes; None where not measured.
+        value: the running estimate of V after this row; None unless told.
         seconds: wall time of training and evaluation; None when unknown.
         traceback: of a failure, where it came from; empty where that is not known.
     """
@@ -49,7 +49,6 @@ class PickSummary:
     reason: str
     status: str
     value: float | None
-    fresh_value: float | None
     seconds: float | None
     traceback: str = ""
 
@@ -66,9 +65,11 @@ class StudySummary:
         finished: why nothing more is asked; None while something is.
         bounds: (low, high) of the returns that performance 0 and 1 mean (high, low if minimised).
         automatic_bounds: the bounds are the range of the returns told so far.
-        episodes: episodes behind each entry of a row.
+        episodes: fewest and most episodes behind an entry; None before the first row.
+        evaluated: fewest and most contexts on which a policy was evaluated; None likewise.
+        alike: places of policies that returned the same in every episode, a group each.
         picks: the sources in order.
-        value: V now, by the rows that routed the policies; None before the first row.
+        value: V now, the running estimate; None before the first row.
         value_margin: half its 95 % interval: of noise, of what was predicted, of what was sampled;
             None where all rows are of one episode, which says nothing of chance.
         measured: share of the weight whose serving policy was evaluated right there.
@@ -80,13 +81,10 @@ class StudySummary:
         worst_context: the one served worst of all, on the same episodes.
         worst_context_value: the performance there.
         best_single: source of the best single policy.
-        best_single_value: its own V, by the same rows.
-        single_gain: V less that.
+        best_single_value: its own V.
+        single_gain: V less that; both on fresh episodes where there are any.
         single_gain_margin: half its 95 % interval; None where unknown.
         policies_enough: fewest policies that reach 99 % of the way from it to V.
-        next_source: where one more training is predicted to gain most, by the model of `auto`
-            whatever the selector; None if none is left.
-        next_gain: that gain in V, performance; None if nothing can be said.
         serving: (N,) source whose policy serves each context.
     """
 
@@ -97,7 +95,9 @@ class StudySummary:
     finished: str | None
     bounds: tuple[float, float]
     automatic_bounds: bool
-    episodes: int
+    episodes: tuple[int, int] | None
+    evaluated: tuple[int, int] | None
+    alike: tuple[tuple[int, ...], ...]
     picks: tuple[PickSummary, ...]
     value: float | None
     value_margin: float | None
@@ -113,8 +113,6 @@ class StudySummary:
     single_gain: float | None
     single_gain_margin: float | None
     policies_enough: int | None
-    next_source: int | None
-    next_gain: float | None
     serving: tuple[int, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -140,21 +138,17 @@ class StudySummary:
                 "with more."
             )
         bar = f" +- {margin:.4f}" if margin else ""
+        adds = f"the others add {gain:.4f}{bar} to the {self.best_single_value:.4f} of the best one"
         if gain + margin < ENOUGH_GAIN:
+            return f"One policy would do: {adds}."
+        if gain - margin >= ENOUGH_GAIN:
             return (
-                f"One policy would do: the others add {gain:.4f}{bar} to its "
-                f"{self.best_single_value:.4f}."
+                f"One policy would not do: {adds}. You need {self.policies_enough} policies for "
+                f"{ENOUGH:.0%} of that gain."
             )
-        if gain - margin < ENOUGH_GAIN:
-            return (
-                f"Whether one policy would do is within the noise: the others add {gain:.4f}{bar} "
-                f"to its {self.best_single_value:.4f}."
-            )
-        return (
-            f"One policy would not do: the best alone reaches {self.best_single_value:.4f}, all "
-            f"{len(self.told)} add {gain:.4f}{bar} to it. You need {self.policies_enough} policies "
-            f"for {ENOUGH:.0%} of that gain."
-        )
+        if gain - margin > 0.0:
+            return f"Several policies are better than one, if not by much: {adds}."
+        return f"Whether one policy would do cannot be said yet: {adds}."
 
 
 def summarise_study(study: Study) -> StudySummary:
@@ -162,7 +156,7 @@ def summarise_study(study: Study) -> StudySummary:
     state = study.refresh()
     history, weights, space = study.history, study.space.weights, study.space
     fresh = fresh_value(study)
-    curve, risk = study.curve, study.spec.risk
+    risk = study.spec.risk
     best_and_worst = tuple(float(r) for r in study.bounds.denormalise(np.array([0.0, 1.0])))
     common: dict[str, Any] = {
         "problem": study.spec.problem,
@@ -172,45 +166,52 @@ def summarise_study(study: Study) -> StudySummary:
         "finished": study.stop_reason if study.is_finished else None,
         "bounds": best_and_worst,
         "automatic_bounds": study.spec.bounds is None,
-        "picks": _picks(study, curve, None if fresh is None else fresh.values),
+        "picks": _picks(study, study.curve),
     }
     if not len(history):
         empty: dict[str, Any] = {f.name: None for f in fields(StudySummary)}
-        return StudySummary(**{**empty, "episodes": 0, "serving": (), **common})
-    routing = study.routing
-    now, best_single = routing.value, int(routing.singles.argmax())
-    over = routing.gain_over(best_single)
-    served = routing.served if fresh is None else fresh.served[-1]
-    worst = int(served.argmin())
-    coming = one_more(study.problem, history)
+        return StudySummary(**{**empty, "alike": (), "serving": (), **common})
+    routing, known = study.routing, study.routing.noise_is_known
+    now = routing.value
+    if fresh is None:
+        best_single, served, v = int(routing.singles.argmax()), routing.served, now.value
+        over = routing.gain_over(best_single)
+        gain, gain_margin = over.value, over.margin if known or over.error else None
+    else:
+        best_single, served, v = fresh.best_single, fresh.served, fresh.value
+        gain, gain_margin = fresh.gain, fresh.gain_margin
+    worst, evaluated = int(served.argmin()), [int(np.isfinite(row).sum()) for row in history.rows]
+    counts = [row.episodes for row in state.rows]
     return StudySummary(
         **common,
-        episodes=state.rows[-1].episodes,
+        episodes=(min(counts), max(counts)),
+        evaluated=(min(evaluated), max(evaluated)),
+        alike=_alike(state.rows),
         value=now.value,
-        value_margin=_margin(now, routing),
+        value_margin=now.margin if known or now.error else None,
         measured=now.measured,
-        fresh_value=None if fresh is None else float(fresh.values[-1]),
-        fresh_margin=None if fresh is None else fresh.margin(),
+        fresh_value=None if fresh is None else fresh.value,
+        fresh_margin=None if fresh is None else fresh.margin,
         fresh_episodes=None if fresh is None else fresh.episodes,
         worst_tenth=float(worst_share_mean(served, weights, TENTH)),
         worst_context=worst,
         worst_context_value=float(served[worst]),
         best_single=history.sources[best_single],
-        best_single_value=float(routing.singles[best_single]),
-        single_gain=over.value,
-        single_gain_margin=_margin(over, routing),
+        best_single_value=v - gain,
+        single_gain=gain,
+        single_gain_margin=gain_margin,
         policies_enough=policies_enough(routing.believed, weights, risk=risk),
-        next_source=None if coming is None else coming.source,
-        next_gain=None if coming is None else coming.acquisition,
         serving=tuple(history.sources[i] for i in routing.route),
     )
 
 
-def _margin(found: Valuation, routing: Routing) -> float | None:
-    """Half a 95 % interval; None where nobody can say."""
-    if found.error == 0.0 and not routing.noise_is_known:
-        return None
-    return found.margin
+def _alike(rows: Sequence[ToldRow]) -> tuple[tuple[int, ...], ...]:
+    """Places of policies whose episodes are the same, to the last digit, on several contexts."""
+    groups: dict[bytes, list[int]] = {}
+    for i, row in enumerate(rows):
+        if np.isfinite(row.returns).sum() > 1:
+            groups.setdefault(np.ascontiguousarray(row.each).tobytes(), []).append(i)
+    return tuple(tuple(group) for group in groups.values() if len(group) > 1)
 
 
 def policies_enough(
@@ -231,7 +232,7 @@ def policies_enough(
     return len(rows)
 
 
-def _picks(study: Study, curve: Array, fresh: Array | None) -> tuple[PickSummary, ...]:
+def _picks(study: Study, curve: Array) -> tuple[PickSummary, ...]:
     state, space = study.state, study.space
     reasons = {pick.number: pick.reason for pick in state.picks}
     told = [
@@ -242,7 +243,6 @@ def _picks(study: Study, curve: Array, fresh: Array | None) -> tuple[PickSummary
             "told by the user" if row.pick is None else reasons[row.pick],
             "told",
             float(curve[i]),
-            None if fresh is None or np.isnan(fresh[i]) else float(fresh[i]),
             row.seconds,
         )
         for i, row in enumerate(state.rows)
@@ -255,7 +255,6 @@ def _picks(study: Study, curve: Array, fresh: Array | None) -> tuple[PickSummary
             reasons[f.pick],
             f"failed: {f.reason}",
             value=None,
-            fresh_value=None,
             seconds=None,
             traceback=f.traceback,
         )
@@ -268,5 +267,5 @@ def _picks(study: Study, curve: Array, fresh: Array | None) -> tuple[PickSummary
             ("open", "") if cause is None else (f"open: {cause.reason}", cause.traceback)
         )
         context = space.context(p.source)
-        held.append(PickSummary(n, p.source, context, p.reason, status, None, None, None, trace))
+        held.append(PickSummary(n, p.source, context, p.reason, status, None, None, trace))
     return (*told, *sorted([*failed, *held], key=lambda pick: pick.number or 0))

@@ -8,8 +8,10 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.contexts import ContextSpace
-from mbtl.report.next_training import NOTHING
 from mbtl.report.summary import StudySummary
+
+_NOTHING = 5e-5
+"""What prints as 0."""
 
 
 def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) -> None:
@@ -24,7 +26,7 @@ def table(summary: StudySummary, space: ContextSpace) -> Table:
     size = f"K = {summary.budget}, N = {summary.n_contexts}"
     title = f"{summary.problem or 'study'}: {summary.selector}, {size}"
     found = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)
-    for head in ("pick", "trained on", "V", "V fresh", "min"):
+    for head in ("pick", "trained on", "V", "min"):
         found.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
     found.add_column("why")
     for pick in summary.picks:
@@ -32,7 +34,6 @@ def table(summary: StudySummary, space: ContextSpace) -> Table:
             "-" if pick.number is None else str(pick.number + 1),
             Text(space.describe(pick.context, "\n")),
             _number(pick.value),
-            _number(pick.fresh_value),
             "-" if pick.seconds is None else f"{pick.seconds / 60:.1f}",
             Text(pick.reason if pick.status == "told" else pick.status),
         )
@@ -55,8 +56,8 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
     """The sentences under the table."""
     worst, best = summary.bounds
     out = [f"Scores are scaled: a return of {worst:g} counts as 0, one of {best:g} as 1."]
-    if summary.episodes:
-        out[0] += f" Every context was evaluated in {_episodes(summary.episodes)}."
+    if summary.episodes is not None and summary.evaluated is not None:
+        out[0] += f" {_evaluated(summary)}."
     if summary.automatic_bounds:
         out.append(
             "You gave no bounds, so the scale changes as results arrive; set bounds=(low, high)."
@@ -65,35 +66,51 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
         out.append(
             f"V = {_with_margin(summary.fresh_value, summary.fresh_margin)} on {_fresh(summary)}."
         )
-    if summary.value is not None and summary.measured is not None:
+    elif summary.value is not None and summary.measured is not None:
         out.append(
-            f"V = {_with_margin(summary.value, summary.value_margin)} on the episodes that chose "
-            f"the policies{_extrapolated(summary.measured)}."
+            f"V = {_with_margin(summary.value, summary.value_margin)}, estimated from the episodes "
+            f"that chose the policies{_extrapolated(summary.measured)}."
         )
     if summary.worst_tenth is not None:
-        by = "those that chose" if summary.fresh_value is None else "the fresh ones"
-        sentence = (
-            f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}, on {by}"
-        )
+        sentence = f"The worst-served tenth of the contexts is at {summary.worst_tenth:.4f}"
         if summary.worst_context is not None and summary.worst_context_value is not None:
             where = space.describe(space.context(summary.worst_context))
             sentence += f"; the worst context, {where}, at {summary.worst_context_value:.4f}"
         out.append(f"{sentence}.")
     out.append(summary.verdict)
-    if summary.next_source is not None and summary.next_gain is not None:
-        where = space.describe(space.context(summary.next_source))
-        out.append(
-            f"One more training, at {where}, is predicted to add {summary.next_gain:.4f} to V."
-            if summary.next_gain > NOTHING
-            else "One more training is predicted to add nothing to V."
-        )
+    out += [_same(group) for group in summary.alike]
     if summary.finished:
         out.append(f"The study is finished: {summary.finished}.")
     return out
 
 
-def _episodes(count: int) -> str:
-    return "one episode" if count == 1 else f"{count} episodes"
+def _evaluated(summary: StudySummary) -> str:
+    assert summary.evaluated is not None
+    assert summary.episodes is not None
+    least, most = summary.evaluated
+    on = (
+        "every context"
+        if least == summary.n_contexts
+        else (f"{_range(summary.evaluated)} of {summary.n_contexts} contexts")
+    )
+    which = "Every policy" if least == most else "Policies"
+    episodes = (
+        "one episode" if summary.episodes == (1, 1) else f"{_range(summary.episodes)} episodes"
+    )
+    return f"{which} {'was' if least == most else 'were'} evaluated on {on} in {episodes}"
+
+
+def _range(both: tuple[int, int]) -> str:
+    return str(both[0]) if both[0] == both[1] else f"{both[0]} to {both[1]}"
+
+
+def _same(group: tuple[int, ...]) -> str:
+    """That policies are one and the same, as far as anybody can see."""
+    names = [str(i + 1) for i in group]
+    return (
+        f"Policies {', '.join(names[:-1])} and {names[-1]} returned the same in every episode: these "
+        "trainings came to the same behaviour, or collapsed."
+    )
 
 
 def _fresh(summary: StudySummary) -> str:
@@ -106,7 +123,7 @@ def _fresh(summary: StudySummary) -> str:
 def _with_margin(value: float, margin: float | None) -> str:
     if margin is None:
         return f"{value:.4f} (one episode each, so its error is unknown)"
-    return f"{value:.4f} +- {margin:.4f}" if margin >= NOTHING else f"{value:.4f}"
+    return f"{value:.4f} +- {margin:.4f}" if margin >= _NOTHING else f"{value:.4f}"
 
 
 def _extrapolated(measured: float) -> str:

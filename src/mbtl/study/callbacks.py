@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TextIO
 
+from mbtl.study.fresh import plan_of
 from mbtl.trainer import Progress
 
 if TYPE_CHECKING:
@@ -60,7 +61,9 @@ class Callback:
 
 
 class PrintProgress(Callback):
-    """A line per pick, for people: `pick 3 of 5: gravity = 7.5 m/s2, V = 0.8312 (gain 0.0210)`.
+    """A line per pick, for people.
+
+    `pick 3 of 5: gravity = 7.5 m/s2, V = 0.8312 +- 0.0140, estimated (gain 0.0210)`
 
     Args:
         file: to print to; None: standard error, as it is at that moment.
@@ -77,7 +80,7 @@ class PrintProgress(Callback):
         """V, and what the new policy added to it."""
         curve = study.curve
         gain = f" (gain {curve[-1] - curve[-2]:.4f})" if len(curve) > 1 else ""
-        self._say(f"{where(study, pick)}, V = {curve[-1]:.4f}{gain}")
+        self._say(f"{where(study, pick)}, {estimate(study)}{gain}")
 
     def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
         """Why there is no V."""
@@ -95,8 +98,12 @@ class PrintProgress(Callback):
         """Why nothing happens."""
         self._say(waiting_words(others))
 
+    def on_report(self, study: Study) -> None:
+        """How much is evaluated."""
+        self._say(report_words(study))
+
     def on_report_failed(self, study: Study, reason: str) -> None:
-        """Why V stays what the selecting episodes say."""
+        """Why V stays an estimate."""
         self._say(f"V on fresh episodes could not be measured: {reason}")
 
     def _say(self, line: str) -> None:
@@ -106,6 +113,19 @@ class PrintProgress(Callback):
 def where(study: Study, pick: Pick) -> str:
     """A pick for people, who count from 1: "pick 3 of 5: gravity = 7.5 m/s2"."""
     return f"pick {pick.number + 1} of {study.spec.budget}: {study.space.describe(pick.context)}"
+
+
+def estimate(study: Study) -> str:
+    """V while a study runs, in words, with half its 95 % interval: "V = 0.8312 +- 0.0140"."""
+    now = study.routing.value
+    bar = f" +- {now.margin:.4f}" if now.margin > 0.0 else ""
+    return f"V = {now.value:.4f}{bar}, estimated"
+
+
+def report_words(study: Study) -> str:
+    """What the closing report will play, in a sentence."""
+    count = plan_of(study).evaluations
+    return f"measuring V on fresh episodes: {count} evaluations of a policy on a context"
 
 
 def shared_words(others: Sequence[str]) -> str:

@@ -268,10 +268,10 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
         },
         "stopped": {"reason": _TEXT},
         "reported": {
-            "episodes": (_maybe(_COUNT[0]), "a whole number of 1 or more, or null"),
-            "value_errors": (
-                _maybe(lambda e: _each(_at_least(0.0))(e) and len(e) == len(state.rows)),
-                f"{len(state.rows)} finite numbers >= 0, or null",
+            "episodes": _COUNT,
+            "best_single": (
+                lambda i: _is_whole(i) and i < len(state.rows),
+                f"the place of one of the {len(state.rows)} rows",
             ),
         },
     }
@@ -285,8 +285,10 @@ def _shapes(event: Event, state: StudyState) -> dict[str, tuple[int, ...]]:
         return {}
     n = state.spec.space.n
     if kind == "told" or (kind == "late" and event.data.get("outcome") == "told"):
-        return {"returns": (n,), "std": (n,)}
-    return {"returns": (len(state.rows), n)} if kind == "reported" else {}
+        return {"returns": (n, event.data["episodes"])}
+    if kind == "reported":
+        return dict.fromkeys(("served", "alone"), (n, event.data["episodes"]))
+    return {}
 
 
 def _short(value: Any) -> str:

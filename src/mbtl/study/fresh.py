@@ -1,7 +1,8 @@
-"""V for people: the routed policies on fresh evaluation seeds.
+"""V for people: the policies that serve, on fresh episodes, which chose nothing.
 
-The rows that choose the routes are noisy, so their maximum is biased upwards. The episodes here
-chose nothing.
+What a study says while it runs is an estimate from the episodes that choose (`mbtl.episodes`). At
+its end the policies that serve are evaluated once more where they serve, and the best single policy
+everywhere, so that what the others add to it is measured episode by episode.
 
 Notation (shapes): k policies in training order, N contexts, E episodes.
 """
@@ -15,116 +16,121 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
-from mbtl.objective import worst_share_mean, worst_share_weights
-from mbtl.routing import routed
+from mbtl.episodes import scatter_of_sum, student
+from mbtl.objective import worst_share_weights
 from mbtl.seeds import Purpose
 from mbtl.trainer import Trainer, checked_returns
 
 if TYPE_CHECKING:
     from mbtl.study.study import Study
+    from mbtl.study.view import StudyView
 
 Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
 class FreshValue:
-    """V after each training on fresh episodes.
+    """V on fresh episodes.
 
     Attributes:
-        values: (k,) V, performance.
-        errors: (k,) their standard errors, of the episodes; None: unknown, from one episode each.
-        episodes: episodes behind each context; None: unknown.
-        served: (k, N) performance of the policies that serve after each training.
+        value: V now, performance.
+        margin: half its 95 % interval; None: unknown, from one episode each.
+        episodes: fresh episodes of each context.
+        served: (N,) performance of the policies that serve.
+        best_single: place of the best single policy, by the rows that routed.
+        gain: V less its own V, on the same episodes.
+        gain_margin: half the 95 % interval of that; None likewise.
     """
 
-    values: Array
-    errors: Array | None
-    episodes: int | None
+    value: float
+    margin: float | None
+    episodes: int
     served: Array
+    best_single: int
+    gain: float
+    gain_margin: float | None
 
-    def margins(self, confidence: float = 0.95) -> Array | None:
-        """(k,) half the widths of the intervals, by Student's t; None where unknown."""
-        if self.errors is None or self.episodes is None or self.episodes < 2:
-            return None
-        from scipy.special import stdtrit  # kept out of `import mbtl`
 
-        return np.asarray(stdtrit(self.episodes - 1, 0.5 + confidence / 2.0) * self.errors)
+@dataclass(frozen=True)
+class ReportPlan:
+    """What is evaluated for the closing report.
 
-    def margin(self, confidence: float = 0.95) -> float | None:
-        """The last of `margins`."""
-        margins = self.margins(confidence)
-        return None if margins is None else float(margins[-1])
+    Attributes:
+        route: (N,) places of the policies that serve.
+        best_single: place of the best single policy.
+    """
+
+    route: Indices
+    best_single: int
+
+    @property
+    def evaluations(self) -> int:
+        """Of one policy on one context each."""
+        return len(self.route) + int((self.route != self.best_single).sum())
+
+    def targets(self, policy: int) -> Indices:
+        """Contexts on which a policy is evaluated."""
+        everywhere = policy == self.best_single
+        return np.flatnonzero(np.full(len(self.route), everywhere) | (self.route == policy))
+
+
+def plan_of(study: StudyView) -> ReportPlan:
+    """What the closing report of a study evaluates now: who serves, and the best single policy."""
+    routing = study.state.routing()
+    return ReportPlan(routing.route, int(routing.singles.argmax()))
 
 
 def can_report(study: Study) -> bool:
-    """True when there is something to report and every policy is at hand."""
+    """True when there is something to report and every policy that it needs is at hand."""
     state = study.state
-    at_hand = all(row.policy or i in study.policies for i, row in enumerate(state.rows))
-    return bool(state.rows) and state.fresh is None and at_hand
+    if not state.rows or state.fresh is not None:
+        return False
+    plan = plan_of(study)
+    needed = {*plan.route.tolist(), plan.best_single}
+    return all(state.rows[i].policy or i in study.policies for i in needed)
 
 
 def report_fresh_returns(study: Study, trainer: Trainer) -> None:
-    """Evaluate on fresh seeds each policy where it served at some k, and record it."""
+    """Evaluate what the plan says on fresh seeds, and record it."""
     portfolio = study.portfolio(trainer)  # refreshes; what follows is of this moment
-    routes = study.state.routing().routes
-    found: list[tuple[Indices, Array]] = []
-    for i, targets in enumerate(served_targets(routes)):
-        returns = np.empty((0, 1))
-        if targets.size:
-            contexts = [study.space.context(int(t)) for t in targets]
-            seeds = study.evaluation_seeds(targets, Purpose.REPORT)
-            told = trainer.evaluate(portfolio.policy(i), contexts, seeds)
-            returns = checked_returns(told, targets.size, study.space.named(targets))
-        found.append((targets, returns))
-    counts = {returns.shape[1] for targets, returns in found if targets.size}
-    means = np.full(routes.shape, np.nan)
-    for i, (targets, returns) in enumerate(found):
-        means[i, targets] = returns.mean(axis=1)
-    episodes = counts.pop() if len(counts) == 1 else None
-    errors = None if episodes in (None, 1) else _value_errors(study, routes, means, found)
-    study.record_fresh_returns(means, value_errors=errors, episodes=episodes)
+    plan, rows = plan_of(study), len(study.state.rows)
+    found: dict[int, Array] = {}
+    for i in np.unique(np.append(plan.route, plan.best_single)).tolist():
+        targets = plan.targets(i)
+        contexts = [study.space.context(int(t)) for t in targets]
+        seeds = study.evaluation_seeds(targets, Purpose.REPORT)
+        returns = trainer.evaluate(portfolio.policy(i), contexts, seeds)
+        found[i] = checked_returns(returns, targets.size, study.space.named(targets))
+    episodes = min(returns.shape[1] for returns in found.values())
+    served, alone = np.empty((2, study.space.n, episodes))
+    for i, returns in found.items():
+        targets, mine = plan.targets(i), plan.route == i
+        served[mine] = returns[mine[targets], :episodes]
+        if i == plan.best_single:
+            alone[:] = returns[:, :episodes]
+    study.record_fresh_returns(served, alone, best_single=plan.best_single, rows=rows)
 
 
-def _value_errors(
-    study: Study, routes: Indices, means: Array, found: list[tuple[Indices, Array]]
-) -> Array:
-    """(k,) standard error of V after each training, raw units.
-
-    V is computed episode by episode: where all contexts share the episodes, their luck is common,
-    and a mean over contexts does not make it smaller.
-    """
-    sign = 1.0 if study.bounds.direction == "maximize" else -1.0
-    episodes = next(returns.shape[1] for targets, returns in found if targets.size)
-    each = np.full((*means.shape, episodes), np.nan, dtype=np.float32)
-    for i, (targets, returns) in enumerate(found):
-        each[i, targets] = returns
-    every = np.arange(means.shape[1])
-    errors = []
-    for route in routes:
-        counted = worst_share_weights(
-            sign * means[route, every], study.space.weights, study.spec.risk
-        )
-        by_episode = counted @ each[route, every].astype(np.float64)
-        errors.append(by_episode.std(ddof=1) / np.sqrt(episodes))
-    return np.array(errors)
-
-
-def served_targets(routes: Indices) -> list[Indices]:
-    """For each of k rows, the targets it serves after 1, 2, ... or k trainings."""
-    return [np.flatnonzero((routes == i).any(axis=0)) for i in range(len(routes))]
-
-
-def fresh_value(study: Study) -> FreshValue | None:
-    """V after each training on fresh episodes, routed by the rows; None: not measured."""
-    fresh = study.state.fresh
+def fresh_value(study: StudyView) -> FreshValue | None:
+    """V on fresh episodes, as they were played when the study was reported; None: not measured."""
+    fresh, bounds = study.state.fresh, study.bounds
     if fresh is None:
         return None
-    bounds = study.bounds
-    served = routed(bounds.normalise(fresh.returns), study.state.routing().routes)
-    errors = fresh.value_errors
-    return FreshValue(
-        worst_share_mean(served, study.space.weights, study.spec.risk),
-        None if errors is None else errors / (bounds.high - bounds.low),
-        fresh.episodes,
-        served,
-    )
+    weights, risk = study.space.weights, study.spec.risk
+    served, alone = (bounds.normalise(r) for r in (fresh.served, fresh.alone))
+    means = bounds.normalise(fresh.served.mean(axis=1))
+    ours = worst_share_weights(means, weights, risk)
+    single = bounds.normalise(fresh.alone.mean(axis=1))
+    its = worst_share_weights(single, weights, risk)
+    value, gain = float(ours @ means), float(ours @ means - its @ single)
+    margin = gain_margin = None
+    if served.shape[1] > 1:
+        margin = _margin(ours[:, None] * served)
+        gain_margin = _margin(ours[:, None] * served - its[:, None] * alone)
+    return FreshValue(value, margin, served.shape[1], means, fresh.best_single, gain, gain_margin)
+
+
+def _margin(parts: Array) -> float:
+    """Half the 95 % interval of a sum over contexts, of (N, E) episodes of its parts."""
+    variance, freedom = scatter_of_sum(parts)
+    return student(freedom) * float(np.sqrt(variance))

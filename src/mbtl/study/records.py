@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from mbtl.arrays import Array
+from mbtl.episodes import scatter
 from mbtl.study.leases import Lease
 
 
@@ -62,10 +66,7 @@ class ToldRow:
     Attributes:
         source: context index.
         pick: number of the pick it answers; None for a source nobody asked for.
-        returns: (N,) mean returns, raw units; NaN where it was not evaluated.
-        std: (N,) standard deviation over episodes, with n - 1; NaN for a single episode, and as
-            `returns`.
-        episodes: episodes behind each mean.
+        each: (N, E) returns of single episodes, raw units; NaN where it was not evaluated.
         cost: cost of the training in the user's unit.
         seconds: wall time of training and evaluation; None when unknown.
         policy: folder of the saved policy, relative to the study; None when not saved.
@@ -78,9 +79,7 @@ class ToldRow:
 
     source: int
     pick: int | None
-    returns: Array
-    std: Array
-    episodes: int
+    each: Array
     cost: float
     seconds: float | None
     policy: str | None
@@ -89,6 +88,21 @@ class ToldRow:
     sha256: str | None = None
     recipe: str | None = None
     steps: float | None = None
+
+    @cached_property
+    def returns(self) -> Array:
+        """(N,) mean returns, raw units; NaN where it was not evaluated."""
+        return self.each[:, 0] if self.episodes == 1 else np.asarray(self.each.mean(axis=1))
+
+    @property
+    def std(self) -> Array:
+        """(N,) standard deviation over episodes, with n - 1; NaN for one, and as `returns`."""
+        return scatter(self.each)
+
+    @property
+    def episodes(self) -> int:
+        """Episodes behind each mean."""
+        return self.each.shape[1]
 
 
 @dataclass(frozen=True)
@@ -137,14 +151,14 @@ class LateResult:
 
 @dataclass(frozen=True)
 class FreshReturns:
-    """What the policies gave on fresh episodes, which chose nothing.
+    """What policies gave on fresh episodes, which chose nothing.
 
     Attributes:
-        returns: (k, N) means; NaN where a policy serves nobody.
-        value_errors: (k,) standard error of V after each training, raw units; None: unknown.
-        episodes: episodes behind each mean; None: unknown.
+        served: (N, E) of the policies that serve, raw units.
+        alone: (N, E) of the best single policy, on the same episodes.
+        best_single: its place among the rows.
     """
 
-    returns: Array
-    value_errors: Array | None
-    episodes: int | None
+    served: Array
+    alone: Array
+    best_single: int

@@ -22,7 +22,7 @@ class RunResult:
 
     Attributes:
         study: that was run.
-        curve: (k,) V after each row, performance, by the rows that routed the policies.
+        curve: (k,) the running estimate of V after each row, performance.
         fresh: V on fresh episodes, which chose nothing: the one to tell people; None: not measured.
         trainings: all of the study, those of earlier runs too.
         failures: of the study, those of trainings ended early on purpose too.
@@ -40,9 +40,9 @@ class RunResult:
 
     @property
     def value(self) -> float:
-        """V at the end: on fresh episodes where they were played, else by the routing rows."""
+        """V at the end, as `Study.value`: on fresh episodes if played, else the running estimate."""
         if self.fresh is not None:
-            return float(self.fresh.values[-1])
+            return self.fresh.value
         return float(self.curve[-1]) if len(self.curve) else float("-inf")
 
     def portfolio(self) -> Portfolio:
@@ -65,7 +65,7 @@ class RunResult:
             return found
 
     def __repr__(self) -> str:
-        where = "on fresh episodes" if self.fresh is not None else "on selecting episodes"
+        where = "on fresh episodes" if self.fresh is not None else "estimated"
         failed = f", {len(self.failures)} failed" if self.failures else ""
         return (
             f"RunResult({self.study.name!r}: {len(self.curve)} trainings told{failed}, "

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
+from mbtl.episodes import Episodes
 from mbtl.errors import StorageError, StudyError
-from mbtl.history import History, standard_errors
+from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.routing import Routing
 from mbtl.study.checks import check_event
@@ -114,8 +115,7 @@ class StudyState:
                 spec.space,
                 history.sources,
                 history.rows,
-                self._deviations(),
-                [row.episodes for row in self.rows],
+                self._episodes(),
                 risk=spec.risk,
                 earlier=self._routing,
             )
@@ -136,7 +136,7 @@ class StudyState:
         n = self.spec.space.n
         if self._performance is None or len(self._performance) < len(self.rows):
             self._performance = self._normalised()
-            self._errors = self._standard_errors()
+            self._errors = self._episodes().errors if self.rows else None
         return History(
             n,
             tuple(row.source for row in self.rows),
@@ -170,17 +170,8 @@ class StudyState:
         view.setflags(write=False)
         return view
 
-    def _deviations(self) -> Array:
-        """(k, N) of the performance in single episodes; NaN where unknown."""
-        bounds = self.bounds()
-        scatter = np.array([row.std for row in self.rows]).reshape(len(self.rows), -1)
-        return scatter / (bounds.high - bounds.low)
-
-    def _standard_errors(self) -> Array | None:
-        """(k, N) of the performance; None where no row has several episodes that differ."""
-        if all(row.episodes == 1 for row in self.rows):
-            return None
-        return standard_errors(self._deviations(), [row.episodes for row in self.rows])
+    def _episodes(self) -> Episodes:
+        return Episodes([row.each for row in self.rows], self.bounds())
 
     def bounds(self) -> Bounds:
         """The given bounds, or the range of all returns told so far (unit range before any)."""
@@ -282,8 +273,6 @@ class StudyState:
                 data["source"],
                 data["pick"],
                 event.arrays["returns"],
-                _deviations_of(event),
-                data["episodes"],
                 data["cost"],
                 data["seconds"],
                 data["policy"],
@@ -341,12 +330,8 @@ class StudyState:
         self.proposing = None
 
     def _reported(self, event: Event) -> None:
-        errors = event.data.get("value_errors")
-        self.fresh = FreshReturns(
-            event.arrays["returns"],
-            None if errors is None else np.array(errors, dtype=np.float64),
-            event.data.get("episodes"),
-        )
+        arrays = event.arrays
+        self.fresh = FreshReturns(arrays["served"], arrays["alone"], event.data["best_single"])
 
 
 def _lease_of(event: Event) -> Lease | None:
@@ -356,16 +341,6 @@ def _lease_of(event: Event) -> Lease | None:
         return None
     who = worker_words(event.data["worker"])
     return Lease(token, who, event.data.get("seconds"), event.time)
-
-
-def _deviations_of(event: Event) -> Array:
-    """Standard deviations with n - 1; older versions wrote them with n, and 0 for one episode."""
-    episodes, written = event.data["episodes"], event.arrays["std"]
-    if episodes == 1:  # unknown everywhere: one number instead of a million
-        return np.broadcast_to(np.float64(np.nan), written.shape)
-    if event.data.get("ddof") == 1:
-        return written
-    return np.asarray(written * np.sqrt(episodes / (episodes - 1)))
 
 
 def replay(events: Iterable[Event]) -> StudyState:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.plain import finite, whole
@@ -94,13 +93,10 @@ class Study(LeasingStudy):
                 targets = telling.asked_targets(self.refresh(), source)
         evaluated = checked_targets(targets, self.space.n)
         rows = checked_returns(returns, len(evaluated), self.space.named(evaluated))
-        arrays = {name: np.full(self.space.n, np.nan) for name in ("returns", "std")}
-        arrays["returns"][evaluated] = rows.mean(axis=1)
-        if rows.shape[1] > 1:
-            arrays["std"][evaluated] = rows.std(axis=1, ddof=1)
+        arrays = {"returns": np.full((self.space.n, rows.shape[1]), np.nan)}
+        arrays["returns"][evaluated] = rows
         data: dict[str, Any] = {
             "source": source,
-            "ddof": 1,
             "episodes": rows.shape[1],
             "seconds": finite("seconds", seconds, 0.0),
             "steps": finite("steps", steps, 0.0),
@@ -257,30 +253,32 @@ class Study(LeasingStudy):
         self._commit(extended)
 
     def record_fresh_returns(
-        self, returns: Array, *, value_errors: Array | None = None, episodes: int | None = None
+        self, served: ArrayLike, alone: ArrayLike, *, best_single: int, rows: int | None = None
     ) -> None:
         """Record returns on fresh evaluation seeds.
 
         Args:
-            returns: (k, N) means; NaN where a policy serves nobody.
-            value_errors: (k,) standard errors of V after each training, raw units; None: unknown.
-            episodes: behind each mean; None: unknown.
+            served: (N, E) of the policies that serve, raw units.
+            alone: (N, E) of the best single policy, on the same episodes.
+            best_single: its place among the rows.
+            rows: how many rows these are the routes of; None: those there are.
 
         Raises:
-            StudyError: rows were told since; the report would not fit them.
+            StudyError: of another shape, or rows were told since, which the report would not fit.
         """
-        returns = np.asarray(returns, dtype=np.float64)
-        errors = None if value_errors is None else [float(error) for error in value_errors]
-        data = {"value_errors": errors, "episodes": episodes}
+        arrays = {"served": np.asarray(served, float), "alone": np.asarray(alone, float)}
+        rows = len(self.refresh().rows) if rows is None else rows
 
         def reported(state: StudyState) -> Event:
-            expected = (len(state.rows), self.space.n)
-            if returns.shape != expected:
+            shapes = [array.shape for array in arrays.values()]
+            n, told = self.space.n, len(state.rows)
+            if told != rows or len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][0] != n:
                 raise StudyError(
-                    f"fresh returns must have shape {expected}, a row per policy told, got "
-                    f"{returns.shape}; evaluate again"
+                    f"fresh returns must have shape ({n}, episodes) and be of the {told} policies "
+                    f"told, got {shapes} of {rows}; evaluate again"
                 )
-            return Event("reported", data, {"returns": returns})
+            data = {"episodes": shapes[0][1], "best_single": int(best_single)}
+            return Event("reported", data, arrays)
 
         self._commit(reported)
 

@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 
 
 class TensorBoardCallback(Callback):
-    """Writes the metrics of each training, and three numbers per pick.
+    """Writes the metrics of each training, and some numbers per pick.
 
-    These are `study/V`, `study/source` and `study/training_performance`.
+    These are `study/V`, the running estimate, `study/V_margin`, half its 95 % interval where it is
+    known, `study/source` and `study/training_performance`.
 
     Args:
         folder: where TensorBoard looks.
@@ -40,7 +41,10 @@ class TensorBoardCallback(Callback):
     def on_told(self, study: Study, pick: Pick) -> None:
         """One point per pick."""
         k = len(study.state.rows)
-        self._writer.add_scalar("study/V", study.value, k)
+        now = study.routing.value
+        self._writer.add_scalar("study/V", now.value, k)
+        if study.routing.noise_is_known:
+            self._writer.add_scalar("study/V_margin", now.margin, k)
         self._writer.add_scalar("study/source", pick.source, k)
         own = float(study.history.training_performance[-1])
         self._writer.add_scalar("study/training_performance", own, k)

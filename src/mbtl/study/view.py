@@ -19,6 +19,7 @@ from mbtl.routing import Routing
 from mbtl.selectors import SelectionProblem
 from mbtl.study import asking
 from mbtl.study.artifacts import ArtifactStore, FolderStore
+from mbtl.study.fresh import fresh_value
 from mbtl.study.leases import Watch, new_worker
 from mbtl.study.places import database_file
 from mbtl.study.presence import Presence
@@ -172,12 +173,12 @@ class StudyView:
     @property
     @_alone
     def value(self) -> float:
-        """V of the policies as they are routed, performance; -inf before the first row.
+        """V, performance: on fresh episodes once they were played, else the running estimate.
 
-        By the rows that routed them: noise is shrunk, and what was not evaluated is predicted by
-        the transfer model. How sure that is: `study.routing.value`.
+        -inf before the first row. How sure the running estimate is: `study.routing.value`.
         """
-        return self._state.value()
+        fresh = fresh_value(self)
+        return self._state.value() if fresh is None else fresh.value
 
     @property
     @_alone
@@ -192,7 +193,7 @@ class StudyView:
     @property
     @_alone
     def curve(self) -> Array:
-        """(k,) V after each row, performance, by the rows that routed the policies."""
+        """(k,) the running estimate of V after each row, performance."""
         return self._state.curve()
 
     @property
@@ -276,8 +277,7 @@ class StudyView:
             np.array([row.returns for row in rows]).reshape(-1, self.space.n),
             self.bounds,
             self.problem.theta,
-            deviations=np.array([row.std for row in rows]).reshape(-1, self.space.n),
-            episodes=tuple(row.episodes for row in rows),
+            episodes=tuple(row.each for row in rows),
             risk=spec.risk,
             policy_folders=folders,
             policy_format=policy_format,

@@ -301,9 +301,9 @@
     model(i, box) {
       const item = state.items[i], steps = item.steps, last = item.sources.length;
       if (!controls(i, "model").querySelector("input")) slider(i, last);
-      const j = state.steps[i] - 1, taken = item.sources.slice(0, j + 1), coming = j + 1 < last ? item.sources[j + 1] : item.next?.source;
+      const j = state.steps[i] - 1, taken = item.sources.slice(0, j + 1), coming = item.sources[j + 1];
       controls(i, "model").querySelector("output").textContent = `after ${j + 1} of ${last}` +
-        (coming === undefined ? "" : `; ${j + 1 < last ? "next pick" : "most promising"}: ${describe(item, coming)}`);
+        (coming === undefined ? "" : `; next pick: ${describe(item, coming)}`);
       if (item.axes.length > 1) {
         const view = mapOf(i), show = view.show.model, label = { mean: "mean", std: "deviation", gain: "score", served: "performance" }[show];
         return draw(box, mapTraces(item, view, steps[show][j], { kind: show, label, range: range(steps[show]), taken }), mapLook(item, view));
@@ -320,7 +320,7 @@
         { x, y: gain, mode: "lines", name: "score", yaxis: "y2", fill: "tozeroy", line: { color: "#e69f00", width: 1 }, connectgaps: true, hovertemplate: "%{x}: %{y:.4f}<extra>score</extra>" },
       ];
       if (coming !== undefined) {
-        traces.push({ x: [axis.values[coming]], y: [gain[order.indexOf(coming)] || 0], mode: "markers", yaxis: "y2", name: j + 1 < last ? "next pick" : "most promising", marker: { symbol: "triangle-down", size: 13, color: "#d55e00" } });
+        traces.push({ x: [axis.values[coming]], y: [gain[order.indexOf(coming)] || 0], mode: "markers", yaxis: "y2", name: "next pick", marker: { symbol: "triangle-down", size: 13, color: "#d55e00" } });
       }
       return draw(box, traces, {
         xaxis: axisOf(axis, { anchor: "y2" }), yaxis: plain("performance", { domain: [0.38, 1], range: ends }),

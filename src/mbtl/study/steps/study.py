@@ -223,7 +223,6 @@ class StepStudy:
             filled_rows(np.array(state.returns), self.space.steps),
             self.bounds,
             spec.problem_without(()).selection.theta,
-            episodes=(spec.episodes,) * len(keys),
             policy_folders=folders,
             policy_format=str(spec.settings.get("policy_format", format_)),
             load=None if trainer is None else trainer.load,

@@ -1,0 +1,164 @@
+"""Episodes: what the single episodes behind the rows of some policies say of chance.
+
+Every context has episodes of its own, the same for every policy. What is said of a choice is said
+by episodes that did not make it: the rows are split into folds, each fold is left out in turn, and
+values what the others chose (cross-fitting). The best of noisy rows flatters nobody then.
+
+Notation (shapes): k policies, N contexts, F folds, m pairs of a policy and a context.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.arrays import Array
+from mbtl.history import standard_errors
+from mbtl.objective import Bounds
+
+Indices = NDArray[np.intp]
+
+_FOLDS = 5
+"""At most so many folds; more would cost more and say the same."""
+_ENOUGH = 1000
+"""Contexts that decide how much luck policies share."""
+_MANY = 1e6
+"""Degrees of freedom from which on Student's t is the Gaussian; any number may be given."""
+
+
+class Episodes:
+    """The returns of single episodes of k policies, and their scale.
+
+    Args:
+        returns: k arrays (N, E_i), raw units; NaN where there is none.
+        bounds: that make performance of returns.
+    """
+
+    def __init__(self, returns: Sequence[Array], bounds: Bounds) -> None:
+        """Nothing is computed yet."""
+        self.returns, self.bounds = tuple(returns), bounds
+
+    def __len__(self) -> int:
+        return len(self.returns)
+
+    def first(self, k: int) -> Episodes:
+        """Those of the first k policies."""
+        return Episodes(self.returns[:k], self.bounds)
+
+    @property
+    def several(self) -> bool:
+        """True where an entry is of several episodes; one alone says nothing of chance."""
+        return max(self.counts) > 1
+
+    @cached_property
+    def counts(self) -> tuple[int, ...]:
+        """(k,) episodes behind each row."""
+        return tuple(each.shape[1] for each in self.returns)
+
+    @property
+    def fewest(self) -> int:
+        """Fewest episodes that a row with several has; 1 where none has."""
+        return min((count for count in self.counts if count > 1), default=1)
+
+    @property
+    def folds(self) -> int:
+        """F."""
+        return min(self.fewest, _FOLDS)
+
+    @cached_property
+    def errors(self) -> Array | None:
+        """(k, N) standard errors of the rows, performance; None: unknown, or there is no noise."""
+        if not self.several:
+            return None
+        width = self.bounds.high - self.bounds.low
+        found = np.array([scatter(each) for each in self.returns]) / width
+        return standard_errors(found, self.counts)
+
+    @cached_property
+    def own_share(self) -> float:
+        """Share of the noise that a policy has for itself: 1 less the correlation of their luck.
+
+        Measured episode by episode, over all contexts and pairs of policies that have both.
+        """
+        several = [each for each in self.returns if each.shape[1] > 1]
+        if len(several) < 2:
+            return 1.0
+        n = len(several[0])
+        some = np.unique(np.linspace(0, n - 1, min(n, _ENOUGH)).round().astype(np.intp))
+        luck = np.array([each[some, : self.fewest] for each in several])
+        luck -= luck.mean(axis=2, keepdims=True)
+        there = np.isfinite(luck).all(axis=2)
+        luck[~there] = 0.0
+        squares = np.square(luck).sum(axis=2)
+        within = squares @ there.T.astype(float)  # of the one, where the other has them, too
+        pairs = np.triu_indices(len(several), 1)
+        scale = float(np.sqrt(within * within.T)[pairs].sum())
+        together = 0.5 * float(np.square(luck.sum(axis=0)).sum() - squares.sum())
+        return 1.0 - float(np.clip(together / scale, 0.0, 1.0)) if scale > 0 else 1.0
+
+    def kept(self, row: Indices, target: Indices) -> Array:
+        """(m, F) performance of pairs by all episodes but those of a fold."""
+        return self._means(row, target, held=False)
+
+    def held(self, row: Indices, target: Indices) -> Array:
+        """(m, F) performance of pairs by the episodes of a fold alone."""
+        return self._means(row, target, held=True)
+
+    def _means(self, row: Indices, target: Indices, *, held: bool) -> Array:
+        found = np.empty((len(row), self.folds))
+        for policy in np.unique(row):
+            mine = row == policy
+            played = self.returns[policy][target[mine]]
+            there = np.isfinite(played)
+            played = np.where(there, played, 0.0)
+            split = np.arange(played.shape[1])[:, None] % self.folds == np.arange(self.folds)
+            among = (split if held else ~split).astype(float)
+            count = there @ among
+            with np.errstate(divide="ignore", invalid="ignore"):
+                mean = (played @ among) / count
+                whole = played.sum(axis=1) / there.sum(axis=1)
+            # a row of one episode among rows of several is the same in every fold
+            found[mine] = np.where(count > 0, mean, whole[:, None])
+        return self.bounds.normalise(found)
+
+
+def scatter_of_sum(parts: Array) -> tuple[float, float]:
+    """Variance of a sum over contexts of means of their folds or episodes, and how well known.
+
+    Contexts are independent, so that even two episodes of each make the variance of a sum over
+    many well known: its degrees of freedom are those of Welch and Satterthwaite,
+
+        (e + 1) (sum_t v_t)^2 / sum_t v_t^2 - 2,
+
+    which is free of the bias that squares of estimated variances have.
+
+    Args:
+        parts: (T, e) what each of e >= 2 episodes of a context says of its part of the sum.
+
+    Returns:
+        The variance, and degrees of freedom for Student's t; infinite where nothing scatters.
+    """
+    episodes = parts.shape[1]
+    variances = parts.var(axis=1, ddof=1) / episodes
+    total = float(variances.sum())
+    if total == 0.0:
+        return 0.0, np.inf
+    shares = variances / total
+    return total, max((episodes + 1.0) / float(shares @ shares) - 2.0, 1.0)
+
+
+def student(freedom: float) -> float:
+    """Half the width of an interval of 95 % in standard errors, by Student's t."""
+    from scipy.special import stdtrit  # kept out of `import mbtl`
+
+    return float(stdtrit(min(freedom, _MANY), 0.975))
+
+
+def scatter(returns: Array) -> Array:
+    """(N,) standard deviation of single episodes, with n - 1; NaN for one."""
+    if returns.shape[1] == 1:
+        return np.full(len(returns), np.nan)
+    return np.asarray(returns.std(axis=1, ddof=1))
