@@ -39,8 +39,9 @@ from mbtl.arrays import Array
 from mbtl.benchmark.shipped import family_of, load_by_id
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.history import History
+from mbtl.models.beliefs import Beliefs
 from mbtl.objective import value
-from mbtl.routing import Routing
+from mbtl.routing import Indices, Routing, last_route
 from mbtl.selectors import Auto, SelectionProblem
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.asking import LEAST_ROWS
@@ -63,14 +64,15 @@ def regret(truth: Rows, history: History, sd: float | None = None) -> float:
     """Of the policies that a study would route by this history, measured on the true rows."""
     n = truth.shape[1]
     space = ContextSpace.grid({Linear("x", 0.0, n - 1.0): n})
-    served = routing(space, history, sd).route
+    served = route(space, history, sd)
     return share_left(truth, truth[list(history.sources)][served, np.arange(n)])
 
 
-def routing(space: ContextSpace, history: History, sd: float | None = None) -> Routing:
-    """As a study has it, told that every entry has noise of `sd` (as from ten episodes)."""
-    known = None if sd is None else np.full(history.rows.shape, sd * np.sqrt(10.0))
-    return Routing(space, history.sources, history.rows, known, [10] * len(history))
+def route(space: ContextSpace, history: History, sd: float | None = None) -> Indices:
+    """(N,) as a study has it, told that every entry has noise of `sd`, of its own."""
+    known = None if sd is None else np.full(history.rows.shape, sd)
+    believed = Beliefs(space, history.sources, history.rows, known).on(np.arange(space.n))[0]
+    return last_route(believed, history.sources, space.steps)
 
 
 def share_left(truth: Rows, reached: Array) -> float:
@@ -130,7 +132,7 @@ def axes(which: str, count: int) -> Iterator[tuple[float, float, float]]:
             truth = source.rows(seed, every)
             own = auto(source.name)
             history = few(own, problem, lambda i, truth=truth: truth[i], count)
-            found = routing(space, history)
+            found = Routing(space, history.sources, history.rows)
             reached = truth[list(history.sources)][found.route, every]
             wrong = abs(found.value.value - reached.mean())
             yield share_left(truth, reached), wrong, wrong <= 1.96 * found.value.error

@@ -1,9 +1,8 @@
 """Routes: the best policy, of equals the nearest, after every training."""
 
 import numpy as np
-import pytest
 
-from mbtl.routing import _tails, last_route, rank, routed, routes
+from mbtl.routing import last_route, rank, routed, routes
 
 LINE = np.arange(5.0)[:, None]
 
@@ -41,9 +40,3 @@ def test_values_are_looked_up_along_the_routes_and_ranked_by_the_same_rule():
     assert routed(values, np.array([[0, 0], [1, 0]])).tolist() == [[1, 2], [3, 2]]
     order = rank(np.array([1.0, 2.0, 2.0, np.nan]), np.array([0, 5.0, 1, 0]), np.arange(4))
     assert order.tolist() == [2, 1, 0, 3]
-
-
-@pytest.mark.parametrize("episodes", [10**6, 10**40])
-def test_an_interval_of_very_many_episodes_is_that_of_the_gaussian(episodes):
-    assert _tails([1, episodes]) == pytest.approx(1.0, abs=1e-4)
-    assert _tails([episodes, 3]) == pytest.approx(4.303 / 1.96, abs=1e-3)

@@ -314,10 +314,12 @@ class _After:
             route = last_route(mean, self._sources, steps, targets)
             says[:, fold] = mean[route, at]
             flattery[:, fold] = mean[route, at] - self._held(route, targets)[:, fold]
-            if alone is not None:  # the best of a few flatters, too, and another may be the best
-                best = np.full(len(at), int((mean @ weights).argmax()))
-                says[:, fold] -= mean[alone]
-                flattery[:, fold] -= mean[best, at] - self._held(best, targets)[:, fold]
+            # what was chosen as the best of all is flattered, what the fold finds the best is worse
+            rivals = () if alone is None else (alone, int((mean @ weights).argmax()))
+            for rival in rivals:
+                found = self._held(np.full(len(at), rival), targets)[:, fold]
+                says[:, fold] -= mean[rival] / len(rivals)
+                flattery[:, fold] -= (mean[rival] - found) / len(rivals)
         known = np.isfinite(flattery).all(axis=1)
         counted = np.where(known, weights, 0.0)
         counted /= max(counted.sum(), np.finfo(float).tiny)

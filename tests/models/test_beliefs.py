@@ -6,7 +6,6 @@ import pytest
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.history import standard_errors
 from mbtl.models.beliefs import Beliefs, transfer_places
-from mbtl.models.transfer_gp import likely_noise
 from mbtl.models.transfer_kernel import covariance, grid_pairs
 
 N = 12
@@ -58,10 +57,8 @@ def test_the_posterior_is_that_of_conditioning_a_gaussian():
     every = grid_pairs(np.array(SOURCES), np.arange(N))
     seen = np.isfinite(rows).ravel()
     places, y = transfer_places(SPACE), rows.ravel()[seen]
-    prior, noise, _ = likely_noise(
-        places, beliefs._prior, every[seen], y, errors.ravel()[seen] ** 2, slack=2.0
-    )
-    model, _ = beliefs._model(1)
+    prior, noise = beliefs._likely_prior, errors.ravel()[seen] ** 2
+    model, _, _ = beliefs._model(1)
     signal = model.scale * (
         covariance(places, prior, every, every) + prior.noise * np.eye(len(every))
     )
@@ -74,7 +71,6 @@ def test_the_posterior_is_that_of_conditioning_a_gaussian():
     spread = signal - gain @ signal[seen] + np.outer(unsure, unsure) / (ones @ inverse @ ones)
     row, target = np.divmod(np.arange(len(every)), N)
     found, deviation = beliefs.on(np.arange(N))
-    assert noise.any()
     # known noise was relative to the scale of the last but one fit
     assert found.ravel() == pytest.approx(mean, abs=0.01)
     assert deviation.ravel() == pytest.approx(np.sqrt(np.diagonal(spread)), rel=0.1)
@@ -93,17 +89,29 @@ def test_noise_is_shrunk_and_the_luckiest_mean_does_not_win():
     assert (std > 0).all()
 
 
-def test_noise_that_all_policies_share_moves_no_route_and_counts_fully_into_the_error():
-    rows = ROWS + 0.15  # the same few episodes for all, and lucky ones
-    beliefs = Beliefs(SPACE, SOURCES, rows, np.full(rows.shape, 0.2))
-    assert beliefs.exact
-    every = np.arange(N)
-    one = np.zeros(N, dtype=int)
-    assert beliefs.error(one, every, np.full(N, 1 / N)) == pytest.approx(0.2)
-    both = beliefs.error(
-        np.concatenate([one, one + 1]), np.tile(every, 2), np.repeat([1, -1], N) / N
+def test_noise_that_all_policies_share_is_independent_between_contexts_and_in_no_difference():
+    rng = np.random.default_rng(1)
+    rows = ROWS + 0.2 * rng.standard_normal(N)  # the same few episodes for all, of each context
+    beliefs = Beliefs(SPACE, SOURCES, rows, np.full(rows.shape, 0.2), own=0.0)
+    every, one = np.arange(N), np.zeros(N, dtype=int)
+    assert 0.02 < beliefs.error(one, every, np.full(N, 1 / N)) <= 0.2 / N**0.5
+    pair = np.array([0, 1]), np.array([4, 4]), np.array([1.0, -1.0])
+    assert beliefs.error(*pair) < 0.02
+    mean = beliefs.on(every)[0]
+    assert mean[0, 4] - mean[1, 4] == pytest.approx(ROWS[0, 4] - ROWS[1, 4], abs=0.02)
+
+
+def test_the_means_of_other_values_are_those_of_beliefs_made_of_them():
+    rng = np.random.default_rng(2)
+    rows = gaps(ROWS + 0.1 * rng.standard_normal(ROWS.shape), every=2)
+    errors = np.full(rows.shape, 0.1)
+    beliefs = Beliefs(SPACE, SOURCES, rows, errors)
+    same = beliefs.on_folds(np.arange(N), lambda row, target: rows[row, target][:, None])
+    assert same[0] == pytest.approx(beliefs.on(np.arange(N))[0])
+    twice = beliefs.on_folds(
+        np.arange(N), lambda row, target: rows[row, target][:, None] * [1.0, 2.0]
     )
-    assert both == pytest.approx(0.0)  # a difference of two policies knows nothing of it
+    assert twice[1] == pytest.approx(2.0 * same[0])  # a linear smoother
 
 
 def test_entries_beyond_what_the_model_can_hold_count_by_their_own_value(monkeypatch):

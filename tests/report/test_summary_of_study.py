@@ -1,10 +1,14 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import scipy.stats
 
 import mbtl
-from mbtl.report import next_training, reference_curves, summarise_study
+from mbtl.report import reference_curves, summarise_study
 from mbtl.report.summary import policies_enough
 from mbtl.report.text import lines
+from mbtl.study.fresh import plan_of
 
 N = 20
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0, unit="m"): N})
@@ -31,38 +35,7 @@ def test_numbers_of_a_known_study():
     assert summary.best_single == 9
     assert summary.best_single_value == pytest.approx(row(9).mean())
     assert summary.serving == tuple([0] * 5 + [9] * 7 + [14] * 5 + [19] * 3)
-    assert summary.next_source in set(range(N)) - {0, 9, 14, 19}
-    assert 0 <= summary.next_gain <= 0.9 - summary.value  # no more than the best ever seen
     assert summary.finished is None
-
-
-def test_one_more_training_is_predicted_beyond_a_spent_budget_until_no_context_is_left():
-    study = study_of(2, costs=np.ones(N), cost_budget=2.0)
-    assert study.is_finished
-    assert summarise_study(study).next_source not in (None, 9, 19)
-    study = mbtl.create_study(SPACE, budget=N, bounds=(0.0, 1.0), selector="random", problem="toy")
-    for source in range(N):
-        study.tell(source, row(source))
-    summary = summarise_study(study)
-    assert (summary.next_source, summary.next_gain) == (None, None)
-
-
-def test_the_next_training_says_what_it_adds_and_how_sure_that_is():
-    study = study_of(4)
-    found, summary = next_training(study), summarise_study(study)
-    assert (found.source, found.gain) == (summary.next_source, summary.next_gain)
-    assert found.context == SPACE.context(found.source)
-    assert 0.0 <= found.low <= found.high <= 0.9 - summary.value + 0.1
-    assert 0.0 <= found.chance <= 1.0
-    assert f"between {found.low:.4f} and {found.high:.4f}" in str(found)
-    assert next_training(study_of(0)) is None
-
-
-def test_nothing_to_gain_is_said_so():
-    study = mbtl.create_study(SPACE, budget=6, bounds=(0.0, 1.0))
-    for source in (3, 9, 15):
-        study.tell(source, np.ones(N))
-    assert str(next_training(study)) == "One more training is predicted to add nothing to V."
 
 
 def test_the_worst_served_context_is_named():
@@ -97,12 +70,65 @@ def test_a_study_whose_last_pick_is_open_is_not_finished():
 
 def test_fresh_episodes_are_the_headline_when_measured():
     study = study_of(4)
-    study.record_fresh_returns(np.array([r.returns for r in study.state.rows]) - 0.1)
+    before = study.value
+    served = study.routing.served[:, None] - 0.1
+    study.record_fresh_returns(served, served - 0.2, best_single=0)
     summary = summarise_study(study)
-    assert summary.fresh_value == pytest.approx(summary.value - 0.1)
-    assert f"V = {summary.fresh_value:.4f} (one episode each, so its error is unknown) on" in (
-        " ".join(lines(summary, SPACE))
+    assert summary.fresh_value == study.value == pytest.approx(before - 0.1)
+    assert summary.value == before  # still there, as what it is
+    assert (summary.single_gain, summary.best_single_value) == pytest.approx((0.2, before - 0.3))
+    said = " ".join(lines(summary, SPACE))
+    assert f"V = {study.value:.4f} (one episode each, so its error is unknown) on" in said
+    assert "estimated" not in said  # one V is said
+
+
+def test_fresh_intervals_are_of_independent_contexts_and_paired_between_policies():
+    """By hand: two episodes of every context, whose luck both policies share."""
+    study = study_of(2, episodes=2)
+    luck = np.random.default_rng(0).standard_normal((N, 2))
+    study.record_fresh_returns(0.8 + 0.1 * luck, 0.7 + 0.1 * luck, best_single=1)
+    summary = summarise_study(study)
+    variances = (0.1 * luck).var(axis=1, ddof=1) / 2 / N**2
+    freedom = 3 * variances.sum() ** 2 / (variances**2).sum() - 2
+    assert 4 < freedom < N
+    assert summary.fresh_margin == pytest.approx(
+        scipy.stats.t.ppf(0.975, freedom) * variances.sum() ** 0.5
     )
+    assert summary.single_gain == pytest.approx(0.1)
+    assert summary.single_gain_margin == pytest.approx(0.0, abs=1e-9)
+
+
+def test_it_is_said_on_how_many_contexts_and_in_how_many_episodes_policies_were_evaluated():
+    study = mbtl.create_study(SPACE, budget=4, bounds=(0.0, 1.0), eval_targets=5)
+    study.tell(study.ask(), np.full((5, 3), 0.5))
+    first = lines(summarise_study(study), SPACE)[0]
+    assert first.endswith("Every policy was evaluated on 5 of 20 contexts in 3 episodes.")
+    study.tell(study.ask(), np.full((20, 2), 0.5), targets=range(20))
+    first = lines(summarise_study(study), SPACE)[0]
+    assert first.endswith("Policies were evaluated on 5 to 20 of 20 contexts in 2 to 3 episodes.")
+
+
+def test_policies_that_are_the_same_are_said_to_be():
+    study = study_of(2, episodes=2)
+    study.tell(5, np.full((N, 2), 0.3))
+    study.tell(7, np.full((N, 2), 0.3))
+    summary = summarise_study(study)
+    assert summary.alike == ((2, 3),)
+    assert "Policies 3 and 4 returned the same in every episode" in " ".join(lines(summary, SPACE))
+
+
+@pytest.mark.parametrize(
+    ("gain", "margin", "verdict"),
+    [
+        (0.0010, 0.0046, "One policy would do: "),
+        (0.0099, 0.0046, "Several policies are better than one, if not by much: "),
+        (0.0030, 0.0080, "Whether one policy would do cannot be said yet: "),
+        (0.0500, 0.0080, "One policy would not do: "),
+    ],
+)
+def test_the_verdict_follows_from_the_interval(gain, margin, verdict):
+    summary = replace(summarise_study(study_of(3)), single_gain=gain, single_gain_margin=margin)
+    assert summary.verdict.startswith(verdict)
 
 
 def test_verdict_tells_one_policy_from_many():
@@ -120,7 +146,7 @@ def test_verdict_is_silent_where_chance_decides():
     for _ in range(3):
         noisy.tell(noisy.ask(), 0.8 + 0.3 * rng.standard_normal((N, 3)))
     summary = summarise_study(noisy)
-    assert summary.verdict.startswith("Whether one policy would do is within the noise")
+    assert summary.verdict.startswith("Whether one policy would do cannot be said yet")
     assert summary.single_gain_margin > 0.01
 
 
@@ -164,13 +190,11 @@ def test_report_portfolio_and_fresh_episodes_follow_the_same_routes_also_where_p
         pick = study.ask()
         sources.append(pick.source)
         study.tell(pick, np.full((N, 2), 0.9))
-    fresh = np.array([np.where(abs(np.arange(N) - s) < N / 2, 1.0, 0.0) for s in sources])
     portfolio = study.portfolio()
     nearest = np.abs(np.arange(N)[:, None] - np.array(sources)).argmin(axis=1)
     assert portfolio.assignment.tolist() == nearest.tolist()
-    study.record_fresh_returns(fresh)
-    summary = summarise_study(study)
-    assert summary.serving == tuple(sources[i] for i in nearest)
-    assert summary.fresh_value == pytest.approx(fresh[nearest, np.arange(N)].mean())
+    plan = plan_of(study)
+    assert plan.route.tolist() == nearest.tolist()
+    assert summarise_study(study).serving == tuple(sources[i] for i in nearest)
     for k in (1, 2):  # and so for every prefix
         assert study.routing.routes[k - 1].max() < k

@@ -40,7 +40,7 @@ def study(tmp_path):
     made.release(made.ask())
     made.fail(made.ask(), "diverged")
     made.tell(5, np.full(6, 3.0))
-    made.record_fresh_returns(np.full((2, 6), 2.0))
+    made.record_fresh_returns(np.full((6, 2), 2.0), np.ones((6, 2)), best_single=1)
     made.extend(4)
     made.tell(4, np.zeros(6))
     made.void(2, "told by mistake")

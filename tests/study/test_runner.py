@@ -8,7 +8,7 @@ import quick_problem
 import mbtl
 from mbtl.errors import InvalidInput, TrainingFailed, UnsavedPolicies
 from mbtl.study import Callback
-from mbtl.study.fresh import fresh_value, served_targets
+from mbtl.study.fresh import ReportPlan, fresh_value, plan_of
 from mbtl.trainer import FunctionTrainer, Progress
 
 SPACE = quick_problem.SPACE
@@ -40,10 +40,9 @@ def test_a_run_trains_each_pick_once_and_reports_on_fresh_episodes(tmp_path):
     study = study_at(tmp_path).run(trainer=counting(calls)).study
     assert len(calls) == 5
     assert study.is_finished
-    fresh = fresh_value(study).values
-    assert fresh.shape == (5,)
-    assert fresh != pytest.approx(study.curve)  # other episodes
-    assert fresh == pytest.approx(study.curve, abs=0.3)  # of few and skewed ones
+    fresh, before = fresh_value(study), study.routing.value
+    assert study.value == fresh.value != pytest.approx(before.value)  # other episodes
+    assert fresh.value == pytest.approx(before.value, abs=0.3)  # of few and skewed ones
 
 
 def test_a_finished_study_run_again_trains_nothing(tmp_path):
@@ -243,9 +242,29 @@ def test_a_saved_portfolio_serves_every_context(tmp_path):
     assert portfolio.policy_for({"mass": 1.2345}).shape == (2,)  # off the list
 
 
-def test_a_policy_is_evaluated_afresh_where_it_serves_at_some_time():
-    routes = np.array([[0, 0, 0], [0, 1, 0], [2, 1, 0]])
-    assert [s.tolist() for s in served_targets(routes)] == [[0, 1, 2], [1], [0]]
+def test_policies_are_evaluated_afresh_where_they_serve_and_the_best_one_everywhere():
+    plan = ReportPlan(np.array([2, 1, 0, 1]), best_single=1)
+    assert [plan.targets(i).tolist() for i in range(3)] == [[2], [0, 1, 2, 3], [0]]
+    assert plan.evaluations == 6
+
+
+def test_the_report_plays_what_it_announced_and_not_when_it_is_switched_off(tmp_path, capsys):
+    played = []
+
+    def evaluate(policy, contexts, seeds):
+        played.append(len(contexts))
+        return quick_problem.evaluate(policy, contexts, seeds)
+
+    study = study_at(tmp_path)
+    trainer = counting([], evaluate_fn=evaluate)
+    assert study.run(trainer=trainer, report=False).fresh is None
+    assert study.value == study.routing.value.value
+    played.clear()
+    result = study.run(trainer=trainer)
+    planned = plan_of(study).evaluations
+    assert sum(played) == planned <= 2 * study.space.n
+    assert f"{planned} evaluations of a policy on a context" in capsys.readouterr().err
+    assert result.value == study.value == result.fresh.value
 
 
 @pytest.mark.parametrize("change", [{"on_failure": "shrug"}, {"parallel": 0}])

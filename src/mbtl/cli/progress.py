@@ -12,7 +12,7 @@ from rich.progress import Progress as Bars
 
 from mbtl.cli.common import LongWork
 from mbtl.study import Callback, Pick, Study
-from mbtl.study.callbacks import estimate, report_words, shared_words, waiting_words
+from mbtl.study.callbacks import estimate, few_episodes, report_words, shared_words, waiting_words
 from mbtl.trainer import Progress
 
 
@@ -89,6 +89,8 @@ class LiveProgress(Callback):
             highlight=False,
             soft_wrap=True,
         )
+        if words := few_episodes(study):
+            self._console.print(words, markup=False, highlight=False, soft_wrap=True)
         self._update(study)
 
     def on_failed(self, study: Study, pick: Pick, reason: str) -> None:

@@ -127,7 +127,7 @@ class Beliefs:
         if not unsure.any():
             return 0.0
         weighed, covariance = weights[unsure], self.joint(row[unsure], target[unsure])[1]
-        return float(np.sqrt(max(weighed @ covariance @ weighed, 0.0)))
+        return float(np.sqrt(max(float(weighed @ covariance @ weighed), 0.0)))
 
     def joint(self, row: Indices, target: Indices) -> tuple[Array, Array]:
         """Mean (m,) and covariance (m, m) of true returns."""
@@ -177,8 +177,7 @@ class Beliefs:
     def _likely_prior(self) -> TransferPrior:
         """With pairs that are noisy themselves, where only that explains how they scatter."""
         noisy = replace(self._prior, noise=NOISIER * self._prior.noise)
-        found = (self._fitted(prior, ENOUGH)[0].log_likelihood for prior in (self._prior, noisy))
-        quiet, loud = found
+        quiet, loud = (self._fitted(p, ENOUGH)[0].log_likelihood for p in (self._prior, noisy))
         return noisy if loud > quiet + _SLACK else self._prior
 
     def _observed(self, most: int) -> tuple[Indices, Indices]:

@@ -32,7 +32,7 @@ from mbtl.files import sync_entries, sync_folder
 from mbtl.portfolio.mlp import MLPPolicy, is_mlp_folder
 from mbtl.untrusted import MALFORMED, inside, read_arrays, read_json, regular_files
 
-FORMAT = 3
+FORMAT = 2
 """Of the folder; another one is not read."""
 KIND = "mbtl portfolio"
 MANIFEST = "portfolio.json"

@@ -88,16 +88,13 @@ def _evaluated(summary: StudySummary) -> str:
     assert summary.evaluated is not None
     assert summary.episodes is not None
     least, most = summary.evaluated
-    on = (
-        "every context"
-        if least == summary.n_contexts
-        else (f"{_range(summary.evaluated)} of {summary.n_contexts} contexts")
-    )
-    which = "Every policy" if least == most else "Policies"
-    episodes = (
-        "one episode" if summary.episodes == (1, 1) else f"{_range(summary.episodes)} episodes"
-    )
-    return f"{which} {'was' if least == most else 'were'} evaluated on {on} in {episodes}"
+    on = "every context"
+    if least < summary.n_contexts:
+        on = f"{_range(summary.evaluated)} of {summary.n_contexts} contexts"
+    who = "Every policy was" if least == most else "Policies were"
+    one = summary.episodes == (1, 1)
+    often = "one episode" if one else f"{_range(summary.episodes)} episodes"
+    return f"{who} evaluated on {on} in {often}"
 
 
 def _range(both: tuple[int, int]) -> str:
@@ -108,8 +105,8 @@ def _same(group: tuple[int, ...]) -> str:
     """That policies are one and the same, as far as anybody can see."""
     names = [str(i + 1) for i in group]
     return (
-        f"Policies {', '.join(names[:-1])} and {names[-1]} returned the same in every episode: these "
-        "trainings came to the same behaviour, or collapsed."
+        f"Policies {', '.join(names[:-1])} and {names[-1]} returned the same in every episode: "
+        "these trainings came to the same behaviour, or collapsed."
     )
 
 

@@ -6,12 +6,18 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TextIO
 
+import numpy as np
+
 from mbtl.study.fresh import plan_of
 from mbtl.trainer import Progress
 
 if TYPE_CHECKING:
     from mbtl.study.pick import Pick
     from mbtl.study.study import Study
+
+
+_LEAST_FREEDOM = 10
+"""Degrees of freedom, of contexts and their episodes, below which an interval says little."""
 
 
 class Callback:
@@ -81,6 +87,8 @@ class PrintProgress(Callback):
         curve = study.curve
         gain = f" (gain {curve[-1] - curve[-2]:.4f})" if len(curve) > 1 else ""
         self._say(f"{where(study, pick)}, {estimate(study)}{gain}")
+        if words := few_episodes(study):
+            self._say(words)
 
     def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
         """Why there is no V."""
@@ -120,6 +128,17 @@ def estimate(study: Study) -> str:
     now = study.routing.value
     bar = f" +- {now.margin:.4f}" if now.margin > 0.0 else ""
     return f"V = {now.value:.4f}{bar}, estimated"
+
+
+def few_episodes(study: Study) -> str | None:
+    """After the first row, that few episodes say little of chance; None: they say enough."""
+    rows = study.state.rows
+    known = (rows[0].episodes - 1) * int(np.isfinite(rows[0].returns).sum())
+    if len(rows) > 1 or known >= _LEAST_FREEDOM:
+        return None
+    if known == 0:
+        return "one episode per context says nothing of chance: play 2 or more to know V's error"
+    return f"{rows[0].episodes} episodes of so few contexts say little of chance: play more"
 
 
 def report_words(study: Study) -> str:

@@ -102,7 +102,7 @@ class ToldRow:
     @property
     def episodes(self) -> int:
         """Episodes behind each mean."""
-        return self.each.shape[1]
+        return int(self.each.shape[1])
 
 
 @dataclass(frozen=True)

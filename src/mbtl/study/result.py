@@ -40,7 +40,7 @@ class RunResult:
 
     @property
     def value(self) -> float:
-        """V at the end, as `Study.value`: on fresh episodes if played, else the running estimate."""
+        """V at the end, as `Study.value`: fresh if played, else the running estimate."""
         if self.fresh is not None:
             return self.fresh.value
         return float(self.curve[-1]) if len(self.curve) else float("-inf")
