@@ -68,4 +68,4 @@ def test_running_v_is_not_flattered_and_its_intervals_cover():
     assert half.mean() < 0.1  # not +- 70
     for name in ("V, running", "V, fresh", "a route", "gain"):
         error, half = found[name].T
-        assert np.mean(abs(error) <= half) > 0.85
+        assert np.mean(abs(error) <= half) > 0.82  # of 60

@@ -149,7 +149,7 @@ def test_the_summary_says_what_a_person_wants_to_know(mbtl_command, own):
     assert code == 0
     for words in (
         "fresh episodes",
-        "policy would",
+        "the others add",
         "per context, which chose nothing",
         "The worst-served tenth of the contexts is at",
     ):
