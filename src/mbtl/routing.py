@@ -310,16 +310,17 @@ class _After:
         at, folds = np.arange(len(targets)), self._episodes.folds
         believed = self.beliefs.on_folds(targets, self._episodes.kept)
         flattery, says = np.empty((2, len(at), folds))
+        apart = np.zeros((len(at), folds))
         for fold, mean in enumerate(believed):
             route = last_route(mean, self._sources, steps, targets)
             says[:, fold] = mean[route, at]
             flattery[:, fold] = mean[route, at] - self._held(route, targets)[:, fold]
             # what was chosen as the best of all is flattered, what the fold finds the best is worse
-            rivals = () if alone is None else (alone, int((mean @ weights).argmax()))
-            for rival in rivals:
+            for rival in () if alone is None else (alone, int((mean @ weights).argmax())):
                 found = self._held(np.full(len(at), rival), targets)[:, fold]
-                says[:, fold] -= mean[rival] / len(rivals)
-                flattery[:, fold] -= (mean[rival] - found) / len(rivals)
+                says[:, fold] -= mean[rival] / 2.0
+                flattery[:, fold] -= (mean[rival] - found) / 2.0
+                apart[:, fold] = found - apart[:, fold]
         known = np.isfinite(flattery).all(axis=1)
         counted = np.where(known, weights, 0.0)
         counted /= max(counted.sum(), np.finfo(float).tiny)
@@ -328,7 +329,12 @@ class _After:
             return value, 0.0, np.inf
         value -= float(counted[known] @ flattery[known].mean(axis=1))
         parts = weights[:, None] * says - counted[:, None] * flattery
-        return value, *scatter_of_sum(parts[known])
+        variance, freedom = scatter_of_sum(parts[known])
+        return (
+            value,
+            variance + float(counted[known] @ apart[known].mean(axis=1) / 2.0) ** 2,
+            freedom,
+        )
 
     def _held(self, route: Indices, targets: Indices) -> Array:
         """(T, F) of the serving policies by the episodes left out; NaN where not evaluated."""
