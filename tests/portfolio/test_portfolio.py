@@ -197,7 +197,7 @@ def test_context_outside_is_refused():
         ({"returns": RETURNS[:1]}, "returns of shape"),
         ({"sources": (0, 5)}, "context indices 0..4"),
         ({"sources": (), "returns": np.empty((0, 5))}, "one or more policies"),
-        ({"returns": RETURNS - np.inf}, "finite"),
+        ({"returns": RETURNS - np.inf}, "returns must be within"),
         ({"returns": np.full((2, 5), np.nan)}, "return of at least one"),
         ({"episodes": [np.zeros((5, 2))]}, "for each of 2 policies"),
         ({"episodes": [np.zeros((5, 2)), np.zeros((5, 0))]}, r"returns of shape \(5, episodes\)"),
@@ -356,7 +356,7 @@ def test_pickled_returns_are_refused(tmp_path):
         (folder / "returns.npz").read_bytes()
     ).hexdigest()
     path.write_text(json.dumps(manifest))
-    with pytest.raises(StorageError, match="allow_pickle=False"):
+    with pytest.raises(StorageError, match="must describe a whole portfolio"):
         load_portfolio(folder)
 
 

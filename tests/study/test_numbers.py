@@ -114,8 +114,6 @@ def test_deviations_are_not_negative():
     returns, std = np.zeros((1, N, N)), -np.ones((1, N, N))
     with pytest.raises(InvalidInput, match="std must be deviations from 0"):
         mbtl.TransferMatrix.of(returns, std=std)
-    with pytest.raises(InvalidInput, match="deviations must be >= 0"):
-        Portfolio(SPACE, (0,), returns[0, :1], mbtl.Bounds(0.0, 1.0), 0.1, deviations=std[0, :1])
 
 
 def test_a_slope_of_the_gap_stays_within_reach():

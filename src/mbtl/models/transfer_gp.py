@@ -165,7 +165,9 @@ class TransferGP:
             if excess is not None:
                 from scipy.linalg import solve_triangular  # kept out of `import mbtl`
 
-                weights = solve_triangular(self._chol, half, lower=True, trans="T", check_finite=False)
+                weights = solve_triangular(
+                    self._chol, half, lower=True, trans="T", check_finite=False
+                )
                 left += weights.T @ excess @ weights
         return mean, left
 
