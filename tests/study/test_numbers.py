@@ -8,7 +8,6 @@ import pytest
 import mbtl
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.plain import LARGEST
-from mbtl.portfolio import Portfolio
 from mbtl.selectors import SelectionProblem, selector_names
 from mbtl.trainer import FunctionTrainer
 
