@@ -12,6 +12,7 @@ import mbtl
 ROOT = Path(mbtl.__file__).parent
 CORE = [
     "errors",
+    "score",
     "plain",
     "version",
     "arrays",

@@ -1,7 +1,11 @@
 """What this process may use, on systems that say and on those that do not."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
+
+import pytest
 
 import mbtl
 from mbtl.processes import usable_cores
@@ -20,3 +24,20 @@ def test_nobody_else_asks_the_system():
     sources = Path(mbtl.__file__).parent.rglob("*.py")
     asking = [path.name for path in sources if "sched_getaffinity" in path.read_text()]
     assert asking == ["processes.py"]
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="children are found in /proc")
+def test_what_a_library_left_behind_is_ended_though_it_would_not():
+    """As SUMO does, which is interrupted before it is connected to."""
+    deaf = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); print(1, flush=True)\n"
+    code = (
+        "import subprocess, sys\n"
+        "from mbtl.processes import end_children\n"
+        f"child = subprocess.Popen([sys.executable, '-c', {deaf + 'input()'!r}],\n"
+        "                         stdin=subprocess.PIPE, stdout=subprocess.PIPE)\n"
+        "child.stdout.readline()\n"
+        "end_children()\n"
+        "print(child.wait())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "-9\n"

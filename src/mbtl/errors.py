@@ -65,7 +65,11 @@ class CheckFailed(MbtlError):
     """A CMDP breaks the contract that `mbtl check` tests."""
 
 
-class UnsavedPolicies(UserWarning):
+class Notice(UserWarning):
+    """What a user should know at once; commands print it as a line."""
+
+
+class UnsavedPolicies(Notice):
     """A study that is stored makes policies that are not."""
 
 

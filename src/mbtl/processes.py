@@ -13,10 +13,14 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExec
 from multiprocessing import current_process, parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any
 
 GRACE = 5.0
 """Seconds in which a worker that is to end may close its simulators; then it is killed."""
+
+_MOMENT = 2.0
+"""Seconds in which a simulator that is told to end may do so; then it is killed."""
 
 _KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # not on Windows
 
@@ -176,3 +180,35 @@ def _tell_group(worker: BaseProcess, number: int) -> None:
         return
     with contextlib.suppress(ProcessLookupError):
         (os.killpg if hasattr(os, "killpg") else os.kill)(worker.pid, number)
+
+
+def end_children() -> None:
+    """End the processes that this one, or a library in it, has started and left behind.
+
+    A simulator that is interrupted before it is connected to waits for ever.
+    """
+    left = _children()
+    for child in left:
+        _tell(child, signal.SIGTERM)
+    latest = time.monotonic() + _MOMENT
+    while (left := [child for child in left if child in _children()]) and time.monotonic() < latest:
+        time.sleep(_MOMENT / 40)
+    for child in left:
+        _tell(child, _KILL)
+
+
+def _children() -> list[int]:
+    """Processes of this one that run, without those that tidy up by themselves."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):  # none where the system has no such folder
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            state, parent = (folder / "stat").read_text().rpartition(")")[2].split()[:2]
+            command = (folder / "cmdline").read_bytes()
+            if int(parent) == os.getpid() and state != "Z" and b"resource_tracker" not in command:
+                found.append(int(folder.name))
+    return found
+
+
+def _tell(process: int, number: int) -> None:
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.kill(process, number)

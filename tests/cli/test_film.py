@@ -41,7 +41,7 @@ def watched(steps=3, **kwargs):
     take = Watched(Road(steps, **kwargs), filming=True, beside=beside)
     take.reset(seed=0)
     for _ in range(steps):
-        assert "final_score" not in take.step(0)[-1]
+        take.step(0)
     take.scores = [3.25]
     return take
 

@@ -1,6 +1,9 @@
 """What a log is told while a training runs."""
 
 import io
+import json
+import subprocess
+import sys
 
 from rich.console import Console
 
@@ -24,3 +27,21 @@ def told(monkeypatch, silence):
 def test_a_log_hears_of_a_long_training_now_and_then(monkeypatch):
     assert "pick 1/2  x = 0.5  3/40 episodes score 2.50" in told(monkeypatch, 0.0)
     assert "episodes" not in told(monkeypatch, 3600.0)
+
+
+def test_a_document_is_alone_on_standard_output_whatever_simulators_print():
+    code = (
+        "import os, subprocess, sys\n"
+        "from mbtl.cli.common import json_alone, print_json\n"
+        "with json_alone():\n"
+        "    print('Using libsumo as traci')\n"
+        "    os.write(1, b'Step #0.00\\n')\n"
+        "    subprocess.run([sys.executable, '-c', 'print(1)'])\n"
+        "    print_json({'ok': True})\n"
+        "print('after')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    document, _, after = done.stdout.rpartition("\n}")
+    assert json.loads(document + "}") == {"ok": True}
+    assert after.split() == ["after"]
+    assert "Step #0.00" in done.stderr

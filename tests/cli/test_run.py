@@ -420,7 +420,7 @@ def test_an_interrupt_says_how_to_go_on_and_does(mbtl_command, tmp_path):
         "    'stops', space, train=train, evaluate=evaluate, budget=3)\n"
     )
     code, out, err = mbtl_command("run", "stops.py:problem")
-    assert (code, out) == (1, "")
+    assert (code, out) == (130, "")
     assert "interrupted: run the same command again to go on" in err
     code, out, err = mbtl_command("run", "stops.py:problem", "--json")
     assert code == 0

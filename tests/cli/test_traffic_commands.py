@@ -1,6 +1,7 @@
 """`mbtl run` on traffic as a user starts it, only shorter; and `mbtl play` of what it left."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ pytest.importorskip("stable_baselines3")
 pytest.importorskip("jax")
 
 from mbtl.cli.film import Watched
+from mbtl.cmdps import get_cmdp
 from mbtl.envs import rollout
 from mbtl.envs.rollout import Actor, Job
 from mbtl.portfolio import load_portfolio
@@ -70,7 +72,9 @@ def test_eco_driving_is_run_in_the_twin(mbtl_command, tmp_path):
 
 def test_an_episode_whose_score_is_known_is_watched_to_its_end():
     class Jam:
-        def reset(self, seed):
+        strata = (1.0,)
+
+        def reset(self, seed, options):
             self.steps = 0
             return 0.0, {}
 
@@ -84,7 +88,8 @@ def test_an_episode_whose_score_is_known_is_watched_to_its_end():
         def predict(self, observation, deterministic=True):
             return [0] * len(observation), None
 
-    jobs = [Job(lambda: watched, [0])]
+    whole = replace(get_cmdp("signal-inflow").score, foretold=None)  # as `mbtl play` has it
+    jobs = [Job(lambda: watched, [0], whole)]
     (scores,) = rollout.play(jobs, Actor(Waits()), max_envs=1, keep_open=True)
     assert (scores.tolist(), watched.env.steps) == ([-7.0], 5)
 

@@ -117,7 +117,7 @@ def test_a_worker_that_is_told_to_end_gives_its_training_back_at_once(place, num
     assert study.refresh().open_picks[0].lease is not None
     process.send_signal(number)
     out, _ = process.communicate()
-    assert process.returncode == 1, out
+    assert process.returncode == 130, out
     assert "run the same command again" in out
     assert "Traceback" not in out
     assert study.refresh().open_picks[0].lease is None  # by itself: nobody had to miss it

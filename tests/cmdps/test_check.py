@@ -6,7 +6,8 @@ from typing import ClassVar
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.spaces import Box, Dict, Discrete
+from gymnasium.spaces import Box, Dict, Discrete, Tuple
+from gymnasium.wrappers import NormalizeObservation
 
 from mbtl.cmdps import CMDP, check_cmdp, get_cmdp
 from mbtl.contexts import Categorical, ContextSpace, Linear
@@ -135,6 +136,34 @@ class Endless(Sound):
     horizon = 10**9
 
 
+class OutOfItsSpace(Sound):
+    observation_space = Box(-0.1, 0.1, (2,), np.float64)
+
+
+class ManyWheels(Sound):
+    """What no algorithm of Stable-Baselines3 takes."""
+
+    action_space = Tuple([Discrete(2)])
+
+    def step(self, action):
+        return super().step(action[0])
+
+
+class RefusesASecond(Sound):
+    """There is one engine in a process."""
+
+    owner: ClassVar[list] = []
+
+    def reset(self, **given):
+        if self.owner and self.owner[0] is not self:
+            raise AssertionError("one engine per process")
+        self.owner[:] = [self]
+        return super().reset(**given)
+
+    def close(self):
+        self.owner.clear()
+
+
 def failures(make_env, space=SPACE, **options):
     return {check.name: check.detail for check in check_cmdp(make_env, space, **options).failures}
 
@@ -165,6 +194,48 @@ def test_each_defect_is_found(broken, name, detail):
     found = failures(broken)
     assert name in found
     assert detail in found[name]
+
+
+ONLY = Sound({"gain": 1.0, "drag": 0.1})
+
+
+@pytest.mark.parametrize(
+    ("broken", "detail"),
+    [
+        (lambda context: ONLY, "same instance twice"),
+        (lambda context: NormalizeObservation(Sound(context)), "got NormalizeObservation"),
+    ],
+)
+def test_an_environment_that_is_not_new_is_the_only_failure_as_all_else_rests_on_it(broken, detail):
+    assert detail in failures(broken)["environments are new and live side by side"]
+    assert len(failures(broken)) == 1
+
+
+def test_values_outside_their_spaces_and_spaces_that_are_not_taken_fail():
+    name = "observations and actions lie in their spaces"
+    assert "not within -0.1 to 0.1" in failures(OutOfItsSpace)[name]
+    cmdp = CMDP.from_env("wheels", SPACE, make_env=ManyWheels, timesteps=1)
+    assert "make them one vector" in failures(cmdp, None)[name]
+
+
+def test_an_engine_that_is_alone_in_its_process_is_named_and_checked_in_processes():
+    report = check_cmdp(RefusesASecond, SPACE, steps=20)
+    assert report.ok
+    (warning,) = [check for check in report.checks if check.outcome == "warning"]
+    assert "one engine per process) lives once per process" in warning.detail
+
+
+def test_a_named_score_is_looked_for_at_the_end_of_an_episode():
+    cmdp = CMDP.from_env("mine", SPACE, make_env=Sound, timesteps=1, score="delay")
+    assert "must hold the score 'delay'" in failures(cmdp, None)["episodes end"]
+
+
+def test_each_check_is_said_as_it_begins_and_how_long_the_rest_will_take():
+    said = []
+    report = check_cmdp(Sound, SPACE, on_check=said.append)
+    names = [check.name for check in report.checks[1:]]  # units need no environment
+    assert [line for line in said if line in names] == names
+    assert "more such rollouts will take about" in said[1]
 
 
 def test_a_dead_axis_is_the_only_failure_of_an_otherwise_sound_environment():

@@ -9,9 +9,10 @@ from training_envs import Endless, Guess, GuessDict, MaskedGuess
 
 from mbtl.envs import rollout
 from mbtl.envs.rollout import ROWS, Actor, Job, play
-from mbtl.errors import TrainingFailed
+from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.portfolio.heads import DiscreteHead
 from mbtl.portfolio.mlp import MLPPolicy
+from mbtl.score import Score
 
 
 class SignPolicy:
@@ -39,8 +40,8 @@ class MaskFollower:
         return action_masks.argmax(axis=1), None
 
 
-def jobs(make_env, lengths, seeds):
-    return [Job(partial(make_env, {"length": n}), seeds) for n in lengths]
+def jobs(make_env, lengths, seeds, score=None):
+    return [Job(partial(make_env, {"length": n}), seeds, score) for n in lengths]
 
 
 def test_every_job_plays_its_episodes_in_order():
@@ -83,7 +84,8 @@ def test_an_episode_whose_score_is_known_is_not_played_on():
                 info["final_score"] = -100.0
             return seen, reward, terminated, truncated, info
 
-    returns = play(jobs(Known, [2, 50], [0, 1]), Actor(SignPolicy()), max_envs=1)
+    score = Score("score", foretold="final_score")
+    returns = play(jobs(Known, [2, 50], [0, 1], score), Actor(SignPolicy()), max_envs=1)
     assert [r.tolist() for r in returns] == [[-1.0, -1.0], [-100.0, -100.0]]
     assert played == [2, 1, 2, 1, 50, 49, 48, 50, 49, 48]
 
@@ -106,7 +108,8 @@ def test_a_team_whose_score_is_known_is_not_played_on():
         def close(self):
             pass
 
-    (scores,) = play([Job(Team, [0, 1])], Actor(SignPolicy()), max_envs=1)
+    score = Score("score", foretold="final_score")
+    (scores,) = play([Job(Team, [0, 1], score)], Actor(SignPolicy()), max_envs=1)
     assert scores.tolist() == [-7.0, -7.0]
 
 
@@ -122,11 +125,14 @@ def test_an_episode_of_several_strata_is_worth_their_mean_by_their_shares():
 
         def step(self, action):
             seen, reward, terminated, truncated, info = super().step(action)
-            if terminated and self.stratum == 0:
-                info = {"score": 100.0}
+            self.total = reward + (0.0 if self.left == self.length - 1 else self.total)
+            info = {"worth": 100.0 if self.stratum == 0 else self.total}
             return seen, reward, terminated, truncated, info
 
-    wrapped = [Job(lambda n=n: TimeLimit(Lucky({"length": n}), 1000), [0, 1, 2]) for n in (4, 8)]
+    score = Score("worth", strata="strata")
+    wrapped = [
+        Job(lambda n=n: TimeLimit(Lucky({"length": n}), 1000), [0, 1, 2], score) for n in (4, 8)
+    ]
     returns = play(wrapped, Actor(SignPolicy()), max_envs=1)
     assert [r.tolist() for r in returns] == [[25 + 3] * 3, [25 + 6] * 3]
 
@@ -227,3 +233,49 @@ def test_an_episode_without_end_is_an_error(monkeypatch):
     monkeypatch.setattr(rollout, "LONGEST_EPISODE", 50)
     with pytest.raises(TrainingFailed, match="TimeLimit"):
         play(jobs(Endless, [3], [0]), Actor(SignPolicy()), max_envs=1)
+
+
+class Named(Guess):
+    """Says things that mean nothing to whoever did not name them."""
+
+    strata = (0.5, 0.5)
+    worth = 0.25
+
+    def step(self, action):
+        *moved, info = super().step(action)
+        told = {"score": 1e6, "final_score": "won", "worth": self.worth}
+        return *moved, info | told
+
+
+def test_nothing_counts_by_its_name_alone():
+    (sums,) = play(jobs(Named, [4], [0, 1]), Actor(SignPolicy()), max_envs=1)
+    assert sums.tolist() == [4.0, 4.0]
+    (worth,) = play(jobs(Named, [4], [0, 1], Score("worth")), Actor(SignPolicy()), max_envs=1)
+    assert worth.tolist() == [0.25, 0.25]
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [("delay", "must hold the score 'delay', got the keys"), ("final_score", "'won'")],
+)
+def test_a_named_score_must_be_there_and_a_number(key, said):
+    with pytest.raises(TrainingFailed, match=said):
+        play(jobs(Named, [4], [0], Score(key)), Actor(SignPolicy()), max_envs=1)
+
+
+def test_a_factory_of_one_instance_is_refused_where_two_are_played_at_once():
+    only = Guess({})
+    with pytest.raises(InvalidInput, match="same instance twice"):
+        play([Job(lambda: only, [0])] * 2, Actor(SignPolicy()), max_envs=2)
+
+
+def test_what_a_closing_makes_of_an_interrupt_does_not_hide_it():
+    class Interrupted(Guess):
+        def step(self, action):
+            raise KeyboardInterrupt
+
+        def close(self):
+            raise KeyError(81)  # as TraCI does when it reads the rest of an earlier answer
+
+    with pytest.raises(KeyboardInterrupt):
+        play(jobs(Interrupted, [4], [0]), Actor(SignPolicy()), max_envs=1)

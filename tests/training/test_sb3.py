@@ -152,7 +152,9 @@ class Judged(gymnasium.Wrapper):
 
 def test_progress_tells_the_score_where_policies_are_judged_by_one():
     reports = []
-    trainer = SB3Trainer(lambda c: Judged(cartpole(c)), timesteps=500, hyperparameters=SHORT)
+    trainer = SB3Trainer(
+        lambda c: Judged(cartpole(c)), timesteps=500, hyperparameters=SHORT, score="score"
+    )
     trainer.train(POLE, 0, reports.append)
     assert reports[-1].metrics == {"score": -7.0}
 
@@ -177,7 +179,7 @@ def test_training_environments_are_closed_also_after_an_error():
             made.append(self)
 
     with pytest.raises(RuntimeError, match="lost its connection"):
-        ppo(Tracked, checkpoint="best").train({}, 0)
+        ppo(Tracked, checkpoint="best", apart=False).train({}, 0)
     assert [env.closed for env in made] == [True] * len(made)
     assert len(made) == 1 + 5
 
@@ -296,7 +298,7 @@ def test_episodes_are_the_same_for_every_policy_and_others_for_every_target():
     play = evaluation_seeds(0, 0, range(2), Purpose.REPORT)
     for model in models:
         for length, seed in enumerate(play):
-            trainer.evaluate(model, [{"length": length}], [seed])
+            trainer.evaluate(model, [{"length": 1 + length}], [seed])
     assert seeds == seeds[:6] * 2
     assert len(set(seeds)) == 6
     assert {s >> 28 for s in seeds} == {Purpose.REPORT}  # still disjoint from all other purposes

@@ -25,6 +25,7 @@ from mbtl.cli.study import study_app
 from mbtl.cli.watch import watch
 from mbtl.cli.worker import worker
 from mbtl.errors import InvalidInput, MbtlError, TrainingFailed
+from mbtl.processes import end_children
 from mbtl.version import __version__
 
 app = typer.Typer(
@@ -72,10 +73,12 @@ def program() -> None:
     try:
         main()
     except SystemExit as end:
+        if interrupts:
+            end_children()
         if interrupts and "jax" in sys.modules:
             sys.stdout.flush()
             sys.stderr.flush()
-            os._exit(1 if end.code else 0)
+            os._exit(end.code if isinstance(end.code, int) else bool(end.code))
         raise
 
 

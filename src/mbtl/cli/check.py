@@ -60,7 +60,13 @@ def check(
         problem = get_cmdp(target, physics=physics, visibility=visibility)
     length = "" if steps is None else f", {steps} steps per rollout"
     console.print(Text(f"checking {target}{length}", "dim"))
-    report = check_cmdp(problem, space, steps=steps, seed=seed)
+    report = check_cmdp(
+        problem,
+        space,
+        steps=steps,
+        seed=seed,
+        on_check=lambda line: console.print(Text(f"  {line}", "dim")),
+    )
     if json:
         print_json({"target": target, **report.to_json()})
     else:

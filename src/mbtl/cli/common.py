@@ -7,21 +7,22 @@ error.
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 import numpy as np
 import typer
 from rich.console import Console
 
-from mbtl.errors import UnsavedPolicies
+from mbtl.errors import Notice
 from mbtl.files import from_home
 
 console = Console(stderr=True)
@@ -46,7 +47,7 @@ interrupts: list[str] = []
 
 
 def interruptible(command: Callable[..., None]) -> Callable[..., None]:
-    """Say how to go on; the command-line library would print nothing and exit with 130."""
+    """Say how to go on, and exit with 130; the command-line library would print nothing."""
 
     @wraps(command)
     def wrapped(*args: Any, **kwargs: Any) -> None:
@@ -54,24 +55,56 @@ def interruptible(command: Callable[..., None]) -> Callable[..., None]:
             if isinstance(given, Path):
                 kwargs[name] = from_home(given)
         try:
-            command(*args, **kwargs)
+            with json_alone() if kwargs.get("json") else nullcontext():
+                command(*args, **kwargs)
         except KeyboardInterrupt:
             console.print("interrupted: run the same command again to go on")
             interrupts.append(command.__name__)
-            raise typer.Exit(1) from None
+            raise typer.Exit(130) from None
 
     return wrapped
+
+
+_documents: list[TextIO] = []
+"""Where JSON documents go while `json_alone` holds standard output."""
+
+
+@contextmanager
+def json_alone() -> Iterator[None]:
+    """In the block, what simulators and libraries print goes to standard error.
+
+    So it does below Python, where SUMO writes, and in the processes that are started meanwhile.
+    """
+    usual = sys.stdout
+    usual.flush()
+    try:
+        number = usual.fileno()
+        kept = os.dup(number)
+    except (OSError, ValueError):  # no file, as in tests and notebooks
+        number, kept = -1, -1
+    document = usual if kept < 0 else open(kept, "w", encoding=usual.encoding)  # noqa: SIM115
+    _documents.append(document)
+    try:
+        if kept >= 0:
+            os.dup2(sys.stderr.fileno(), number)
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        _documents.remove(document)
+        if kept >= 0:
+            os.dup2(kept, number)
+            document.close()
 
 
 @contextmanager
 def plain_warnings() -> Iterator[None]:
     """In the block, what a user should know at once is a line and not a place in our code."""
     with warnings.catch_warnings():
-        warnings.simplefilter("always", UnsavedPolicies)
+        warnings.simplefilter("always", Notice)
         usual = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if not issubclass(category, UnsavedPolicies):
+            if not issubclass(category, Notice):
                 return usual(message, category, *where, **more)
             console.print(f"warning: {message}", style="yellow", markup=False, soft_wrap=True)
 
@@ -112,8 +145,9 @@ def printer() -> Console:
 
 def print_json(document: Any) -> None:
     """Write one JSON document to standard output; NaN and infinity become null."""
-    sys.stdout.write(json.dumps(plain(document), indent=2, allow_nan=False) + "\n")
-    sys.stdout.flush()
+    to = _documents[-1] if _documents else sys.stdout
+    to.write(json.dumps(plain(document), indent=2, allow_nan=False) + "\n")
+    to.flush()
 
 
 def plain(value: Any) -> Any:

@@ -103,7 +103,6 @@ class Watched:
         self._look(last=over)
         if over:
             self._ended(next(iter(info.values()), {}) if self._is_team else info)
-        info.pop("final_score", None)  # a score that is known is no reason to look away
         return *moved, info
 
     @property

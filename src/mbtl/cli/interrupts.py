@@ -2,6 +2,7 @@
 
 Python drops an exception that is raised where nobody can catch it: in a destructor, or in a
 callback of its garbage collector, of which jax has one. A Ctrl-C that falls there is sent again.
+What destructors raise after an interrupt is nobody's concern: their simulators are gone.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import signal
 import sys
 import threading
 from typing import Any
+
+from mbtl.cli.common import interrupts
 
 _SOON = 0.05
 """Seconds until it is sent again: by then the callback has returned."""
@@ -22,7 +25,8 @@ def keep_interrupts() -> None:
 
     def hook(dropped: Any) -> None:
         if not issubclass(dropped.exc_type, KeyboardInterrupt):
-            usual(dropped)
+            if not interrupts:  # else a simulator that was cut short in the middle of an answer
+                usual(dropped)
             return
         again = threading.Timer(_SOON, interrupt_main)
         again.daemon = True

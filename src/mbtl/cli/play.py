@@ -95,6 +95,8 @@ def play(
         actor, why = actor_for(portfolio.policy(choice.policy), sampled=sampled), choice.explanation
     own = evaluation_seeds(seed, 0, [_place(cmdp, nominal_part)])
     (seeds,) = episode_seeds(own, 1, episodes)
+    # to the end: a score that is known is no reason to look away
+    counted = None if cmdp.score is None else replace(cmdp.score, foretold=None, strata=None)
     pictures = 0
     takes = {"choices at random" if portfolio is None else "guided": env}
     with status:
@@ -103,7 +105,9 @@ def play(
             alone = ByItself(make_env(context), way)
             takes[NAMES.get(way, way)] = Watched(alone, film is not None, told, cmdp.beside)
         for take in takes.values():
-            (scores,) = rollout.play([rollout.Job(partial(_same, take), seeds)], actor, max_envs=1)
+            (scores,) = rollout.play(
+                [rollout.Job(partial(_same, take), seeds, counted)], actor, max_envs=1
+            )
             take.scores = scores.tolist()
         if film is not None:
             name = f"{cmdp.id} at {cmdp.space.describe(nominal_part)}"

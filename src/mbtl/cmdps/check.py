@@ -1,7 +1,8 @@
 """Check: is this a contextual MDP that training, transfer and comparison can rely on?
 
-Every axis must act on the dynamics, contexts must not leak into each other, resets must be
-deterministic, numbers finite. An axis acts when two of its values give different rollouts under the
+Environments must be new and remember nothing, what they show must lie in its space, every axis must
+act on the dynamics, contexts must not leak into each other, resets must be deterministic, numbers
+finite. An axis acts when two of its values give different rollouts under the
 same seed and actions, *not counting* observation numbers that are constant within a rollout: those
 are labels (a visible context feature). So CartPole's cart mass under `physics="reference"` fails
 whether it is hidden or visible; with it visible, its whole "generalisation gap" is an input shift.
@@ -29,6 +30,7 @@ def check_cmdp(
     nominal: Mapping[str, Value] | None = None,
     steps: int | None = None,
     seed: int = 0,
+    on_check: Callable[[str], None] = lambda line: None,
 ) -> CheckReport:
     """Check a CMDP, or an environment factory with its contexts.
 
@@ -42,6 +44,7 @@ def check_cmdp(
             middle of the space.
         steps: environment steps per rollout; None: the problem's own number, else `STEPS`.
         seed: of the resets and actions.
+        on_check: told of each check as it begins, and how long the rest will take.
 
     Returns:
         The report; it does not raise for a broken environment, see `CheckReport.raise_if_failed`.
@@ -61,13 +64,17 @@ def check_cmdp(
             checks.append(Check("environment", "warning", unseen))
             return CheckReport(problem.id, tuple(checks))
         base = problem.nominal if nominal is None else nominal
-        probe = Probe(problem.make_env, problem.space, base, steps, seed, problem.horizon)
+        probe = Probe(
+            problem.make_env, problem.space, base, steps, seed, problem.horizon,
+            score=problem.score, taken=problem.trainer.policy_format == "sb3",
+            lives_well=getattr(problem.trainer, "apart", None) is False, say=on_check,
+        )  # fmt: skip
         return CheckReport(problem.id, (*checks, *probe.run()))
     if space is None:
         raise InvalidInput(
             "an environment factory is checked over its contexts; give a ContextSpace"
         )
-    probe = Probe(problem, space, nominal, steps, seed)
+    probe = Probe(problem, space, nominal, steps, seed, say=on_check)
     name = getattr(problem, "__name__", type(problem).__name__)
     return CheckReport(name, (_units(space), *probe.run()))
 

@@ -18,6 +18,7 @@ from typing import Any, Literal, cast
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
 from mbtl.objective import Bounds, Direction, direction_named
+from mbtl.score import Score
 from mbtl.study import Study, create_study
 from mbtl.study.problem import ProblemFacts
 from mbtl.trainer import FunctionTrainer, Trainer, recipe_of
@@ -49,6 +50,7 @@ class Preset:
         credit: whose rewards an action of a team is worth in training, "own" or "team".
         clip_actions: learn from actions within their bounds, not from the samples.
         normalize_reward: rewards are brought to one scale in training.
+        normalize_observations: learn from standardised observations.
         n_envs: environments stepped together in training.
         description: one line for people.
         formerly: what this recipe was called when work that may still be about was begun.
@@ -70,6 +72,7 @@ class Preset:
     credit: Literal["own", "team"] | None = None
     clip_actions: bool | None = None
     normalize_reward: bool | None = None
+    normalize_observations: bool | None = None
     n_envs: int | None = None
     description: str = ""
     formerly: str = ""
@@ -104,6 +107,8 @@ class CMDP:
         check_steps: environment steps of a rollout of `check_cmdp`; None: its default.
         family: name of the simulator family.
         presets: recipes by name, the first is the default.
+        score: what an episode is worth, where that is not the sum of its rewards: a key of the
+            `info` of its last step, or a `Score`.
         settings: switches this problem was made with, e.g. {"visibility": "hidden"}. With `id` and
             `version` they say which problem this is.
         description: one line for people.
@@ -134,6 +139,7 @@ class CMDP:
     floor: float | None = None
     best_return: float | None = None
     beside: Mapping[str, str] = field(default_factory=dict)
+    score: Score | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.bounds, Bounds):
@@ -151,6 +157,7 @@ class CMDP:
                 f"the space of {self.id!r} must be a ContextSpace, got "
                 f"{type(self.space).__name__}; build one with ContextSpace.grid"
             )
+        object.__setattr__(self, "score", Score.of(self.score))
         self._check_numbers()
         if self.nominal is not None:
             self.space.encode(self.nominal)
@@ -210,6 +217,8 @@ class CMDP:
         eval_episodes: int = 10,
         checkpoint: Literal["final", "best"] = "final",
         show_context: bool = False,
+        score: str | Score | None = None,
+        normalize_observations: bool = False,
         trainer_options: Mapping[str, Any] | None = None,
         budget: int | None = None,
         **record: Any,
@@ -226,6 +235,10 @@ class CMDP:
             eval_episodes: episodes per (source, target).
             checkpoint: return the last policy of a training, or the best of its own evaluations.
             show_context: end each observation with the context (`mbtl.cmdps.shown.ShowContext`).
+            score: what an episode is worth: a key of the `info` of its last step, or a `Score`;
+                None: the sum of its rewards.
+            normalize_observations: learn from standardised observations; their statistics are kept
+                with the policy.
             trainer_options: further options of `mbtl.training.SB3Trainer`.
             budget: default number of trainings K; 10, or N if that is smaller.
             **record: further fields of `CMDP`, e.g. `bounds`, `nominal`, `presets`.
@@ -245,10 +258,12 @@ class CMDP:
             hyperparameters=hyperparameters or {},
             eval_episodes=eval_episodes,
             checkpoint=checkpoint,
+            score=score,
+            normalize_observations=normalize_observations,
             **(trainer_options or {}),
         )
         record.setdefault("presets", _only_preset(space, budget))
-        return cls(id, space, trainer, make_env=make_env, **record)
+        return cls(id, space, trainer, make_env=make_env, score=Score.of(score), **record)
 
     # ---- reading -----------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from mbtl.contexts import Axis, Context
 from mbtl.errors import ContextMismatch, InvalidInput, missing_extra, unknown_name
+from mbtl.score import Score
 
 ENGINES = ("jax", "gymnasium", "gymnasium-jax", "sumo", "sumo-jax")
 
@@ -151,10 +152,12 @@ class SceneProblem:
             a PettingZoo parallel one that has `most_agents`. It has `episode_steps`, and what it
             shows of the context is in its observations.
         time_limit: how learning sees the end of an episode.
+        score: what an episode is worth; None: the sum of its rewards.
     """
 
     make_env: Callable[[Context], Any]
     time_limit: Literal["truncation", "terminal"] = "truncation"
+    score: Score | None = None
 
     def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
         """The world, and the parameters of `contexts` with one leading axis.
@@ -185,7 +188,7 @@ class SceneProblem:
         )
         places = envs[0].most_agents if team else 1
         world = Processes.of(
-            partial(EnvScene, self.make_env, places),
+            partial(EnvScene, self.make_env, places, self.score),
             action=worlds.Discrete(int(act.n))
             if isinstance(act, Discrete)
             else worlds.Box(tuple(act.low.tolist()), tuple(act.high.tolist())),

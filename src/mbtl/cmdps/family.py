@@ -10,6 +10,7 @@ from typing import Any
 from mbtl.cmdps.cmdp import Preset
 from mbtl.contexts import Axis, Context, ContextSpace, Linear
 from mbtl.errors import unknown_name
+from mbtl.score import Score
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ class Family:
         beside: what stands beside a score: unit by name of a measure.
         scores: what an episode can be worth, where there is a choice; the first is the default. By
             name what of the fields above is different then. Bounds and floor are of that score.
+        score: what an episode is worth; None: the sum of its rewards.
     """
 
     entry_point: str
@@ -89,6 +91,7 @@ class Family:
     best_return: float | None = None
     beside: Mapping[str, str] = field(default_factory=dict)
     scores: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    score: Score | None = None
 
     def scored(self, name: str | None) -> Family:
         """The family by one of its scores; None: the default one.

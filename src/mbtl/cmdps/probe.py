@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import itertools
+import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from mbtl.cmdps.findings import Check, Outcome
-from mbtl.cmdps.rollouts import Rollout, difference, draw_actions, opened, roll, roll_together
 from mbtl.contexts import Categorical, Context, ContextSpace, Value
-from mbtl.errors import MissingExtra
+from mbtl.envs.recording import Rollout, difference, draw_actions, opened, roll, roll_together
+from mbtl.errors import InvalidInput, MissingExtra, Notice
+from mbtl.score import Score
+from mbtl.seeds import action_seed
 
 _MOST_CORNERS = 16
+_ENDING = 2000
+"""Steps within which an episode of unknown length is looked for an end."""
 
 
 class Probe:
@@ -26,9 +32,29 @@ class Probe:
         steps: int,
         seed: int,
         horizon: int | None = None,
+        *,
+        score: Score | None = None,
+        taken: bool = False,
+        lives_well: bool = False,
+        say: Callable[[str], None] = lambda line: None,
     ) -> None:
+        """Nothing is made yet.
+
+        Args:
+            make_env: context -> environment.
+            space: of the contexts.
+            nominal: where one axis is varied at a time; None: the middle of the space.
+            steps: of each rollout.
+            seed: of resets and actions.
+            horizon: longest episode, where it is declared.
+            score: what must be told at the end of an episode.
+            taken: Stable-Baselines3 must take the spaces.
+            lives_well: environments are known to run beside each other in one process.
+            say: told of each check as it begins.
+        """
         self.space, self.steps, self.seed, self.horizon = space, steps, seed, horizon
-        self._make_env = make_env
+        self._make_env, self._say, self._score, self._taken = make_env, say, score, taken
+        self._lives_well = lives_well
         self._ends = {axis.name: _ends(space, axis.name) for axis in space.axes}
         if nominal is None:
             nominal = space.context(_central(space))
@@ -36,12 +62,17 @@ class Probe:
         self._base: Context = dict(nominal)
         self._actions: list[Any] = []
         self._first: Rollout | None = None  # of the base context, before any other was simulated
+        self._sound = False
 
     def run(self) -> Iterator[Check]:
         """All checks; an environment that cannot be made or stepped fails the one that met it."""
         yield from self._guard("runs at the nominal context", self._first_rollout)
         if self._first is None:
             return
+        yield from self._guard("environments are new and live side by side", self._new)
+        if not self._sound:
+            return
+        yield from self._guard("observations and actions lie in their spaces", self._inside)
         yield from self._guard("same spaces in every context", self._spaces)
         yield from self._guard("runs and stays finite at the corners", self._corners)
         for axis in self._ends:
@@ -51,13 +82,22 @@ class Probe:
         yield from self._guard("episodes end", self._episodes_end)
 
     def _guard(self, name: str, check: Callable[[], tuple[Outcome, str]]) -> Iterator[Check]:
+        self._say(name)
         try:
             outcome, detail = check()
         except MissingExtra:  # the machine's fault, not the environment's
             raise
+        except InvalidInput as error:
+            outcome, detail = "failed", str(error)
         except Exception as error:  # a stranger's environment may raise anything
             outcome, detail = "failed", f"{type(error).__name__}: {error}"
         yield Check(name, outcome, detail)
+
+    @property
+    def _rollouts(self) -> int:
+        """Rollouts of `steps` that the checks after the first one take."""
+        acting = sum(len(values) for values in self._ends.values() if len(values) > 1)
+        return len(self._corner_contexts()) + acting + 3 + 7
 
     def _roll(self, context: Context) -> Rollout:
         with opened(partial(self._make, context)) as (env,):
@@ -71,13 +111,54 @@ class Probe:
 
     # Each check returns its outcome and what was seen.
 
+    def _new(self) -> tuple[Outcome, str]:
+        """A new one at every call, without running statistics, in a process of its own if need be.
+
+        It comes before any two are open: of some simulators two in one process never return.
+        """
+        from mbtl.envs.opening import once_per_process
+        from mbtl.envs.remote import remote
+
+        found = None
+        if not self._lives_well:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", Notice)  # it is in the report
+                found = once_per_process(self._make_env, self._extremes())
+        self._sound = True
+        if found is None:
+            return "passed", "two in one process do not disturb each other"
+        apart = f"{found.name} lives once per process, so each gets a process of its own"
+        if not found.silent:  # else it is a fault, which goes on to be found
+            self._make_env = partial(remote, self._make_env)
+        return "warning", apart + " in trainings" * found.silent
+
     def _first_rollout(self) -> tuple[Outcome, str]:
         with opened(partial(self._make, self._base)) as (env,):
+            begun = time.perf_counter()
             actions = draw_actions(env.action_space, self.steps, self.seed)
             rollout = roll(env, actions, self.seed)
+            each = time.perf_counter() - begun
         self._actions, self._first = actions, rollout
+        self._say(
+            f"{self.steps} steps took {each:.1f} s, so {self._rollouts} more such rollouts will "
+            f"take about {max(1.0, each * self._rollouts):.0f} s"
+        )
         bad = rollout.not_finite()
         return ("failed", bad) if bad else ("passed", f"{self.steps} steps at {self._base}")
+
+    def _inside(self) -> tuple[Outcome, str]:
+        from mbtl.envs.spaces import check_taken
+
+        assert self._first is not None
+        miss = self._first.outside
+        if miss is not None and miss.far:
+            return "failed", f"an observation is far outside its space: {miss.said}"
+        with opened(partial(self._make, self._base)) as (env,):
+            if self._taken:
+                check_taken(env.observation_space, env.action_space)
+        if miss is not None:
+            return "warning", f"an observation is a little outside its space: {miss.said}"
+        return "passed", f"in {self.steps} steps"
 
     def _spaces(self) -> tuple[Outcome, str]:
         contexts = [self._base, *self._corner_contexts()]
@@ -140,14 +221,21 @@ class Probe:
         return "passed", f"{one} and {two}, in turn and at once"
 
     def _episodes_end(self) -> tuple[Outcome, str]:
-        steps = self.steps if self.horizon is None else self.horizon
         with opened(partial(self._make, self._base)) as (env,):
-            actions = draw_actions(env.action_space, steps, self.seed)
-            if roll(env, actions, self.seed).ended:
-                return "passed", f"within {steps} steps of random actions"
+            limit = getattr(getattr(env, "spec", None), "max_episode_steps", None)
+            steps = self.horizon or limit or max(self.steps, _ENDING)
+            info = _last_info(env, steps, self.seed)
+        if info is not None:
+            told = "" if self._score is None else f", score {self._score.read(info):.4g}"
+            return "passed", f"within {steps} steps of random actions{told}"
         if self.horizon is not None:
             return "failed", f"none within the declared horizon of {steps} steps"
-        return "warning", f"none within {steps} steps; evaluation needs a time limit"
+        if limit is not None:
+            return "failed", f"none within the {steps} steps of its own limit"
+        return "warning", (
+            f"none within {steps} steps; evaluation needs a time limit "
+            "(gymnasium.wrappers.TimeLimit)"
+        )
 
     # ---- which contexts ----------------------------------------------------------------------
 
@@ -179,6 +267,18 @@ def _ends(space: ContextSpace, axis: str) -> list[Value]:
         return values
     numbers: list[float] = sorted(values)  # type: ignore[arg-type]
     return [*dict.fromkeys((numbers[0], numbers[-1]))]
+
+
+def _last_info(env: Any, steps: int, seed: int) -> Mapping[str, Any] | None:
+    """The info of the last step of an episode of random actions; None: it is longer than that."""
+    env.action_space.seed(action_seed(seed))
+    env.reset(seed=seed)
+    for _ in range(steps):
+        *_, terminated, truncated, info = env.step(env.action_space.sample())
+        if terminated or truncated:
+            found: Mapping[str, Any] = info
+            return found
+    return None
 
 
 def _outer(values: Sequence[Value]) -> list[Value]:

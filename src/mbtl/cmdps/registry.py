@@ -164,6 +164,7 @@ def get_cmdp(
         theta=family.theta if variant.theta is None else variant.theta,
         version=variant.version,
         make_env=make_env,
+        score=family.score,
         nominal=variant.nominal,
         unit=variant.unit(grid),
         horizon=family.horizon,
@@ -219,7 +220,8 @@ def _training(
         default = next(iter(family.presets.values()))
         # a process has room for one simulation in libsumo: evaluate one at a time, train elsewhere
         alone: dict[str, Any] = {"n_eval_envs": 1, "processes": True} if engine == "sumo" else {}
-        return family.presets, SB3Trainer(make_env, **alone, **default.options())
+        ours: dict[str, Any] = {"score": family.score, "apart": False, **alone}
+        return family.presets, SB3Trainer(make_env, **ours, **default.options())
     if engine not in engines_of(id):
         there = " and ".join(engines_of(id))
         raise InvalidInput(f"{id!r} is simulated in {there}, got engine={engine!r}")
@@ -227,7 +229,7 @@ def _training(
 
     if engine == "sumo-jax":
         default = next(iter(family.in_processes.values()))
-        scenes = SceneProblem(make_env, make_env.options["time_limit"])
+        scenes = SceneProblem(make_env, make_env.options["time_limit"], family.score)
         return family.in_processes, WorldTrainer(scenes, **default.options())
     record = family.jax if engine == "jax" else family.in_simulator
     assert record is not None  # `engines_of` says so

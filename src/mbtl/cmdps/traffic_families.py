@@ -12,6 +12,9 @@ from typing import Any
 
 from mbtl.cmdps.cmdp import Preset
 from mbtl.cmdps.family import Family, TwinFamily, Variant, line
+from mbtl.score import Score
+
+_SCORE = Score("score")
 
 # ---- advisory autonomy: ring and ramp --------------------------------------------------------
 
@@ -130,6 +133,7 @@ def _ring(name: str, actions: str) -> Family:
         visibility="hidden",
         visibility_on_all="hidden",
         check_steps=6,
+        score=_SCORE,
     )
 
 
@@ -152,6 +156,7 @@ def _ramp(name: str, actions: str, checkpoint: str) -> Family:
         visibility="hidden",
         visibility_on_all="hidden",
         check_steps=6,
+        score=_SCORE,
     )
 
 
@@ -352,6 +357,7 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
         visibility="hidden",
         check_steps=40,
         floor=-120.0,
+        score=Score("score", foretold="final_score", strata="strata"),
     ),
     "eco": Family(
         entry_point="mbtl.cmdps.traffic.eco:Eco",
@@ -371,6 +377,7 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
         in_processes={name: _ECO_TWIN[name] for name in ("fast", "paper")},
         simulator="sumo",
         check_steps=60,
+        score=_SCORE,
     ),
     "ring-acc": _ring("RingAcc", "acceleration"),
     "ring-vel": _ring("RingVel", "speed"),

@@ -18,6 +18,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.envs.rollout import Actor, Job, play
+from mbtl.score import Score
 
 RANDOM_ACTIONS = "random_actions"
 UNGUIDED = "unguided"
@@ -29,6 +30,7 @@ def reference_rows(
     seeds: Sequence[Sequence[int]],
     *,
     max_envs: int,
+    score: Score | None = None,
 ) -> dict[str, Array]:
     """Returns in every context, (n_contexts, n_episodes) by name.
 
@@ -37,6 +39,7 @@ def reference_rows(
         contexts: where to play.
         seeds: of the episodes in each context.
         max_envs: environments alive at once.
+        score: what an episode is worth; None: the sum of its rewards.
     """
     first = make_env(contexts[0])
     ways = ways_of(first)
@@ -50,7 +53,11 @@ def reference_rows(
     pairs = list(zip(contexts, seeds, strict=True))
     return {
         name: np.array(
-            play([Job(partial(make, one), own) for one, own in pairs], actor, max_envs=max_envs)
+            play(
+                [Job(partial(make, one), own, score) for one, own in pairs],
+                actor,
+                max_envs=max_envs,
+            )
         )
         for name, make in makers.items()
     }

@@ -6,22 +6,17 @@ left), so its arithmetic, and with it every return, does not depend on the other
 dense policy in numpy has discrete actions the best is the best in any batch: no padding there.
 
 An environment is a Gymnasium one, or a PettingZoo parallel one whose agents share the policy. What
-an episode is worth is the sum of its rewards, or `info["score"]` of its last step where that is
-given: in traffic, say, the score is a mean speed and the rewards only teach. An episode of which
-`info["final_score"]` tells before its end what it will be worth is not played on.
-
-Where luck is of a few known kinds, an environment may say how probable each is: `strata`, shares
-that add up to 1. An episode is then one of each kind (`reset(options={"stratum": k})`), and worth
-their mean by those shares: as much on average, and with less luck.
+an episode is worth is the sum of its rewards, or the `Score` that the CMDP names: in traffic, say,
+the score is a mean speed and the rewards only teach.
 """
 
 from __future__ import annotations
 
 import inspect
+import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -30,14 +25,19 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.portfolio.heads import DiscreteHead
 from mbtl.portfolio.mlp import MLPPolicy
+from mbtl.score import Score
 from mbtl.seeds import action_seed
 
 ROWS = 32
 """Observations per forward pass. Of 64-64 networks 32 rows cost about twice one row; of the four
 layers of 400 of a traffic signal, which plays alone, they were half of an evaluation."""
 
-LONGEST_EPISODE = 1_000_000
+LONGEST_EPISODE = 100_000
 """An episode longer than this has no time limit; better an error than a process that hangs."""
+
+
+ENDED = "mbtl.simulation_ended"
+"""Key of one agent's info when the simulation of a team has ended."""
 
 
 class Env(Protocol):
@@ -65,10 +65,12 @@ class Job:
     Attributes:
         open_env: makes (or hands out) the environment.
         seeds: one per episode, given to `reset`.
+        score: what an episode is worth; None: the sum of its rewards.
     """
 
     open_env: Callable[[], Env]
     seeds: Sequence[int]
+    score: Score | None = None
 
 
 @dataclass(eq=False)
@@ -78,6 +80,8 @@ class _Place:
     job: int
     env: Any
     seeds: Iterator[tuple[int, float, dict[str, Any] | None]]  # and share and options of a stratum
+    score: Score | None
+    strata: int  # of an episode
     returns: list[float]
     lasted: list[int]  # steps of the episodes that are over, all their strata together
     played: int = 0  # steps of the strata of this episode that are over
@@ -102,24 +106,28 @@ class _Place:
             first, _ = self.env.reset(
                 seed=seed, **({} if options is None else {"options": options})
             )
-            self.observations = [first[a] for a in self.env.agents] if self.is_team else [first]
+            self.observations = (
+                [copied(first[a]) for a in self.env.agents] if self.is_team else [copied(first)]
+            )
             self.total, self.steps, self.memory = 0.0, 0, None
             self.rng = np.random.default_rng(action_seed(seed))
             if self.observations:
                 return True
-            self._book(float(self.env.summary["score"]))  # nobody ever had to decide
+            # nobody ever had to decide
+            self._book(0.0 if self.score is None else self.score.read(self.env.summary))
         return False
 
     @classmethod
-    def of(
-        cls, job: int, env: Any, seeds: Sequence[int], returns: list[float], lasted: list[int]
-    ) -> _Place:
+    def of(cls, number: int, job: Job, returns: list[float], lasted: list[int]) -> _Place:
         """Before its first episode."""
+        env = job.open_env()
+        shares = () if job.score is None else job.score.shares(env)
         parts: list[tuple[float, dict[str, Any] | None]] = [
-            (share, {"stratum": k}) for k, share in enumerate(strata_of(env))
+            (share, {"stratum": k}) for k, share in enumerate(shares)
         ] or [(1.0, None)]
-        coming = ((seed, share, options) for seed in seeds for share, options in parts)
-        return cls(job, env, coming, returns, lasted, left=len(parts))
+        coming = ((seed, share, options) for seed in job.seeds for share, options in parts)
+        n = len(parts)
+        return cls(number, env, coming, job.score, n, returns, lasted, left=n)
 
     def _book(self, score: float) -> None:
         """What an episode is worth, once all of its strata were played."""
@@ -129,35 +137,35 @@ class _Place:
         if self.left == 0:
             self.returns.append(self.worth)
             self.lasted.append(self.played)
-            self.worth, self.played, self.left = 0.0, 0, len(strata_of(self.env)) or 1
+            self.worth, self.played, self.left = 0.0, 0, self.strata
 
     def step(self, actions: Sequence[Any]) -> bool:
         """Take one step with one action per decision maker; True when the episode is over."""
         ended, info = self._team_step(actions) if self.is_team else self._step(actions[0])
         self.steps += 1
         if self.steps > LONGEST_EPISODE:
-            raise TrainingFailed(
-                f"an episode must end, got more than {LONGEST_EPISODE} steps; wrap the environment "
-                "in gymnasium.wrappers.TimeLimit"
-            )
+            raise endless()
         if ended:
-            score = info.get("final_score", info.get("score", self.total))
-            self._book(float(score))
+            self._book(self.total if self.score is None else self.score.read(info))
         return ended
 
     def _step(self, action: Any) -> tuple[bool, Mapping[str, Any]]:
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self.observations = [observation]
+        self.observations = [copied(observation)]
         self.total += float(reward)
-        return terminated or truncated or "final_score" in info, info
+        return terminated or truncated or self._is_foretold(info), info
 
     def _team_step(self, actions: Sequence[Any]) -> tuple[bool, Mapping[str, Any]]:
         agents = list(self.env.agents)
         seen, rewards, _, _, infos = self.env.step(dict(zip(agents, actions, strict=True)))
-        self.observations = [seen[agent] for agent in self.env.agents]
+        agents = self.env.agents
+        self.observations = [copied(seen[agent]) for agent in agents]
         self.total += float(sum(rewards.values()))
         info: Mapping[str, Any] = next(iter(infos.values()), {})
-        return not self.env.agents or "final_score" in info, info
+        return not agents or self._is_foretold(info), info
+
+    def _is_foretold(self, info: Mapping[str, Any]) -> bool:
+        return self.score is not None and self.score.is_foretold(info)
 
 
 @dataclass(frozen=True)
@@ -245,14 +253,14 @@ def play_counted(
         while waiting or places:
             while waiting and len(places) < max_envs:
                 number, job = waiting.popleft()
-                place = _Place.of(
-                    number, job.open_env(), job.seeds, returns[number], lasted[number]
-                )
+                place = _Place.of(number, job, returns[number], lasted[number])
+                if not keep_open and any(place.env is other.env for other in places):
+                    raise one_instance()
                 places.append(place)
                 if not place.start_episode():
                     places.remove(place)
                     if not keep_open:
-                        place.env.close()
+                        end(place.env)
             finished = []
             for place, actions in zip(places, actor.actions(places), strict=True):
                 if place.step(actions) and not place.start_episode():
@@ -260,22 +268,49 @@ def play_counted(
             for place in finished:
                 places.remove(place)
                 if not keep_open:
-                    place.env.close()
+                    end(place.env)
     finally:
         if not keep_open:
             for place in places:
-                place.env.close()
+                end(place.env)
     worth = [np.asarray(r, dtype=np.float64) for r in returns]
     return worth, [np.asarray(steps, dtype=np.float64) for steps in lasted]
 
 
-def strata_of(env: Any) -> tuple[float, ...]:
-    """Shares of the kinds of luck that an environment knows; none where it says nothing."""
-    find = getattr(env, "get_wrapper_attr", partial(getattr, env))
+def end(env: Any) -> None:
+    """Close it; while something else is raised, that counts, whatever the closing makes of it."""
     try:
-        return tuple(find("strata"))
-    except AttributeError:
-        return ()
+        env.close()
+    except Exception:  # an interrupt in the middle of a call leaves a simulator that cannot answer
+        if sys.exc_info()[1] is None:
+            raise
+
+
+def one_instance() -> InvalidInput:
+    """The second environment of a factory is its first."""
+    return InvalidInput(
+        "make_env must make a new environment at every call, got the same instance twice; build "
+        "it inside the function"
+    )
+
+
+def endless() -> TrainingFailed:
+    """An episode that does not end."""
+    return TrainingFailed(
+        f"an episode must end, got {LONGEST_EPISODE:,} steps without an end; wrap the environment "
+        "in gymnasium.wrappers.TimeLimit"
+    )
+
+
+def copied(observation: Any) -> Any:
+    """An observation that the environment cannot change any more."""
+    if isinstance(observation, np.ndarray):
+        return observation.copy()
+    if isinstance(observation, Mapping):
+        return {key: copied(part) for key, part in observation.items()}
+    if isinstance(observation, tuple):
+        return tuple(copied(part) for part in observation)
+    return observation
 
 
 def _stacked(observations: Sequence[Any]) -> Any:

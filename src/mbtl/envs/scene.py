@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mbtl.contexts import Context
 from mbtl.envs.slots import seated
+from mbtl.score import Score
 
 Sight = tuple[NDArray[np.float32], NDArray[np.bool_], bool, float]
 """What `mbtl.worlds.processes.Sight` holds; that module needs jax."""
@@ -23,14 +24,17 @@ Step = tuple[Sight, NDArray[np.float32], NDArray[np.bool_]]
 class EnvScene:
     """The environments of one factory, one at a time."""
 
-    def __init__(self, make_env: Callable[[Context], Any], places: int) -> None:
+    def __init__(
+        self, make_env: Callable[[Context], Any], places: int, score: Score | None = None
+    ) -> None:
         """Nothing is made yet.
 
         Args:
             make_env: context -> environment.
             places: for agents; 1 of a Gymnasium environment.
+            score: what an episode is worth; None: the sum of its rewards.
         """
-        self._make, self._places = make_env, places
+        self._make, self._places, self._score = make_env, places, score
         self._context: dict[str, float] | None = None
         self._env: Any = None
 
@@ -46,8 +50,8 @@ class EnvScene:
         if not self._is_team:
             return self._alone(first, acts=True, over=False, info={})
         over = not self._env.agents  # nobody ever has to decide
-        score = float(self._env.summary["score"]) if over else 0.0
-        return self._seen(first, over, score)
+        told = over and self._score is not None
+        return self._seen(first, over, self._worth(self._env.summary) if told else 0.0)
 
     def step(self, action: NDArray[Any] | None) -> Step:
         """One decision of all agents; None: nobody is told anything."""
@@ -67,7 +71,7 @@ class EnvScene:
         return sight, np.array([reward], np.float32), np.array([terminated], np.bool_)
 
     def _alone(self, seen: Any, acts: bool, over: bool, info: Mapping[str, Any]) -> Sight:
-        score = float(info.get("score", self._total)) if over else 0.0
+        score = self._worth(info) if over else 0.0
         return np.asarray(seen, np.float32)[None], np.array([acts]), bool(over), score
 
     def _step_team(self, action: NDArray[Any] | None) -> Step:
@@ -83,8 +87,10 @@ class EnvScene:
         self._total += float(reward.sum())
         over = not self._env.agents
         info: Mapping[str, Any] = next(iter(infos.values()), {})
-        score = float(info.get("score", self._total)) if over else 0.0
-        return self._seen(seen, over, score), reward, done
+        return self._seen(seen, over, self._worth(info) if over else 0.0), reward, done
+
+    def _worth(self, info: Mapping[str, Any]) -> float:
+        return self._total if self._score is None else self._score.read(info)
 
     def _seen(self, seen: Mapping[str, Any], over: bool, score: float) -> Sight:
         seated(self._present, self._env.agents)

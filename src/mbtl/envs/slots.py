@@ -24,6 +24,7 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 from numpy.typing import NDArray
 
+from mbtl.envs.rollout import ENDED
 from mbtl.errors import InvalidInput, SimulationFailed
 
 Observation = NDArray[np.float32]
@@ -43,7 +44,8 @@ class SlotStep(NamedTuple):
         dones: (n_slots,) true where the agent has left, and where none acted.
         infos: (n_slots,) of the agents that acted; where one has left with its last observation
             "terminal_observation", "TimeLimit.truncated", and "episode" (its return and length).
-            Exactly one has "score", with the other measures, when the simulation has ended.
+            Exactly one has `ENDED`, with all that the environment told it, when the simulation has
+            ended.
         ended: the simulation has ended.
     """
 
@@ -134,7 +136,7 @@ class Slots(gymnasium.Env):  # type: ignore[misc]  # gymnasium is untyped for ou
                 self.present[k] = None
         if ended:
             messenger = next(iter(acting.items()))
-            step.infos[messenger[1]].update(infos[messenger[0]])
+            step.infos[messenger[1]].update({**infos[messenger[0]], ENDED: True})
             shown = self._begin(None)
         else:
             shown = self._seat(seen)
@@ -180,12 +182,10 @@ class Together(Slots):
     """
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """As in `Slots`; the info of an episode's last step has its "score"."""
+        """As in `Slots`; the info of an episode's last step has what one agent's has."""
         seen, reward, _, _, info = super().step(action)
-        last = [one for one in info["slots"].infos if "score" in one]
-        if not last:
-            return seen, reward, False, False, info
-        return seen, reward, False, True, {**info, "score": last[0]["score"]}
+        last = [one for one in info["slots"].infos if ENDED in one]
+        return seen, reward, False, bool(last), {**info, **(last[0] if last else {})}
 
 
 def seated(present: list[str | None], agents: Sequence[str]) -> list[int]:

@@ -26,11 +26,13 @@ class DiscreteHead:
         sizes: number of options of each choice.
         scalar: actions are single integers, not vectors.
         samples: the outputs are logits of a distribution; False for action values, as in DQN.
+        start: action of the first option of each choice; none: 0.
     """
 
     sizes: tuple[int, ...]
     scalar: bool = True
     samples: bool = True
+    start: tuple[int, ...] = ()
 
     @property
     def n_outputs(self) -> int:
@@ -45,6 +47,8 @@ class DiscreteHead:
             outputs = outputs + rng.gumbel(size=outputs.shape)
         blocks = np.split(outputs, np.cumsum(self.sizes)[:-1], axis=1)
         choices = np.stack([block.argmax(axis=1) for block in blocks], axis=1)
+        if self.start:
+            choices = choices + np.array(self.start)
         return choices[:, 0] if self.scalar else choices
 
 
@@ -57,12 +61,14 @@ class BoxHead:
         high: largest action, same shape.
         squash: actions are tanh(output) stretched over the box (SAC, TD3); else clipped outputs.
         log_std: (m,) log standard deviation of a Gaussian around the mean; None when unknown.
+        whole: integer type of actions that are rounded; "": they are real numbers.
     """
 
     low: Array32
     high: Array32
     squash: bool = False
     log_std: Array32 | None = None
+    whole: str = ""
 
     @property
     def n_outputs(self) -> int:
@@ -79,18 +85,21 @@ class BoxHead:
         low, high = self.low.astype(np.float64), self.high.astype(np.float64)
         if self.squash:
             outputs = low + 0.5 * (np.tanh(outputs) + 1.0) * (high - low)
-        return np.clip(outputs, low, high).astype(np.float32)
+        actions = np.clip(outputs, low, high).astype(np.float32)
+        return np.rint(actions).astype(self.whole) if self.whole else actions
 
 
 def head_record(head: DiscreteHead | BoxHead) -> dict[str, Any]:
     """JSON part of a head; the arrays of a `BoxHead` are stored beside it."""
     if isinstance(head, BoxHead):
-        return {"kind": "box", "squash": head.squash}
+        rounded = {"whole": head.whole} if head.whole else {}
+        return {"kind": "box", "squash": head.squash, **rounded}
     return {
         "kind": "discrete",
         "sizes": list(head.sizes),
         "scalar": head.scalar,
         "samples": head.samples,
+        **({"start": list(head.start)} if head.start else {}),
     }
 
 
@@ -100,12 +109,18 @@ def read_head(record: Mapping[str, Any], arrays: Mapping[str, Array32]) -> Discr
         low, high, log_std = arrays["low"], arrays["high"], arrays.get("log_std")
         if low.shape != high.shape or (log_std is not None and log_std.shape != (low.size,)):
             raise ValueError(f"bounds of a box must have one shape, got {low.shape}, {high.shape}")
-        return BoxHead(low, high, bool(record["squash"]), log_std)
+        whole = str(record.get("whole", ""))
+        if whole and np.dtype(whole).kind not in "iu":
+            raise ValueError(f"whole actions must be of an integer type, got {whole!r}")
+        return BoxHead(low, high, bool(record["squash"]), log_std, whole)
     if record["kind"] == "discrete":
         sizes = tuple(record["sizes"])
         if not (sizes and all(type(size) is int and size > 0 for size in sizes)):
             raise ValueError(f"sizes must be whole numbers > 0, got {sizes}")
-        return DiscreteHead(sizes, bool(record["scalar"]), bool(record["samples"]))
+        start = tuple(record.get("start", ()))
+        if start and (len(start) != len(sizes) or not all(type(s) is int for s in start)):
+            raise ValueError(f"first options must be as many whole numbers as sizes, got {start}")
+        return DiscreteHead(sizes, bool(record["scalar"]), bool(record["samples"]), start)
     raise ValueError(f"unknown action head {record['kind']!r}")
 
 

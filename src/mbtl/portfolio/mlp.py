@@ -26,7 +26,8 @@ from mbtl.errors import InvalidInput, StorageError
 from mbtl.portfolio.heads import Array32, BoxHead, DiscreteHead, head_record, read_head
 from mbtl.untrusted import MALFORMED, read_arrays, read_json
 
-FORMAT = 1
+FORMAT = 2
+"""2: observations are scaled, or actions counted from elsewhere or rounded; others are of 1."""
 WEIGHTS_FILE = "weights.npz"
 RECORD_FILE = "policy.json"
 
@@ -39,6 +40,27 @@ _ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """Standardised observations, by statistics that do not change: clip((x - mean) / scale).
+
+    Attributes:
+        mean: as long as an observation has numbers; float64.
+        scale: likewise, > 0.
+        clip: largest absolute value that is shown.
+    """
+
+    mean: Array
+    scale: Array
+    clip: float = 10.0
+
+    def __call__(self, observations: ArrayLike) -> Array32:
+        """(..., shape) observations as the network sees them, float32."""
+        x = (np.asarray(observations) - self.mean) / self.scale
+        scaled: Array32 = np.clip(x, -self.clip, self.clip).astype(np.float32)
+        return scaled
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class MLPPolicy:
     """A dense network with one activation between its layers and a head for the action.
@@ -49,6 +71,7 @@ class MLPPolicy:
         activation: "tanh", "relu" or "mish", after every layer but the last.
         observation_shape: shape of one observation.
         head: what the outputs mean.
+        scaling: of observations before the first layer; None: as they are.
 
     Raises:
         InvalidInput: layers do not fit each other, the observation or the head.
@@ -59,6 +82,7 @@ class MLPPolicy:
     activation: Activation
     observation_shape: tuple[int, ...]
     head: DiscreteHead | BoxHead
+    scaling: Scaling | None = None
 
     def __repr__(self) -> str:
         widths = [int(np.prod(self.observation_shape)), *(len(bias) for bias in self.biases)]
@@ -85,7 +109,8 @@ class MLPPolicy:
 
     def outputs(self, observations: ArrayLike) -> Array:
         """(B, *observation_shape) -> (B, m) raw network outputs."""
-        x = np.asarray(observations, dtype=np.float32).astype(np.float64)
+        seen = observations if self.scaling is None else self.scaling(observations)
+        x = np.asarray(seen, dtype=np.float32).astype(np.float64)
         x = x.reshape(len(x), -1)
         last = len(self._layers) - 1
         for i, (weight, bias) in enumerate(self._layers):
@@ -131,22 +156,30 @@ class MLPPolicy:
 
     def save(self, folder: Path) -> None:
         """Write `weights.npz` and `policy.json` into `folder`, which must exist."""
-        arrays = {f"weight_{i}": w for i, w in enumerate(self.weights)}
+        arrays: dict[str, NDArray[Any]] = {f"weight_{i}": w for i, w in enumerate(self.weights)}
         arrays |= {f"bias_{i}": b for i, b in enumerate(self.biases)}
         if isinstance(self.head, BoxHead):
             arrays |= {"low": self.head.low, "high": self.head.high}
             if self.head.log_std is not None:
                 arrays["log_std"] = self.head.log_std
+        if self.scaling is not None:
+            arrays |= {"scaling_mean": self.scaling.mean, "scaling_scale": self.scaling.scale}
         np.savez(folder / WEIGHTS_FILE, **arrays)  # type: ignore[arg-type]
         record = {
             "kind": "mbtl mlp policy",
-            "format": FORMAT,
+            "format": FORMAT if self._is_adapted else 1,
             "activation": self.activation,
             "layers": len(self.weights),
             "observation_shape": list(self.observation_shape),
             "head": head_record(self.head),
+            **({} if self.scaling is None else {"clip": self.scaling.clip}),
         }
         (folder / RECORD_FILE).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+
+    @property
+    def _is_adapted(self) -> bool:
+        rounds = getattr(self.head, "whole", "") or getattr(self.head, "start", ())
+        return self.scaling is not None or bool(rounds)
 
     @classmethod
     def load(cls, folder: Path) -> MLPPolicy:
@@ -173,12 +206,23 @@ class MLPPolicy:
                 activation=record["activation"],
                 observation_shape=tuple(record["observation_shape"]),
                 head=read_head(record["head"], arrays),
+                scaling=_scaling(record, arrays),
             )
         except (*MALFORMED, OSError) as error:
             raise StorageError(
                 f"{folder} must hold a whole {RECORD_FILE} and {WEIGHTS_FILE}, got {error!r}; "
                 "save the policy again"
             ) from error
+
+
+def _scaling(record: Any, arrays: Any) -> Scaling | None:
+    if "clip" not in record:
+        return None
+    mean, scale = arrays["scaling_mean"], arrays["scaling_scale"]
+    shape = tuple(record["observation_shape"])
+    if mean.shape != shape or scale.shape != shape or not (scale > 0.0).all():
+        raise ValueError(f"statistics of observations of shape {shape} must have it and be > 0")
+    return Scaling(mean, scale, float(record["clip"]))
 
 
 def is_mlp_folder(files: Sequence[str]) -> bool:

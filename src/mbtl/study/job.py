@@ -176,11 +176,14 @@ class _Steps:
             self._tell(progress)
 
 
-def perform_elsewhere(job: Job) -> Outcome | Trouble:
+def perform_elsewhere(
+    job: Job,
+    travel: tuple[type[Exception], ...] = (*NOT_THE_TRAININGS_FAULT, TrainingPruned),
+) -> Outcome | Trouble:
     """As `perform`, for a worker process: what it gives back can travel, whatever was raised."""
     outcome = perform(job)
     if isinstance(outcome, Trouble):
-        if not isinstance(outcome.error, (*NOT_THE_TRAININGS_FAULT, TrainingPruned)):
+        if not isinstance(outcome.error, travel):
             outcome = replace(outcome, error=None)
         if outcome.kept is not None and outcome.kept.artifact is not None:
             outcome = replace(outcome, kept=replace(outcome.kept, policy=None))

@@ -13,6 +13,7 @@ from typing import Any
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
+from mbtl.errors import MbtlError
 from mbtl.study.artifacts import FolderStore
 from mbtl.study.job import Job, Outcome, Trouble, perform, perform_elsewhere
 from mbtl.trainer import OnProgress, RehearsingTrainer
@@ -37,7 +38,7 @@ def rehearse(
         store = FolderStore(Path(folder))
         made = _Untrained(trainer)
         job = Job(made, targets[0], 0, targets, seeds, store, "policies/a/untrained", rehearse=True)
-        outcome = perform(job) if here else perform_elsewhere(job)
+        outcome = perform(job) if here else perform_elsewhere(job, (MbtlError,))
     return None if isinstance(outcome, Outcome) else outcome
 
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from mbtl.errors import (
     InvalidInput,
+    MbtlError,
     StorageError,
     StudyError,
     TrainingFailed,
@@ -217,6 +218,9 @@ def _rehearse(study: Study, trainer: RehearsingTrainer, executor: Executor | Non
         return
     if isinstance(trouble.error, NOT_THE_TRAININGS_FAULT):
         raise trouble.error
+    if isinstance(trouble.error, MbtlError):  # it says all; where it was raised says nothing more
+        cause = trouble.error.__cause__
+        raise TrainingFailed(f"{trouble.error}; nothing was trained") from cause
     raise failure(
         f"{trouble.stage} of an untrained policy failed with {trouble.reason}, so nothing was "
         "trained: mend the cause and run again; rehearse=False (--no-rehearsal) skips this trial",

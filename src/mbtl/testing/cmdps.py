@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mbtl.cmdps import CMDP, check_cmdp
-from mbtl.cmdps.rollouts import draw_actions
 from mbtl.contexts import Context, ContextSpace
+from mbtl.envs.recording import draw_actions
 
 
 class CMDPContract:

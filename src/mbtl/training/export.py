@@ -20,6 +20,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.errors import missing_extra
 from mbtl.portfolio import BoxHead, DiscreteHead, MLPPolicy
+from mbtl.training.adapted import AdaptedPolicy
 
 _PROBES = 96
 _NEAR_TIE = 1e-4  # relative; float32 and float64 may order two outputs this close differently
@@ -32,7 +33,7 @@ def export_mlp(model: Any) -> MLPPolicy | None:
     ones agree to float32 rounding.
 
     Args:
-        model: a Stable-Baselines3 algorithm.
+        model: a Stable-Baselines3 algorithm, or a policy of its trainer.
 
     Returns:
         The export, or None when the network is of another kind (convolutions, recurrence, masks,
@@ -41,6 +42,9 @@ def export_mlp(model: Any) -> MLPPolicy | None:
     Raises:
         MissingExtra: Stable-Baselines3 is not installed.
     """
+    if isinstance(model, AdaptedPolicy):
+        inner = export_mlp(model.model)
+        return None if inner is None else model.exported(inner)
     parts = _acting_layers(model)
     head = _head(model)
     if parts is None or head is None or not _flat_observations(model.policy):

@@ -6,16 +6,21 @@ import inspect
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.envs.references import reference_rows
-from mbtl.errors import InvalidInput, missing_extra, unknown_name
+from mbtl.envs.rollout import end, one_instance
+from mbtl.errors import InvalidInput, Notice, missing_extra, unknown_name
+from mbtl.processes import usable_cores
+from mbtl.score import Score
 from mbtl.seeds import action_seed, checkpoint_seeds, episode_seeds
 from mbtl.settings import described
 from mbtl.trainer import OnProgress, check_settings
@@ -58,6 +63,10 @@ class SB3Trainer(SB3Steps):
         clip_actions: on-policy algorithms learn from actions within their bounds, not from the
             samples beyond; see `mbtl.training.applied`.
         normalize_reward: divide rewards by the deviation of discounted returns (`VecNormalize`).
+        normalize_observations: learn from standardised observations (`VecNormalize`). Mean and
+            deviation are learnt in training, and kept, frozen, with the policy.
+        score: what an episode is worth: a key of the `info` of its last step, or a
+            `mbtl.score.Score`; None: the sum of its rewards.
         eval_episodes: episodes per target in `evaluate`.
         acting: "mean": deterministic actions. "sampled": as in training, drawn from the seed of the
             episode; for dense policies.
@@ -71,6 +80,8 @@ class SB3Trainer(SB3Steps):
             returns do not depend on it.
         n_envs: training environments; for teams, simulations.
         processes: one process for each of them, instead of stepping them in turn in this one.
+        apart: every environment has a process of its own, as simulators need of which there can be
+            one in a process. None: found out before two are open at once.
         tensorboard: folder for the library's TensorBoard scalars, one run per training.
         device: torch device.
         threads: torch threads while training and evaluating.
@@ -91,6 +102,8 @@ class SB3Trainer(SB3Steps):
     credit: Literal["own", "team"] = "own"
     clip_actions: bool = False
     normalize_reward: bool = False
+    normalize_observations: bool = False
+    score: str | Score | None = None
     eval_episodes: int = 10
     acting: Literal["mean", "sampled"] = "mean"
     checkpoint: Literal["final", "best"] = "final"
@@ -99,6 +112,7 @@ class SB3Trainer(SB3Steps):
     n_eval_envs: int | None = None
     n_envs: int = 1
     processes: bool = False
+    apart: bool | None = None
     tensorboard: Path | str | None = None
     device: str = "cpu"
     threads: int = 1
@@ -107,6 +121,7 @@ class SB3Trainer(SB3Steps):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hyperparameters", dict(self.hyperparameters or {}))
+        object.__setattr__(self, "score", Score.of(self.score))
         if not callable(self.make_env):
             raise InvalidInput(f"make_env must be a function of a context, got {self.make_env!r}")
         check_settings(self, _COUNTS, _OPTIONAL_COUNTS)
@@ -118,7 +133,9 @@ class SB3Trainer(SB3Steps):
         """Train on one context; the same seed gives the same weights.
 
         Returns:
-            The library's model, without its environments and buffers.
+            The library's model, without its environments and buffers; in an
+            `mbtl.training.adapted.AdaptedPolicy` where it counts choices from elsewhere than 0, or
+            standardises observations.
 
         Raises:
             TrainingFailed: the weights or the actions became NaN.
@@ -130,7 +147,7 @@ class SB3Trainer(SB3Steps):
             best = self._best_checkpoint(context, seed, stack)
             model = self._model(algorithm, context, seed, stack)
             none = None if self.episodes is None else 0
-            watch = Watch(model, self._length, on_progress, best, none)
+            watch = Watch(model, self._length, on_progress, best, none, self._score)
             learn(model, self.timesteps, watch, run_name(context, seed))
             if best is not None:
                 best.visit(model, watch.done, last=True)
@@ -154,7 +171,16 @@ class SB3Trainer(SB3Steps):
         return self.for_all_contexts(contexts).train(next(iter(contexts), {}), seed, on_progress)
 
     def untrained(self, context: Context) -> Any:
-        """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
+        """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`).
+
+        Before, an episode of random actions is looked at: `mbtl.envs.opening`.
+
+        Raises:
+            InvalidInput: the environments are not new, keep running statistics, have spaces that no
+                algorithm takes, or show what is far outside of them.
+            TrainingFailed: an episode does not end.
+        """
+        self._look_at(context)
         one = replace(self, n_envs=1, processes=False, tensorboard=None)
         algorithm = self._algorithm()  # before torch is needed
         with ExitStack() as stack, warnings.catch_warnings():
@@ -177,9 +203,11 @@ class SB3Trainer(SB3Steps):
 
     def reference_rows(self, contexts: Sequence[Context], seeds: Sequence[int]) -> dict[str, Array]:
         """See `mbtl.trainer.ReferenceTrainer`; `mbtl.envs.references` has what is unguided."""
-        envs = self.n_eval_envs or EVALUATION_ENVS
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
-        return reference_rows(self.make_env, contexts, each, max_envs=envs)
+        open_env, envs = self.opener(
+            contexts, min(len(contexts), self.n_eval_envs or EVALUATION_ENVS)
+        )
+        return reference_rows(open_env, contexts, each, max_envs=envs, score=self._score)
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Write the library's zip, and a numpy copy where there is one; no replay buffer."""
@@ -216,7 +244,48 @@ class SB3Trainer(SB3Steps):
         """As `recipe`, of `train_on_all`."""
         return {**self.recipe, "contexts": "uniform, one per episode"}
 
+    def opener(
+        self, contexts: Sequence[Context], at_once: int
+    ) -> tuple[Callable[[Context], Any], int]:
+        """How environments of these contexts are opened, and how many of them at once.
+
+        Raises:
+            InvalidInput: as of `mbtl.envs.opening.once_per_process`.
+        """
+        from mbtl.envs.opening import once_per_process  # needs Gymnasium
+        from mbtl.envs.remote import remote
+
+        apart = self.apart
+        if apart is None and at_once > 1:
+            apart = once_per_process(self.make_env, contexts) is not None
+        if not apart:
+            return self.make_env, at_once
+        return partial(remote, self.make_env), min(at_once, usable_cores())
+
     # ---- inside ------------------------------------------------------------------------------
+
+    @property
+    def _score(self) -> Score | None:
+        return Score.of(self.score)
+
+    def _look_at(self, context: Context) -> None:
+        """Refuse an environment that nothing can be learnt in, before anything is trained."""
+        from mbtl.envs.opening import is_same, refuse_running_statistics, watched_episode
+        from mbtl.envs.recording import opened
+
+        make = partial(self.make_env, dict(context))
+        with opened(make) as (one,):
+            refuse_running_statistics(one)
+            same = False
+            # a second one may be too much, which `once_per_process` finds out
+            with suppress(Exception), opened(make) as (other,):
+                same = is_same(one, other)
+        if same:
+            raise one_instance()
+        with opened(make) as (env,):
+            if not hasattr(env, "possible_agents"):
+                watched_episode(env, 0, say=partial(warnings.warn, category=Notice, stacklevel=2))
+
     @property
     def _length(self) -> int:
         """Of a training, in steps or episodes."""
@@ -228,9 +297,15 @@ class SB3Trainer(SB3Steps):
     def _length_record(self) -> dict[str, Any]:
         """Settings that came later are named where they are used: old records stay as they were."""
         unit = "timesteps" if self.episodes is None else "episodes"
-        usual = ("normalize_reward", False), ("credit", "own"), ("clip_actions", False)
-        later = [(name, getattr(self, name), old) for name, old in (*usual, ("acting", "mean"))]
-        return {unit: self._length, **{name: now for name, now, old in later if now != old}}
+        usual: dict[str, Any] = {
+            **{"normalize_reward": False, "normalize_observations": False, "clip_actions": False},
+            **{"credit": "own", "acting": "mean"},
+        }
+        now = {name: getattr(self, name) for name in usual}
+        later = {name: value for name, value in now.items() if value != usual[name]}
+        if self._score is not None:
+            later["score"] = self._score.record
+        return {unit: self._length, **later}
 
     def _algorithm(self) -> tuple[Any, dict[str, Any]]:
         """The library's class and its keyword arguments."""
@@ -287,29 +362,46 @@ class SB3Trainer(SB3Steps):
     def _training_envs(self, context: Context, stack: ExitStack) -> Any:
         from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
 
-        make = partial(self.make_env, context)
+        from mbtl.envs.opening import refuse_running_statistics
+
+        several = self.checkpoint == "best" or (self.n_envs > 1 and not self.processes)
+        open_env, _ = self.opener([context], 2 if several else 1)
+        make = partial(self.make_env if self.processes else open_env, context)
         first = make()  # tells what it is; used where it is, as it cannot be sent to a process
+        try:
+            refuse_running_statistics(first)
+            if self.normalize_observations:
+                _check_normalised(first.observation_space)
+        except InvalidInput:
+            end(first)
+            raise
         makers: list[Any] = [make] * self.n_envs
         if self.processes:
-            first.close()
+            end(first)
         else:
             makers[0] = lambda: first
         if hasattr(first, "possible_agents"):
             from mbtl.training.shared import SharedVecEnv
 
-            if self.normalize_reward:
+            if self.normalize_reward or self.normalize_observations:
                 raise InvalidInput(
-                    "rewards of agents that come and go cannot be normalised, got "
-                    "normalize_reward=True; scale them in the environment"
+                    "what agents that come and go see and earn cannot be normalised, got "
+                    f"normalize_reward={self.normalize_reward} and normalize_observations="
+                    f"{self.normalize_observations}; scale it in the environment"
                 )
             envs: Any = SharedVecEnv(makers, processes=self.processes, credit=self.credit)
         else:
             monitored = [partial(_monitored, one) for one in makers]
             envs = SubprocVecEnv(monitored) if self.processes else DummyVecEnv(monitored)
         stack.callback(close, envs)
-        if self.normalize_reward:
+        if self.normalize_reward or self.normalize_observations:
             gamma = self.hyperparameters.get("gamma", 0.99)
-            envs = VecNormalize(envs, norm_obs=False, norm_reward=True, gamma=gamma)
+            envs = VecNormalize(
+                envs,
+                norm_obs=self.normalize_observations,
+                norm_reward=self.normalize_reward,
+                gamma=gamma,
+            )
         return envs
 
     def _best_checkpoint(
@@ -319,12 +411,15 @@ class SB3Trainer(SB3Steps):
             return None
         count = min(self.checkpoint_episodes, self.n_eval_envs or EVALUATION_ENVS)
         envs = []
+        open_env, _ = self.opener([context], count + 1)
         for _ in range(count):
-            envs.append(self.make_env(context))
-            stack.callback(envs[-1].close)
+            envs.append(open_env(context))
+            stack.callback(end, envs[-1])
         seeds = checkpoint_seeds(seed, self.checkpoint_episodes)
         every = self.checkpoint_every or max(1, math.ceil(0.02 * self._length))
-        return BestCheckpoint(envs, seeds, every, sampled=self.acting == "sampled")
+        return BestCheckpoint(
+            envs, seeds, every, sampled=self.acting == "sampled", score=self._score
+        )
 
     def _log_folder(self) -> str | None:
         if self.tensorboard is None:
@@ -352,4 +447,19 @@ def _steps(value: Any, envs: Any, name: str) -> Any:
 def _monitored(make: Callable[[], Any]) -> Any:
     from stable_baselines3.common.monitor import Monitor
 
-    return Monitor(make())
+    from mbtl.envs.spaces import Plain
+
+    return Monitor(Plain(make()))
+
+
+def _check_normalised(space: Any) -> None:
+    """Refuse observations that cannot be standardised."""
+    if callable(space):  # of a team, which is refused
+        return
+    parts = getattr(space, "spaces", {"": space}).values()
+    if not all(getattr(part, "dtype", None) in (np.float32, np.float64) and hasattr(part, "low")
+               for part in parts):  # fmt: skip
+        raise InvalidInput(
+            "observations that are standardised are boxes of real numbers, got "
+            f"{space}; give the environment such, or leave normalize_observations out"
+        )

@@ -1,7 +1,8 @@
 """Files of a Stable-Baselines3 policy.
 
     model.zip                   the library's own format
-    sb3.json                    which algorithm and versions wrote it
+    sb3.json                    which algorithm and versions wrote it, and what stands between the
+                                model and its environments (`mbtl.training.adapted`)
     weights.npz, policy.json    numpy copy of the acting network, where there is one (`export_mlp`)
 
 Reading `model.zip` can execute code: the library keeps some settings in it as cloudpickle. Open
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from mbtl.errors import InvalidInput, MbtlError, StorageError
+from mbtl.training.adapted import AdaptedPolicy, model_of, read_adapted
 from mbtl.training.algorithms import algorithm_class
 from mbtl.training.export import export_mlp
 from mbtl.training.isolation import isolated
@@ -25,8 +27,9 @@ MODEL_FILE = "model.zip"
 RECORD_FILE = "sb3.json"
 
 
-def save_sb3(model: Any, folder: Path) -> None:
-    """Write a model, without its replay buffer, and its numpy copy into the empty `folder`."""
+def save_sb3(policy: Any, folder: Path) -> None:
+    """Write a policy, without its replay buffer, and its numpy copy into the empty `folder`."""
+    model = model_of(policy)
     model.save(folder / MODEL_FILE)
     kind = type(model)
     package = kind.__module__.partition(".")[0]
@@ -34,10 +37,11 @@ def save_sb3(model: Any, folder: Path) -> None:
         "kind": "stable-baselines3 policy",
         "algorithm": kind.__name__,
         "package": package,
+        **({"adapted": policy.record()} if isinstance(policy, AdaptedPolicy) else {}),
         "versions": {n: importlib.metadata.version(n) for n in ("stable-baselines3", "torch")},
     }
     (folder / RECORD_FILE).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-    exported = export_mlp(model)
+    exported = export_mlp(policy)
     if exported is not None:
         exported.save(folder)
 
@@ -68,7 +72,8 @@ def load_sb3(folder: Path | str, algorithm: str | type | None = None, device: st
             )
         kind = algorithm_class(record["algorithm"] if algorithm is None else algorithm)
         with isolated():  # the library seeds the global generators when it builds a model
-            return kind.load(folder / MODEL_FILE, device=device)
+            model = kind.load(folder / MODEL_FILE, device=device)
+        return read_adapted(model, record.get("adapted"))
     except MbtlError:
         raise
     except Exception as error:  # a damaged or foreign zip raises whatever its parts raise

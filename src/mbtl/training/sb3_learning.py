@@ -6,7 +6,9 @@ import contextlib
 from typing import Any
 
 from mbtl.contexts import Context
+from mbtl.envs.rollout import end
 from mbtl.errors import SimulationFailed, TrainingFailed
+from mbtl.training.adapted import adapted
 from mbtl.training.watch import Watch
 
 _GONE = (EOFError, BrokenPipeError, ConnectionResetError)
@@ -53,7 +55,7 @@ def learn(model: Any, total: int | None, watch: Watch, name: str, *, anew: bool 
 def close(envs: Any) -> None:
     """Close them; a process that is gone cannot answer, and what ended it is told elsewhere."""
     with contextlib.suppress(*_GONE):
-        envs.close()
+        end(envs)
 
 
 def _finite(model: Any) -> bool:
@@ -68,9 +70,13 @@ def _diverged(model: Any) -> TrainingFailed:
 
 
 def lightened(model: Any) -> Any:
-    """Drop what only training needs: environments (closed by now), buffers, open log files."""
+    """The policy: of the model, what only training needs is dropped.
+
+    Those are environments (soon to be closed), buffers and open log files.
+    """
+    policy = adapted(model)
     model.logger.close()
-    model.env = None
+    model.env = model._vec_normalize_env = None
     for name in ("_logger", "_last_obs", "_last_original_obs", "_last_episode_starts"):
         model.__dict__.pop(name, None)
     for name in ("replay_buffer", "rollout_buffer"):
@@ -78,7 +84,7 @@ def lightened(model: Any) -> Any:
             setattr(model, name, None)
     for module in (model.policy, getattr(model.policy, "actor", None)):
         _forget_last_actions(getattr(module, "action_dist", None))
-    return model
+    return policy
 
 
 def _forget_last_actions(distribution: Any) -> None:

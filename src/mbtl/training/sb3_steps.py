@@ -34,6 +34,7 @@ from mbtl.files import whole_file
 from mbtl.seeds import Purpose, derive_seed, episode_seeds
 from mbtl.set_trainer import check_counted, in_steps
 from mbtl.trainer import OnProgress, Reached, checked_returns
+from mbtl.training.adapted import begin_statistics, model_of
 from mbtl.training.isolation import isolated
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
 from mbtl.training.watch import EVALUATION_ENVS, Watch, actor_for
@@ -94,7 +95,7 @@ class SB3Steps:
                 return int(model.num_timesteps) // getattr(model.env, "slots", 1)
 
             told = on_progress if none is None else in_steps(on_progress, played)
-            watch = Watch(model, trainer._length, told, None, episodes)
+            watch = Watch(model, trainer._length, told, None, episodes, trainer._score)
             if watch.done < steps:
                 model.collect_rollouts = _Pausing(model, watch, steps, saved)
                 name = run_name(context, seed)
@@ -149,11 +150,12 @@ class SB3Steps:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
         trainer = cast("SB3Trainer", self)
         each = episode_seeds(seeds, len(contexts), trainer.eval_episodes)
-        pairs = zip(contexts, each, strict=True)
-        jobs = [Job(partial(trainer.make_env, one), own) for one, own in pairs]
         with isolated(trainer.threads):
             actor = actor_for(policy, sampled=trainer.acting == "sampled")
-            most = trainer.n_eval_envs or EVALUATION_ENVS
+            most = min(len(contexts), trainer.n_eval_envs or EVALUATION_ENVS)
+            open_env, most = trainer.opener(contexts, most)
+            pairs = zip(contexts, each, strict=True)
+            jobs = [Job(partial(open_env, one), own, trainer._score) for one, own in pairs]
             returns, lasted = play_counted(jobs, actor, max_envs=most)
         shape = (len(jobs), trainer.eval_episodes)
         return checked_returns(np.reshape(returns, shape), len(jobs)), np.reshape(lasted, shape)
@@ -251,8 +253,9 @@ def _can_be_copied(envs: Any) -> bool:
 
 
 def _begin_with(model: Any, start: Any) -> None:
+    begin_statistics(model, getattr(start, "statistics", {}))
     try:
-        model.policy.load_state_dict(start.policy.state_dict())
+        model.policy.load_state_dict(model_of(start).policy.state_dict())
     except (AttributeError, RuntimeError) as error:
         raise InvalidInput(
             f"a training begins from a model of its own algorithm and network, got "

@@ -45,7 +45,7 @@ class SharedVecEnv(VecEnvWrapper):  # type: ignore[misc]  # stable_baselines3 is
     """The slots of one or several simulations as one vectorised environment.
 
     Row `i * slots + k` is slot k of simulation i. `infos` of the agent's last step have "episode",
-    its return and length; one info has "score" when a simulation has ended.
+    its return and length; one info has `mbtl.envs.rollout.ENDED` when a simulation has ended.
 
     Attributes:
         slots: per simulation.

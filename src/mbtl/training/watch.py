@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from mbtl.envs.rollout import Actor, Env, Job, play
+from mbtl.envs.rollout import ENDED, Actor, Env, Job, play
+from mbtl.score import Score
 from mbtl.trainer import OnProgress, Progress
+from mbtl.training.adapted import Statistics, adapted, begin_statistics, model_of
 from mbtl.training.export import export_mlp
 
 REPORTS = 100
@@ -25,7 +27,7 @@ _RECENT = 100
 
 def actor_for(policy: Any, *, sampled: bool = False) -> Actor:
     """Actor of a policy, on its numpy copy when there is one (about ten times as fast as torch)."""
-    exported = export_mlp(policy) if hasattr(policy, "policy") else None
+    exported = export_mlp(policy) if hasattr(model_of(policy), "policy") else None
     return Actor(policy if exported is None else exported, sampled)
 
 
@@ -38,14 +40,23 @@ class BestCheckpoint:
     """
 
     def __init__(
-        self, envs: Sequence[Env], seeds: Sequence[int], every: int, *, sampled: bool = False
+        self,
+        envs: Sequence[Env],
+        seeds: Sequence[int],
+        every: int,
+        *,
+        sampled: bool = False,
+        score: Score | None = None,
     ) -> None:
         """`seeds`, one per episode, are dealt out over `envs`; `every` is in units of training."""
         self._sampled = sampled
-        self._jobs = [Job(partial(_same, e), seeds[i :: len(envs)]) for i, e in enumerate(envs)]
+        self._jobs = [
+            Job(partial(_same, e), seeds[i :: len(envs)], score) for i, e in enumerate(envs)
+        ]
         self._every, self._due = every, every
         self._updates: int | None = None
         self._weights: dict[str, Any] = {}
+        self._statistics: Mapping[str, Statistics] = {}
         self.latest: float | None = None
         self.best: float | None = None
 
@@ -57,18 +68,21 @@ class BestCheckpoint:
         if model._n_updates == self._updates:
             return
         self._updates = model._n_updates
-        actor = actor_for(model, sampled=self._sampled)
+        policy = adapted(model)
+        actor = actor_for(policy, sampled=self._sampled)
         returns = play(self._jobs, actor, max_envs=len(self._jobs), keep_open=True)
         self.latest = float(np.concatenate(returns).mean())
         if self.best is None or self.latest > self.best:
             self.best = self.latest
             state = model.policy.state_dict()
             self._weights = {name: tensor.detach().clone() for name, tensor in state.items()}
+            self._statistics = getattr(policy, "statistics", {})
 
     def restore(self, model: Any) -> None:
         """Put the best weights back."""
         if self._weights:
             model.policy.load_state_dict(self._weights)
+            begin_statistics(model, self._statistics)
 
 
 class Watch:
@@ -85,9 +99,11 @@ class Watch:
         on_progress: OnProgress | None,
         best: BestCheckpoint | None,
         episodes: int | None = None,
+        score: Score | None = None,
     ) -> None:
+        self._score = score
         self._model, self._total, self._on_progress, self._best = model, total, on_progress, best
-        ends = "score" if hasattr(model.env, "slots") else "episode"  # of a team
+        ends = ENDED if hasattr(model.env, "slots") else "episode"  # of a team
         self._ends = None if episodes is None else ends
         self._interval = max(1, total // REPORTS)
         self._due, self.episodes = self._interval, episodes
@@ -103,7 +119,9 @@ class Watch:
         # one step into the next episode: what ends on the last step has been learnt from by then
         enough = self.episodes is not None and self.episodes >= self._total
         infos = given.get("infos", ())
-        self._scores.extend(float(info["score"]) for info in infos if "score" in info)
+        if self._score is not None:
+            key = self._score.key
+            self._scores.extend(float(info[key]) for info in infos if key in info and _ends(info))
         if self.episodes is not None:
             ended = sum(self._ends in info for info in infos)
             if ended:
@@ -136,6 +154,11 @@ class Watch:
             metrics["best_return"] = self._best.best
         unit = "episodes" if self._ends else "steps"
         self._on_progress(Progress(step, self._total, metrics, unit))
+
+
+def _ends(info: Mapping[str, Any]) -> bool:
+    """Whether an episode ended with the step that this tells of."""
+    return "episode" in info or ENDED in info
 
 
 def _same(env: Env) -> Env:

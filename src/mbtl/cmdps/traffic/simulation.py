@@ -21,10 +21,20 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mbtl.cmdps.traffic.software import check_version, library, program, why_not
+from mbtl.envs.opening import shared_well
 from mbtl.errors import InvalidInput, MbtlError, SimulationFailed, unknown_name
 
 Engine = Literal["auto", "libsumo", "traci"]
 ENGINES: tuple[Engine, ...] = ("auto", "libsumo", "traci")
+
+
+def _is_held() -> bool:
+    """Whether one of us runs in this process's libsumo: the next one does without."""
+    other = _holder() if _holder is not None else None
+    return other is not None and other.running == "libsumo" and other._pid == os.getpid()
+
+
+shared_well["libsumo"] = _is_held
 
 _logger = logging.getLogger(__name__)
 _labels = itertools.count()
@@ -148,8 +158,7 @@ class Simulation:
     def _choose(self) -> Engine:
         if self._gui or self._engine == "traci":
             return "traci"
-        other = _holder() if _holder is not None else None
-        busy = other is not None and other.running == "libsumo" and other._pid == os.getpid()
+        busy = _is_held()
         if self._engine == "libsumo":
             if busy:
                 raise SimulationFailed(

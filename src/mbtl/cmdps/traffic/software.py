@@ -6,6 +6,7 @@ search path) serves where it is missing.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import re
@@ -45,8 +46,12 @@ def library(name: str) -> Any:
     Raises:
         MissingExtra: it is not installed, or the machine lacks a library that it needs.
     """
+    # of traci the part that talks to another process, also where LIBSUMO_AS_TRACI has made it
+    # libsumo; what it then prints belongs to nobody's standard output
+    module = "traci.main" if name == "traci" else name
     try:
-        return importlib.import_module(name)
+        with contextlib.redirect_stdout(None):
+            return importlib.import_module(module)
     except ModuleNotFoundError as error:
         raise missing_extra(name, "traffic") from error
     except ImportError as error:

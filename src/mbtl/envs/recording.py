@@ -9,7 +9,7 @@ Notation (shapes): T recorded moments, F numbers of the flattened observation.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,19 +17,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
+from mbtl.envs.rollout import end
+from mbtl.envs.spaces import Outside, outside
 from mbtl.errors import InvalidInput
 from mbtl.seeds import action_seed
 
 _RESET = -1
 
+_Moment = tuple[Array, "Outside | None", float, int]
+
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """What one environment showed under a fixed list of actions."""
+    """What one environment showed under a fixed list of actions.
+
+    Attributes:
+        outside: the first observation that is far outside its space, else the first that is not
+            in it, with its moment; None: all are in it.
+    """
 
     observations: Array
     rewards: Array
     endings: NDArray[np.int8]
+    outside: Outside | None = None
 
     @property
     def ended(self) -> bool:
@@ -53,13 +63,12 @@ def draw_actions(action_space: Any, n: int, seed: int) -> list[Any]:
 
 def roll(env: Any, actions: Sequence[Any], seed: int) -> Rollout:
     """Reset with `seed`, take the actions, and reset without a seed whenever an episode ends."""
-    with_seed = _moments(env, actions, seed)
-    return _record(list(with_seed))
+    return _record(list(_moments(env, actions, seed)))
 
 
 def roll_together(envs: Sequence[Any], actions: Sequence[Any], seed: int) -> list[Rollout]:
     """The same rollouts with the environments taking turns, moment by moment."""
-    turns: list[list[tuple[Array, float, int]]] = [[] for _ in envs]
+    turns: list[list[_Moment]] = [[] for _ in envs]
     running = [(log, _moments(env, actions, seed)) for log, env in zip(turns, envs, strict=True)]
     while running:
         unfinished = []
@@ -105,7 +114,11 @@ def difference(one: Rollout, other: Rollout, *, dynamics_only: bool = False) -> 
 def opened(*makers: Any) -> Iterator[list[Any]]:
     """Environments from argument-less makers, closed at the end."""
     with ExitStack() as stack:
-        yield [stack.enter_context(closing(make())) for make in makers]
+        envs = []
+        for make in makers:
+            envs.append(make())
+            stack.callback(end, envs[-1])
+        yield envs
 
 
 def flat(space: Any, observation: Any) -> Array:
@@ -118,12 +131,25 @@ def flat(space: Any, observation: Any) -> Array:
 
     if not space.is_np_flattenable:
         raise InvalidInput(f"observations must flatten to a fixed number of values, got {space}")
-    return np.asarray(spaces.flatten(space, observation), dtype=np.float64)
+    return np.array(spaces.flatten(space, observation), dtype=np.float64)
 
 
-def _moments(env: Any, actions: Sequence[Any], seed: int) -> Iterator[tuple[Array, float, int]]:
+def _moments(env: Any, actions: Sequence[Any], seed: int) -> Iterator[_Moment]:
     space = env.observation_space
-    yield flat(space, _reset(env, seed)), 0.0, _RESET
+
+    def seen(observation: Any) -> tuple[Array, Outside | None]:
+        miss = outside(space, observation)
+        try:
+            return flat(space, observation), miss
+        except (IndexError, KeyError, TypeError, ValueError):  # a choice or key that there is not
+            if miss is None:
+                raise
+            raise InvalidInput(
+                f"observations must lie in their space {space}, got {miss.said}; mend the space "
+                "or the observation"
+            ) from None
+
+    yield *seen(_reset(env, seed)), 0.0, _RESET
     for action in actions:
         result = env.step(action)
         if not (isinstance(result, tuple) and len(result) == 5):
@@ -132,9 +158,9 @@ def _moments(env: Any, actions: Sequence[Any], seed: int) -> Iterator[tuple[Arra
                 f"{type(result).__name__} of {len(result) if isinstance(result, tuple) else 1}"
             )
         observation, reward, terminated, truncated, _ = result
-        yield flat(space, observation), float(reward), int(terminated) + 2 * int(truncated)
+        yield *seen(observation), float(reward), int(terminated) + 2 * int(truncated)
         if terminated or truncated:
-            yield flat(space, _reset(env, None)), 0.0, _RESET
+            yield *seen(_reset(env, None)), 0.0, _RESET
 
 
 def _reset(env: Any, seed: int | None) -> Any:
@@ -146,9 +172,14 @@ def _reset(env: Any, seed: int | None) -> Any:
     return result[0]
 
 
-def _record(moments: Sequence[tuple[Array, float, int]]) -> Rollout:
-    observations, rewards, endings = zip(*moments, strict=True)
-    return Rollout(np.stack(observations), np.asarray(rewards), np.asarray(endings, dtype=np.int8))
+def _record(moments: Sequence[_Moment]) -> Rollout:
+    observations, missed, rewards, endings = zip(*moments, strict=True)
+    misses = [
+        Outside(f"{miss.said}, at moment {i}", miss.far) for i, miss in enumerate(missed) if miss
+    ]
+    worst = next((miss for miss in misses if miss.far), misses[0] if misses else None)
+    codes = np.asarray(endings, dtype=np.int8)
+    return Rollout(np.stack(observations), np.asarray(rewards), codes, worst)
 
 
 def _unequal(a: Array, b: Array) -> NDArray[np.bool_]:
