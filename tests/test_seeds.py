@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 
 from mbtl.errors import InvalidInput
@@ -39,10 +40,17 @@ def test_episodes_of_a_target_follow_from_its_seed_alone():
     assert len({seed for own in several for seed in own}) == 10
 
 
-@pytest.mark.parametrize("seeds", [5, [5], range(3)])
+@pytest.mark.parametrize("seeds", [5.0, None, [5], range(3)])
 def test_an_evaluation_takes_a_seed_per_context(seeds):
     with pytest.raises(InvalidInput, match="one seed per context, here 2, got"):
         episode_seeds(seeds, 2, 5)
+
+
+def test_one_number_stands_for_a_seed_of_each_target():
+    several = episode_seeds(5, 3, 4)
+    assert several == episode_seeds(np.int64(5), 3, 4)
+    assert len({seed for own in several for seed in own}) == 12
+    assert episode_seeds(6, 3, 4) != several
 
 
 def test_selection_is_reproducible_and_moves_with_the_pick():

@@ -95,21 +95,24 @@ def episode_seed(evaluation: int, episode: int) -> int:
     return derive_seed(evaluation, Purpose(top) if known else Purpose.EVALUATION, episode)
 
 
-def episode_seeds(evaluations: Sequence[int], targets: int, episodes: int) -> list[list[int]]:
+def episode_seeds(evaluations: Sequence[int] | int, targets: int, episodes: int) -> list[list[int]]:
     """Seeds of all episodes on all targets, (targets, episodes); see `episode_seed`.
 
     Args:
-        evaluations: one seed per target.
+        evaluations: one seed per target; a single number stands for one each that follow from it
+            and from the place in the list, where no study hands any out.
         targets: number of them.
         episodes: of each.
 
     Raises:
         InvalidInput: there is not one seed per target.
     """
+    if isinstance(evaluations, int | np.integer):
+        evaluations = evaluation_seeds(int(evaluations), 0, range(targets))
     if not hasattr(evaluations, "__len__") or len(evaluations) != targets:
         raise InvalidInput(
             f"an evaluation takes one seed per context, here {targets}, got {evaluations!r}; a "
-            "study hands them out (`study.evaluation_seeds()`), elsewhere `range(n)` will do"
+            "study hands them out (`study.evaluation_seeds()`), elsewhere one number will do"
         )
     return [[episode_seed(seed, e) for e in range(episodes)] for seed in evaluations]
 

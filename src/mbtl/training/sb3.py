@@ -188,7 +188,9 @@ class SB3Trainer(SB3Steps):
             stack.enter_context(isolated(self.threads))
             return lightened(one._model(algorithm, context, 0, stack))
 
-    def evaluate(self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]) -> Array:
+    def evaluate(
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int] | int
+    ) -> Array:
         """What episodes are worth (see `mbtl.envs.rollout`), (n_targets, eval_episodes).
 
         The seeds of a context's episodes follow from the one given for it, so they are the same for
@@ -196,12 +198,14 @@ class SB3Trainer(SB3Steps):
         be an `MLPPolicy`, too.
 
         Raises:
-            InvalidInput: there is not one seed per context.
+            InvalidInput: there is another number of seeds than of contexts.
             TrainingFailed: a return is NaN or infinite, or an episode does not end.
         """
         return self.evaluate_steps(policy, contexts, seeds)[0]
 
-    def reference_rows(self, contexts: Sequence[Context], seeds: Sequence[int]) -> dict[str, Array]:
+    def reference_rows(
+        self, contexts: Sequence[Context], seeds: Sequence[int] | int
+    ) -> dict[str, Array]:
         """See `mbtl.trainer.ReferenceTrainer`; `mbtl.envs.references` has what is unguided."""
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         open_env, envs = self.opener(

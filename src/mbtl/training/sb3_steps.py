@@ -145,7 +145,7 @@ class SB3Steps:
         return replace(trainer, make_env=Everywhere(trainer.make_env, tuple(contexts)))
 
     def evaluate_steps(
-        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int] | int
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
         trainer = cast("SB3Trainer", self)

@@ -193,7 +193,7 @@ class WorldSteps:
         return Reached(policies[0], played(ends[stage] + int(training.updates)))
 
     def evaluate_steps(
-        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int] | int
     ) -> tuple[Array, Array]:
         """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
         trainer = cast("WorldTrainer", self)

@@ -309,7 +309,7 @@ class WorldTrainer(WorldSteps):
     # ---- evaluation --------------------------------------------------------------------------
 
     def evaluate(
-        self, policy: MLPPolicy, contexts: Sequence[Context], seeds: Sequence[int]
+        self, policy: MLPPolicy, contexts: Sequence[Context], seeds: Sequence[int] | int
     ) -> Array:
         """Returns without adaptation, (n_targets, eval_episodes).
 
@@ -317,13 +317,13 @@ class WorldTrainer(WorldSteps):
         the same for every policy, and whatever the other contexts.
 
         Raises:
-            InvalidInput: there is not one seed per context.
+            InvalidInput: there is another number of seeds than of contexts.
             TrainingFailed: a return is NaN or infinite.
         """
         return checked_returns(self.evaluate_many([policy], contexts, seeds)[0], len(contexts))
 
     def evaluate_many(
-        self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seeds: Sequence[int]
+        self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seeds: Sequence[int] | int
     ) -> Array:
         """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`."""
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
@@ -335,7 +335,7 @@ class WorldTrainer(WorldSteps):
         self,
         policies: Sequence[MLPPolicy],
         contexts: Sequence[Sequence[Context]],
-        seeds: Sequence[int],
+        seeds: Sequence[int] | int,
     ) -> dict[str, dict[str, Array]]:
         """What the world measures of episodes beside the score; nothing where it has no measures.
 
@@ -367,7 +367,9 @@ class WorldTrainer(WorldSteps):
             found[way] = engine.measured(world, None, params, own, way=way)
         return found
 
-    def reference_rows(self, contexts: Sequence[Context], seeds: Sequence[int]) -> dict[str, Array]:
+    def reference_rows(
+        self, contexts: Sequence[Context], seeds: Sequence[int] | int
+    ) -> dict[str, Array]:
         """See `mbtl.trainer.ReferenceTrainer`."""
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         world, params = self.problem(contexts)
