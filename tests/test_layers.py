@@ -12,6 +12,7 @@ import mbtl
 ROOT = Path(mbtl.__file__).parent
 CORE = [
     "errors",
+    "faults",
     "score",
     "plain",
     "version",
@@ -28,10 +29,11 @@ CORE = [
     "seeds",
     "contexts",
     "objective",
+    "history",
+    "episodes",
     "checkpoints",
     "trainer",
     "set_trainer",
-    "history",
     "models",
     "routing",
     "acquisition",

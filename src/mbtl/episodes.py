@@ -74,7 +74,7 @@ class Episodes:
         if not self.several:
             return None
         width = self.bounds.high - self.bounds.low
-        found = np.array([scatter(each) for each in self.returns]) / width
+        found = np.array([episode_moments(each)[1] for each in self.returns]) / width
         return standard_errors(found, self.counts)
 
     @cached_property
@@ -157,8 +157,22 @@ def student(freedom: float) -> float:
     return float(stdtrit(min(freedom, _MANY), 0.975))
 
 
-def scatter(returns: Array) -> Array:
-    """(N,) standard deviation of single episodes, with n - 1; NaN for one."""
-    if returns.shape[1] == 1:
-        return np.full(len(returns), np.nan)
-    return np.asarray(returns.std(axis=1, ddof=1))
+def episode_moments(returns: Array) -> tuple[Array, Array]:
+    """(T,) means and standard deviations of (T, E) returns, of the episodes that have one.
+
+    A mean of m < E episodes is less sure. Its deviation is given sqrt(E / m) times as large, so
+    that deviation / sqrt(E) is the standard error of each mean. The deviation is with m - 1, and
+    where m = 1 the usual one of the other targets. NaN: no episode has a return, or no deviation
+    is known.
+    """
+    seen = np.isfinite(returns)
+    count = seen.sum(axis=1)
+    total = np.where(seen, returns, 0.0).sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = total / count
+        squares = np.square(np.where(seen, returns - means[:, None], 0.0)).sum(axis=1)
+        deviations = np.sqrt(squares / (count - 1.0))
+        deviations[count < 2] = np.nan
+        if np.isfinite(deviations).any():
+            deviations[count == 1] = np.nanmedian(deviations)
+        return means, deviations * np.sqrt(returns.shape[1] / count)

@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from mbtl.errors import InvalidInput, unknown_name
+from mbtl.faults import FAULTS, reason_of
 
 _FORM = "module:attribute or path/to/file.py:attribute"
 
@@ -81,11 +82,9 @@ def _load_module(name: str, folder: Path | None = None) -> ModuleType:
             f"no module is called {name!r} in {home} or among the installed packages; run from the "
             f"folder that holds it, or give {_FORM}"
         ) from None
-    except Exception as error:
+    except FAULTS as error:
         raise _failed(name, error) from error
 
 
-def _failed(name: str, error: Exception) -> InvalidInput:
-    return InvalidInput(
-        f"{name!r} must import without an error, got {type(error).__name__}: {error}"
-    )
+def _failed(name: str, error: BaseException) -> InvalidInput:
+    return InvalidInput(f"{name!r} must import without an error, got {reason_of(error)}")

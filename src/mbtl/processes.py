@@ -162,7 +162,7 @@ def _obey() -> None:
 def _leave(*_: object) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough
     sys.stderr = open(os.devnull, "w")  # noqa: SIM115  closed pipes and the like concern nobody now
-    raise SystemExit(1)
+    raise KeyboardInterrupt  # not SystemExit, which is a fault of the code that it ends
 
 
 def _end_with_master() -> None:

@@ -64,12 +64,13 @@ def derive_seed(root: int, purpose: Purpose, *path: int) -> int:
     return (int(purpose) << _HASH_BITS) | (int(state[0]) >> (32 - _HASH_BITS))
 
 
-def training_seed(root: int, trial: int, source: int, repeat: int = 0) -> int:
+def training_seed(root: int, trial: int, source: int, repeat: int = 0, retry: int = 0) -> int:
     """Seed of the training on `source` (index) in `trial`; independent of the pick number.
 
-    `repeat` counts the earlier trainings on the same source, of a study that allows several.
+    `repeat` counts the earlier trainings on the same source, of a study that allows several, and
+    `retry` how often this one failed and was begun again: with its seed it might fail again.
     """
-    again = (repeat,) if repeat else ()
+    again = (repeat, retry) if retry else (repeat,) if repeat else ()
     return derive_seed(root, Purpose.TRAINING, trial, source, *again)
 
 

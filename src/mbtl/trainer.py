@@ -20,6 +20,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
+from mbtl.episodes import episode_moments
 from mbtl.errors import InvalidInput, TrainingFailed, unknown_name
 from mbtl.plain import LARGEST, floats, refused
 from mbtl.settings import described, described_code
@@ -351,17 +352,25 @@ def _always(context: Context) -> Callable[[int], str]:
 
 
 def checked_returns(
-    returns: Any, n_targets: int, name: Callable[[int], str] = "target {}".format
+    returns: Any,
+    n_targets: int,
+    name: Callable[[int], str] = "target {}".format,
+    *,
+    whole: bool = False,
 ) -> Array:
     """Returns of one evaluation as (n_targets, n_episodes) numbers that can be computed with.
+
+    NaN is an episode that has none.
 
     Args:
         returns: what an evaluation gave; what a masked array hides is missing.
         n_targets: number of contexts evaluated on.
         name: what a target is called, by its place among them.
+        whole: NaN is refused, too.
 
     Raises:
-        TrainingFailed: wrong shape, or a value that is NaN, infinite, or beyond `LARGEST`.
+        TrainingFailed: wrong shape, NaN everywhere, or a value that is infinite or beyond
+            `LARGEST`.
     """
     try:
         array = floats(returns)
@@ -376,7 +385,8 @@ def checked_returns(
             f"returns must have shape ({n_targets},) or ({n_targets}, n_episodes), "
             f"got {np.shape(returns)}"
         )
-    bad = np.argwhere(refused(array))
+    wrong, missing = refused(array), np.isnan(array)
+    bad = np.argwhere(wrong if whole or missing.all() else wrong & ~missing)
     if len(bad):
         target, episode = bad[0].tolist()
         raise TrainingFailed(
@@ -385,6 +395,21 @@ def checked_returns(
             f"{array.size}; give an episode that broke off the worst return there is"
         )
     return array
+
+
+def completed(returns: Array) -> Array:
+    """(T, E) returns, where an episode that has none counts as the mean of its context's others.
+
+    Raises:
+        TrainingFailed: a context has none at all.
+    """
+    means, _ = episode_moments(returns)
+    if np.isnan(means).any():
+        raise TrainingFailed(
+            f"each context needs the return of an episode, got NaN in all of "
+            f"{int(np.isnan(means).sum())} of {len(means)} contexts"
+        )
+    return np.where(np.isnan(returns), means[:, None], returns)
 
 
 def checked_targets(targets: Sequence[int] | None, n: int) -> list[int]:

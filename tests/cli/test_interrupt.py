@@ -1,4 +1,4 @@
-"""Ctrl-C, or a batch system's SIGTERM: exit 1 and how to go on, soon, and nobody left behind."""
+"""Ctrl-C, or a batch system's SIGTERM: exit 130 and how to go on, soon, and nobody left behind."""
 
 import os
 import signal
@@ -21,7 +21,7 @@ from mbtl.cli import program; program()
 """Whoever runs the tests in the background, or under nohup, has them inherit deaf ears."""
 
 
-def test_an_interrupt_in_the_middle_of_a_jax_training_ends_with_1(tmp_path):
+def test_an_interrupt_in_the_middle_of_a_jax_training_ends_with_130(tmp_path):
     pytest.importorskip("jax")
     command = ["run", "pendulum-length", "--preset", "full", "--timesteps", "20000000"]
     log = tmp_path / "log"
@@ -34,7 +34,7 @@ def test_an_interrupt_in_the_middle_of_a_jax_training_ends_with_1(tmp_path):
         time.sleep(4.0)  # compiling or learning
         process.send_signal(signal.SIGINT)
         code = process.wait(timeout=HANGING)
-    assert code == 1, log.read_text()
+    assert code == 130, log.read_text()
     assert "run the same command again to go on" in log.read_text()
 
 
@@ -87,7 +87,7 @@ def test_workers_and_their_simulators_end_with_their_master(tmp_path, command, n
     assert not any(map(is_running, started))
     assert len(started) >= least
     if number != signal.SIGKILL:
-        assert code == 1, log.read_text()
+        assert code == 130, log.read_text()
         assert "run the same command again to go on" in log.read_text()
         assert "Traceback" not in log.read_text()
     assert not list(tmp_path.glob("scratch-*"))

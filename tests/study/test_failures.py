@@ -3,11 +3,14 @@
 `Bench` trains nothing: a policy is the context's number, worth 1 there and less farther away.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import mbtl
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
+from mbtl.seeds import training_seed
 from mbtl.study import Callback
 
 pytestmark = pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
@@ -244,7 +247,7 @@ def test_only_a_failed_pick_is_opened_again_once():
     study.retry(0)
     assert not study.state.failures
     again = study.ask()
-    assert again == pick  # the same training, with the same seed
+    assert again == replace(pick, seed=training_seed(0, 0, pick.source, 0, 1))
     with pytest.raises(StudyError, match="pick 1, which did not fail"):
         study.retry(pick)
     study.fail(again, "diverged again")

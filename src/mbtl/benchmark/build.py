@@ -207,8 +207,8 @@ class Build:
         trainer = self.trainer
         if self._references.is_file() or not isinstance(trainer, ReferenceTrainer):
             return
-        rows = trainer.reference_rows(self.space.contexts, self._evaluation_seeds)
-        checked = {name: checked_returns(row, self.space.n) for name, row in rows.items()}
+        rows, n = trainer.reference_rows(self.space.contexts, self._evaluation_seeds), self.space.n
+        checked = {name: checked_returns(row, n, whole=True) for name, row in rows.items()}
         write_npz(self._references, {k: row.astype(np.float32) for k, row in checked.items()})
 
     def _entries(self, key: str) -> list[Any]:

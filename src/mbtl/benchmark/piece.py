@@ -198,7 +198,7 @@ def _evaluate(piece: Piece, policies: Sequence[Any]) -> Array:
         rows: Any = trainer.evaluate_many(policies, targets, piece.evaluation)
     else:
         rows = [trainer.evaluate(policy, targets, piece.evaluation) for policy in policies]
-    return np.stack([checked_returns(row, len(targets)) for row in rows])
+    return np.stack([checked_returns(row, len(targets), whole=True) for row in rows])
 
 
 def _along(piece: Piece, along: Along, policies: Policies) -> Array:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import logging
 import os
-import signal
 import sys
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import typer
 
 from mbtl.cli.bench import bench
 from mbtl.cli.check import check
 from mbtl.cli.cmdps import cmdps
-from mbtl.cli.common import console, interruptible, interrupts, print_origin
-from mbtl.cli.interrupts import keep_interrupts
+from mbtl.cli.common import INTERRUPTED, console, interruptible, interrupts, print_origin
+from mbtl.cli.interrupts import deafen, hear_interrupts, keep_interrupts
 from mbtl.cli.matrix import matrix_app
 from mbtl.cli.play import play
 from mbtl.cli.report import report
@@ -24,7 +24,7 @@ from mbtl.cli.run import run
 from mbtl.cli.study import study_app
 from mbtl.cli.watch import watch
 from mbtl.cli.worker import worker
-from mbtl.errors import InvalidInput, MbtlError, TrainingFailed
+from mbtl.errors import InvalidInput, MbtlError, TrainingFailed, cannot_write
 from mbtl.processes import end_children
 from mbtl.version import __version__
 
@@ -63,23 +63,36 @@ def program() -> None:
     """What the installed command runs: `main`, and after an interrupt in jax an end without ado.
 
     XLA's threads go on computing then, and the interpreter, taken down around them, crashes.
-    A batch system's SIGTERM is an interrupt, too, and so is the end of the terminal. None is lost.
     """
-    for name in ("SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup
-            signal.signal(number, signal.default_int_handler)
+    hear_interrupts()
     keep_interrupts()
+    code = 0
     try:
         main()
+    except KeyboardInterrupt:  # before a command had begun
+        console.print("interrupted")
+        code = INTERRUPTED
     except SystemExit as end:
-        if interrupts:
-            end_children()
-        if interrupts and "jax" in sys.modules:
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(end.code if isinstance(end.code, int) else bool(end.code))
-        raise
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    deafen()
+    if interrupts:
+        end_children()
+    for stream in (sys.stdout, sys.stderr):
+        _settle(stream)
+    if interrupts and "jax" in sys.modules:
+        os._exit(code)
+    sys.exit(code)
+
+
+def _settle(stream: TextIO | None) -> None:
+    """What can be written is; what cannot be must not be tried, and shown, at the very end."""
+    if stream is None:
+        return
+    try:
+        stream.flush()
+    except (OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def main() -> None:
@@ -92,12 +105,20 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     logging.getLogger("mbtl").addHandler(logging.NullHandler())  # callbacks show it all
     try:
-        app()
+        try:
+            app()
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()
     except MbtlError as error:
         if isinstance(error, TrainingFailed):  # of the user's own code, as often as not
             print_origin(error)
         console.print(f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
         sys.exit(2 if isinstance(error, InvalidInput) else 1)
     except BrokenPipeError:  # the reader of a pipe has had enough
-        sys.stderr.close()
+        sys.exit(1)
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        console.print(f"error: {cannot_write('standard output', error)}", style="red")
         sys.exit(1)

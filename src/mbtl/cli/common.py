@@ -6,27 +6,103 @@ error.
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import shutil
 import sys
 import time
-import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, TextIO, cast
 
 import numpy as np
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions
+from rich.segment import Segment
 
-from mbtl.errors import Notice
+from mbtl.errors import Notice, cannot_write
+from mbtl.faults import harmless, traceback_of, writable
 from mbtl.files import from_home
 
-console = Console(stderr=True)
-"""Progress, notes and errors: always standard error."""
+
+class _Standard(io.TextIOBase):
+    """One of the two standard streams, as it is at the moment of writing.
+
+    Args:
+        name: of it in `sys`.
+        is_forgiving: what cannot be written is forgotten; else it is an error.
+    """
+
+    def __init__(self, name: str, *, is_forgiving: bool) -> None:
+        self._name, self._is_forgiving = name, is_forgiving
+
+    def write(self, text: str) -> int:
+        stream = self._stream
+        if stream is not None:
+            with self._trouble():
+                stream.write(writable(text, stream))
+        return len(text)
+
+    def flush(self) -> None:
+        if self._stream is not None:
+            with self._trouble():
+                self._stream.flush()
+
+    def isatty(self) -> bool:
+        return self._stream is not None and self._stream.isatty()
+
+    def fileno(self) -> int:
+        if self._stream is None:
+            raise io.UnsupportedOperation("fileno")
+        return self._stream.fileno()
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return getattr(self._stream, "encoding", None) or "utf-8"
+
+    @property
+    def _stream(self) -> TextIO | None:
+        found: TextIO | None = getattr(sys, self._name)  # a live display puts its own there
+        behind: TextIO | None = getattr(found, "rich_proxied_file", found)
+        return behind
+
+    @contextmanager
+    def _trouble(self) -> Iterator[None]:
+        try:
+            yield
+        except BrokenPipeError:
+            if not self._is_forgiving:
+                raise
+        except OSError as error:
+            if not self._is_forgiving:
+                raise cannot_write("standard output", error) from error
+
+
+class Screen(Console):
+    """A console for texts of whatever origin, of whatever width and on whatever stream."""
+
+    def __init__(self, stream: _Standard) -> None:
+        super().__init__(file=cast(TextIO, stream))
+        if self.width < 1:  # COLUMNS=0
+            self.width = max(shutil.get_terminal_size().columns, 1)
+
+    def render(self, renderable: Any, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """All that is printed comes by here: escape sequences are rich's own, or are shown."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=harmless(segment.text))
+
+    def on_broken_pipe(self) -> None:
+        """The reader of a pipe has had enough: `main` ends quietly."""
+        raise
+
+
+console = Screen(_Standard("stderr", is_forgiving=True))
+"""Progress, notes and errors: always standard error, and never worth the work itself."""
+_output = _Standard("stdout", is_forgiving=False)
 
 SILENCE = 60.0
 """Seconds after which a log, where there is no terminal, is told that long work goes on."""
@@ -42,6 +118,8 @@ JsonFlag = Annotated[
 ]
 
 
+INTERRUPTED = 130
+"""Exit code after an interrupt."""
 interrupts: list[str] = []
 """Commands of this process that were interrupted."""
 
@@ -55,12 +133,12 @@ def interruptible(command: Callable[..., None]) -> Callable[..., None]:
             if isinstance(given, Path):
                 kwargs[name] = from_home(given)
         try:
-            with json_alone() if kwargs.get("json") else nullcontext():
+            with plain_warnings(), json_alone() if kwargs.get("json") else nullcontext():
                 command(*args, **kwargs)
         except KeyboardInterrupt:
             console.print("interrupted: run the same command again to go on")
             interrupts.append(command.__name__)
-            raise typer.Exit(130) from None
+            raise typer.Exit(INTERRUPTED) from None
 
     return wrapped
 
@@ -98,15 +176,19 @@ def json_alone() -> Iterator[None]:
 
 @contextmanager
 def plain_warnings() -> Iterator[None]:
-    """In the block, what a user should know at once is a line and not a place in our code."""
+    """In the block, what a user should know at once is a line and not a place in our code.
+
+    Others are shown as ever, by the console, since their texts may be of anybody.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("always", Notice)
-        usual = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if not issubclass(category, Notice):
-                return usual(message, category, *where, **more)
-            console.print(f"warning: {message}", style="yellow", markup=False, soft_wrap=True)
+            if issubclass(category, Notice):
+                console.print(f"warning: {message}", style="yellow", markup=False, soft_wrap=True)
+            else:
+                said = warnings.formatwarning(message, category, *where[:2])
+                console.print(said, markup=False, highlight=False, soft_wrap=True, end="")
 
         warnings.showwarning = show
         yield
@@ -117,7 +199,7 @@ def print_origin(error: BaseException) -> None:
     cause = error.__cause__
     lines = getattr(error, "__notes__", [])  # of another process
     if cause is not None:
-        lines = traceback.format_exception(cause)
+        lines = [traceback_of(cause)]
     if lines:
         console.print(
             "".join(lines).rstrip(), style="dim", markup=False, highlight=False, soft_wrap=True
@@ -140,12 +222,12 @@ class LongWork:
 
 def printer() -> Console:
     """Console for the human-readable result on standard output."""
-    return Console()
+    return Screen(_output)
 
 
 def print_json(document: Any) -> None:
     """Write one JSON document to standard output; NaN and infinity become null."""
-    to = _documents[-1] if _documents else sys.stdout
+    to = _documents[-1] if _documents else _output
     to.write(json.dumps(plain(document), indent=2, allow_nan=False) + "\n")
     to.flush()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from types import TracebackType
@@ -112,9 +113,21 @@ class LiveProgress(Callback):
         words = f"pick {pick.number + 1}/{study.spec.budget} was taken over by somebody else"
         self._console.print(words, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
+    def on_stuck(self, study: Study, pick: Pick, reason: str) -> None:
+        """Its failure is recorded, and the process can only be ended: nothing else would be."""
+        self._console.print(
+            f"pick {pick.number + 1}/{study.spec.budget}  {study.space.describe(pick.context)}  "
+            f"failed: {reason}. This process ends, since it cannot go on; the same command does",
+            style="red",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+        os._exit(1)
+
     def on_waiting(self, study: Study, others: Sequence[str]) -> None:
         """One line that stays."""
-        words = waiting_words(others)
+        words = waiting_words(study, others)
         self._console.print(words, markup=False, highlight=False, soft_wrap=True)
 
     def on_report(self, study: Study) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import typer
 
 from mbtl.arrays import Array
-from mbtl.cli.common import AcceptFlag, JsonFlag, console, plain_warnings, print_json, printer
+from mbtl.cli.common import AcceptFlag, JsonFlag, console, print_json, printer
 from mbtl.cli.folders import check_folder, set_aside, study_in
 from mbtl.cli.master import artifacts_for, check_master, command, follow
 from mbtl.cli.progress import LiveProgress
@@ -122,6 +122,10 @@ def run(
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Train again where trainings failed.")
     ] = False,
+    timeout: Annotated[
+        float | None,
+        typer.Option(help="Seconds that a training with its evaluation may take."),
+    ] = None,
     no_rehearsal: Annotated[
         bool,
         typer.Option("--no-rehearsal", help="Skip the trial evaluation before the first training."),
@@ -185,9 +189,10 @@ def run(
         wish = StepWish(problem, steps_of(str(steps)), strategy, preset, seed, engine, score,
                         timesteps, episodes, eval_episodes, tensorboard, artifacts, workers,
                         accept_changes)  # fmt: skip
-        run_steps(wish, study, new=new, failures=stop_after_failures, as_json=as_json)
+        run_steps(wish, study, new=new, failures=stop_after_failures, timeout=timeout,
+                  as_json=as_json)  # fmt: skip
         return
-    check_options(parallel, stop_after_failures=stop_after_failures)
+    check_options(parallel, stop_after_failures=stop_after_failures, timeout=timeout)
     cmdp = resolve_cmdp(problem, engine=engine, score=score)
     get_selector(selector)  # a mistyped name must not set a study aside
     if timesteps is not None and cmdp.preset(preset).episodes is not None:
@@ -249,7 +254,7 @@ def run(
             artifacts=artifacts,
         )
         follow(running, start, retry_failed=retry_failed)
-    with plain_warnings(), LiveProgress(running, console) as live:
+    with LiveProgress(running, console) as live:
         callbacks: list[Callback] = [live]
         if tensorboard is not None:
             from mbtl.study.tensorboard import TensorBoardCallback
@@ -262,6 +267,7 @@ def run(
                 stop_after_failures=stop_after_failures,
                 retry_failed=retry_failed and workers is None,
                 rehearse=not no_rehearsal,
+                timeout=timeout,
                 progress=False,
                 callbacks=callbacks,
                 accept_changes=accept_changes,

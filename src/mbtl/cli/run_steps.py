@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mbtl.cli.common import console, plain_warnings, print_json, printer
+from mbtl.cli.common import console, print_json, printer
 from mbtl.cli.folders import check_folder, set_aside, study_in
 from mbtl.cli.master import artifacts_for, check_master, command
 from mbtl.cli.step_progress import StepProgress
@@ -16,6 +16,8 @@ from mbtl.cmdps import resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError
 from mbtl.plot import policy_map, save
 from mbtl.report.step_text import show_steps
+from mbtl.study.limits import check_limits
+from mbtl.study.steps.claims import LEASE
 from mbtl.study.steps.create import create_step_study
 from mbtl.study.steps.prices import episodes_of, units_to
 from mbtl.study.steps.strategies import DEFAULT, strategy_named
@@ -97,9 +99,16 @@ def check_steps(steps: str | None, others: Sequence[str]) -> None:
 
 
 def run_steps(
-    wish: StepWish, place: Path | None, *, new: bool, failures: int, as_json: bool
+    wish: StepWish,
+    place: Path | None,
+    *,
+    new: bool,
+    failures: int,
+    timeout: float | None,
+    as_json: bool,
 ) -> None:
     """Make the study or go on with it, spend its steps, and sum up."""
+    check_limits(LEASE, timeout)
     cmdp = resolve_cmdp(wish.problem, engine=wish.engine, score=wish.score)
     strategy = strategy_named(wish.strategy or DEFAULT)  # before a study is set aside
     given = {
@@ -136,11 +145,12 @@ def run_steps(
             url, study.name, wish.problem, engine=wish.engine, score=wish.score, artifacts=artifacts
         )
         follow(study, start)
-    with plain_warnings(), StepProgress(console) as live:
+    with StepProgress(console) as live:
         study.run(
             progress=False,
             callbacks=[live],
             stop_after_failures=failures,
+            timeout=timeout,
             accept_changes=wish.accept_changes,
         )
     _finish(study, trainer, folder, as_json=as_json)

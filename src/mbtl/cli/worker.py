@@ -20,7 +20,6 @@ from mbtl.cli.common import (
     JsonFlag,
     console,
     interrupts,
-    plain_warnings,
     print_json,
 )
 from mbtl.cli.interrupts import interrupt_main
@@ -92,7 +91,7 @@ def worker(
         int, typer.Option(help="Times a failed training is begun again before it counts.")
     ] = 0,
     timeout: Annotated[
-        float | None, typer.Option(help="Seconds that a training may take, where it reports.")
+        float | None, typer.Option(help="Seconds that a training with its evaluation may take.")
     ] = None,
     stop_after_failures: Annotated[
         int, typer.Option(help="End after so many failed trainings in a row.")
@@ -119,7 +118,7 @@ def worker(
     cmdp = resolve_cmdp(problem, engine=engine, score=score)
     tally, over = _Tally(), threading.Event()
     opened: Study | None = None
-    with plain_warnings(), _spoken(), _alarm(end, over):
+    with _spoken(), _alarm(end, over):
         try:
             try:
                 opened = _opened(study, name, cmdp, artifacts, selector, patience)
@@ -129,12 +128,13 @@ def worker(
             if opened is None:
                 meaningless = {
                     "--selector": selector is not None, "--retries": retries != 0,
-                    "--timeout": timeout is not None, "--no-rehearsal": no_rehearsal,
+                    "--no-rehearsal": no_rehearsal,
                 }  # fmt: skip
                 step_worker.check_options(meaningless)
                 _of_steps(
                     study, name, cmdp, artifacts, Patience(patience), over, lease=lease,
-                    failures=stop_after_failures, wait=not no_wait, accept_changes=accept_changes,
+                    failures=stop_after_failures, timeout=timeout, wait=not no_wait,
+                    accept_changes=accept_changes,
                     as_json=as_json,
                 )  # fmt: skip
                 return
@@ -180,6 +180,7 @@ def _of_steps(
     *,
     lease: float,
     failures: int,
+    timeout: float | None,
     wait: bool,
     accept_changes: bool,
     as_json: bool,
@@ -197,6 +198,7 @@ def _of_steps(
                 report=False,
                 stop_after_failures=failures,
                 lease=lease,
+                timeout=timeout,
                 wait=wait,
                 accept_changes=accept_changes,
             )

@@ -14,6 +14,7 @@ from importlib.metadata import EntryPoint, entry_points
 
 from mbtl.cmdps.cmdp import CMDP
 from mbtl.errors import InvalidInput
+from mbtl.faults import FAULTS, reason_of
 
 GROUP = "mbtl.cmdps"
 
@@ -37,9 +38,9 @@ def plugin_cmdp(id: str) -> CMDP | None:
         found = point.load()
         if callable(found) and not isinstance(found, CMDP):
             found = found()
-    except Exception as error:  # whatever somebody else's module raises
+    except FAULTS as error:  # whatever somebody else's module raises
         raise InvalidInput(
-            f"{where} cannot be loaded from {point.value!r}: {type(error).__name__}: {error}; "
+            f"{where} cannot be loaded from {point.value!r}: {reason_of(error)}; "
             "update or remove that package"
         ) from error
     if not isinstance(found, CMDP):

@@ -13,6 +13,7 @@ from mbtl.cmdps.findings import Check, Outcome
 from mbtl.contexts import Categorical, Context, ContextSpace, Value
 from mbtl.envs.recording import Rollout, difference, draw_actions, opened, roll, roll_together
 from mbtl.errors import InvalidInput, MissingExtra, Notice
+from mbtl.faults import FAULTS, reason_of
 from mbtl.score import Score
 from mbtl.seeds import action_seed
 
@@ -89,8 +90,8 @@ class Probe:
             raise
         except InvalidInput as error:
             outcome, detail = "failed", str(error)
-        except Exception as error:  # a stranger's environment may raise anything
-            outcome, detail = "failed", f"{type(error).__name__}: {error}"
+        except FAULTS as error:  # a stranger's environment may raise anything
+            outcome, detail = "failed", reason_of(error)
         yield Check(name, outcome, detail)
 
     @property

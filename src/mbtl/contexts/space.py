@@ -28,6 +28,7 @@ from mbtl.contexts.axes import (
     grid_values,
 )
 from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, unknown_name
+from mbtl.faults import harmless
 from mbtl.settings import differences
 from mbtl.untrusted import MALFORMED
 
@@ -210,9 +211,9 @@ class ContextSpace:
         units = {axis.name: axis.unit for axis in self.axes}
         parts = []
         for name, value in context.items():
-            number = f"{value:.4g}" if isinstance(value, float) else str(value)
+            number = f"{value:.4g}" if isinstance(value, float) else harmless(str(value), 60)
             parts.append(f"{name} = {number} {units.get(name, '')}".rstrip())
-        return between.join(parts)
+        return harmless(between.join(parts))
 
     def named(self, indices: Sequence[int] | NDArray[np.intp]) -> Callable[[int], str]:
         """What the place-th of these contexts is called, for messages."""

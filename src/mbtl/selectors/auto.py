@@ -48,6 +48,7 @@ from mbtl.selectors.base import (
     nearest_distance,
     open_candidates,
     spread,
+    success_chance,
 )
 from mbtl.selectors.contract import Traits
 
@@ -137,6 +138,7 @@ class Auto:
         costs = np.ones(problem.n)
         if problem.costs is not None:  # their unit must not matter to what counts as a tie
             costs = problem.costs / problem.costs.mean()
+        costs = costs / success_chance(problem, history)  # of a training that gives a policy
         wide = spread(problem, np.flatnonzero(problem.weights > 0), self.final_targets)
         outlook = first = self._judged(problem, beliefs)
         if not problem.is_line and self.finalists and len(wide) > len(first.targets):

@@ -216,6 +216,33 @@ def open_candidates(
     return mask
 
 
+_USUAL = 0.9
+"""Probability that a training gives a policy, before anything is known."""
+_REGION = 0.3
+"""Share of the space that a region takes in which trainings crash, roughly."""
+_WEIGHT = 4.0
+"""What one training adds to the log odds of another one at its place."""
+
+
+def success_chance(problem: SelectionProblem, history: History) -> Array:
+    """(N,) probability that a training on each context gives a policy, learnt from the past ones.
+
+    log s / (1 - s) = log 9 + 4 sum_i +-exp(-|x - x_i|^2 / 2 h^2),  3 h the side of 30 % of the cube
+
+    with + for trainings that gave a policy and - for those that did not: simulators crash by
+    regions. It is 1 everywhere before the first failure.
+    """
+    if not history.failed:
+        return np.ones(problem.n)
+    reach = _REGION ** (1.0 / problem.unit.shape[1]) / 3.0
+    odds = np.full(problem.n, np.log(_USUAL / (1.0 - _USUAL)))
+    for sign, places in ((1.0, history.sources), (-1.0, history.failed)):
+        for place in places:  # one after the other: there may be a million contexts
+            apart = np.square(problem.unit - problem.unit[place]).sum(axis=1)
+            odds += sign * _WEIGHT * np.exp(-apart / (2.0 * reach**2))
+    return np.asarray(0.5 + 0.5 * np.tanh(odds / 2.0))
+
+
 def nearest_open(problem: SelectionProblem, point: Array, mask: NDArray[np.bool_]) -> int:
     """Open context nearest to `point` (D,) in grid steps; the lowest index on a tie."""
     distance = np.sqrt(((problem.steps - point) ** 2).sum(axis=1))

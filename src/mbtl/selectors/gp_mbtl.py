@@ -86,7 +86,8 @@ class GPMBTL:
             mask,
             lambda x, t, weights: gap.gain(upper[x], steps[x], steps[t], best[t], weights),
         )
-        return choose(gain, std, asked, "largest optimistic gain", (*gp.notes, *notes))
+        notes = (*gp.notes, *notes)
+        return choose(problem, history, gain, std, asked, "largest optimistic gain", notes)
 
 
 def _incumbent(

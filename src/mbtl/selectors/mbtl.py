@@ -17,7 +17,14 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models import FittedGap, FittedGP, GPSettings, LinearGap, fit_gp, predicted_rows
 from mbtl.models.gp import Fitter
-from mbtl.selectors.base import Outlook, Proposal, SelectionProblem, first_pick, open_candidates
+from mbtl.selectors.base import (
+    Outlook,
+    Proposal,
+    SelectionProblem,
+    first_pick,
+    open_candidates,
+    success_chance,
+)
 from mbtl.selectors.contract import Traits
 from mbtl.selectors.model_based import (
     choose,
@@ -98,7 +105,8 @@ class MBTL:
         mean, std = gp.predict(problem.steps)
         gain, asked, notes = self._gain(problem, history, mask, gp, theta, mean, std)
         kind = "expected" if self.acquisition == "ei" else "optimistic"
-        return choose(gain, std, asked, f"largest {kind} gain", (*gp.notes, *notes))
+        notes = (*gp.notes, *notes)
+        return choose(problem, history, gain, std, asked, f"largest {kind} gain", notes)
 
     def outlook(
         self, problem: SelectionProblem, history: History, candidates: NDArray[np.intp]
@@ -155,7 +163,7 @@ def start(
     Warm-up goes on while no training performance is known, since there is nothing to fit.
     """
     told = len(history)
-    begun = told + len(history.pending)
+    begun = told + len(history.pending) + len(history.failed)
     if told == 0:
         return first_pick(problem, history, mask)
     if begun < 1 + warm_up or not np.isfinite(history.training_performance).any():
@@ -167,6 +175,8 @@ def start(
             rows = predicted_rows(own, pending, problem.steps, problem.theta)
             best = np.fmax(best, rows.max(axis=0))
         counted = mask & (problem.weights > 0)
-        worst = worst_context(best, counted if counted.any() else mask)
+        counted = counted if counted.any() else mask
+        likely = counted & (success_chance(problem, history) >= 0.5)
+        worst = worst_context(best, likely if likely.any() else counted)
         return Proposal(worst, "warm-up: worst context so far")
     return None

@@ -50,7 +50,8 @@ class MBTLRelease:
         upper = mean + np.sqrt(np.log(n + 1.0)) * std
         best = np.maximum(observed_incumbent(problem, history, gp, problem.theta), 0.0)
         gain, asked, notes = optimistic_gains(problem, mask, upper, best, problem.theta)
-        return choose(gain, std, asked, "largest optimistic gain", (*gp.notes, *notes))
+        notes = (*gp.notes, *notes)
+        return choose(problem, history, gain, std, asked, "largest optimistic gain", notes)
 
 
 def running_own_best(history: History) -> Array:

@@ -14,7 +14,7 @@ from mbtl.errors import MbtlError
 from mbtl.history import History
 from mbtl.models import FittedGP, GPSettings, fit_gp, predicted_rows
 from mbtl.models.gp import Fitter, squared_distances
-from mbtl.selectors.base import Proposal, SelectionProblem, spread
+from mbtl.selectors.base import Proposal, SelectionProblem, spread, success_chance
 
 GainOf = Callable[[NDArray[np.intp], NDArray[np.intp], Array], Array]
 MOST = 4000
@@ -148,11 +148,21 @@ def optimistic_gains(
 
 
 def choose(
-    acquisition: Array, std: Array, mask: NDArray[np.bool_], reason: str, notes: tuple[str, ...]
+    problem: SelectionProblem,
+    history: History,
+    acquisition: Array,
+    std: Array,
+    mask: NDArray[np.bool_],
+    reason: str,
+    notes: tuple[str, ...],
 ) -> Proposal:
-    """The largest acquisition; where it is zero everywhere, the largest posterior deviation."""
-    source = argmax_open(acquisition, mask)
+    """The largest acquisition; where it is zero everywhere, the largest posterior deviation.
+
+    Both count as much as a training there is likely to give a policy.
+    """
+    success = success_chance(problem, history)
+    source = argmax_open(acquisition * success, mask)
     if acquisition[source] <= _NOTHING:
-        source = argmax_open(std, mask)
+        source = argmax_open(std * success, mask)
         return Proposal(source, "no predicted gain anywhere: most uncertain context", 0.0, notes)
     return Proposal(source, reason, float(acquisition[source]), notes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mbtl.errors import InvalidInput, unknown_name
+from mbtl.faults import FAULTS, reason_of
 from mbtl.loading import load_object
 from mbtl.selectors.auto import Auto
 from mbtl.selectors.clustering import KMeansSelector
@@ -67,10 +68,10 @@ def _own(reference: str) -> Selector:
     if isinstance(found, type) or (callable(found) and not isinstance(found, Proposes)):
         try:
             found = found()
-        except Exception as error:
+        except FAULTS as error:
             raise InvalidInput(
                 f"{reference!r} must make a selector when called without arguments, got "
-                f"{type(error).__name__}: {error}; name a selector made with them instead"
+                f"{reason_of(error)}; name a selector made with them instead"
             ) from error
     if not isinstance(found, Proposes):
         raise InvalidInput(

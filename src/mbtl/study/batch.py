@@ -6,7 +6,6 @@ and its policy is kept, in its folder or in memory, to be evaluated again.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
 from mbtl.study.artifacts import spools_of
 from mbtl.study.callbacks import Callback, where
-from mbtl.study.flights import Flights, brought_back, may_try_again, too_long
+from mbtl.study.flights import Flights, brought_back, may_try_again
 from mbtl.study.job import (
     NOT_THE_TRAININGS_FAULT,
     Job,
@@ -28,6 +27,7 @@ from mbtl.study.job import (
     perform_elsewhere,
 )
 from mbtl.study.keeper import Keeper
+from mbtl.study.limits import too_long
 from mbtl.study.pick import Pick
 from mbtl.trainer import Progress, Trainer
 
@@ -49,7 +49,7 @@ class Batches:
         rehearse: the first policy is read back and evaluated on two targets before all else.
         callbacks: told what happens.
         keeper: keeps the leases of the picks.
-        timeout: seconds that a training may take; None: as many as it wants.
+        timeout: seconds that a training and its evaluation may take; None: as many as they want.
         retries: so often a training that failed is begun again before it counts as failed.
         held: picks whose policy could not be evaluated. They stay with this process meanwhile, so
             that nobody tries again at once.
@@ -67,6 +67,7 @@ class Batches:
     held: list[Pick] = field(default_factory=list)
     _in_a_row: int = 0
     _asked: int = 0
+    _given_up: set[int] = field(default_factory=set)
     _ending: bool = False
     _failed: tuple[Pick, Trouble] | None = None
 
@@ -107,12 +108,12 @@ class Batches:
         try:
             for pick, outcome in outcomes:
                 if outcome is None:
-                    waiting.remove(pick)
+                    _remove(waiting, pick)
                     self._lose(pick)
                     continue
                 if isinstance(outcome, Outcome):
                     in_time = self._tell(pick, outcome)
-                    waiting.remove(pick)
+                    _remove(waiting, pick)
                     if in_time:
                         self._announce("on_told", pick)
                     continue
@@ -121,7 +122,7 @@ class Batches:
                     end, self._ending = end or outcome.error, True
                     continue
                 in_time = self._record(pick, outcome)
-                waiting.remove(pick)
+                _remove(waiting, pick)
                 if not in_time:
                     continue
                 if outcome.pruned and outcome.kept is None:
@@ -157,7 +158,7 @@ class Batches:
             self._announce("on_pick", pick)
         if self.executor is None:
             for pick in batch:
-                yield pick, self._perform_here(pick)
+                yield self._perform_here(pick)
             return
         futures = [self.executor.submit(perform_elsewhere, self._job(pick)) for pick in batch]
         for pick, future in zip(batch, futures, strict=True):
@@ -171,7 +172,7 @@ class Batches:
         While nothing has succeeded and something failed, nothing new is begun.
         """
         assert self.executor is not None
-        flights = Flights(self.executor, self.timeout, self.retries)
+        flights = Flights(self.executor, self.timeout, self.retries, self._again)
         try:
             while True:
                 doubt = self._failed is not None and not self.study.has_succeeded
@@ -189,34 +190,52 @@ class Batches:
         finally:
             flights.cancel()
 
-    def _perform_here(self, pick: Pick) -> Outcome | Trouble | None:
-        started, tries = time.monotonic(), 0
+    def _perform_here(self, pick: Pick) -> tuple[Pick, Outcome | Trouble | None]:
+        tries = 0
         while True:
             try:
                 outcome = perform(
                     self._job(pick),
-                    partial(self._progressed, pick, started),
+                    partial(self._progressed, pick),
                     partial(self._keep, pick),
                     partial(self._announce, "on_evaluation", pick),
+                    partial(self._give_up, pick),
                 )
             except _Stopped:
-                return None
+                return pick, None
             except _Pruned as wrapped:
-                return Trouble("training", str(wrapped.error), "", wrapped.error)
-            except _TookTooLong:
-                return too_long(self.timeout)
+                return pick, Trouble("training", str(wrapped.error), "", wrapped.error)
             tries += 1
+            if pick.number in self._given_up:
+                return pick, None
             if not may_try_again(outcome) or tries > self.retries:
-                return outcome
-            started = time.monotonic()
+                return pick, outcome
+            assert isinstance(outcome, Trouble)
+            again = self.study.begin_again(pick, outcome.reason, traceback=outcome.traceback)
+            if again is None:
+                return pick, None
+            pick = again
 
-    def _progressed(self, pick: Pick, started: float, progress: Progress) -> None:
+    def _again(self, pick: Pick, trouble: Trouble) -> tuple[Pick, Job] | None:
+        """Another try of a training that failed, with another seed."""
+        again = self.study.begin_again(pick, trouble.reason, traceback=trouble.traceback)
+        return None if again is None else (again, self._job(again))
+
+    def _give_up(self, pick: Pick) -> None:
+        """In another thread: this one is in native code, perhaps for ever, and will not answer."""
+        self._given_up.add(pick.number)
+        assert self.timeout is not None
+        reason = f"{too_long(self.timeout)}, in native code that does not return"
+        self.study.fail(pick, reason)
+        self.keeper.drop(pick)
+        for callback in self.callbacks:
+            callback.on_stuck(self.study, pick, reason)
+
+    def _progressed(self, pick: Pick, progress: Progress) -> None:
         self._announce("on_progress", pick, progress)
         self.keeper.said(pick, progress)
         if self.keeper.is_lost(pick):
             raise _Stopped
-        if self.timeout is not None and time.monotonic() - started > self.timeout:
-            raise _TookTooLong
 
     def _job(self, pick: Pick) -> Job:
         study, places = self.study, places_of(self.study, pick)
@@ -233,6 +252,7 @@ class Batches:
             Kept(study.untold[pick.number]) if pick.number in study.untold else None,
             self.rehearse and not study.has_succeeded,
             spools_of(study.database) if study.is_durable else (),
+            self.timeout,
         )
 
     def _keep(self, pick: Pick, kept: Kept | None) -> None:
@@ -340,12 +360,13 @@ class _Pruned(BaseException):
         self.error = error
 
 
-class _TookTooLong(BaseException):
-    """Ends a training at its next report."""
-
-
 class _Stopped(BaseException):
     """Ends a training whose pick is somebody else's by now."""
+
+
+def _remove(waiting: list[Pick], pick: Pick) -> None:
+    """By its number: another try has another seed."""
+    waiting[:] = [one for one in waiting if one.number != pick.number]
 
 
 def _reason(trouble: Trouble) -> str:

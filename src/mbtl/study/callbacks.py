@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
+from mbtl.faults import say
+from mbtl.study.database import shown
 from mbtl.study.fresh import plan_of
+from mbtl.study.places import database_file
 from mbtl.trainer import Progress
 
 if TYPE_CHECKING:
     from mbtl.study.pick import Pick
+    from mbtl.study.steps.study import StepStudy
     from mbtl.study.study import Study
 
 
@@ -52,6 +57,13 @@ class Callback:
 
     def on_lost(self, study: Study, pick: Pick) -> None:
         """A pick was taken over or taken away; its training counts for nothing."""
+
+    def on_stuck(self, study: Study, pick: Pick, reason: str) -> None:
+        """A training did not end at its time limit, and counts as failed. From another thread.
+
+        This process can do nothing more until its native code returns: what is worth having is to
+        be saved here, or the process ended.
+        """
 
     def on_waiting(self, study: Study, others: Sequence[str]) -> None:
         """Nothing is left to do but what others are at; the run waits for them, or does it."""
@@ -102,9 +114,16 @@ class PrintProgress(Callback):
         """That the work was for nothing."""
         self._say(f"{where(study, pick)} was taken over by somebody else")
 
+    def on_stuck(self, study: Study, pick: Pick, reason: str) -> None:
+        """Why nothing happens, and what helps."""
+        self._say(
+            f"{where(study, pick)} failed: {reason}; end this process and run again to go on: "
+            "worker processes (parallel=2) would be killed"
+        )
+
     def on_waiting(self, study: Study, others: Sequence[str]) -> None:
         """Why nothing happens."""
-        self._say(waiting_words(others))
+        self._say(waiting_words(study, others))
 
     def on_report(self, study: Study) -> None:
         """How much is evaluated."""
@@ -115,7 +134,7 @@ class PrintProgress(Callback):
         self._say(f"V on fresh episodes could not be measured: {reason}")
 
     def _say(self, line: str) -> None:
-        print(line, file=sys.stderr if self._file is None else self._file, flush=True)
+        say(line, sys.stderr if self._file is None else self._file)
 
 
 def where(study: Study, pick: Pick) -> str:
@@ -153,6 +172,22 @@ def shared_words(others: Sequence[str]) -> str:
     return f"{', '.join(others)} {works} on this study, too: joining, each trains other picks"
 
 
-def waiting_words(others: Sequence[str]) -> str:
-    """What a run waits for, in a sentence."""
-    return f"waiting for the last trainings of {', '.join(others)}"
+def waiting_words(study: Study | StepStudy, others: Sequence[str]) -> str:
+    """What a run waits for, and how not to wait for a worker of whose end nobody would know."""
+    said = f"waiting for the last trainings of {', '.join(others)}"
+    unknown = [one for one in others if not study.presence.is_known(one)]
+    if not unknown:
+        return said
+    return (
+        f"{said}; if {unknown[0]} has ended, `mbtl study release {place_words(study)} {unknown[0]}`"
+        " hands them out at once, and else its silence is waited for"
+    )
+
+
+def place_words(study: Study | StepStudy) -> str:
+    """What names a stored study on the command line."""
+    url = getattr(study.log, "url", "")
+    file = database_file(url)
+    if file is None:
+        return f"{shlex.quote(shown(url))} --name {shlex.quote(study.name)}"
+    return shlex.quote(str(file.parent if file.name == "study.db" else file))

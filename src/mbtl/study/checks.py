@@ -243,7 +243,7 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
         "late": {
             "pick": (lambda i: _is_whole(i) and i < asked, f"a number of the {asked} picks"),
             "source": source,
-            "outcome": (lambda o: o in ("told", "failed", "deferred"), "what came"),
+            "outcome": (lambda o: o in ("told", "failed", "retried", "deferred"), "what came"),
             "token": (_is_text, "text"),
         },
         "told": {
@@ -259,6 +259,7 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
             "token": _TOKEN,
         },
         "failed": failure,
+        "retried": failure,
         "deferred": failure,
         "reopened": {
             "pick": (

@@ -13,7 +13,8 @@ late      a result came of a pick that is somebody else's by now, or answered; i
 voided    a row that was told is wrong and does not count any more
 deferred  a policy is trained and could not be evaluated; its pick stays open
 failed    a training gave nothing that can be used
-reopened  a failed pick is to be tried again
+retried   a training failed and is begun again, with another seed, by whoever holds its pick
+reopened  a failed pick is to be tried again, with another seed
 stopped   the selector predicts too little gain from one more training
 reported  returns on fresh evaluation seeds, for the V that people are told
 
@@ -47,6 +48,7 @@ Kind = Literal[
     "voided",
     "deferred",
     "failed",
+    "retried",
     "reopened",
     "stopped",
     "reported",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future
 from concurrent.futures import wait as wait_for
 from dataclasses import dataclass
 from typing import Any
 
 from mbtl.errors import StudyError
+from mbtl.faults import FAULTS, reason_of
 from mbtl.processes import SeparateWorkers
 from mbtl.study.job import (
     NOT_THE_TRAININGS_FAULT,
@@ -17,14 +18,19 @@ from mbtl.study.job import (
     Outcome,
     Trouble,
     perform_elsewhere,
-    reason_of,
 )
+from mbtl.study.limits import too_long
 from mbtl.study.pick import Pick
 
 _DIED = (
     "a worker process died (a script without `if __name__ == '__main__':`, killed, or out of "
     "memory); its picks are given back: run again, with a smaller parallel if memory is short"
 )
+
+
+_LATE = 30.0
+"""Seconds after its time limit when a job is given up that has not ended itself: it is in native
+code that does not return, or its process took long to begin."""
 
 
 @dataclass
@@ -36,12 +42,14 @@ class _Flight:
         job: as it was sent, to send it again.
         began: on this process's clock.
         tries: how often it was begun.
+        died: whether its worker has died; once that is nobody's fault.
     """
 
     pick: Pick
     job: Job
     began: float
     tries: int = 1
+    died: bool = False
 
 
 class Flights:
@@ -50,12 +58,19 @@ class Flights:
     Args:
         executor: does them.
         timeout: seconds for each, from when it is handed over; None: no limit.
-        retries: so often one that failed is begun again. A worker that dies costs one more try at
-            least, since that may be nobody's fault.
+        retries: so often one that failed is begun again. One whose worker dies is begun again as
+            it was, once, since that may be nobody's fault.
+        again: gives the pick and the job of another try; None: they are somebody else's by now.
     """
 
-    def __init__(self, executor: Executor, timeout: float | None, retries: int) -> None:
-        self._executor = executor
+    def __init__(
+        self,
+        executor: Executor,
+        timeout: float | None,
+        retries: int,
+        again: Callable[[Pick, Trouble], tuple[Pick, Job] | None],
+    ) -> None:
+        self._executor, self._again = executor, again
         self._timeout = timeout
         self._retries = retries
         self._flights: dict[Future[Any], _Flight] = {}
@@ -67,8 +82,10 @@ class Flights:
         """Hand one over."""
         self._send(_Flight(pick, job, time.monotonic()))
 
-    def landed(self) -> Iterator[tuple[Pick, Outcome | Trouble]]:
+    def landed(self) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
         """Wait for one or more, and say what they gave; those begun again say nothing so far.
+
+        None: it is somebody else's by now.
 
         Raises:
             StudyError: the executor is broken, or what a training gave cannot travel.
@@ -76,19 +93,32 @@ class Flights:
         done, _ = wait_for(self._flights, self._patience(), return_when=FIRST_COMPLETED)
         for future in [one for one in self._flights if one in done]:  # in the order they were begun
             flight = self._flights.pop(future)
-            outcome, least = self._brought(future)
-            if may_try_again(outcome) and flight.tries <= max(self._retries, least):
-                flight.tries, flight.began = flight.tries + 1, time.monotonic()
+            outcome, died = self._brought(future)
+            flight.began = time.monotonic()
+            if died and not flight.died:
+                flight.died = True
+                self._send(flight)
+                continue
+            if may_try_again(outcome) and flight.tries <= self._retries:
+                assert isinstance(outcome, Trouble)
+                found = self._again(flight.pick, outcome)
+                if found is None:
+                    yield flight.pick, None
+                    continue
+                flight.pick, flight.job = found
+                flight.tries += 1
                 self._send(flight)
                 continue
             yield flight.pick, outcome
         for future, flight in list(self._flights.items()):
-            if self._timeout is not None and time.monotonic() - flight.began > self._timeout:
+            late = time.monotonic() - flight.began - _LATE
+            if self._timeout is not None and late > self._timeout:
                 del self._flights[future]
                 if isinstance(self._executor, SeparateWorkers):
                     self._executor.kill(future)
                 future.cancel()
-                yield flight.pick, too_long(self._timeout)
+                error = too_long(self._timeout)
+                yield flight.pick, Trouble("training", str(error), "", error)
 
     def cancel(self) -> None:
         """Nobody waits for them any more; those that have not begun will not."""
@@ -105,22 +135,22 @@ class Flights:
         if self._timeout is None:
             return None
         first = min(flight.began for flight in self._flights.values())
-        return max(0.0, first + self._timeout - time.monotonic()) + 0.01
+        return max(0.0, first + self._timeout + _LATE - time.monotonic()) + 0.01
 
-    def _brought(self, future: Future[Any]) -> tuple[Outcome | Trouble, int]:
-        """What it gave, and how many retries that allows at least."""
+    def _brought(self, future: Future[Any]) -> tuple[Outcome | Trouble, bool]:
+        """What it gave, and whether its worker has died."""
         try:
             outcome: Outcome | Trouble = brought_back(future)
         except CancelledError:
-            return Trouble("training", "it was cancelled", ""), 0
+            return Trouble("training", "it was cancelled", ""), False
         except StudyError as error:
             if not (
                 _worker_died(error.__cause__)
                 and (isinstance(self._executor, SeparateWorkers) or _of_dask(error.__cause__))
             ):
                 raise
-            return Trouble("training", "its worker process died", str(error.__cause__)), 1
-        return outcome, 0
+            return Trouble("training", "its worker process died", str(error.__cause__)), True
+        return outcome, False
 
 
 def may_try_again(outcome: Outcome | Trouble) -> bool:
@@ -134,11 +164,6 @@ def may_try_again(outcome: Outcome | Trouble) -> bool:
     )
 
 
-def too_long(timeout: float | None) -> Trouble:
-    """What a training that was ended gave."""
-    return Trouble("training", f"it took longer than {timeout:g} s", "")
-
-
 def brought_back(future: Future[Any]) -> Any:
     """What a worker process gave.
 
@@ -149,7 +174,7 @@ def brought_back(future: Future[Any]) -> Any:
         return future.result()
     except CancelledError:
         raise
-    except Exception as error:
+    except FAULTS as error:
         if _worker_died(error):
             raise StudyError(_DIED) from error
         raise StudyError(

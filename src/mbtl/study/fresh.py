@@ -19,7 +19,7 @@ from mbtl.arrays import Array
 from mbtl.episodes import scatter_of_sum, student
 from mbtl.objective import worst_share_weights
 from mbtl.seeds import Purpose
-from mbtl.trainer import Trainer, checked_returns
+from mbtl.trainer import Trainer, checked_returns, completed
 
 if TYPE_CHECKING:
     from mbtl.study.study import Study
@@ -100,7 +100,8 @@ def report_fresh_returns(study: Study, trainer: Trainer) -> None:
         contexts = [study.space.context(int(t)) for t in targets]
         seeds = study.evaluation_seeds(targets, Purpose.REPORT)
         returns = trainer.evaluate(portfolio.policy(i), contexts, seeds)
-        found[i] = checked_returns(returns, targets.size, study.space.named(targets))
+        named = study.space.named(targets)
+        found[i] = completed(checked_returns(returns, targets.size, named))
     episodes = min(returns.shape[1] for returns in found.values())
     served, alone = np.empty((2, study.space.n, episodes))
     for i, returns in found.items():

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import shutil
 import time
-import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,7 +18,9 @@ from typing import Any, Literal
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingPruned
+from mbtl.faults import FAULTS, REASON, TookTooLong, harmless, reason_of, traceback_of
 from mbtl.study.artifacts import RECEIPT, Artifact, ArtifactStore, FolderStore
+from mbtl.study.limits import at_most
 from mbtl.trainer import (
     OnProgress,
     Progress,
@@ -34,9 +35,6 @@ NOT_THE_TRAININGS_FAULT = (StorageError, InvalidInput, MissingExtra)
 """Raised as they are: the pick is given back, to be done once the cause is mended."""
 
 Stage = Literal["training", "saving", "loading", "evaluation"]
-
-_LONGEST = 8000
-"""Characters of a traceback that are kept: its end, which says what happened."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +61,7 @@ class Job:
         kept: the policy, where it was trained before in this process and could not be saved.
         rehearse: no evaluation of this study has succeeded yet, so a short one goes first.
         spools: where the policy waits while the store cannot be written, best first.
+        timeout: seconds for all of it; None: no limit.
     """
 
     trainer: Trainer
@@ -76,6 +75,7 @@ class Job:
     kept: Kept | None = None
     rehearse: bool = False
     spools: tuple[FolderStore, ...] = ()
+    timeout: float | None = None
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Trouble:
     stage: Stage
     reason: str
     traceback: str
-    error: Exception | None = None
+    error: BaseException | None = None
     kept: Kept | None = None
 
     @property
@@ -118,6 +118,7 @@ def perform(
     on_progress: OnProgress | None = None,
     on_kept: Callable[[Kept], None] = lambda kept: None,
     on_evaluation: Callable[[], None] | None = None,
+    on_stuck: Callable[[], None] | None = None,
 ) -> Outcome | Trouble:
     """Train (unless the policy is there already), save, evaluate. Runs in any process.
 
@@ -127,36 +128,38 @@ def perform(
         on_kept: given the policy at once, so that not even an interrupt loses it, and again when
             it is saved.
         on_evaluation: called when the policy is trained and saved.
+        on_stuck: called from another thread where the job does not end at its time limit.
     """
     started = time.perf_counter()
     kept, steps = job.kept, _Steps(on_progress)
     stage: Stage = "training" if kept is None else "saving"
     try:
-        if kept is None and (found := _left(job)) is not None:
-            stage, kept = "loading", Kept(None, found)
-            kept = Kept(job.trainer.load(_folder(job, found)), found)
-        if kept is None:
-            kept = Kept(_trained(job, None if on_progress is None else steps))
-            on_kept(kept)
-        if kept.artifact is None:
-            stage = "saving"
-            kept = replace(kept, artifact=_save(job, kept.policy))
-            on_kept(kept)
-            _forget_partial(job)
-        if on_evaluation is not None:
-            on_evaluation()
-        if job.rehearse and kept.artifact is not None:
-            stage = "loading"  # a policy that cannot be read back is found out with the first one
-            kept = replace(kept, policy=job.trainer.load(_folder(job, kept.artifact)))
-        stage = "evaluation"
-        if job.rehearse and len(job.targets) > 2:
-            ends, seeds = job.targets[:: len(job.targets) - 1], job.evaluation_seeds
-            evaluated(job.trainer, kept.policy, ends, seeds[:: len(seeds) - 1])
-        returns = evaluated(job.trainer, kept.policy, job.targets, job.evaluation_seeds)
-    except TrainingPruned as error:
-        return Trouble(stage, str(error), "", error, kept)
-    except Exception as error:
-        return Trouble(stage, reason_of(error), _traceback(error), error, kept)
+        with at_most(job.timeout, on_stuck):
+            if kept is None and (found := _left(job)) is not None:
+                stage, kept = "loading", Kept(None, found)
+                kept = Kept(job.trainer.load(_folder(job, found)), found)
+            if kept is None:
+                kept = Kept(_trained(job, None if on_progress is None else steps))
+                on_kept(kept)
+            if kept.artifact is None:
+                stage = "saving"
+                kept = replace(kept, artifact=_save(job, kept.policy))
+                on_kept(kept)
+                _forget_partial(job)
+            if on_evaluation is not None:
+                on_evaluation()
+            if job.rehearse and kept.artifact is not None:
+                stage = "loading"  # what cannot be read back is found out with the first policy
+                kept = replace(kept, policy=job.trainer.load(_folder(job, kept.artifact)))
+            stage = "evaluation"
+            if job.rehearse and len(job.targets) > 2:
+                ends, seeds = job.targets[:: len(job.targets) - 1], job.evaluation_seeds
+                evaluated(job.trainer, kept.policy, ends, seeds[:: len(seeds) - 1])
+            returns = evaluated(job.trainer, kept.policy, job.targets, job.evaluation_seeds)
+    except (TrainingPruned, TookTooLong) as error:
+        return Trouble(stage, harmless(str(error), REASON), "", error, kept)
+    except FAULTS as error:
+        return Trouble(stage, reason_of(error), traceback_of(error), error, kept)
     seconds = time.perf_counter() - started
     policy = None if kept.artifact else kept.policy
     return Outcome(returns, seconds, kept.artifact, policy, steps.done)
@@ -196,11 +199,6 @@ def evaluated(
     """Checked returns (n_targets, n_episodes) of a policy."""
     returns = trainer.evaluate(policy, list(targets), list(seeds))
     return checked_returns(returns, len(targets), lambda t: str(dict(targets[t])))
-
-
-def reason_of(error: Exception) -> str:
-    """An exception in one line."""
-    return f"{type(error).__name__}: {error}"
 
 
 def _left(job: Job) -> Artifact | None:
@@ -270,11 +268,14 @@ def _trained(job: Job, on_progress: OnProgress | None) -> Any:
 
 
 def _partials(job: Job) -> list[Path]:
-    """Files of unfinished trainings of this recipe: one's own, then the latest of others."""
+    """Files of unfinished trainings of this recipe and seed: one's own, then the latest of others.
+
+    One that failed is begun again with another seed, and from the beginning.
+    """
     if job.store is None or not isinstance(job.trainer, ResumingTrainer):
         return []
-    recipe = recipe_digest(equipment_of(job.trainer))
-    places = [f"{place}.{recipe}" for place in (job.place, *reversed(job.former))]
+    made = f"{recipe_digest(equipment_of(job.trainer))}-{job.seed}"
+    places = [f"{place}.{made}" for place in (job.place, *reversed(job.former))]
     found = [job.store.partial(place) for place in places]
     return [file for file in found if file is not None]
 
@@ -298,7 +299,7 @@ def _save(job: Job, policy: Any) -> Artifact | None:
         raise _unsaved(job, error, _spooled(job, fill, receipt)) from error
     except NOT_THE_TRAININGS_FAULT:
         raise
-    except Exception as error:
+    except FAULTS as error:
         raise StorageError(
             f"the trained policy could not be saved, save raised {reason_of(error)}; what was told "
             "before is kept: mend save, then run again"
@@ -328,10 +329,3 @@ def _unsaved(job: Job, error: Exception, waits: Path | None) -> StorageError:
         f"the policy could not be saved in {job.place} ({getattr(error, 'strerror', None) or error}"
         f"); {kept}: free space or mend access, then run the same command again"
     )
-
-
-def _traceback(error: Exception) -> str:
-    """As Python prints it, without our own frame at its beginning."""
-    below = error.__traceback__.tb_next if error.__traceback__ else None
-    text = "".join(traceback.format_exception(type(error), error, below or error.__traceback__))
-    return text if len(text) <= _LONGEST else "...\n" + text[-_LONGEST:]

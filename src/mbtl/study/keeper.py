@@ -82,7 +82,7 @@ class Keeper:
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()
-        self._study.presence.leave(self._study.worker)
+        self._study.presence.leave(self._study.worker, self._study.leases)
 
     def hold(self, pick: Leased) -> None:
         """From now on this pick is worked on."""

@@ -10,10 +10,12 @@ from __future__ import annotations
 import hashlib
 import socket
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
+
+from mbtl.errors import StudyError, few
 
 if TYPE_CHECKING:
     from mbtl.study.storage import EventLog
@@ -99,6 +101,18 @@ class Watch:
     @cached_property
     def _now(self) -> float:
         return self._log.now()
+
+
+def check_holds(worker: str, leases: Iterable[Lease]) -> None:
+    """Refuse a name under which nothing is held.
+
+    Raises:
+        StudyError: so it is; the message says who holds something.
+    """
+    held = sorted({lease.worker for lease in leases})
+    if worker not in held:
+        who = f"these do: {few(held, 10)}" if held else "nobody does"
+        raise StudyError(f"a worker gives back what it holds, and {worker!r} holds nothing; {who}")
 
 
 def new_token() -> str:

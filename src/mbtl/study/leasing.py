@@ -18,7 +18,7 @@ from mbtl.study import asking, telling
 from mbtl.study.artifacts import ArtifactStore
 from mbtl.study.checks import check_event
 from mbtl.study.events import Event
-from mbtl.study.leases import asker
+from mbtl.study.leases import asker, check_holds
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.records import PickRecord
 from mbtl.study.state import StudyState
@@ -161,6 +161,23 @@ class LeasingStudy(StudyView):
             pick = whole("the number of a pick", pick)
         self._commit(lambda state: Event("released", {"pick": telling.held_number(state, pick)}))
 
+    def release_all(self, worker: str) -> int:
+        """Give back all that a worker holds, if it is known to have ended; how many picks.
+
+        One that has not ended is told to stop by its next heartbeat.
+
+        Raises:
+            StudyError: it holds nothing.
+        """
+        state = self.refresh()
+        check_holds(worker, self.leases)
+        numbers = [n for n, pick in state.open_picks.items() if pick.worker == worker]
+        for number in numbers:
+            self.release(number)
+        if self.state.proposing is not None and self.state.proposing.worker == worker:
+            self._stop_proposing(self.state.proposing.token)
+        return len(numbers)
+
     # ---- inside ------------------------------------------------------------------------------
 
     def _sent(self) -> tuple[Any, ...]:
@@ -263,7 +280,7 @@ class LeasingStudy(StudyView):
             record.number,
             source,
             self.space.context(source),
-            training_seed(spec.seed, spec.trial, source, record.repeat),
+            training_seed(spec.seed, spec.trial, source, record.repeat, record.retries),
             record.reason,
             record.repeat,
             record.targets,
@@ -299,8 +316,11 @@ class LeasingStudy(StudyView):
                 if queued and (event := decide(self.refresh())) is None:
                     return None
                 check_event(event, self._state)
+                before = self._holder(event)
                 self._log.append(event, after=self._state.seq)
                 self.refresh()
+            if before is not None:
+                self.presence.succeed(before, self.leases)
             return event
 
     @contextlib.contextmanager
@@ -314,6 +334,14 @@ class LeasingStudy(StudyView):
         except Conflict:
             self._queued = _QUEUED
             raise
+
+    def _holder(self, event: Event) -> str | None:
+        """Name of the worker whose pick an event gives to somebody else; None: nobody's."""
+        if event.kind not in ("claimed", "released"):
+            return None
+        held = self._state.open_picks.get(event.data["pick"])
+        lease = self._state.proposing if held is None else held.lease
+        return None if lease is None else lease.worker
 
 
 class _Turn:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from mbtl.contexts import Context
 from mbtl.errors import StudyError
+from mbtl.faults import harmless
 
 
 class StudyFinished(StudyError):
@@ -38,4 +39,4 @@ class Pick:
 
     def __str__(self) -> str:
         where = ", ".join(f"{name} = {value}" for name, value in self.context.items())
-        return f"pick {self.number + 1}: {where} ({self.reason})"
+        return harmless(f"pick {self.number + 1}: {where} ({self.reason})")

@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from mbtl.arrays import Array
-from mbtl.episodes import scatter
+from mbtl.episodes import episode_moments
 from mbtl.study.leases import Lease
 
 
@@ -31,6 +29,7 @@ class PickRecord:
         tokens: of all its leases, the first one first.
         answered_by: token of the answer; empty where it came without; None: not answered.
         last_worker: name of who held it last; None: nobody did so far.
+        retries: how often it failed and was begun again, each time with another seed.
     """
 
     number: int
@@ -45,6 +44,7 @@ class PickRecord:
     tokens: tuple[str, ...] = ()
     answered_by: str | None = None
     last_worker: str | None = None
+    retries: int = 0
 
     @property
     def worker(self) -> str | None:
@@ -66,7 +66,7 @@ class ToldRow:
     Attributes:
         source: context index.
         pick: number of the pick it answers; None for a source nobody asked for.
-        each: (N, E) returns of single episodes, raw units; NaN where it was not evaluated.
+        each: (N, E) returns of single episodes, raw units; NaN where there is none.
         cost: cost of the training in the user's unit.
         seconds: wall time of training and evaluation; None when unknown.
         policy: folder of the saved policy, relative to the study; None when not saved.
@@ -92,12 +92,12 @@ class ToldRow:
     @cached_property
     def returns(self) -> Array:
         """(N,) mean returns, raw units; NaN where it was not evaluated."""
-        return self.each[:, 0] if self.episodes == 1 else np.asarray(self.each.mean(axis=1))
+        return self.each[:, 0] if self.episodes == 1 else episode_moments(self.each)[0]
 
     @property
     def std(self) -> Array:
-        """(N,) standard deviation over episodes, with n - 1; NaN for one, and as `returns`."""
-        return scatter(self.each)
+        """(N,) standard deviation over episodes; NaN for one. See `mbtl.episodes`."""
+        return episode_moments(self.each)[1]
 
     @property
     def episodes(self) -> int:
@@ -137,7 +137,7 @@ class LateResult:
     Attributes:
         pick: 0-based number of the pick.
         source: context index.
-        outcome: "told", "failed" or "deferred".
+        outcome: "told", "failed", "retried" or "deferred".
         token: it came with.
         event: number of its event.
     """

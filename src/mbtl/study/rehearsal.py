@@ -25,6 +25,7 @@ def rehearse(
     seeds: Sequence[int],
     *,
     here: bool = True,
+    timeout: float | None = None,
 ) -> Trouble | None:
     """Save, load and evaluate an untrained policy; what went wrong, or None.
 
@@ -33,11 +34,15 @@ def rehearse(
         targets: a few contexts.
         seeds: of their evaluations.
         here: this process asks; False in a worker process.
+        timeout: seconds that it may take; None: no limit.
     """
     with tempfile.TemporaryDirectory() as folder:
         store = FolderStore(Path(folder))
         made = _Untrained(trainer)
-        job = Job(made, targets[0], 0, targets, seeds, store, "policies/a/untrained", rehearse=True)
+        job = Job(
+            made, targets[0], 0, targets, seeds, store, "policies/a/untrained", rehearse=True,
+            timeout=timeout,
+        )  # fmt: skip
         outcome = perform(job) if here else perform_elsewhere(job, (MbtlError,))
     return None if isinstance(outcome, Outcome) else outcome
 

@@ -24,14 +24,16 @@ from mbtl.errors import (
     TrainingFailed,
     UnsavedPolicies,
 )
+from mbtl.faults import FAULTS, reason_of
 from mbtl.processes import SeparateWorkers, separate_workers
 from mbtl.study import asking
 from mbtl.study.batch import Batches, failure
 from mbtl.study.callbacks import Callback, shared_words
 from mbtl.study.flights import brought_back
 from mbtl.study.fresh import can_report, fresh_value, report_fresh_returns
-from mbtl.study.job import NOT_THE_TRAININGS_FAULT, reason_of
+from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
 from mbtl.study.keeper import Keeper
+from mbtl.study.limits import check_limits
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.rehearsal import rehearse as rehearsed
 from mbtl.study.result import RunResult
@@ -91,10 +93,12 @@ def run(
             over. On one machine they do so at once when its process has ended.
         deterministic: with parallel > 1, ask for the next picks only when all of a batch are told,
             so that a study does not depend on how long trainings take. Slots stand idle meanwhile.
-        retries: so often a training that failed is begun again before it counts as failed. One
-            whose worker process died is begun again once in any case.
-        timeout: seconds that a training may take; longer ones count as failed. In this process it
-            is looked at whenever the training reports.
+        retries: so often a training that failed is begun again, each time with another seed,
+            before it counts as failed. One whose worker process died is begun again once in any
+            case, as it was.
+        timeout: seconds that a training and its evaluation may take; longer ones are ended, and
+            count as failed. In this process only Python code and waits can be ended, and native
+            code when it returns (`Callback.on_stuck`); worker processes are killed if need be.
         accept_changes: a user's own functions may have changed since the study was begun; the log
             says so then.
         may_begin: asked before each training; once it says no, the run ends.
@@ -122,7 +126,7 @@ def run(
                     study.retry(failed.pick)
             first_policy = rehearse
             if rehearse and isinstance(trainer, RehearsingTrainer):
-                _rehearse(study, trainer, pooled)
+                _rehearse(study, partial(rehearsed, trainer, timeout=timeout), pooled)
                 first_policy = False
             allowed = 0 if on_failure == "stop" else stop_after_failures - 1
             batches = Batches(
@@ -172,10 +176,7 @@ def check_options(
         raise InvalidInput(f"on_failure must be 'continue' or 'stop', got {on_failure!r}")
     if retries < 0:
         raise InvalidInput(f"retries must be >= 0, got {retries}")
-    if timeout is not None and not timeout > 0:
-        raise InvalidInput(f"a timeout is a number of seconds > 0, got {timeout!r}")
-    if not lease > 0:
-        raise InvalidInput(f"a lease lasts a number of seconds > 0, got {lease!r}")
+    check_limits(lease, timeout)
     for name, number in (("parallel", parallel), ("stop_after_failures", stop_after_failures)):
         if number < 1:
             raise InvalidInput(f"{name} must be >= 1, got {number}")
@@ -203,7 +204,9 @@ def _check_any_success(study: Study) -> None:
         )
 
 
-def _rehearse(study: Study, trainer: RehearsingTrainer, executor: Executor | None) -> None:
+def _rehearse(
+    study: Study, rehearsal: Callable[..., Trouble | None], executor: Executor | None
+) -> None:
     """Find out before the first training what would fail after it."""
     done = study.stop_reason is not None and not study.orphans
     if study.has_succeeded or done:
@@ -211,9 +214,9 @@ def _rehearse(study: Study, trainer: RehearsingTrainer, executor: Executor | Non
     ends = sorted({0, study.space.n - 1})
     contexts, seeds = [study.space.context(i) for i in ends], study.evaluation_seeds(ends)
     if executor is None:
-        trouble = rehearsed(trainer, contexts, seeds)
+        trouble = rehearsal(contexts, seeds)
     else:
-        trouble = brought_back(executor.submit(rehearsed, trainer, contexts, seeds, here=False))
+        trouble = brought_back(executor.submit(rehearsal, contexts, seeds, here=False))
     if trouble is None:
         return
     if isinstance(trouble.error, NOT_THE_TRAININGS_FAULT):
@@ -289,7 +292,7 @@ def _report(study: Study, trainer: Trainer, callbacks: Sequence[Callback]) -> No
             raise
     except StudyError:  # another process told a row meanwhile; it reports when it ends
         return
-    except Exception as error:
+    except FAULTS as error:
         for callback in callbacks:
             callback.on_report_failed(study, reason_of(error))
 

@@ -313,7 +313,16 @@ class StudyState:
     def _reopened(self, event: Event) -> None:
         number = event.data["pick"]
         self.failures = [failure for failure in self.failures if failure.pick != number]
+        self._begin_again(number)
         self._give(number, None)
+
+    def _retried(self, event: Event) -> None:
+        self._begin_again(event.data["pick"])
+        self.open_picks[event.data["pick"]] = self.picks[event.data["pick"]]
+
+    def _begin_again(self, number: int) -> None:
+        pick = self.picks[number]
+        self.picks[number] = replace(pick, retries=pick.retries + 1)
 
     def _close(self, number: int | None, token: str) -> None:
         self._ahead_age -= 1

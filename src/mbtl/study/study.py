@@ -61,7 +61,8 @@ class Study(LeasingStudy):
         Args:
             pick: what `ask` gave, or the context (or its index) of a policy you already have; rows
                 that nobody asked for do not count towards the budget.
-            returns: (T,) or (T, n_episodes) undiscounted returns on the targets, raw units.
+            returns: (T,) or (T, n_episodes) undiscounted returns on the targets, raw units. NaN is
+                an episode that has none, and counts as not played.
             targets: T indices of the contexts evaluated on; None: those that the pick asks for,
                 which are all N unless the study was made with `eval_targets`.
             cost: cost of the training, in the unit of the cost budget; None: what `costs` says of
@@ -77,8 +78,8 @@ class Study(LeasingStudy):
             returns are in the log, and count for nothing.
 
         Raises:
-            TrainingFailed: returns of wrong shape, NaN, or beyond 1e30. Nothing is recorded; tell
-                again, or record it with `fail`.
+            TrainingFailed: returns of wrong shape, all NaN, or beyond 1e30. Nothing is recorded;
+                tell again, or record it with `fail`.
             InvalidInput: `policy` leads out of the study's folder, or another fact is not what it
                 should be. Nothing is recorded.
             StudyError: the pick was answered before, or is another study's.
@@ -186,8 +187,20 @@ class Study(LeasingStudy):
         """Record that a policy is trained and could not be evaluated; the pick stays open."""
         return self._answer("deferred", pick, reason, traceback)
 
+    def begin_again(self, pick: Pick, reason: str, *, traceback: str = "") -> Pick | None:
+        """Record that a training failed and is tried once more, at once and by the same worker.
+
+        Returns:
+            The pick with another seed, since with its own it might fail again; None: too late, as
+            in `tell`.
+        """
+        in_time = self._answer("retried", pick, reason, traceback)
+        return self._pick(self.state.picks[pick.number]) if in_time else None
+
     def retry(self, pick: Pick | int) -> None:
         """Open a failed pick again: the next `ask` hands it out, and it spends no further budget.
+
+        Its seed is another one, since with its own it might fail again.
 
         Args:
             pick: what `ask` gave, or its 0-based number (`Pick.number`).
@@ -328,7 +341,7 @@ class Study(LeasingStudy):
             lease: seconds without a sign of life after which others take a training over.
             deterministic: with parallel > 1, wait for a whole batch before the next picks.
             retries: so often a training that failed is begun again before it counts as failed.
-            timeout: seconds that a training may take.
+            timeout: seconds that a training and its evaluation may take.
             accept_changes: go on although own functions have changed since the study was begun.
 
         Returns:

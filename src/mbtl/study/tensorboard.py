@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,21 +36,24 @@ class TensorBoardCallback(Callback):
 
     def on_progress(self, study: Study, pick: Pick, progress: Progress) -> None:
         """Metrics of one training, under its source."""
-        for name, value in progress.metrics.items():
-            self._writer.add_scalar(f"source-{pick.source:04d}/{name}", value, progress.step)
+        with suppress(OSError):  # of a full disk, as below: pictures are not worth the study
+            for name, value in progress.metrics.items():
+                self._writer.add_scalar(f"source-{pick.source:04d}/{name}", value, progress.step)
 
     def on_told(self, study: Study, pick: Pick) -> None:
         """One point per pick."""
         k = len(study.state.rows)
         now = study.routing.value
-        self._writer.add_scalar("study/V", now.value, k)
-        if study.routing.noise_is_known:
-            self._writer.add_scalar("study/V_margin", now.margin, k)
-        self._writer.add_scalar("study/source", pick.source, k)
         own = float(study.history.training_performance[-1])
-        self._writer.add_scalar("study/training_performance", own, k)
-        self._writer.flush()
+        with suppress(OSError):
+            self._writer.add_scalar("study/V", now.value, k)
+            if study.routing.noise_is_known:
+                self._writer.add_scalar("study/V_margin", now.margin, k)
+            self._writer.add_scalar("study/source", pick.source, k)
+            self._writer.add_scalar("study/training_performance", own, k)
+            self._writer.flush()
 
     def on_end(self, study: Study) -> None:
         """Close the file."""
-        self._writer.close()
+        with suppress(OSError):
+            self._writer.close()

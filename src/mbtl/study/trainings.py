@@ -144,7 +144,7 @@ def _of_pick(
         row.steps if row is not None and row.steps is not None else _reported(watch, pick),
         None if row is None else row.cost,
         pick.last_worker,
-        training_seed(spec.seed, spec.trial, pick.source, pick.repeat),
+        training_seed(spec.seed, spec.trial, pick.source, pick.repeat, pick.retries),
         pick.reason,
         None if trouble is None else trouble.reason,
     )

@@ -20,7 +20,7 @@ from mbtl.selectors import SelectionProblem
 from mbtl.study import asking
 from mbtl.study.artifacts import ArtifactStore, FolderStore
 from mbtl.study.fresh import fresh_value
-from mbtl.study.leases import Watch, new_worker
+from mbtl.study.leases import Lease, Watch, new_worker
 from mbtl.study.places import database_file
 from mbtl.study.presence import Presence
 from mbtl.study.spec import StudySpec
@@ -241,6 +241,12 @@ class StudyView:
     def orphans(self) -> list[int]:
         """Numbers of open picks that nobody works on: given back, or their lease is stale."""
         return asking.left_alone(self._state, self.watch())
+
+    @property
+    def leases(self) -> list[Lease]:
+        """Those in force, as of the last `refresh`: of open picks, and of the one to come."""
+        held = [pick.lease for pick in self._state.open_picks.values()]
+        return [lease for lease in (*held, self._state.proposing) if lease is not None]
 
     def watch(self) -> Watch:
         """Which leases are stale now."""

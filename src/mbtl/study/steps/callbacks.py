@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbtl.actions import Policy
+from mbtl.faults import say
+from mbtl.study.callbacks import waiting_words
 from mbtl.study.steps.summary import counted, training_words
 from mbtl.trainer import Progress
 
@@ -49,7 +51,7 @@ class PrintSteps(StepCallback):
 
     def __init__(self, write: Callable[[str], Any] | None = None) -> None:
         """`write` takes a line; None: to standard error."""
-        self._write = write or (lambda line: print(line, file=sys.stderr))
+        self._write = write or (lambda line: say(line, sys.stderr))
 
     def on_trained(self, study: StepStudy, training: int) -> None:
         """Which, how far, and why it stands."""
@@ -67,8 +69,8 @@ class PrintSteps(StepCallback):
 
     def on_waiting(self, study: StepStudy) -> None:
         """For whom."""
-        others = {h.lease.worker for h in study.state.under_way.values() if h.lease is not None}
-        self._write(f"{self._spent(study)}  waiting for what {', '.join(sorted(others))} is at")
+        others = sorted({lease.worker for lease in study.leases})
+        self._write(f"{self._spent(study)}  {waiting_words(study, others)}")
 
     def on_end(self, study: StepStudy) -> None:
         """Why no more is done."""

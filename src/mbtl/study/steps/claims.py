@@ -121,7 +121,10 @@ class Claims:
         for number, held in state.under_way.items():
             if watch.is_stale(held.lease):
                 claim = Claim(number, self._token())
-                return self._taken(claim, "claimed", {"decision": number}, state.seq)
+                taken = self._taken(claim, "claimed", {"decision": number}, state.seq)
+                if taken is not None and held.lease is not None:
+                    study.presence.succeed(held.lease.worker, study.leases)
+                return taken
         return None
 
     def held(self, claim: Claim) -> UnderWay:

@@ -14,7 +14,7 @@ from mbtl.errors import StorageError
 from mbtl.seeds import Purpose, evaluation_seeds
 from mbtl.study.steps.state import Fresh
 from mbtl.study.storage import Conflict
-from mbtl.trainer import SteppingTrainer, Trainer, checked_returns
+from mbtl.trainer import SteppingTrainer, Trainer, checked_returns, completed
 
 if TYPE_CHECKING:
     from mbtl.study.steps.study import StepStudy
@@ -39,7 +39,7 @@ def evaluated(
         returns, steps = trainer.evaluate_steps(weights, contexts, seeds)
     else:
         returns = trainer.evaluate(weights, contexts, seeds)
-    found = checked_returns(returns, len(contexts), study.space.named(targets))
+    found = completed(checked_returns(returns, len(contexts), study.space.named(targets)))
     lasted = np.asarray(steps, dtype=np.float64)
     lasted = np.broadcast_to(lasted.reshape(-1, 1) if lasted.ndim < 2 else lasted, found.shape)
     return found, np.where(np.isfinite(lasted), lasted, float(study.spec.horizon))

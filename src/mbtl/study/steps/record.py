@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Mapping
 from typing import Any
 
 from mbtl.actions import Evaluate, Extend, Policy, Start, StartOn
+from mbtl.faults import reason_of, traceback_of
 
 Work = Start | StartOn | Extend | Evaluate
 """An action that costs steps."""
@@ -49,8 +49,11 @@ def action_of(record: Mapping[str, Any]) -> Work:
     raise ValueError(f"no action is called {record['do']!r}")
 
 
-def failure(error: Exception, steps: float, source: int) -> dict[str, Any]:
+def failure(error: BaseException, steps: float, source: int) -> dict[str, Any]:
     """What went wrong, the steps that it cost, and the context."""
-    text = "".join(traceback.format_exception(error))
-    reason = f"{type(error).__name__}: {error}"
-    return {"reason": reason, "steps": float(steps), "source": source, "traceback": text[-4000:]}
+    return {
+        "reason": reason_of(error),
+        "steps": float(steps),
+        "source": source,
+        "traceback": traceback_of(error),
+    }

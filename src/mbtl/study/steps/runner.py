@@ -23,9 +23,11 @@ from mbtl.actions import Action, Evaluate, Extend, Policy, Start, StartOn, Stop,
 from mbtl.actions.base import middle_of
 from mbtl.actions.evaluation import WHERE_IT_MATTERS, Evaluation, target_price
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
+from mbtl.faults import FAULTS, reason_of
 from mbtl.seeds import selection_rng, training_seed
 from mbtl.selectors.targets import spread_targets
 from mbtl.set_trainer import SetTrainer
+from mbtl.study.limits import at_most, check_limits
 from mbtl.study.steps.callbacks import StepCallback
 from mbtl.study.steps.checks import check_start, check_trainer, with_episodes
 from mbtl.study.steps.claims import LEASE, Claim, Claims, Lost
@@ -56,19 +58,26 @@ def run(
     lease: float = LEASE,
     wait: bool = True,
     accept_changes: bool = False,
+    timeout: float | None = None,
 ) -> StepResult:
     """Spend the steps of a study; see `StepStudy.run`."""
     check_trainer(study, trainer, accept_changes=accept_changes)
+    check_limits(lease, timeout)
     began = time.monotonic()
     try:
         with Claims(study, lease) as claims:
-            worker = _Worker(study, trainer, callbacks, stop_after_failures, claims)
+            worker = _Worker(study, trainer, callbacks, stop_after_failures, claims, timeout)
             worker.work(wait=wait)
         done = study.state.stopped is not None and study.state.policies
         if report and done and study.state.fresh is None:
             for callback in callbacks:
                 callback.on_report(study)
-            report_fresh(study, worker.evaluator)
+            try:
+                report_fresh(study, worker.evaluator)
+            except SystemExit as error:
+                raise TrainingFailed(
+                    f"the evaluation on fresh episodes failed: {reason_of(error)}"
+                ) from error
     finally:
         for callback in callbacks:
             callback.on_end(study)
@@ -85,11 +94,12 @@ class _Worker:
         callbacks: Sequence[StepCallback],
         stop_after_failures: int,
         claims: Claims,
+        timeout: float | None,
     ) -> None:
         self.study, self.trainer, self.callbacks = study, trainer, callbacks
         self.evaluator = with_episodes(trainer, study.spec.episodes)
         self.most = stop_after_failures
-        self.claims = claims
+        self.claims, self.timeout = claims, timeout
         self._doing: int | None = None
         self._latest: Policy | None = None
         """The policy that this worker has evaluated last, while it may go on with that."""
@@ -233,11 +243,12 @@ class _Worker:
                 return
             began, progress = time.monotonic(), _Latest(self, claim, number)
             try:
-                reached = self._piece(claim, held, mark, progress)
+                with at_most(self.timeout):
+                    reached = self._piece(claim, held, mark, progress)
                 artifact = self._keep(claim, held, mark, reached)
             except (StorageError, InvalidInput, MissingExtra, Lost):
                 raise
-            except Exception as error:
+            except FAULTS as error:
                 done = 0 if held.training is None else study.state.trainings[held.training].steps
                 self._failed(claim, error, max(progress.steps - done, 0), source)
                 self._tell("on_trained", number)
@@ -343,10 +354,11 @@ class _Worker:
         self._tell("on_evaluation", policy, targets)
         began = time.monotonic()
         try:
-            found, steps = evaluated(study, self.evaluator, policy, targets)
+            with at_most(self.timeout):
+                found, steps = evaluated(study, self.evaluator, policy, targets)
         except (StorageError, InvalidInput, MissingExtra):
             raise
-        except Exception as error:
+        except FAULTS as error:
             source = study.state.trainings[policy.training].source
             self._failed(claim, error, 0, source)
             return
@@ -364,11 +376,11 @@ class _Worker:
 
     # ---- failures ----------------------------------------------------------------------------
 
-    def _failed(self, claim: Claim, error: Exception, steps: float, source: int) -> None:
+    def _failed(self, claim: Claim, error: BaseException, steps: float, source: int) -> None:
         self.claims.answer(claim, "failed", failure(error, steps, source))
         self._check_failures(error)
 
-    def _check_failures(self, error: Exception) -> None:
+    def _check_failures(self, error: BaseException) -> None:
         failures = self.study.state.failures
         if len(failures) >= self.most:
             raise TrainingFailed(

@@ -11,6 +11,7 @@ that is killed goes on where it was.
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import tempfile
 import weakref
@@ -30,7 +31,7 @@ from mbtl.objective import Bounds
 from mbtl.portfolio import Portfolio
 from mbtl.study.artifacts import ArtifactStore
 from mbtl.study.events import OPENED, Event, Kind
-from mbtl.study.leases import Watch, new_worker
+from mbtl.study.leases import Lease, Watch, check_holds, new_worker
 from mbtl.study.listing import chosen_name, database_at
 from mbtl.study.places import database_file, policy_store
 from mbtl.study.presence import Presence
@@ -133,6 +134,29 @@ class StepStudy:
     def log(self) -> EventLog:
         """Where the events are."""
         return self._log
+
+    @property
+    def leases(self) -> list[Lease]:
+        """Those in force, as of the last `refresh`."""
+        held = self._state.under_way.values()
+        return [one.lease for one in held if one.lease is not None]
+
+    def release_all(self, worker: str) -> int:
+        """Give back all that a worker holds; see `mbtl.Study.release_all`."""
+        self.refresh()
+        check_holds(worker, self.leases)
+        count = 0
+        while True:
+            state = self.refresh()
+            held = ((n, one.lease) for n, one in state.under_way.items())
+            theirs = [(n, one.token) for n, one in held if one and one.worker == worker]
+            if not theirs:
+                self.presence.succeed(worker, self.leases)
+                return count
+            decision, token = theirs[0]
+            with contextlib.suppress(Conflict):
+                self.append("released", {"decision": decision, "token": token}, after=state.seq)
+                count += 1
 
     def watch(self) -> Watch:
         """Which workers are silent for too long at this moment."""
@@ -313,6 +337,7 @@ class StepStudy:
         lease: float = LEASE,
         wait: bool = True,
         accept_changes: bool = False,
+        timeout: float | None = None,
     ) -> StepResult:
         """Spend the steps; interrupted, it goes on where it was when called again.
 
@@ -339,6 +364,8 @@ class StepStudy:
                 machine they do so at once when the process has ended.
             wait: stay while others are at the last actions, to take over from those that die.
             accept_changes: go on although own functions have changed since the study was begun.
+            timeout: seconds that a training to its next mark, or an evaluation, may take; longer
+                ones are ended and count as failed. Native code ends when it returns.
 
         Raises:
             InvalidInput: the trainer cannot do what the study asks: other lengths than its own,
@@ -360,5 +387,5 @@ class StepStudy:
         told = (*callbacks, *([PrintSteps()] if progress else []))
         return run(
             self, trainer, callbacks=told, report=report, stop_after_failures=stop_after_failures,
-            lease=lease, wait=wait, accept_changes=accept_changes,
+            lease=lease, wait=wait, accept_changes=accept_changes, timeout=timeout,
         )  # fmt: skip

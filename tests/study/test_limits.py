@@ -1,0 +1,214 @@
+"""What a user's code may do instead of returning: never end, exit, or fail with one seed only."""
+
+import itertools
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import mbtl
+from mbtl.errors import TrainingFailed
+from mbtl.faults import TookTooLong
+from mbtl.seeds import training_seed
+from mbtl.study.limits import at_most
+from mbtl.study.steps.create import create_step_study
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies"),
+    pytest.mark.timeout(120),
+]
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 9})
+WRONG = 8  # the context on which something goes wrong
+
+
+def evaluate(policy, contexts, seed):
+    return [1 - abs(policy - c["x"]) for c in contexts]
+
+
+def study_of(**settings):
+    settings = {"budget": 9, "bounds": (0.0, 1.0), "selector": "random", **settings}
+    return mbtl.create_study(SPACE, **settings)
+
+
+def step_study():
+    return create_step_study(
+        SPACE, budget=9_000, lengths=(1_000,), horizon=10, bounds=(0.0, 1.0), episodes=1
+    )
+
+
+def spin():
+    while True:
+        pass
+
+
+def spin_in_numpy():
+    while True:
+        np.ones((50, 50)) @ np.ones((50, 50))
+
+
+def catch_everything():
+    while True:
+        try:
+            time.sleep(60)
+        except Exception:
+            continue
+
+
+def wait_for_a_lock():
+    lock = threading.Lock()
+    lock.acquire()
+    lock.acquire()
+
+
+def wait_for_a_child():
+    subprocess.run([sys.executable, "-c", "import time; time.sleep(60)"])
+
+
+ENDLESS = [spin, spin_in_numpy, catch_everything, wait_for_a_lock, wait_for_a_child]
+
+
+@pytest.mark.parametrize("endless", ENDLESS)
+def test_a_limit_ends_what_never_returns(endless):
+    usual = signal.getsignal(signal.SIGALRM)
+    with pytest.raises(TookTooLong, match=r"^it took longer than 0\.05 s$"), at_most(0.05):
+        endless()
+    assert signal.getsignal(signal.SIGALRM) == usual
+
+
+def test_a_limit_holds_in_a_thread_too():
+    def limited():
+        with at_most(0.05):
+            spin()
+
+    with ThreadPoolExecutor(1) as pool, pytest.raises(TookTooLong):
+        pool.submit(limited).result()
+
+
+def test_what_ends_in_time_hears_nothing_of_its_limit():
+    for _ in range(100):  # among them some that end when the alarm rings
+        try:
+            with at_most(0.002):
+                time.sleep(0.0019)
+        except TookTooLong:
+            pass
+        time.sleep(0.0005)
+
+
+def test_native_code_that_never_returns_is_told_of():
+    """A mutex that is locked twice waits for ever, whatever signals come."""
+    script = """
+import ctypes, os, mbtl.study.limits as limits
+limits.GRACE = 0.05
+libc, mutex = ctypes.CDLL(None), ctypes.create_string_buffer(64)
+with limits.at_most(0.05, lambda: os._exit(7)):
+    libc.pthread_mutex_lock(mutex)
+    libc.pthread_mutex_lock(mutex)
+"""
+    assert subprocess.run([sys.executable, "-c", script]).returncode == 7
+
+
+@pytest.mark.parametrize("where", ["train", "evaluate"])
+def test_a_training_that_never_reports_is_ended(where):
+    wrong = SPACE.context(WRONG)["x"]
+
+    def train(context, seed):
+        if where == "train" and context["x"] == wrong:
+            spin()
+        return context["x"]
+
+    def evaluated(policy, contexts, seed):
+        if where == "evaluate" and policy == wrong:
+            spin()
+        return evaluate(policy, contexts, seed)
+
+    study = study_of()
+    study.run(train, evaluated, timeout=0.2, report=False, rehearse=False)
+    assert len(study.state.rows) == 8
+    failed = [*study.state.failures, *study.state.deferred.values()]
+    assert [one.source for one in failed] == [WRONG]
+    assert failed[0].reason.endswith("it took longer than 0.2 s" if where == "train" else "0.2 s")
+
+
+def test_the_limit_holds_for_steps_too():
+    study = step_study()
+    with pytest.raises(TrainingFailed, match=r"it took longer than 0\.1 s"):
+        study.run(
+            lambda context, seed: spin(), evaluate, timeout=0.1, progress=False,
+            stop_after_failures=1,
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("parallel", [1, 2])
+def test_another_try_has_another_seed_and_the_log_says_so(parallel):
+    seeds = {}
+
+    def train(context, seed):
+        seeds.setdefault(context["x"], []).append(seed)
+        if seed == first:
+            raise FloatingPointError("diverged")
+        return context["x"]
+
+    first = training_seed(5, 0, WRONG)
+    study = study_of(seed=5)
+    with ThreadPoolExecutor(2) as pool:
+        study.run(train, evaluate, parallel=parallel, executor=pool, retries=1, report=False)
+    wrong = SPACE.context(WRONG)["x"]
+    assert seeds.pop(wrong) == [first, training_seed(5, 0, WRONG, 0, 1)]
+    assert all(len(found) == 1 for found in seeds.values())
+    assert not study.state.failures
+    assert [e.data["reason"] for e in study.log.read() if e.kind == "retried"] == [
+        "FloatingPointError: diverged"
+    ]
+    (told,) = (one for one in study.trainings if one.source == WRONG)
+    assert told.seed == training_seed(5, 0, WRONG, 0, 1)
+
+
+def test_tries_survive_the_process(tmp_path):
+    study = study_of(storage=tmp_path / "study.db")
+    pick = study.ask()
+    again = study.begin_again(pick, "diverged")
+    study.release(again)
+    other = mbtl.load_study(tmp_path)
+    assert (again.number, again.source) == (pick.number, pick.source)
+    assert other.ask().seed == again.seed != pick.seed
+
+
+def test_tries_and_repeats_never_share_a_seed():
+    pairs = itertools.product(range(3), range(3))
+    assert len({training_seed(0, 0, 4, repeat, retry) for repeat, retry in pairs}) == 9
+
+
+@pytest.mark.parametrize("parallel", [1, 2])
+@pytest.mark.parametrize("code", [0, 1, None, "goodbye"])
+def test_a_training_that_exits_has_failed(parallel, code):
+    def train(context, seed):
+        if context["x"] == SPACE.context(WRONG)["x"]:
+            sys.exit(code)
+        return context["x"]
+
+    study = study_of()
+    with ThreadPoolExecutor(2) as pool:
+        study.run(train, evaluate, parallel=parallel, executor=pool, report=False)
+    assert len(study.state.rows) == 8
+    (failed,) = study.state.failures
+    assert failed.reason == f"sys.exit({code!r}) was called, where it must return or raise"
+    assert "sys.exit(code)" in failed.traceback
+
+
+def test_an_evaluation_that_exits_keeps_the_policy():
+    study = study_of()
+    with pytest.raises(TrainingFailed, match=r"evaluation failed with sys\.exit\(0\)"):
+        study.run(lambda c, s: c["x"], lambda p, c, s: sys.exit(0))
+    assert not study.state.failures
+    assert len(study.state.deferred) == 1
+
+
+def test_a_training_in_steps_that_exits_has_failed():
+    study = step_study()
+    with pytest.raises(TrainingFailed, match=r"sys\.exit\(0\)"):
+        study.run(lambda c, s: sys.exit(0), evaluate, progress=False, stop_after_failures=1)
