@@ -72,9 +72,7 @@ def test_eco_driving_is_run_in_the_twin(mbtl_command, tmp_path):
 
 def test_an_episode_whose_score_is_known_is_watched_to_its_end():
     class Jam:
-        strata = (1.0,)
-
-        def reset(self, seed, options):
+        def reset(self, seed):
             self.steps = 0
             return 0.0, {}
 
@@ -88,7 +86,7 @@ def test_an_episode_whose_score_is_known_is_watched_to_its_end():
         def predict(self, observation, deterministic=True):
             return [0] * len(observation), None
 
-    whole = replace(get_cmdp("signal-inflow").score, foretold=None)  # as `mbtl play` has it
+    whole = replace(get_cmdp("signal-inflow").score, foretold=None, strata=None)
     jobs = [Job(lambda: watched, [0], whole)]
     (scores,) = rollout.play(jobs, Actor(Waits()), max_envs=1, keep_open=True)
     assert (scores.tolist(), watched.env.steps) == ([-7.0], 5)
