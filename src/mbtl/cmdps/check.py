@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from mbtl.cmdps.cmdp import CMDP
+from mbtl.cmdps.engines import EnvFactory
 from mbtl.cmdps.findings import Check, CheckReport
 from mbtl.cmdps.probe import Probe
 from mbtl.contexts import Categorical, Context, ContextSpace, Value
@@ -64,10 +65,12 @@ def check_cmdp(
             checks.append(Check("environment", "warning", unseen))
             return CheckReport(problem.id, tuple(checks))
         base = problem.nominal if nominal is None else nominal
+        # ours live side by side: a second SUMO goes through TraCI
+        declared = isinstance(problem.make_env, EnvFactory)
         probe = Probe(
             problem.make_env, problem.space, base, steps, seed, problem.horizon,
             score=problem.score, taken=problem.trainer.policy_format == "sb3",
-            lives_well=getattr(problem.trainer, "apart", None) is False, say=on_check,
+            lives_well=declared or getattr(problem.trainer, "apart", None) is False, say=on_check,
         )  # fmt: skip
         return CheckReport(problem.id, (*checks, *probe.run()))
     if space is None:

@@ -26,7 +26,7 @@ _TELLING = 10_000
 """Steps of an episode without an end after which that is said."""
 _LOOKED_AT = 1000
 """Observations of an episode that must lie in their space, and its last."""
-_TRIED = 20
+TRIED = 20
 """Steps that show whether two environments in one process disturb each other."""
 
 shared_well: dict[str, Callable[[], bool]] = {}
@@ -102,7 +102,7 @@ def is_same(one: Any, other: Any) -> bool:
 
 
 def once_per_process(
-    make_env: Callable[[Context], Any], contexts: Sequence[Context], *, steps: int = _TRIED
+    make_env: Callable[[Context], Any], contexts: Sequence[Context], *, steps: int = TRIED
 ) -> Once | None:
     """What keeps two environments from running beside each other in one process; None: nothing.
 
