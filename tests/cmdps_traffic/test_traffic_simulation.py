@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 
@@ -144,8 +146,9 @@ def unloadable(monkeypatch, *names):
     load = software.importlib.import_module
 
     def fail(name):
-        if name in names:
-            raise ImportError(f"{name} wants libGL.so.1", name=name)
+        library = name.partition(".")[0]
+        if library in names:
+            raise ImportError(f"{library} wants libGL.so.1", name=library)
         return load(name)
 
     monkeypatch.setattr(software.importlib, "import_module", fail)
@@ -228,3 +231,20 @@ def test_settings_are_checked(road, monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(InvalidInput, match="screen"):
         Simulation(road, step_length=1.0, gui=True)
+
+
+@pytest.mark.parametrize("disturbed", ["LIBSUMO_AS_TRACI", "PYTHONPATH"])
+def test_traci_is_the_installed_one_that_talks_to_another_process(disturbed, tmp_path):
+    (tmp_path / "traci").mkdir()
+    (tmp_path / "traci" / "__init__.py").write_text("raise ImportError('of another SUMO')")
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    env = {"PYTHONPATH": path} if disturbed == "PYTHONPATH" else {"LIBSUMO_AS_TRACI": "1"}
+    code = (
+        "from mbtl.cmdps.traffic.software import library\n"
+        "print(library('traci').start.__module__, library('libsumo').__name__)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, **env}, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert done.stdout.split() == ["traci.main", "libsumo"], done.stderr

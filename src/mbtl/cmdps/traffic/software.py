@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import importlib.metadata
 import os
 import re
 import shutil
+import sys
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -50,7 +53,7 @@ def library(name: str) -> Any:
     # libsumo; what it then prints belongs to nobody's standard output
     module = "traci.main" if name == "traci" else name
     try:
-        with contextlib.redirect_stdout(None):
+        with contextlib.redirect_stdout(None), _installed_first(name):
             return importlib.import_module(module)
     except ModuleNotFoundError as error:
         raise missing_extra(name, "traffic") from error
@@ -58,6 +61,18 @@ def library(name: str) -> Any:
         raise MissingExtra(
             f"{name} is installed but must be loadable, got: {error}; install what it names"
         ) from error
+
+
+@contextlib.contextmanager
+def _installed_first(name: str) -> Iterator[None]:
+    """In the block the installed package is found before another SUMO's on PYTHONPATH."""
+    before = list(sys.path)
+    with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+        sys.path.insert(0, str(importlib.metadata.distribution(name).locate_file("")))
+    try:
+        yield
+    finally:
+        sys.path[:] = before
 
 
 def why_not(name: str) -> MissingExtra | None:
