@@ -104,7 +104,7 @@ def test_check_fails_a_dead_axis_after_showing_the_report(run):
     result = run("check", "cartpole-masscart", "--physics", "reference", "--visibility", "hidden")
     assert isinstance(result.exception, CheckFailed)
     assert "failed" in result.stdout
-    assert "9 of 10 checks hold, 1 failed" in result.stdout
+    assert "11 of 12 checks hold, 1 failed" in result.stdout
     as_json = run("check", "cartpole-masscart", "--physics", "reference", "--json")
     assert json.loads(as_json.stdout)["ok"] is False
     assert isinstance(as_json.exception, CheckFailed)
