@@ -7,6 +7,7 @@ import threading
 
 import pytest
 
+from mbtl.cli.common import interrupts
 from mbtl.cli.interrupts import keep_interrupts
 
 
@@ -14,6 +15,7 @@ from mbtl.cli.interrupts import keep_interrupts
 def kept(monkeypatch):
     """As in the program: our hook and Python's own handler, for this test."""
     monkeypatch.setattr(sys, "unraisablehook", sys.__unraisablehook__)
+    interrupts.clear()  # of tests before this one
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     keep_interrupts()
     yield
