@@ -32,7 +32,7 @@ def error_of(evaluate, studies=25):
     values = []
     for root in range(studies):
         study = study_of(root, budget=1).run(train, evaluate, progress=False).study
-        values.append(float(fresh_value(study).values[-1]))
+        values.append(fresh_value(study).value)
     return float(np.sqrt(np.mean((np.array(values) - 0.5) ** 2)))
 
 
