@@ -81,7 +81,7 @@ def test_a_run_says_what_it_gave():
     result = study.run(trainer=TRAINER, progress=False)
     assert result.study is study
     assert np.array_equal(result.curve, study.curve)
-    assert result.value == result.fresh.values[-1]
+    assert result.value == result.fresh.value
     assert [line.steps for line in result.trainings] == [300.0] * 4
     assert result.stop_reason == "the budget of 4 trainings is spent"
     assert (result.failures, result.seconds > 0.0) == ((), True)
