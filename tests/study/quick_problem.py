@@ -75,7 +75,7 @@ def outcome(folder):
         "picks": [pick.source for pick in study.state.picks],
         "told": [row.source for row in rows],
         "returns": [row.returns.tolist() for row in rows],
-        "fresh": np.nan_to_num(study.state.fresh.returns, nan=-1.0).tolist(),
+        "fresh": [study.state.fresh.served.tolist(), study.state.fresh.alone.tolist()],
         "policies": [load(Path(folder) / row.policy).tolist() for row in rows],
         "finished": study.is_finished,
     }

@@ -32,7 +32,7 @@ def error_of(evaluate, studies=25):
     values = []
     for root in range(studies):
         study = study_of(root, budget=1).run(train, evaluate, progress=False).study
-        values.append(fresh_value(study).value)
+        values.append(fresh_value(study.state).value)
     return float(np.sqrt(np.mean((np.array(values) - 0.5) ** 2)))
 
 

@@ -40,7 +40,7 @@ def test_a_run_trains_each_pick_once_and_reports_on_fresh_episodes(tmp_path):
     study = study_at(tmp_path).run(trainer=counting(calls)).study
     assert len(calls) == 5
     assert study.is_finished
-    fresh, before = fresh_value(study), study.routing.value
+    fresh, before = fresh_value(study.state), study.routing.value
     assert study.value == fresh.value != pytest.approx(before.value)  # other episodes
     assert fresh.value == pytest.approx(before.value, abs=0.3)  # of few and skewed ones
 

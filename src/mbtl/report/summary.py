@@ -155,7 +155,7 @@ def summarise_study(study: Study) -> StudySummary:
     """Compute the summary of a study as it stands."""
     state = study.refresh()
     history, weights, space = study.history, study.space.weights, study.space
-    fresh = fresh_value(study)
+    fresh = fresh_value(study.state)
     risk = study.spec.risk
     best_and_worst = tuple(float(r) for r in study.bounds.denormalise(np.array([0.0, 1.0])))
     common: dict[str, Any] = {

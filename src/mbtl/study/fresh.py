@@ -19,6 +19,7 @@ from mbtl.arrays import Array
 from mbtl.episodes import scatter_of_sum, student
 from mbtl.objective import worst_share_weights
 from mbtl.seeds import Purpose
+from mbtl.study.state import StudyState
 from mbtl.trainer import Trainer, checked_returns, completed
 
 if TYPE_CHECKING:
@@ -112,12 +113,22 @@ def report_fresh_returns(study: Study, trainer: Trainer) -> None:
     study.record_fresh_returns(served, alone, best_single=plan.best_single, rows=rows)
 
 
-def fresh_value(study: StudyView) -> FreshValue | None:
+def value_of(state: StudyState) -> float:
+    """V that people are told: on fresh episodes once they were played, else the running estimate.
+
+    -inf before the first row.
+    """
+    fresh = fresh_value(state)
+    return state.value() if fresh is None else fresh.value
+
+
+def fresh_value(state: StudyState) -> FreshValue | None:
     """V on fresh episodes, as they were played when the study was reported; None: not measured."""
-    fresh, bounds = study.state.fresh, study.bounds
+    fresh, bounds, spec = state.fresh, state.bounds(), state.spec
     if fresh is None:
         return None
-    weights, risk = study.space.weights, study.spec.risk
+    assert spec is not None
+    weights, risk = spec.space.weights, spec.risk
     served, alone = (bounds.normalise(r) for r in (fresh.served, fresh.alone))
     means = bounds.normalise(fresh.served.mean(axis=1))
     ours = worst_share_weights(means, weights, risk)

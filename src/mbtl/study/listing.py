@@ -19,6 +19,7 @@ from mbtl.study.database import (
     shown,
 )
 from mbtl.study.events import OPENED, Event
+from mbtl.study.fresh import value_of
 from mbtl.study.leases import Watch
 from mbtl.study.places import database_file, fixed_url, policy_store
 from mbtl.study.presence import Presence
@@ -39,7 +40,7 @@ class StudyEntry:
         failed: trainings that failed, or were ended early.
         open: picks that wait for an answer.
         budget: trainings that it may ask for.
-        value: V so far, performance; None before the first row.
+        value: V, performance, as `Study.value`; None before the first row.
         stop_reason: why nothing more can be asked; None while something can.
         created_at: seconds since the epoch.
     """
@@ -208,7 +209,7 @@ def _entry(name: str, state: StudyState) -> StudyEntry:
         len(state.failures),
         len(state.open_picks),
         spec.budget,
-        state.value() if state.rows else None,
+        value_of(state) if state.rows else None,
         stop_reason(state),
         state.created_at,
     )

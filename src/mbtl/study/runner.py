@@ -151,7 +151,7 @@ def run(
     return RunResult(
         study,
         study.curve,
-        fresh_value(study) if study.state.rows else None,
+        fresh_value(study.state) if study.state.rows else None,
         study.trainings,
         tuple(study.state.failures),
         study.stopping or study.stop_reason,

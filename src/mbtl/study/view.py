@@ -19,7 +19,7 @@ from mbtl.routing import Routing
 from mbtl.selectors import SelectionProblem
 from mbtl.study import asking
 from mbtl.study.artifacts import ArtifactStore, FolderStore
-from mbtl.study.fresh import fresh_value
+from mbtl.study.fresh import value_of
 from mbtl.study.leases import Lease, Watch, new_worker
 from mbtl.study.places import database_file
 from mbtl.study.presence import Presence
@@ -177,8 +177,7 @@ class StudyView:
 
         -inf before the first row. How sure the running estimate is: `study.routing.value`.
         """
-        fresh = fresh_value(self)
-        return self._state.value() if fresh is None else fresh.value
+        return value_of(self._state)
 
     @property
     @_alone
