@@ -65,7 +65,7 @@ def test_a_users_problem_becomes_matrix_files(mbtl_command, problem):
 def test_an_interrupted_build_goes_on(mbtl_command, problem):
     (problem / "stop").touch()
     code, _, err = mbtl_command(*BUILD, "--seeds", 1)
-    assert code == 1
+    assert code == 130
     assert "run the same command again" in err
     (problem / "stop").unlink()
     assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0

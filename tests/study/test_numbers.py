@@ -22,7 +22,7 @@ def replaced(row, place, number):
     return changed
 
 
-@pytest.mark.parametrize("number", [9e154, -1e300, 1.1e30, np.inf, np.nan])
+@pytest.mark.parametrize("number", [9e154, -1e300, 1.1e30, np.inf])
 def test_a_return_beyond_reach_is_named_with_its_context_and_leaves_the_study_whole(number):
     study = mbtl.create_study(SPACE, budget=3, bounds=(0, 1))
     pick = study.ask()
@@ -52,7 +52,7 @@ def test_whatever_passes_the_door_can_be_computed_with(selector, bounds):
         assert np.isfinite([study.value, found.error, found.margin, *study.curve]).all()
 
 
-@pytest.mark.parametrize("broken", [1e300, 1e160, np.nan])
+@pytest.mark.parametrize("broken", [1e300, 1e160])
 def test_a_run_defers_what_broke_and_goes_on(broken):
     study = mbtl.create_study(SPACE, budget=3, bounds=(0, 1), selector="equidistant")
 
@@ -79,9 +79,12 @@ def test_what_a_mask_hides_is_missing():
     hidden = np.ma.array(np.tile(ROW[:, None], (1, 2)), mask=False)
     hidden[3, 1] = np.ma.masked
     study = mbtl.create_study(SPACE, budget=1, bounds=(0, 1))
-    for returns in (hidden, list(hidden), hidden[:, 1]):
-        with pytest.raises(TrainingFailed, match=r"got nan for x = 0\.75 m, the first of 1"):
-            study.tell(0, returns)
+    told = ((hidden, ROW[3]), (list(hidden), ROW[3]), (hidden[:, 1], np.nan))
+    for source, (returns, found) in enumerate(told):
+        study.tell(source, returns)
+        expected = ROW.copy()
+        expected[3] = found  # of the other episode, where there is one
+        np.testing.assert_allclose(study.state.rows[-1].returns, expected)
     cube = np.ma.zeros((1, N, N))
     cube[0, 1, 2] = np.ma.masked
     with pytest.raises(InvalidInput, match=r"got nan at \[seed 0, source 1, target 2\]"):
