@@ -78,9 +78,9 @@ def errors(setting: Setting, seed: int) -> dict[str, tuple[float, float]]:
         SPACE, tuple(sources), played.mean(axis=2), Bounds(0.0, 1.0), 0.01, episodes=list(played)
     )
     routing = portfolio.routing
-    route, now, best = routing.route, routing.value, int(routing.singles.argmax())
+    route, now, best = routing.route, routing.value, routing.best_single
     value = float(truth[route, at].mean())
-    over, fresh = routing.gain_over(best), play()[route, at] / N
+    over, fresh = routing.gain, play()[route, at] / N
     variance, freedom = scatter_of_sum(fresh)
     asked = int(rng.integers(N))
     choice = portfolio.explain(SPACE.context(asked))

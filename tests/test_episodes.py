@@ -1,6 +1,7 @@
 """Episodes: folds choose and value in turn, luck that is shared is measured, intervals cover."""
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
+import mbtl
 from mbtl.episodes import Episodes, scatter_of_sum, student
 from mbtl.objective import Bounds
 
@@ -57,6 +59,38 @@ def test_two_episodes_of_many_contexts_know_the_scatter_of_a_sum():
     assert scatter_of_sum(np.zeros((3, 4))) == (0.0, np.inf)
     assert student(np.inf) == pytest.approx(1.96, abs=1e-3)
     assert scatter_of_sum(np.array([[0.0, 1.0]]))[1] == 1.0  # one context: Student's t of one
+
+
+def noisy_run(capsys, n, seed, budget, **wishes):
+    """The lines of a run with two episodes each, and the true V of its routes."""
+    space = mbtl.ContextSpace.grid({mbtl.Linear("load", 0.0, 1.0): n})
+    loads = np.array([space.context(i)["load"] for i in range(n)])
+    true = lambda at, load: 0.9 - 0.6 * abs(at - load) - 0.2 * np.sin(5.0 * load)  # noqa: E731
+
+    def evaluate(policy, contexts, seeds):
+        luck = [0.2 * np.random.default_rng(each).standard_normal(2) for each in seeds]
+        return [true(policy, c["load"]) + each for c, each in zip(contexts, luck, strict=True)]
+
+    study = mbtl.create_study(space, budget=budget, seed=seed, bounds=(0.0, 1.0), **wishes)
+    study.run(lambda context, seed: context["load"], evaluate, report=False)
+    trained = loads[list(study.history.sources)]
+    return capsys.readouterr().err.splitlines(), true(trained[study.routing.route], loads).mean()
+
+
+def test_two_episodes_on_20_of_400_contexts_say_v_on_every_line(capsys):
+    for seed in range(2):
+        lines, truth = noisy_run(capsys, 400, seed, 4, eval_targets=20)
+        assert len(lines) == 4  # and no words on how little is known
+        said = [re.search(r"V = ([-.\d]+) \+- ([.\d]+), estimated", line) for line in lines]
+        value, half = (float(number) for number in said[-1].groups())
+        assert abs(value - truth) < half < 0.2
+        assert max(float(each.group(2)) for each in said) < 0.4
+
+
+def test_too_few_episodes_are_named_once_after_the_first_row(capsys):
+    lines, _ = noisy_run(capsys, 5, 0, 3)
+    assert [("play more" in line) for line in lines] == [False, True, False, False]
+    assert lines[1] == "2 episodes of so few contexts say little of chance: play more"
 
 
 def test_running_v_is_not_flattered_and_its_intervals_cover():

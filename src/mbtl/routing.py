@@ -200,9 +200,10 @@ class Routing:
         """V after 1, 2, ..., k trainings."""
         return [self.after(k).value for k in range(1, len(self) + 1)]
 
-    def gain_over(self, policy: int) -> Valuation:
-        """V less the V of one policy alone, which would serve all."""
-        return self.after().gain_over(policy)
+    @property
+    def gain(self) -> Valuation:
+        """V less the V of the best single policy, which would serve all."""
+        return self.after().gain
 
     @property
     def tails(self) -> float:
@@ -216,11 +217,10 @@ class Routing:
         """False where no scatter of episodes was told: how much chance there is nobody can say."""
         return self.episodes is not None and self.episodes.several
 
-    @cached_property
-    def singles(self) -> Array:
-        """(k,) V of each policy alone."""
-        targets, weights = self.after().targets
-        return worst_share_mean(self.beliefs.on(targets)[0], weights, self.risk)
+    @property
+    def best_single(self) -> int:
+        """Position of the policy that would serve all best, by what is believed."""
+        return self.after().best_single
 
     def _goes_on(self, earlier: Routing) -> bool:
         k = len(earlier)
@@ -272,9 +272,16 @@ class _After:
         """V now."""
         return self._valued(None)
 
-    def gain_over(self, policy: int) -> Valuation:
-        """V less that of one policy alone."""
-        return self._valued(policy)
+    @cached_property
+    def gain(self) -> Valuation:
+        """V less that of the best single policy."""
+        return self._valued(self.best_single)
+
+    @cached_property
+    def best_single(self) -> int:
+        """Position of the policy that would serve all best."""
+        targets, weights = self.targets
+        return int(worst_share_mean(self.beliefs.on(targets)[0], weights, self._risk).argmax())
 
     def _valued(self, alone: int | None) -> Valuation:
         """V, or what it is more than that of one policy."""
@@ -302,25 +309,36 @@ class _After:
     def _cross_fitted(self, alone: int | None) -> tuple[float, float, float]:
         """V or a gain, the variance that noise gives it, and the degrees of freedom of that.
 
-        Each fold of episodes is left out in turn: those that stay choose the routes and say what
-        they are worth, and where it was measured, those left out say by how much that flatters.
+        Each fold of episodes is left out in turn: those that stay choose the routes (and the best
+        single policy) and say what they are worth, and where it was measured, those left out say by
+        how much that flatters.
+
+        Folds choose by each other's episodes, so that they are lucky together: their scatter says
+        too little where a choice is close. By how much the mean of all episodes exceeds what is
+        found by those that did not choose is the luck of the choices. Half of its square comes on
+        top: between two equals .39 of it is missing, more where one is better. A policy is lucky in
+        all contexts that it serves.
         """
         assert self._episodes is not None
         (targets, weights), steps = self.targets, self._space.steps
         at, folds = np.arange(len(targets)), self._episodes.folds
         believed = self.beliefs.on_folds(targets, self._episodes.kept)
-        flattery, says = np.empty((2, len(at), folds))
-        apart = np.zeros((len(at), folds))
-        for fold, mean in enumerate(believed):
-            route = last_route(mean, self._sources, steps, targets)
-            says[:, fold] = mean[route, at]
-            flattery[:, fold] = mean[route, at] - self._held(route, targets)[:, fold]
-            # what was chosen as the best of all is flattered, what the fold finds the best is worse
-            for rival in () if alone is None else (alone, int((mean @ weights).argmax())):
-                found = self._held(np.full(len(at), rival), targets)[:, fold]
-                says[:, fold] -= mean[rival] / 2.0
-                flattery[:, fold] -= (mean[rival] - found) / 2.0
-                apart[:, fold] = found - apart[:, fold]
+        says, flattery = np.zeros((2, len(at), folds))
+        luck = np.zeros((len(self._sources), len(at)))
+        choices: list[tuple[float, Indices]] = [(1.0, self._route(targets))]
+        if alone is not None:
+            choices.append((-1.0, np.full(len(at), alone)))
+        for sign, serves in choices:
+            luck[serves, at] += sign * self._held(serves, targets).mean(axis=1)
+            for fold, mean in enumerate(believed):
+                if sign > 0.0:
+                    chosen = last_route(mean, self._sources, steps, targets)
+                else:
+                    chosen = np.full(len(at), (mean @ weights).argmax())
+                found = self._held(chosen, targets)[:, fold]
+                says[:, fold] += sign * mean[chosen, at]
+                flattery[:, fold] += sign * (mean[chosen, at] - found)
+                luck[serves, at] -= sign * found / folds
         known = np.isfinite(flattery).all(axis=1)
         counted = np.where(known, weights, 0.0)
         counted /= max(counted.sum(), np.finfo(float).tiny)
@@ -330,11 +348,8 @@ class _After:
         value -= float(counted[known] @ flattery[known].mean(axis=1))
         parts = weights[:, None] * says - counted[:, None] * flattery
         variance, freedom = scatter_of_sum(parts[known])
-        return (
-            value,
-            variance + float(counted[known] @ apart[known].mean(axis=1) / 2.0) ** 2,
-            freedom,
-        )
+        together = np.nan_to_num(luck) @ counted
+        return value, variance + float(together @ together) / 2.0, freedom
 
     def _held(self, route: Indices, targets: Indices) -> Array:
         """(T, F) of the serving policies by the episodes left out; NaN where not evaluated."""

@@ -174,8 +174,8 @@ def summarise_study(study: Study) -> StudySummary:
     routing, known = study.routing, study.routing.noise_is_known
     now = routing.value
     if fresh is None:
-        best_single, served, v = int(routing.singles.argmax()), routing.served, now.value
-        over = routing.gain_over(best_single)
+        best_single, served, v = routing.best_single, routing.served, now.value
+        over = routing.gain
         gain, gain_margin = over.value, over.margin if known or over.error else None
     else:
         best_single, served, v = fresh.best_single, fresh.served, fresh.value

@@ -78,7 +78,7 @@ class ReportPlan:
 def plan_of(study: StudyView) -> ReportPlan:
     """What the closing report of a study evaluates now: who serves, and the best single policy."""
     routing = study.state.routing()
-    return ReportPlan(routing.route, int(routing.singles.argmax()))
+    return ReportPlan(routing.route, routing.best_single)
 
 
 def can_report(study: Study) -> bool:
