@@ -93,13 +93,17 @@ def test_too_few_episodes_are_named_once_after_the_first_row(capsys):
     assert lines[1] == "2 episodes of so few contexts say little of chance: play more"
 
 
-def test_running_v_is_not_flattered_and_its_intervals_cover():
-    """Two skewed episodes, all contexts: the luckiest rows would be 0.05 and more too high."""
+def test_running_v_and_its_gain_are_not_flattered_and_their_intervals_cover():
+    """Two skewed episodes, all contexts: the luckiest rows would be 0.03 too high.
+
+    The scatter of folds alone, without that they are lucky together, covers 92 and 89 of 100.
+    """
     module = coverage()
-    found = module.measured(module.Setting(2, skewed=True), 60)
-    error, half = found["V, running"].T
-    assert abs(error.mean()) < 3.0 * error.std() / np.sqrt(len(error))
-    assert half.mean() < 0.1  # not +- 70
-    for name in ("V, running", "V, fresh", "a route", "gain"):
+    found = module.measured(module.Setting(2, skewed=True), 150)
+    for name, least in (("V, running", 0.93), ("gain", 0.93), ("V, fresh", 0.9), ("a route", 0.9)):
         error, half = found[name].T
-        assert np.mean(abs(error) <= half) > 0.82  # of 60
+        assert least < np.mean(abs(error) <= half) < 0.99, name
+    for name in ("V, running", "gain"):
+        error, half = found[name].T
+        assert abs(error.mean()) < 3.0 * error.std() / np.sqrt(len(error))
+        assert half.mean() < 0.075  # 1.96 times the error's true deviation is 0.061, and 0.056

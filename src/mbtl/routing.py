@@ -317,7 +317,8 @@ class _After:
         too little where a choice is close. By how much the mean of all episodes exceeds what is
         found by those that did not choose is the luck of the choices. Half of its square comes on
         top: between two equals .39 of it is missing, more where one is better. A policy is lucky in
-        all contexts that it serves.
+        all contexts that it serves. Only measured contexts count, each with its own weight: what is
+        predicted from them has its doubt from the model.
         """
         assert self._episodes is not None
         (targets, weights), steps = self.targets, self._space.steps
@@ -348,7 +349,7 @@ class _After:
         value -= float(counted[known] @ flattery[known].mean(axis=1))
         parts = weights[:, None] * says - counted[:, None] * flattery
         variance, freedom = scatter_of_sum(parts[known])
-        together = np.nan_to_num(luck) @ counted
+        together = np.nan_to_num(luck) @ weights
         return value, variance + float(together @ together) / 2.0, freedom
 
     def _held(self, route: Indices, targets: Indices) -> Array:
