@@ -349,7 +349,7 @@ class _After:
         value -= float(counted[known] @ flattery[known].mean(axis=1))
         parts = weights[:, None] * says - counted[:, None] * flattery
         variance, freedom = scatter_of_sum(parts[known])
-        together = luck[:, known] @ weights[known]
+        together = np.nan_to_num(luck[:, known]) @ weights[known]
         return value, variance + float(together @ together) / 2.0, freedom
 
     def _held(self, route: Indices, targets: Indices) -> Array:
