@@ -63,8 +63,7 @@ problem = mbtl.CMDP.from_env(
     "own-light", mbtl.ContextSpace.grid({mbtl.Linear("demand", 40, 400, unit="veh/h"): 10}),
     make_env=Light, score="score", algorithm="DQN", timesteps=3000, eval_episodes=2, budget=3,
     hyperparameters={"gamma": 0.9, "learning_rate": 1e-3, "target_update_interval": 200},
-    bounds=(-40.0, 0.0),
-    trainer_options={"n_eval_envs": 1},  # libsumo holds one simulation: others would be slower
+    bounds=(-40.0, 0.0), trainer_options={"n_eval_envs": 1},  # libsumo holds one simulation
 )  # fmt: skip
 
 if __name__ == "__main__":

@@ -98,4 +98,4 @@ def test_letters_that_a_console_lacks_are_escaped_and_end_nothing(
     out.flush()
     shown = out.buffer.getvalue().decode(console)
     assert (code, err) == (0, "")
-    assert "\\u03b8\\u4e00 = 1" in shown
+    assert "\\u03b8\\u4e00 = 0" in shown

@@ -10,17 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.envs.rollout import end
-from mbtl.envs.spaces import Outside, outside
 from mbtl.errors import InvalidInput
 from mbtl.seeds import action_seed
+
+if TYPE_CHECKING:
+    from mbtl.envs.spaces import Outside
 
 _RESET = -1
 
@@ -137,6 +139,8 @@ def flat(space: Any, observation: Any) -> Array:
 def _moments(env: Any, actions: Sequence[Any], seed: int) -> Iterator[_Moment]:
     space = env.observation_space
 
+    from mbtl.envs.spaces import outside  # needs Gymnasium, as environments do
+
     def seen(observation: Any) -> tuple[Array, Outside | None]:
         miss = outside(space, observation)
         try:
@@ -175,7 +179,7 @@ def _reset(env: Any, seed: int | None) -> Any:
 def _record(moments: Sequence[_Moment]) -> Rollout:
     observations, missed, rewards, endings = zip(*moments, strict=True)
     misses = [
-        Outside(f"{miss.said}, at moment {i}", miss.far) for i, miss in enumerate(missed) if miss
+        replace(miss, said=f"{miss.said}, at moment {i}") for i, miss in enumerate(missed) if miss
     ]
     worst = next((miss for miss in misses if miss.far), misses[0] if misses else None)
     codes = np.asarray(endings, dtype=np.int8)
