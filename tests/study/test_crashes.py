@@ -82,8 +82,11 @@ def test_the_chance_of_success_is_one_before_a_failure_and_local_after_it():
     assert again[41] < 0.01
 
 
-@pytest.mark.parametrize("selector", ["auto", "mbtl", "mbtl-ei", "gp-mbtl"])
-def test_a_region_where_trainings_crash_is_left_after_some(selector):
+@pytest.mark.parametrize(
+    ("selector", "most"),
+    [("auto", 6), ("mbtl", 6), ("mbtl-ei", 6), ("gp-mbtl", 6), ("m-mbtl", 3), ("sd-mbtl", 3)],
+)
+def test_a_region_where_trainings_crash_is_left_after_some(selector, most):
     """30 % of the contexts crash, in one region: of 15 picks at random 4.5 are spent there."""
     problem, chosen, spent = SelectionProblem.of(SPACE, budget=15), get_selector(selector), []
     for low in (0.0, 0.35, 0.7):
@@ -97,4 +100,4 @@ def test_a_region_where_trainings_crash_is_left_after_some(selector):
             else:
                 history = history.with_row(source, rows[source])
         spent.append(crashed)
-    assert np.mean(spent) <= 6.0
+    assert np.mean(spent) <= most

@@ -243,6 +243,14 @@ def success_chance(problem: SelectionProblem, history: History) -> Array:
     return np.asarray(0.5 + 0.5 * np.tanh(odds / 2.0))
 
 
+def likely_candidates(
+    problem: SelectionProblem, history: History, mask: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """(N,) those of `mask` where a training more likely than not gives a policy; all if none."""
+    likely = mask & (success_chance(problem, history) >= 0.5)
+    return likely if likely.any() else mask
+
+
 def nearest_open(problem: SelectionProblem, point: Array, mask: NDArray[np.bool_]) -> int:
     """Open context nearest to `point` (D,) in grid steps; the lowest index on a tie."""
     distance = np.sqrt(((problem.steps - point) ** 2).sum(axis=1))

@@ -22,7 +22,13 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.history import History
-from mbtl.selectors.base import Proposal, SelectionProblem, nearest_open, open_candidates
+from mbtl.selectors.base import (
+    Proposal,
+    SelectionProblem,
+    likely_candidates,
+    nearest_open,
+    open_candidates,
+)
 from mbtl.selectors.contract import Traits
 
 _SEED = 0  # of the starts: the same contexts at every pick, whatever the study's seed
@@ -36,12 +42,13 @@ _BLOCK_ENTRIES = 1 << 20  # start x context distances held at once: two arrays o
 class MMBTL:
     """Mountain MBTL.
 
-    Three things differ from the published code. A centre that rounds to a context already taken is
+    Four things differ from the published code. A centre that rounds to a context already taken is
     passed over for the next best start, where the published code trains that context again. Pending
     and failed contexts are centres too: the first are being trained, and around the second other
-    places come first. The starts of equal cost are told apart by the lowest index; the published
-    order is a random one. Kept, because harmless: assignment by L1 distance with the cluster's mean
-    (not its median) as centre, and rounding half to even.
+    places come first. Contexts where trainings are expected to fail are passed over, too. The
+    starts of equal cost are told apart by the lowest index; the published order is a random one.
+    Kept, because harmless: assignment by L1 distance with the cluster's mean (not its median) as
+    centre, and rounding half to even.
 
     Attributes:
         starts: number of contexts that Lloyd's iteration starts from; all if there are fewer.
@@ -55,7 +62,7 @@ class MMBTL:
         self, problem: SelectionProblem, history: History, rng: np.random.Generator
     ) -> Proposal:
         """The middle first, then where a new centre settles; ties to the lowest index."""
-        mask = open_candidates(problem, history)
+        mask = likely_candidates(problem, history, open_candidates(problem, history))
         if not history.tried:
             return middle(problem, mask)
         covered = _distances(problem.steps[list(history.tried)], problem.steps).min(axis=0)

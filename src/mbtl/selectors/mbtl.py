@@ -22,8 +22,8 @@ from mbtl.selectors.base import (
     Proposal,
     SelectionProblem,
     first_pick,
+    likely_candidates,
     open_candidates,
-    success_chance,
 )
 from mbtl.selectors.contract import Traits
 from mbtl.selectors.model_based import (
@@ -176,7 +176,6 @@ def start(
             best = np.fmax(best, rows.max(axis=0))
         counted = mask & (problem.weights > 0)
         counted = counted if counted.any() else mask
-        likely = counted & (success_chance(problem, history) >= 0.5)
-        worst = worst_context(best, likely if likely.any() else counted)
+        worst = worst_context(best, likely_candidates(problem, history, counted))
         return Proposal(worst, "warm-up: worst context so far")
     return None
