@@ -235,7 +235,22 @@ def test_each_check_is_said_as_it_begins_and_how_long_the_rest_will_take():
     report = check_cmdp(Sound, SPACE, on_check=said.append)
     names = [check.name for check in report.checks[1:]]  # units need no environment
     assert [line for line in said if line in names] == names
-    assert "more such rollouts will take about" in said[1]
+    assert "more such rollouts about" in said[1]
+
+
+def test_how_long_a_check_will_take_is_said_after_ten_steps():
+    """Of a slow simulator the first 200 steps alone take minutes."""
+    steps, said = [], []
+
+    class Counted(Sound):
+        def step(self, action):
+            steps.append(action)
+            return super().step(action)
+
+    check_cmdp(Counted, SPACE, on_check=lambda line: said.append((len(steps), line)))
+    taken = [n for n, line in said if "more such rollouts about" in line]
+    assert len(taken) == 1
+    assert 10 <= taken[0] < 200
 
 
 def test_a_dead_axis_is_the_only_failure_of_an_otherwise_sound_environment():

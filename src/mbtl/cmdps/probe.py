@@ -18,6 +18,8 @@ from mbtl.score import Score
 from mbtl.seeds import action_seed
 
 _MOST_CORNERS = 16
+_TIMED = 10
+"""Steps that tell how long a rollout will take."""
 _ENDING = 2000
 """Steps within which an episode of unknown length is looked for an end."""
 
@@ -137,17 +139,25 @@ class Probe:
 
     def _first_rollout(self) -> tuple[Outcome, str]:
         with opened(partial(self._make, self._base)) as (env,):
-            begun = time.perf_counter()
             actions = draw_actions(env.action_space, self.steps, self.seed)
-            rollout = roll(env, actions, self.seed)
-            each = time.perf_counter() - begun
+            rollout = roll(env, self._timed(actions, time.perf_counter()), self.seed)
         self._actions, self._first = actions, rollout
-        self._say(
-            f"{self.steps} steps took {each:.1f} s, so {self._rollouts} more such rollouts will "
-            f"take about {max(1.0, each * self._rollouts):.0f} s"
-        )
         bad = rollout.not_finite()
         return ("failed", bad) if bad else ("passed", f"{self.steps} steps at {self._base}")
+
+    def _timed(self, actions: Sequence[Any], begun: float) -> Iterator[Any]:
+        """The actions; after some of them, how long all will take: 200 may take minutes."""
+        reset = time.perf_counter() - begun
+        for k, action in enumerate(actions):
+            if k == _TIMED:
+                stepping = time.perf_counter() - begun - reset
+                each = reset + stepping / k * len(actions)
+                self._say(
+                    f"{len(actions)} steps take about {max(1.0, each):.0f} s, and "
+                    f"{self._rollouts} more such rollouts about "
+                    f"{max(1.0, each * self._rollouts):.0f} s"
+                )
+            yield action
 
     def _inside(self) -> tuple[Outcome, str]:
         from mbtl.envs.spaces import check_taken

@@ -8,7 +8,7 @@ Notation (shapes): T recorded moments, F numbers of the flattened observation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -63,7 +63,7 @@ def draw_actions(action_space: Any, n: int, seed: int) -> list[Any]:
     return [action_space.sample() for _ in range(n)]
 
 
-def roll(env: Any, actions: Sequence[Any], seed: int) -> Rollout:
+def roll(env: Any, actions: Iterable[Any], seed: int) -> Rollout:
     """Reset with `seed`, take the actions, and reset without a seed whenever an episode ends."""
     return _record(list(_moments(env, actions, seed)))
 
@@ -136,7 +136,7 @@ def flat(space: Any, observation: Any) -> Array:
     return np.array(spaces.flatten(space, observation), dtype=np.float64)
 
 
-def _moments(env: Any, actions: Sequence[Any], seed: int) -> Iterator[_Moment]:
+def _moments(env: Any, actions: Iterable[Any], seed: int) -> Iterator[_Moment]:
     space = env.observation_space
 
     from mbtl.envs.spaces import outside  # needs Gymnasium, as environments do
