@@ -345,8 +345,8 @@ class WorldTrainer(WorldSteps):
             seeds: of the episodes, one per context, policy by policy.
 
         Returns:
-            Per name of a measure (n, eval_episodes), the contexts policy by policy; by who: the
-            "policies", and what goes best by itself.
+            By who drives ("policies", and what goes best by itself) and by measure, an array of
+            (contexts, eval_episodes), the contexts policy by policy.
         """
         every = [context for some in contexts for context in some]
         world, params = self.problem(every)
