@@ -106,7 +106,10 @@ def test_an_evaluation_plays_both_modes_and_an_episode_only_the_one_it_is_told(m
         "tanh", (80,), DiscreteHead((4,)),
     )  # fmt: skip
     (worth,) = play(
-        [Job(lambda: make({"inflow": 60.0}), [3])], Actor(policy), max_envs=1, keep_open=True
+        [Job(lambda: make({"inflow": 60.0}), [3], get_cmdp("signal-inflow").score)],
+        Actor(policy),
+        max_envs=1,
+        keep_open=True,
     )
     assert worth == pytest.approx(np.dot(env.strata, alone))
 
