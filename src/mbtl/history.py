@@ -1,12 +1,15 @@
-"""History: the transfer rows observed so far, and nothing else. All that a selector may see.
+"""History: the transfer rows observed so far, and nothing else. All that a strategy may see.
 
 Notation (shapes): k rows observed, N targets.
-    sources  (k,)     context indices trained on, in the order they were told; one may come again
+    sources  (k,)     context indices trained on, in the order they were told
     rows     (k, N)   performance of each policy on every target; NaN where it was not evaluated
     errors   (k, N)   standard errors of the rows (`standard_errors`); None: unknown
     pending  proposed but not yet told (other workers are training them)
     failed   trainings that gave nothing; never proposed again
     spent    cost of all of these, where the problem has costs
+
+A *specialist* is trained on one context, from scratch, for one unit: all that the paper knows. Of
+other trainings the history says what they were; `specialists` leaves them out.
 """
 
 from __future__ import annotations
@@ -24,8 +27,45 @@ from mbtl.objective import generalisation_performance, nearest_filled
 
 
 @dataclass(frozen=True)
+class Training:
+    """What a policy is made by.
+
+    Attributes:
+        contexts: indices of those trained on.
+        start: place of the row whose policy it begins with; None: from scratch; -1: of a row that
+            was taken back.
+        length: units of it in all, those before `start` too where it goes on from there.
+        goes_on: with the policy of `start`, on the same contexts: no copy, the same training.
+    """
+
+    contexts: tuple[int, ...]
+    start: int | None = None
+    length: float = 1.0
+    goes_on: bool = False
+
+    @property
+    def is_specialist(self) -> bool:
+        """On one context, from scratch, a whole one."""
+        return len(self.contexts) == 1 and self.start is None and self.length == 1.0
+
+
+@dataclass(frozen=True)
 class History:
-    """Immutable record of a selection run; `with_row` gives the next one."""
+    """Immutable record of a selection run; `with_row` gives the next one.
+
+    Attributes:
+        n_targets: N.
+        sources: of a policy trained on several contexts, the one in their middle.
+        rows: see above, as for what follows.
+        pending: sources of specialists.
+        failed: likewise.
+        errors: of the rows.
+        spent: of the cost budget.
+        trainings: (k,) how the policies were made; none: all are specialists.
+        under_way: trainings of other kinds that others are at.
+        given_up: likewise, that gave nothing.
+        paid: units of all trainings that were asked for.
+    """
 
     n_targets: int
     sources: tuple[int, ...] = ()
@@ -34,6 +74,10 @@ class History:
     failed: tuple[int, ...] = ()
     errors: Array | None = None
     spent: float = 0.0
+    trainings: tuple[Training, ...] = ()
+    under_way: tuple[Training, ...] = ()
+    given_up: tuple[Training, ...] = ()
+    paid: float = 0.0
 
     def __post_init__(self) -> None:
         if self.rows.size == 0 and not self.sources:
@@ -51,6 +95,25 @@ class History:
     def __len__(self) -> int:
         return len(self.sources)
 
+    def made(self, row: int) -> Training:
+        """How the policy of a row was made."""
+        return self.trainings[row] if self.trainings else Training((self.sources[row],))
+
+    def specialists(self) -> History:
+        """The same without all other trainings: what a selector may see."""
+        kept = [i for i, one in enumerate(self.trainings) if one.is_specialist]
+        if len(kept) == len(self.trainings):
+            return self
+        return replace(
+            self,
+            sources=tuple(self.sources[i] for i in kept),
+            rows=self.rows[kept],
+            errors=None if self.errors is None else self.errors[kept],
+            trainings=(),
+            under_way=(),
+            given_up=(),
+        )
+
     def with_row(self, source: int, row: Array) -> History:
         """The history after one more training; `row` is (N,) performance, taken as exact."""
         rows = np.vstack([self.rows, np.asarray(row, dtype=np.float64)[None, :]])
@@ -65,6 +128,12 @@ class History:
     def with_pending(self, source: int) -> History:
         """The history after `source` was proposed and before it is told."""
         return replace(self, pending=(*self.pending, int(source)))
+
+    def with_asked(self, training: Training) -> History:
+        """The history after any training was proposed and before it is told."""
+        if training.is_specialist:
+            return self.with_pending(training.contexts[0])
+        return replace(self, under_way=(*self.under_way, training))
 
     def with_failure(self, source: int) -> History:
         """The history after the training on `source` failed."""
@@ -94,15 +163,11 @@ class History:
         """(k,) J(pi_i, x_i): each policy on its own source."""
         return self.rows[np.arange(len(self.sources)), np.asarray(self.sources, dtype=np.intp)]
 
-    def open_mask(self, n_candidates: int, repeats: int = 1) -> NDArray[np.bool_]:
-        """(M,) True where a candidate is not pending, never failed, and trained < `repeats` times.
-
-        Repeated trainings count the picks under way too, so that parallel ones differ.
-        """
-        times = np.bincount(np.asarray(self.sources, dtype=np.intp), minlength=n_candidates)
-        mask = times < repeats
-        mask[[*self.pending, *self.failed]] = False
-        return np.asarray(mask)
+    def open_mask(self, n_candidates: int) -> NDArray[np.bool_]:
+        """(M,) True where a candidate is neither trained nor pending, and never failed."""
+        mask = np.ones(n_candidates, dtype=bool)
+        mask[[*self.tried]] = False
+        return mask
 
 
 USUAL = 10.0

@@ -2,6 +2,8 @@
 
 A training seed depends on (root seed, trial, source) and never on the pick number, so one source
 gives one policy in whatever order sources are picked, after a resume, and in a transfer matrix.
+Where they are not the usual ones, the set of contexts, what a training began from and the try
+count, too. A training that goes on keeps the seed of its beginning.
 An evaluation seed depends on (root seed, trial, purpose, target), never on the policy, so what two
 policies differ by is no luck. Each target has its own: where all of them shared their episodes, a
 lucky one would be lucky everywhere, and a mean over targets, such as V, would not make it smaller.
@@ -64,14 +66,28 @@ def derive_seed(root: int, purpose: Purpose, *path: int) -> int:
     return (int(purpose) << _HASH_BITS) | (int(state[0]) >> (32 - _HASH_BITS))
 
 
-def training_seed(root: int, trial: int, source: int, repeat: int = 0, retry: int = 0) -> int:
-    """Seed of the training on `source` (index) in `trial`; independent of the pick number.
+def training_seed(
+    root: int,
+    trial: int,
+    source: int | Sequence[int],
+    retry: int = 0,
+    lineage: Sequence[int] = (),
+) -> int:
+    """Seed of a training in `trial`; independent of the pick number.
 
-    `repeat` counts the earlier trainings on the same source, of a study that allows several, and
-    `retry` how often this one failed and was begun again: with its seed it might fail again.
+    Args:
+        root: the study's seed.
+        trial: repetition of the same problem.
+        source: index of the context trained on; or those of several.
+        retry: how often it failed and was begun again: with its seed it might fail again.
+        lineage: what the policy it begins from was made of, as numbers >= 0; none: from scratch.
     """
-    again = (repeat, retry) if retry else (repeat,) if repeat else ()
-    return derive_seed(root, Purpose.TRAINING, trial, source, *again)
+    contexts = (source,) if isinstance(source, int | np.integer) else tuple(source)
+    if len(contexts) == 1 and not lineage:
+        again = (0, retry) if retry else ()
+        return derive_seed(root, Purpose.TRAINING, trial, *contexts, *again)
+    path = (len(contexts), *contexts, *lineage)
+    return derive_seed(root, Purpose.TRAINING, trial, contexts[0], 1, retry, *path)
 
 
 def evaluation_seeds(

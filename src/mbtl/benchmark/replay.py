@@ -64,7 +64,7 @@ def replay(
 
 
 def _check(selector: Selector, problem: SelectionProblem, history: History, source: int) -> None:
-    again = history.sources.count(source) >= problem.repeats
+    again = source in history.sources
     if again or source not in problem.sources:
         some = "" if problem.trainable is None else " and trainable"
         raise InvalidInput(

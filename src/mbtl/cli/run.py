@@ -93,9 +93,6 @@ def run(
         bool,
         typer.Option("--all", help="Spend the whole budget, even if nothing seems left to gain."),
     ] = False,
-    repeats: Annotated[
-        int, typer.Option(help="Trainings allowed on one context, where another try may pay.")
-    ] = 1,
     eval_targets: Annotated[
         int | None,
         typer.Option(help="Evaluate each policy on this many contexts, not on all."),
@@ -180,7 +177,7 @@ def run(
     if steps is not None or strategy is not None:
         meant_for_trainings = {
             "--budget": budget, "--selector": selector != "auto", "--parallel": parallel != 1,
-            "--stop-value": stop_value, "--stop-gain": stop_gain, "--repeats": repeats != 1,
+            "--stop-value": stop_value, "--stop-gain": stop_gain,
             "--eval-targets": eval_targets, "--costs": costs, "--cost-budget": cost_budget,
             "--risk": risk != 1.0, "--stop-on-failure": stop_on_failure,
             "--retry-failed": retry_failed, "--all": whole_budget, "--no-report": no_report,
@@ -230,7 +227,6 @@ def run(
         stop_gain=stop_gain,
         stop_confidence=stop_confidence,
         stop_left=None if whole_budget or cmdp.bounds is None else NOTHING_LEFT,
-        repeats=repeats,
         eval_targets=eval_targets,
         costs=None if costs is None else _numbers(costs),
         cost_budget=cost_budget,

@@ -129,7 +129,6 @@ def _steps(subject: Subject) -> dict[str, Any]:
         if found is not None:
             means[j - 1], stds[j - 1], gains[j - 1] = found.mean, found.std, found.gain
             model = found.model
-        if subject.problem.repeats == 1:  # nothing is proposed again
-            gains[j - 1, list(subject.history.sources[:j])] = np.nan
+        gains[j - 1, list(subject.history.sources[:j])] = np.nan  # not proposed again
     served = np.fmax.accumulate(subject.history.rows, axis=0)
     return {"model": model, "mean": means, "std": stds, "gain": gains, "served": served}

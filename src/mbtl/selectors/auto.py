@@ -93,7 +93,7 @@ class Auto:
     final_targets: int = 150
     cover: int = 3
     name: str = "auto"
-    traits: ClassVar[Traits] = Traits(deterministic=True, retrains=True, predicts_chances=True)
+    traits: ClassVar[Traits] = Traits(deterministic=True, predicts_chances=True)
 
     def __post_init__(self) -> None:
         if self.cover < 0:
@@ -107,7 +107,7 @@ class Auto:
         self, problem: SelectionProblem, history: History, rng: np.random.Generator
     ) -> Proposal:
         """The largest expected gain; far from what was tried where nothing is known."""
-        mask = open_candidates(problem, history, repeats=problem.repeats)
+        mask = open_candidates(problem, history)
         if not np.isfinite(history.rows).any():
             return first_pick(problem, history, mask)
         try:
@@ -235,7 +235,7 @@ def _largest(
     best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
     source = int(candidates[best])
     if gain[best] <= TIE:
-        mask = open_candidates(problem, history, repeats=problem.repeats)
+        mask = open_candidates(problem, history)
         source = farthest_open(problem, [*history.sources, *history.pending], mask)
         return Proposal(source, "no predicted gain anywhere: far from what was tried", 0.0)
     reason = "largest expected gain"
@@ -243,8 +243,6 @@ def _largest(
         reason += " by straight lines"
     if problem.costs is not None:
         reason += " per cost"
-    if source in history.sources:
-        reason += ", trained again"
     counted = int(np.count_nonzero(problem.weights))
     sampling = outlook.standard_error(source, counted)
     judged = f"gain +- {sampling:.2g}: {len(outlook.targets)} of {counted} targets judged"

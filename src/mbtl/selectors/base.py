@@ -30,9 +30,8 @@ class SelectionProblem:
         unit: (N, D) unit-cube coordinates of the contexts; candidates and targets are one list.
         steps: (N, D) grid-step coordinates.
         weights: (N,) target weights, sum 1.
-        budget: number of trainings K.
+        budget: number of trainings K; units, where trainings of other kinds are allowed.
         theta: slope of the linear gap, performance per grid step.
-        repeats: trainings allowed on one context; only selectors that know of luck use more than 1.
         costs: (N,) cost of a training on each context; None where all cost the same.
         cost_budget: of all trainings together; None for no limit.
         risk: share of the targets, the worst of them, that V is the mean of.
@@ -40,6 +39,8 @@ class SelectionProblem:
         least_left: gain in V that all trainings left together should be worth; None: not asked.
         axes: of the context space, D columns together; empty: D linear axes.
         trainable: (N,) mask of the contexts that one may train on; None: all. All are targets.
+        abilities: what the trainer can do beside specialists: train on several contexts ("sets"),
+            begin from a policy ("start"), train for any length ("length").
     """
 
     unit: Array
@@ -47,7 +48,6 @@ class SelectionProblem:
     weights: Array
     budget: int
     theta: float
-    repeats: int = 1
     costs: Array | None = None
     cost_budget: float | None = None
     risk: float = 1.0
@@ -55,12 +55,10 @@ class SelectionProblem:
     least_left: float | None = None
     axes: tuple[Axis, ...] = ()
     trainable: NDArray[np.bool_] | None = None
+    abilities: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        for name in ("repeats", "budget"):
-            object.__setattr__(self, name, whole(name, getattr(self, name)))
-        if not self.repeats >= 1:
-            raise InvalidInput(f"repeats must be at least 1, got {self.repeats}")
+        object.__setattr__(self, "budget", whole("budget", self.budget))
         if self.trainable is not None and (
             self.trainable.shape != (self.n,) or self.trainable.dtype != bool
         ):
@@ -68,11 +66,10 @@ class SelectionProblem:
                 f"trainable must be a mask of {self.n} contexts, got "
                 f"{self.trainable.dtype} of shape {self.trainable.shape}"
             )
-        if not 1 <= self.budget <= len(self.sources) * self.repeats:
-            times = "" if self.repeats == 1 else f" times {self.repeats} repeats"
+        if self.budget < 1 or (not self.abilities and self.budget > len(self.sources)):
             which = "contexts" if self.trainable is None else "trainable contexts"
             raise InvalidInput(
-                f"budget must be from 1 to the number of {which} ({len(self.sources)}){times}, "
+                f"budget must be from 1 to the number of {which} ({len(self.sources)}), "
                 f"got {self.budget}"
             )
         if not (is_finite(self.risk) and 0.0 < self.risk <= 1.0):
@@ -101,8 +98,8 @@ class SelectionProblem:
             space: the contexts.
             budget: number of trainings K.
             theta: slope of the linear gap.
-            **wishes: `repeats`, `costs`, `cost_budget`, `risk`, `least_gain`, `least_left`,
-                `trainable`.
+            **wishes: `costs`, `cost_budget`, `risk`, `least_gain`, `least_left`,
+                `trainable`, `abilities`.
         """
         slope = default_theta(space.n) if theta is None else theta
         return cls(space.unit, space.steps, space.weights, budget, slope, axes=space.axes, **wishes)
@@ -145,10 +142,10 @@ class SelectionProblem:
 
 @dataclass(frozen=True)
 class Proposal:
-    """The next source and why.
+    """The next training and why. A selector says on which context; the rest is for strategies.
 
     Attributes:
-        source: context index.
+        source: index of the context to train on.
         reason: one line for people, e.g. "warm-up: worst context so far".
         acquisition: value of the acquisition at `source`; None where the rule has none.
         notes: what went differently from the plan (a fit that fell back, ...); kept in the study.
@@ -156,6 +153,13 @@ class Proposal:
             which need not be this one; where the problem asks.
         chance_left: probability that trainings on all contexts left together gain `least_left` or
             more; where the problem asks.
+        start: place, among the rows of the history, of the policy to begin with; None: from
+            scratch. With the same contexts as that policy's its training goes on; else a copy of it
+            is tuned.
+        length: units of the training in all when it is done, those before `start` too where it goes
+            on; 0: the policy `start` is only evaluated; None: one unit (more).
+        targets: contexts to evaluate on; None: as the study has it.
+        sources: indices of the contexts to train on where they are several, `source` among them.
     """
 
     source: int
@@ -164,6 +168,15 @@ class Proposal:
     notes: tuple[str, ...] = ()
     chance: float | None = None
     chance_left: float | None = None
+    start: int | None = None
+    length: float | None = None
+    targets: tuple[int, ...] | None = None
+    sources: tuple[int, ...] = ()
+
+    @property
+    def contexts(self) -> tuple[int, ...]:
+        """Indices of all that is trained on."""
+        return tuple(int(i) for i in self.sources or (self.source,))
 
 
 @dataclass(frozen=True)
@@ -189,15 +202,13 @@ class Exhausted(StudyError):
     """Every context has been trained, is pending, or failed; or none is cheap enough."""
 
 
-def open_candidates(
-    problem: SelectionProblem, history: History, *, repeats: int = 1
-) -> NDArray[np.bool_]:
+def open_candidates(problem: SelectionProblem, history: History) -> NDArray[np.bool_]:
     """(N,) mask of the contexts that may be proposed and that the cost budget still allows.
 
     Raises:
         Exhausted: there is none.
     """
-    mask = history.open_mask(problem.n, repeats)
+    mask = history.open_mask(problem.n)
     if problem.trainable is not None:
         mask &= problem.trainable
     if not mask.any():

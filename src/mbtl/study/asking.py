@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from mbtl.contexts.words import middle_of
 from mbtl.errors import InvalidInput
-from mbtl.history import History
+from mbtl.history import History, Training
 from mbtl.seeds import selection_rng
-from mbtl.selectors.base import Exhausted, Proposal, open_candidates
+from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, open_candidates
 from mbtl.selectors.contract import Selector
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
 from mbtl.study.leases import PROPOSING, Watch, asker, new_token
 from mbtl.study.pick import StudyFinished
+from mbtl.study.records import PickRecord
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
 from mbtl.threads import threads_for
@@ -25,6 +28,8 @@ _LONGEST = 5.0
 """Seconds after which no more is proposed ahead: others wait for what is."""
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
+LEAST_UNIT = 1e-6
+"""Units that are no training any more."""
 
 
 def claim(
@@ -66,7 +71,7 @@ def claim(
         held = len(state.open_picks)
         waiting = f"; {held} picks are still under way" if held else ""
         raise StudyFinished(f"the study is finished: {reason}{waiting}")
-    if proposed and state.ahead and _is_affordable(state, state.ahead[0]["source"]):
+    if proposed and state.ahead and _is_affordable(state, state.ahead[0]):
         facts = {"pick": len(state.picks), **state.ahead[0]}
         return Event("asked", {**facts, "seconds": seconds, **holder})
     if state.proposing is not None and not watch.is_stale(state.proposing):
@@ -80,10 +85,12 @@ def stop_reason(state: StudyState) -> str | None:
     reason = _early_stop(state) or state.stopped
     if reason is not None:
         return reason
-    if len(state.picks) >= state.spec.budget:
+    if state.paid > state.spec.budget - LEAST_UNIT:
         return f"the budget of {state.spec.budget} trainings is spent"
+    if state.spec.any_training:  # there is always something that may be trained for longer
+        return None
     try:
-        open_candidates(state.spec.selection_problem(), state.history(), repeats=state.spec.repeats)
+        open_candidates(state.problem(), state.history())
     except Exhausted as error:
         return str(error)
     return None
@@ -101,17 +108,33 @@ def given_back(state: StudyState) -> list[int]:
     return sorted(n for n, pick in state.open_picks.items() if pick.worker is None)
 
 
-def is_open(state: StudyState, source: int) -> bool:
-    """True where one more training on this source is allowed."""
+def is_open(state: StudyState, facts: Mapping[str, Any]) -> bool:
+    """True where what these facts of a pick ask for is neither done, under way nor failed.
+
+    Others may have come to the same meanwhile.
+    """
     assert state.spec is not None
-    return bool(state.history().open_mask(state.spec.space.n, state.spec.repeats)[source])
+    start = facts.get("start")
+    if start is not None and state.place_of(start) < 0:
+        return False
+    pick = state.planned(facts)
+    if pick.is_specialist:
+        return bool(state.history().open_mask(state.spec.space.n)[pick.source])
+    dead = [state.picks[failure.pick] for failure in state.failures]
+    known = {one.work for one in (*state.open_picks.values(), *dead)}
+    if pick.length:
+        known |= {(row.sources, row.start, row.length, None) for row in state.rows}
+    return pick.work not in known
 
 
-def _is_affordable(state: StudyState, source: int) -> bool:
-    """True where a source may be proposed at this moment."""
+def _is_affordable(state: StudyState, facts: Mapping[str, Any]) -> bool:
+    """True where a pick of these facts may be asked for at this moment."""
     assert state.spec is not None
-    problem, repeats = state.spec.selection_problem(), state.spec.repeats
-    return bool(open_candidates(problem, state.history(), repeats=repeats)[source])
+    pick, most = state.planned(facts), state.spec.cost_budget
+    if state.paid + pick.price > state.spec.budget + LEAST_UNIT or not is_open(state, facts):
+        return False
+    left = np.inf if most is None else most * (1.0 + 1e-9) - state.committed
+    return state.spec.costs is None or state.usual_cost(pick) <= left
 
 
 def ahead(state: StudyState, watch: Watch, worker: str) -> int:
@@ -126,7 +149,7 @@ def ahead(state: StudyState, watch: Watch, worker: str) -> int:
         return 0
     busy = [pick.worker for pick in state.open_picks.values() if pick.worker is not None]
     waiting = watch.askers() - {asker(one) for one in (worker, *busy)}
-    return min(len(waiting), spec.budget - len(state.picks) - 1)
+    return min(len(waiting), int(spec.budget - state.paid) - 1)
 
 
 def left_alone(state: StudyState, watch: Watch) -> list[int]:
@@ -178,87 +201,201 @@ def _nothing_left(state: StudyState, spec: StudySpec) -> str | None:
     return f"V = {now.value:.4f} is within {spec.stop_left:g} of the largest there can be, {most:g}"
 
 
-def propose(
-    spec: StudySpec, number: int, history: History, selector: Selector, more: int = 0
-) -> dict[str, Any] | str:
+@dataclass(frozen=True)
+class Moment:
+    """A study as it is when a proposal is begun; others may tell meanwhile.
+
+    Attributes:
+        spec: of it.
+        problem: what the strategy may know before any training.
+        known: what is known so far.
+        number: of the next pick.
+        trained: how many picks before it were trainings.
+        told: numbers of the events that told the rows of `known`.
+        planned: a pick as its facts say it.
+        cost: what that is expected to cost, in the unit of the cost budget.
+    """
+
+    spec: StudySpec
+    problem: SelectionProblem
+    known: History
+    number: int
+    trained: int
+    told: tuple[int, ...]
+    planned: Callable[[Mapping[str, Any]], PickRecord]
+    cost: Callable[[PickRecord], float]
+
+    @classmethod
+    def of(cls, state: StudyState) -> Moment:
+        """Now."""
+        assert state.spec is not None
+        return cls(
+            state.spec,
+            state.problem(),
+            state.history(),
+            len(state.picks),
+            sum(pick.price > 0.0 for pick in state.picks),
+            tuple(row.event for row in state.rows),
+            state.planned,
+            state.usual_cost,
+        )
+
+    def after(self, facts: Mapping[str, Any], proposal: Proposal) -> Moment:
+        """When that was asked for and is under way."""
+        pick = self.planned({"pick": self.number, **facts})
+        training = Training(pick.sources, proposal.start, pick.length, pick.done > 0.0)
+        known = replace(
+            self.known.with_asked(training),
+            spent=self.known.spent + (0.0 if self.spec.costs is None else self.cost(pick)),
+            paid=self.known.paid + pick.price,
+        )
+        trained = self.trained + (pick.price > 0.0)
+        return replace(self, known=known, number=self.number + 1, trained=trained)
+
+
+def propose(moment: Moment, strategy: Selector, more: int = 0) -> dict[str, Any] | str:
     """The facts of the next pick, or why one more training is not worth it.
 
     Args:
-        spec: of the study.
-        number: of the pick.
-        history: what is known so far.
-        selector: proposes.
+        moment: of the study.
+        strategy: proposes.
         more: picks to propose ahead, each as if those before it were under way.
 
     Raises:
         StudyFinished: nothing is left to propose.
-        InvalidInput: the selector breaks its contract.
+        InvalidInput: the strategy breaks its contract.
     """
     try:
-        data = _proposed(spec, history, selector, number)
+        proposal = _proposed(moment, strategy)
     except Exhausted as error:
         raise StudyFinished(f"the study is finished: {error}") from error
-    if isinstance(data, str):
-        return data
-    facts, following, began = data, [], time.monotonic()
-    for later in range(number + 1, number + 1 + more):
+    if isinstance(proposal, str):
+        return proposal
+    number, first = moment.number, _facts(moment, proposal)
+    facts, following, began = first, list[dict[str, Any]](), time.monotonic()
+    for _ in range(more):
         if time.monotonic() - began > _LONGEST:
             break
-        cost = 0.0 if spec.costs is None else spec.costs[facts["source"]]
-        history = replace(history.with_pending(facts["source"]), spent=history.spent + cost)
+        moment = moment.after(facts, proposal)
         try:
-            found = _proposed(spec, history, selector, later)
+            proposal = _proposed(moment, strategy)
         except Exhausted:
             break
-        if isinstance(found, str):
+        if isinstance(proposal, str):
             break
-        facts = found
+        facts = _facts(moment, proposal)
         following.append(facts)
-    return {"pick": number, **data, **({"ahead": following} if following else {})}
+    return {"pick": number, **first, **({"ahead": following} if following else {})}
 
 
-def _proposed(
-    spec: StudySpec, history: History, selector: Selector, number: int
-) -> dict[str, Any] | str:
-    """Facts of one pick, or why it is not worth a training."""
-    problem = spec.selection_problem()
-    rng = selection_rng(spec.seed, spec.trial, number)
+def _proposed(moment: Moment, strategy: Selector) -> Proposal | str:
+    """One proposal, or why it is not worth a training."""
+    spec, problem, known = moment.spec, moment.problem, moment.known
+    rng = selection_rng(spec.seed, spec.trial, moment.trained)
+    seen = known if spec.any_training else known.specialists()
     with threads_for(problem.n):
-        proposal = selector.propose(problem, history, rng)
-    _check_proposal(spec, history, selector, proposal)
+        proposal = strategy.propose(problem, seen, rng)
+    _check_proposal(moment, seen, strategy, proposal)
     enough = _enough(spec, proposal)
-    if enough is not None and len(history) >= LEAST_ROWS:
-        return enough
-    source = int(proposal.source)
-    data: dict[str, Any] = {
-        "source": source,
+    return enough if enough is not None and len(known) >= LEAST_ROWS else proposal
+
+
+def _facts(moment: Moment, proposal: Proposal) -> dict[str, Any]:
+    """As they are logged, but for the number."""
+    spec, sources = moment.spec, proposal.contexts
+    facts: dict[str, Any] = {
+        "sources": list(sources),
+        "start": None if proposal.start is None else moment.told[proposal.start],
+        "length": None if proposal.length is None else float(proposal.length),
         "reason": proposal.reason,
         "acquisition": proposal.acquisition,
         "notes": list(proposal.notes),
     }
-    if spec.eval_targets is not None:
-        data["targets"] = list(spread_targets(problem, source, spec.eval_targets))
-    return data
+    targets = proposal.targets
+    if targets is None and spec.eval_targets is not None:
+        middle = middle_of(sources, spec.space.steps)
+        targets = spread_targets(moment.problem, middle, spec.eval_targets)
+    if targets is not None:
+        facts["targets"] = sorted(int(target) for target in targets)
+    return facts
 
 
-def _check_proposal(spec: StudySpec, history: History, selector: Selector, proposal: Any) -> None:
-    """A user's own selector may give anything."""
+def _check_proposal(moment: Moment, seen: History, strategy: Selector, proposal: Any) -> None:
+    """A user's own strategy may give anything."""
+    name, n = strategy.name, seen.n_targets
     if not isinstance(proposal, Proposal):
         raise InvalidInput(
-            f"a selector proposes a mbtl.selectors.Proposal(source, reason), got "
-            f"{type(proposal).__name__} {proposal!r:.60} from {selector.name!r}"
+            f"a strategy proposes a mbtl.selectors.Proposal(source, reason), got "
+            f"{type(proposal).__name__} {proposal!r:.60} from {name!r}"
         )
-    source = proposal.source
-    if not isinstance(source, (int, np.integer)) or not 0 <= source < history.n_targets:
+    some = proposal.sources or (proposal.source,)
+    proper = all(isinstance(one, (int, np.integer)) and 0 <= one < n for one in some)
+    if not (proper and len(some) == len(set(some)) and proposal.source in some):
         raise InvalidInput(
-            f"a selector proposes a context index from 0 to {history.n_targets - 1}, got "
-            f"{source!r} from {selector.name!r}"
+            f"a strategy proposes a context index from 0 to {n - 1}, or different ones of several "
+            f"with `source` among them, got {proposal.source!r:.60} from {name!r}"
         )
-    if not history.open_mask(spec.space.n, spec.repeats)[source]:
+    if moment.spec.any_training:
+        _check_training(moment, name, proposal)
+        return
+    if len(some) > 1 or proposal.start is not None or proposal.length is not None:
+        raise InvalidInput(
+            f"a selector proposes one context, from scratch, got {proposal} from {name!r}; a "
+            "strategy over other trainings says so by traits = Traits(any_training=True)"
+        )
+    if not seen.open_mask(n)[some[0]]:
         raise InvalidInput(
             f"a selector proposes contexts that are neither trained, under way nor failed, got "
-            f"{source} from {selector.name!r}; `history.open_mask` says which are open"
+            f"{some[0]} from {name!r}; `history.open_mask` says which are open"
         )
+
+
+def _check_training(moment: Moment, name: str, proposal: Proposal) -> None:
+    """Whether there is such a policy to begin with, and the trainer can do what is asked."""
+    spec, seen, start, length = moment.spec, moment.known, proposal.start, proposal.length
+    if start is not None and not 0 <= start < len(seen):
+        raise InvalidInput(
+            f"a training begins with the policy of a row, 0 to {len(seen) - 1}, got "
+            f"start={start!r} from {name!r}; None is from scratch"
+        )
+    if length is not None and not (np.isfinite(length) and length >= 0.0):
+        raise InvalidInput(f"a training has a length >= 0 in units, got {length!r} from {name!r}")
+    if length == 0.0 and (start is None or proposal.targets is None):
+        raise InvalidInput(
+            f"what is only evaluated (length 0) names the policy, start=, and its targets=, got "
+            f"{proposal} from {name!r}"
+        )
+    before = None if start is None else seen.made(start)
+    goes_on = before is not None and before.contexts == proposal.contexts
+    if before is not None and goes_on and length and length <= before.length:
+        raise InvalidInput(
+            f"a training goes on beyond the {before.length:g} units that it has, got "
+            f"length={length:g} from {name!r}; it is the length in all"
+        )
+    asked = {
+        "sets": len(proposal.contexts) > 1 and length != 0.0,
+        "start": start is not None and length != 0.0,
+        "length": length not in (None, 0.0),
+    }
+    for ability, wanted in asked.items():
+        if wanted and ability not in moment.problem.abilities:
+            raise InvalidInput(
+                f"the trainer of this study cannot do what {name!r} asks for, {_WORDS[ability]}; "
+                "give another trainer, or a strategy that heeds `problem.abilities`"
+            )
+    price = moment.planned({"pick": moment.number, **_facts(moment, proposal)}).price
+    if seen.paid + price > spec.budget + LEAST_UNIT:
+        raise InvalidInput(
+            f"a training costs no more than is left of the budget of {spec.budget}, got {price:g} "
+            f"units where {seen.paid:g} are spent, from {name!r}"
+        )
+
+
+_WORDS = {
+    "sets": "one policy on several contexts",
+    "start": "a training that begins from a policy",
+    "length": "a training of another length than its own",
+}
 
 
 def _enough(spec: StudySpec, proposal: Proposal) -> str | None:

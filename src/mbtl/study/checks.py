@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from mbtl.study.spec import StudySpec
     from mbtl.study.state import StudyState
 
+_LONGEST = 1e9
+"""Units of a training."""
 _HUGE = 1e300
 """Of facts: differences of numbers below this are numbers, too."""
 
@@ -132,27 +134,20 @@ def _is_selector(value: Any) -> bool:
     return isinstance(value, Mapping) and _is_text(value.get("name"))
 
 
-def _is_worker(value: Any) -> bool:
-    """A name, or what version 0.1 recorded."""
-    return _is_text(value) or (
-        isinstance(value, Mapping)
-        and _is_text(value.get("host"))
-        and _is_text(value.get("started"))
-        and _at_least(1, _is_whole)(value.get("pid"))
-        and value["pid"] < 2**31
-    )
-
-
 _TEXT: Rule = (_is_text, "text")
 _MAYBE_TEXT: Rule = (_maybe(_is_text), "text, or null")
 _COUNT: Rule = (_at_least(1, _is_whole), "a whole number of 1 or more")
 _SEED: Rule = (_is_seed, "a whole number >= 0")
 _NUMBER: Rule = (_maybe(_is_number), "a finite number, or null")
-_WORKER: Rule = (_is_worker, "the name of a worker, or a process: host, pid and started")
 _SECONDS: Rule = (_maybe(_at_least(0.0)), "a finite number >= 0, or null")
 _TOKEN: Rule = (
-    _maybe(lambda value: _is_text(value) and re.fullmatch("[A-Za-z0-9]{1,64}", value) is not None),
-    "1 to 64 letters and digits, since a folder is named by it, or null",
+    lambda value: _is_text(value) and re.fullmatch("[A-Za-z0-9]{1,64}", value) is not None,
+    "1 to 64 letters and digits, since a folder is named by it",
+)
+_MAYBE_TOKEN: Rule = (_maybe(_TOKEN[0]), f"{_TOKEN[1]}, or null")
+_UNITS: Rule = (
+    _maybe(lambda value: _is_number(value) and 0.0 <= value <= _LONGEST),
+    "a number of units >= 0, or null",
 )
 _UID: Rule = (
     lambda value: _is_text(value) and re.fullmatch(r"[A-Za-z0-9_-]{1,64}", value) is not None,
@@ -174,7 +169,6 @@ _SPEC: dict[str, Rule] = {
     "cost_budget": _NUMBER,
     "problem": _TEXT,
     "settings": (_is_record, "a record"),
-    "repeats": (_is_whole, "a whole number"),
     "costs": (_maybe(_each(_is_number)), "finite numbers"),
     "risk": (_is_number, "a number"),
     "eval_targets": (_maybe(_COUNT[0]), "a whole number of 1 or more, or null"),
@@ -190,11 +184,20 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
     """The facts that an event of this kind must hold now."""
     if state.spec is None:
         return {"version": _TEXT, "uid": _UID, "spec": (_is_record, "a record")}
-    n, asked, most = state.spec.space.n, len(state.picks), state.spec.space.n * state.spec.repeats
+    n, asked = state.spec.space.n, len(state.picks)
     index: Callable[[Any], bool] = lambda i: _is_whole(i) and i < n  # noqa: E731
-    source: Rule = (index, f"a context index from 0 to {n - 1}")
+    sources: Rule = (
+        lambda some: _each(index)(some) and 0 < len(some) == len(set(some)),
+        f"different context indices from 0 to {n - 1}, one or more",
+    )
+    told: Rule = (
+        lambda i: _is_whole(i) and state.place_of(i) >= 0,
+        "the number of the event that told a row",
+    )
     proposed: dict[str, Rule] = {
-        "source": source,
+        "sources": sources,
+        "start": (_maybe(told[0]), f"{told[1]}, or null"),
+        "length": _UNITS,
         "reason": _TEXT,
         "acquisition": _NUMBER,
         "notes": (_each(_is_text), "a list of texts"),
@@ -209,46 +212,45 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
         "the number of an open pick, or of the next one",
     )
     failure = {
-        "token": _TOKEN,
+        "token": _MAYBE_TOKEN,
         "pick": one_open,
-        "source": source,
         "reason": _TEXT,
         "traceback": _MAYBE_TEXT,
         "pruned": (_maybe(lambda value: isinstance(value, bool)), "true, false or null"),
     }
     table: dict[Kind, dict[str, Rule]] = {
-        "extended": {"budget": (lambda b: _COUNT[0](b) and b <= most, f"from 1 to {most}")},
+        "extended": {"budget": _COUNT},
         "asked": {
             "pick": (lambda i: _is_whole(i) and i == asked, f"the number {asked} of the next pick"),
             **proposed,
-            "worker": _WORKER,
+            "worker": _TEXT,
             "token": _TOKEN,
             "seconds": _SECONDS,
             "ahead": (_maybe(_each(_has(proposed))), "a list of proposals, or null"),
         },
         "claimed": {
             "pick": next_or_open,
-            "worker": _WORKER,
+            "worker": _TEXT,
             "token": _TOKEN,
             "seconds": _SECONDS,
         },
         "released": {"pick": next_or_open},
         "voided": {
-            "told": (
-                lambda i: _is_whole(i) and state.place_of(i) >= 0,
-                "the number of the event that told a row",
-            ),
+            "told": told,
             "reason": _TEXT,
         },
         "late": {
             "pick": (lambda i: _is_whole(i) and i < asked, f"a number of the {asked} picks"),
-            "source": source,
             "outcome": (lambda o: o in ("told", "failed", "retried", "deferred"), "what came"),
             "token": (_is_text, "text"),
         },
         "told": {
             "pick": (_maybe(one_open[0]), f"{one_open[1]}, or null"),
-            "source": source,
+            "sources": sources,
+            "targets": (
+                lambda some: some is None or (sources[0](some) and list(some) == sorted(some)),
+                f"{sources[1]}, rising, or null",
+            ),
             "episodes": _COUNT,
             "cost": (_at_least(0.0), "a finite number >= 0"),
             "seconds": _SECONDS,
@@ -256,7 +258,10 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
             "policy": _POLICY,
             "sha256": _MAYBE_TEXT,
             "recipe": _MAYBE_TEXT,
-            "token": _TOKEN,
+            "state": _POLICY,
+            "state_sha256": _MAYBE_TEXT,
+            "ended": (_maybe(lambda value: isinstance(value, bool)), "true, false or null"),
+            "token": _MAYBE_TOKEN,
         },
         "failed": failure,
         "retried": failure,
@@ -286,7 +291,8 @@ def _shapes(event: Event, state: StudyState) -> dict[str, tuple[int, ...]]:
         return {}
     n = state.spec.space.n
     if kind == "told" or (kind == "late" and event.data.get("outcome") == "told"):
-        return {"returns": (n, event.data["episodes"])}
+        targets = event.data.get("targets")
+        return {"returns": (n if targets is None else len(targets), event.data["episodes"])}
     if kind == "reported":
         return dict.fromkeys(("served", "alone"), (n, event.data["episodes"]))
     return {}

@@ -15,6 +15,7 @@ from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.objective import Bounds, Direction, Objective, direction_named
 from mbtl.plain import finite, real, short, text, whole
 from mbtl.selectors import Selector, get_selector, selector_names
+from mbtl.selectors.contract import traits_of
 from mbtl.settings import described, first_difference
 from mbtl.study.checks import check_spec
 from mbtl.study.database import exists_already, shown
@@ -34,7 +35,7 @@ from mbtl.study.listing import chosen_name, database_at
 from mbtl.study.places import fixed_url, policy_store
 from mbtl.study.problem import Problem, ProblemFacts, check_problem, facts_of
 from mbtl.study.spec import StudySpec
-from mbtl.study.state import StudyState, replay
+from mbtl.study.state import ABILITIES, StudyState, replay
 from mbtl.study.steps.create import create_step_study
 from mbtl.study.steps.strategies import DEFAULT
 from mbtl.study.steps.study import StepStudy
@@ -89,7 +90,6 @@ def create_study(
     stop_value: float | None = None,
     cost_budget: float | None = None,
     costs: ArrayLike | Callable[[Context], float] | None = None,
-    repeats: int = 1,
     risk: float | None = None,
     eval_targets: int | None = None,
     stop_gain: float | None = None,
@@ -123,7 +123,6 @@ def create_study(
     stop_value: float | None = None,
     cost_budget: float | None = None,
     costs: ArrayLike | Callable[[Context], float] | None = None,
-    repeats: int = 1,
     risk: float | None = None,
     eval_targets: int | None = None,
     stop_gain: float | None = None,
@@ -148,11 +147,11 @@ def create_study(
         space: the contexts, sources and targets alike; or a CMDP, which gives all that belongs to
             the problem and is not given here: contexts, budget, bounds, direction, theta, best
             return, id, trainer, and the record of its recipe.
-        budget: number of trainings K, 1..N (times `repeats`).
+        budget: number of trainings K, 1..N; of a strategy over trainings of every kind, units.
         preset: which recipe of the CMDP; None: its default.
         trainer: what `run` trains with when it is given nothing else; None: the CMDP's.
         selector: a registered name, "my_file.py:Mine", or an object with `propose`. "auto" heeds
-            all that follows; of costs, repeats, risk and noise the paper's selectors know nothing.
+            all that follows; of costs, risk and noise the paper's selectors know nothing.
         bounds: (low, high) of the returns, or `Bounds`, whose direction and floor then count; None
             takes the range told so far.
         direction: "maximize" (default) or "minimize" the returns; "max" and "min" will do.
@@ -168,7 +167,6 @@ def create_study(
             that costs more than what is left.
         costs: (N,) expected cost of a training on each context, or a function of the context. The
             selector then maximises gain per cost.
-        repeats: trainings allowed on one context, with other seeds, where their luck is worth it.
         risk: V is the mean over this share of the targets, those that do worst; None: 1, all.
         eval_targets: evaluate each policy on so many targets, its source among them
             (`Pick.targets`); None for all.
@@ -189,7 +187,7 @@ def create_study(
             the study, which goes on even if it was finished; a smaller one is refused.
         cost: what the budget counts: "trainings", or environment "steps", all in. The latter makes
             a `StepStudy`, which takes what follows, and no selector, objective, stopping rule,
-            costs, repeats, risk or targets.
+            costs, risk or targets.
         strategy: decides what to train on, how long, and where to evaluate: a name or an object.
         lengths: see `mbtl.study.steps.create.create_step_study`, as for all that follows.
         episodes: of a policy on a target.
@@ -205,7 +203,7 @@ def create_study(
     if cost == "steps":
         others = (objective, stopping, stop_value, cost_budget, costs, risk, eval_targets,
                   stop_gain, stop_confidence, stop_left, best_return)  # fmt: skip
-        check_paid_in_steps(selector == "auto" and repeats == 1 and not any_given(others))
+        check_paid_in_steps(selector == "auto" and not any_given(others))
         return create_step_study(
             space, budget=budget, preset=preset, trainer=trainer, strategy=strategy or DEFAULT,
             lengths=lengths, episodes=episodes, horizon=horizon, bounds=bounds,
@@ -253,7 +251,7 @@ def create_study(
     confidence = real("stop_confidence", end.confidence)
     if seed < 0 or trial < 0:
         raise InvalidInput(f"seed and trial must be >= 0, got {seed} and {trial}")
-    check_wishes(chosen, repeats, stop_gain, confidence, bounds)
+    check_wishes(chosen, stop_gain, confidence, bounds)
     if stop_left is not None and bounds is None:
         raise InvalidInput("stop_left is in performance, so it needs bounds=(low, high); got none")
     spec = StudySpec(
@@ -269,7 +267,6 @@ def create_study(
         cost_budget,
         text("problem", facts.id if problem is None else problem) or facts.id,
         described({**facts.settings, **_record("settings", settings)}),
-        whole("repeats", repeats),
         costs_of(costs, space),
         real("risk", aim.risk),
         target_count(eval_targets, space.n),
@@ -278,9 +275,10 @@ def create_study(
         stop_left,
         finite("best_return", facts.best_return if aim.best_return is None else aim.best_return),
         floor,
+        traits_of(chosen).any_training,
     )
     check_spec(spec)
-    check_axes(chosen, spec.selection_problem())
+    check_axes(chosen, spec.selection_problem(frozenset(ABILITIES)))
     address = None if storage is None else fixed_url(storage)
     folder = policy_store(address, artifacts)
     log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)

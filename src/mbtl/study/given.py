@@ -43,7 +43,7 @@ def check_paid_in_steps(alone: bool) -> None:
     if not alone:
         raise InvalidInput(
             "with cost='steps' a strategy decides, so selector, objective, stopping rules, costs, "
-            "repeats, risk and eval_targets mean nothing; leave them out, and give strategy="
+            "risk and eval_targets mean nothing; leave them out, and give strategy="
         )
 
 
@@ -61,18 +61,11 @@ def check_paid_in_trainings(cost: str, of_steps: Mapping[str, object]) -> None:
 
 def check_wishes(
     selector: Selector,
-    repeats: int,
     stop_gain: float | None,
     stop_confidence: float,
     bounds: tuple[float, float] | Bounds | None,
 ) -> None:
-    """Repeated trainings and the stopping rule need a selector that knows of them."""
-    repeats = whole("repeats", repeats)
-    if repeats != 1 and not traits_of(selector).retrains:
-        raise InvalidInput(
-            f"repeats needs a selector that trains a context again, such as 'auto', got "
-            f"{selector.name!r} with repeats={repeats!r}"
-        )
+    """The stopping rule needs a selector that knows of it."""
     if not stop_confidence < 1.0:
         raise InvalidInput(f"stop_confidence is a probability in (0, 1), got {stop_confidence!r}")
     if stop_gain is None:

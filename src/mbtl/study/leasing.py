@@ -5,14 +5,12 @@ from __future__ import annotations
 import contextlib
 import random
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, overload
 
 from mbtl.errors import InvalidInput, StorageError, StudyError
 from mbtl.plain import is_finite, short, whole
-from mbtl.seeds import training_seed
 from mbtl.selectors import Selector
 from mbtl.study import asking, telling
 from mbtl.study.artifacts import ArtifactStore
@@ -39,7 +37,7 @@ class LeasingStudy(StudyView):
     """What of `mbtl.study.Study` is about picks that are not answered so far.
 
     Attributes:
-        selector: proposes sources.
+        selector: proposes trainings.
         proposes_ahead: propose picks for other workers that wait, too; False: each pick knows all
             rows that were told before it.
     """
@@ -61,17 +59,13 @@ class LeasingStudy(StudyView):
         self._queued = 0
 
     @overload
-    def ask(
-        self, n: None = None, *, lease: float | None = None, take_over: bool = False
-    ) -> Pick: ...
+    def ask(self, n: None = None, *, lease: float | None = None) -> Pick: ...
 
     @overload
-    def ask(self, n: int, *, lease: float | None = None, take_over: bool = False) -> list[Pick]: ...
+    def ask(self, n: int, *, lease: float | None = None) -> list[Pick]: ...
 
-    def ask(
-        self, n: int | None = None, *, lease: float | None = None, take_over: bool = False
-    ) -> Pick | list[Pick]:
-        """Propose the next source, or the next `n`, and lease them to this worker.
+    def ask(self, n: int | None = None, *, lease: float | None = None) -> Pick | list[Pick]:
+        """Propose the next training, or the next `n`, and lease them to this worker.
 
         Each of several is proposed as if those before it had given what is expected of them. A pick
         that somebody gave back, or whose lease has ended, is handed out again before a new one is
@@ -82,19 +76,11 @@ class LeasingStudy(StudyView):
                 one pick, not in a list.
             lease: seconds after which others may take the pick over, unless `heartbeat` is called
                 meanwhile; None: never, until it is told, failed or given back (`release`).
-            take_over: without effect since version 0.2; version 0.3 will not take it any more.
 
         Raises:
             StudyFinished: the budget is spent, a stopping rule is met, or no context is left.
             InvalidInput: n < 1, or a lease that is not > 0.
         """
-        if take_over:
-            warnings.warn(
-                "ask(take_over=) has no effect since mbtl 0.2 and goes in 0.3: a pick whose lease "
-                "has ended is handed out by itself; leave the argument out",
-                DeprecationWarning,
-                stacklevel=2,
-            )
         if lease is not None and not (is_finite(lease) and lease > 0):
             raise InvalidInput(
                 f"a lease lasts a number of seconds > 0, or None, got {short(lease)}"
@@ -231,10 +217,10 @@ class LeasingStudy(StudyView):
                     if state.proposing is None or state.proposing.token != token:
                         return False
                     known = len(state.rows), len(state.failures)
-                    seen = self.spec, len(state.picks), state.history()
+                    moment = asking.Moment.of(state)
                     ahead = self.proposes_ahead
                     more = asking.ahead(state, self.watch(), self.worker) if ahead else 0
-                found = asking.propose(*seen, self.selector, more)  # others may tell meanwhile
+                found = asking.propose(moment, self.selector, more)  # others may tell meanwhile
                 holder = {"worker": self.worker, "token": token, "seconds": lease}
 
                 def settled(
@@ -247,7 +233,7 @@ class LeasingStudy(StudyView):
                         if news:  # the prediction did not know of it
                             raise _Superseded
                         return Event("stopped", {"reason": found})
-                    if news and not asking.is_open(now, found["source"]):
+                    if news and not asking.is_open(now, found):
                         raise _Superseded
                     return Event("asked", {**found, **holder})
 
@@ -275,15 +261,18 @@ class LeasingStudy(StudyView):
             self._commit(released)
 
     def _pick(self, record: PickRecord) -> Pick:
-        source, spec = record.source, self.spec
         return Pick(
             record.number,
-            source,
-            self.space.context(source),
-            training_seed(spec.seed, spec.trial, source, record.repeat, record.retries),
+            record.source,
+            self.space.context(record.source),
+            self._state.seed_of(record),
             record.reason,
-            record.repeat,
             record.targets,
+            record.sources,
+            tuple(self.space.context(source) for source in record.sources),
+            record.start,
+            record.done,
+            None if record.whole else record.length,
             record.tokens[-1] if record.tokens else "",
         )
 

@@ -14,22 +14,26 @@ from mbtl.study.leases import Lease
 
 @dataclass(frozen=True)
 class PickRecord:
-    """One proposal of the selector, as logged.
+    """One proposal of the strategy, as logged.
 
     Attributes:
         number: 0-based number of the pick.
-        source: context index.
+        source: context index; of several, the one in their middle.
         reason: why the selector chose it.
         acquisition: what it expected of it; None where it has no such number.
         notes: what went differently from the plan.
         lease: who may answer it; None: nobody holds it.
         asked_at: seconds since the epoch.
-        repeat: how many picks before it have its source.
         targets: contexts to evaluate on; None: all.
         tokens: of all its leases, the first one first.
         answered_by: token of the answer; empty where it came without; None: not answered.
         last_worker: name of who held it last; None: nobody did so far.
         retries: how often it failed and was begun again, each time with another seed.
+        sources: indices of all contexts trained on.
+        start: number of the event that told the policy to begin with; None: from scratch.
+        done: units that the training has had before, where it goes on.
+        length: units that it has had in all when it is done; 0: only evaluated.
+        whole: as long as the trainer has it, nobody having asked for another length.
     """
 
     number: int
@@ -39,12 +43,31 @@ class PickRecord:
     notes: tuple[str, ...]
     lease: Lease | None
     asked_at: float
-    repeat: int = 0
     targets: tuple[int, ...] | None = None
     tokens: tuple[str, ...] = ()
     answered_by: str | None = None
     last_worker: str | None = None
     retries: int = 0
+    sources: tuple[int, ...] = ()
+    start: int | None = None
+    done: float = 0.0
+    length: float = 1.0
+    whole: bool = True
+
+    @property
+    def price(self) -> float:
+        """Units that it costs."""
+        return max(self.length - self.done, 0.0) if self.length else 0.0
+
+    @property
+    def is_specialist(self) -> bool:
+        """On one context, from scratch, a whole one: all that a selector asks for."""
+        return len(self.sources) == 1 and self.start is None and self.length == 1.0
+
+    @property
+    def work(self) -> tuple[Any, ...]:
+        """What is to be done, for comparisons."""
+        return self.sources, self.start, self.length, self.targets if not self.length else None
 
     @property
     def worker(self) -> str | None:
@@ -64,7 +87,7 @@ class ToldRow:
     """One transfer row, as logged.
 
     Attributes:
-        source: context index.
+        source: context index; of several, the one in their middle.
         pick: number of the pick it answers; None for a source nobody asked for.
         each: (N, E) returns of single episodes, raw units; NaN where there is none.
         cost: cost of the training in the user's unit.
@@ -75,6 +98,13 @@ class ToldRow:
         sha256: of the policy's files; None: not known.
         recipe: digest of the recipe that it was made with; None: not known.
         steps: environment steps of the training; None: not known.
+        sources: indices of all contexts trained on.
+        start: number of the event that told the policy it began with; None: from scratch.
+        goes_on: it is the training of that policy, continued.
+        length: units of the training.
+        state: folder of the training's state, to go on from exactly; None: there is none.
+        state_sha256: of its files.
+        ended: longer would be the same policy.
     """
 
     source: int
@@ -88,6 +118,13 @@ class ToldRow:
     sha256: str | None = None
     recipe: str | None = None
     steps: float | None = None
+    sources: tuple[int, ...] = ()
+    start: int | None = None
+    goes_on: bool = False
+    length: float = 1.0
+    state: str | None = None
+    state_sha256: str | None = None
+    ended: bool = False
 
     @cached_property
     def returns(self) -> Array:
@@ -124,10 +161,10 @@ class Failure:
     pruned: bool = False
 
     @classmethod
-    def of(cls, data: Mapping[str, Any]) -> Failure:
-        """As logged; older logs have no traceback."""
+    def of(cls, data: Mapping[str, Any], source: int) -> Failure:
+        """As logged, of a pick with this source."""
         pruned = data.get("pruned") is True
-        return cls(data["source"], data["pick"], data["reason"], data.get("traceback", ""), pruned)
+        return cls(source, data["pick"], data["reason"], data.get("traceback") or "", pruned)
 
 
 @dataclass(frozen=True)
@@ -136,14 +173,12 @@ class LateResult:
 
     Attributes:
         pick: 0-based number of the pick.
-        source: context index.
         outcome: "told", "failed", "retried" or "deferred".
         token: it came with.
         event: number of its event.
     """
 
     pick: int
-    source: int
     outcome: str
     token: str
     event: int

@@ -32,7 +32,6 @@ class StudySpec:
         cost_budget: total cost at which the study ends early; None for never.
         problem: id of the CMDP or of a user's problem.
         settings: free-form JSON-able record of the training recipe.
-        repeats: trainings allowed on one context.
         costs: cost of a training on each context; None where all cost the same.
         risk: share of the targets, the worst of them, that V is the mean of.
         eval_targets: targets that each policy is evaluated on; None for all.
@@ -41,6 +40,7 @@ class StudySpec:
         stop_left: gain in V that all trainings left together should be worth; None: never asked.
         best_return: no policy can return more (less, if minimised); None: not known.
         floor: return below which none is worse in performance; None: nothing is clipped.
+        any_training: the selector is a strategy that asks for trainings of every kind.
     """
 
     space: ContextSpace
@@ -55,7 +55,6 @@ class StudySpec:
     cost_budget: float | None
     problem: str
     settings: Mapping[str, Any]
-    repeats: int = 1
     costs: tuple[float, ...] | None = None
     risk: float = 1.0
     eval_targets: int | None = None
@@ -64,19 +63,24 @@ class StudySpec:
     stop_left: float | None = None
     best_return: float | None = None
     floor: float | None = None
+    any_training: bool = False
 
-    def selection_problem(self) -> SelectionProblem:
-        """What the selector may know before any training."""
+    def selection_problem(self, abilities: frozenset[str] = frozenset()) -> SelectionProblem:
+        """What the strategy may know before any training.
+
+        Args:
+            abilities: of the trainer, beside specialists; selectors ask for none.
+        """
         return SelectionProblem.of(
             self.space,
             budget=self.budget,
             theta=self.theta,
-            repeats=self.repeats,
             costs=None if self.costs is None else np.asarray(self.costs, dtype=np.float64),
             cost_budget=self.cost_budget,
             risk=self.risk,
             least_gain=self.stop_gain,
             least_left=self.stop_left,
+            abilities=abilities if self.any_training else frozenset(),
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -10,17 +9,23 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
+from mbtl.contexts.words import middle_of
 from mbtl.episodes import Episodes
 from mbtl.errors import StorageError, StudyError
-from mbtl.history import History
+from mbtl.history import History, Training
 from mbtl.objective import Bounds
 from mbtl.routing import Routing
+from mbtl.seeds import training_seed
+from mbtl.selectors.base import SelectionProblem
 from mbtl.study.checks import check_event
 from mbtl.study.events import OPENED, Event
-from mbtl.study.leases import Lease, worker_words
+from mbtl.study.leases import Lease
 from mbtl.study.records import Failure, FreshReturns, LateResult, PickRecord, ToldRow
 from mbtl.study.spec import StudySpec
 from mbtl.untrusted import MALFORMED
+
+ABILITIES = ("sets", "start", "length")
+"""What a trainer may be able to do beside specialists."""
 
 
 @dataclass
@@ -56,7 +61,8 @@ class StudyState:
     _routing_seq: int = field(default=-1, repr=False)
     _rows_seq: int = field(default=0, repr=False)
     """Number of the last event that changed the rows, or how they count."""
-    _asked_before: Counter[int] = field(default_factory=Counter, repr=False)
+    _told_by: dict[int, ToldRow] = field(default_factory=dict, repr=False)
+    """Number of the event -> the row that it told, also where that was taken back."""
     _ahead_age: int = field(default=0, repr=False)
     """How many more answers the picks ahead may miss."""
     _performance: Array | None = field(default=None, repr=False)
@@ -89,10 +95,15 @@ class StudyState:
         if event.kind in ("created", "told", "voided"):
             self._rows_seq = event.seq
         if event.kind in ("created", "voided"):
-            self._performance = None
+            self._forget()
+
+    def problem(self) -> SelectionProblem:
+        """What the strategy may know before any training, and of the trainer."""
+        assert self.spec is not None
+        return self.spec.selection_problem(self.abilities)
 
     def history(self) -> History:
-        """What a selector may see: rows as performance under the bounds of this moment.
+        """What a strategy may see: rows as performance under the bounds of this moment.
 
         Made once per event, since asking, stopping rules, progress and reports all look at it.
         """
@@ -137,15 +148,35 @@ class StudyState:
         if self._performance is None or len(self._performance) < len(self.rows):
             self._performance = self._normalised()
             self._errors = self._episodes().errors if self.rows else None
+        trainings = [self._made(row) for row in self.rows]
+        busy = self.open_picks.values()
+        dead = [self.picks[failure.pick] for failure in self.failures]
+        usual = all(one.is_specialist for one in trainings)
         return History(
             n,
             tuple(row.source for row in self.rows),
             self._performance,
-            tuple(pick.source for pick in self.open_picks.values()),
-            tuple(failure.source for failure in self.failures),
+            tuple(pick.source for pick in busy if pick.is_specialist),
+            tuple(pick.source for pick in dead if pick.is_specialist),
             self._errors,
             self.committed,
+            () if usual else tuple(trainings),
+            tuple(self._planned(pick) for pick in busy if not pick.is_specialist),
+            tuple(self._planned(pick) for pick in dead if not pick.is_specialist),
+            self.paid,
         )
+
+    def _made(self, row: ToldRow) -> Training:
+        start = None if row.start is None else self.place_of(row.start)
+        return Training(row.sources, start, row.length, row.goes_on)
+
+    def _planned(self, pick: PickRecord) -> Training:
+        start = None if pick.start is None else self.place_of(pick.start)
+        return Training(pick.sources, start, pick.length, pick.done > 0.0)
+
+    def _forget(self) -> None:
+        """What was computed from rows that are other ones now."""
+        self._performance = self._routing = None
 
     def _normalised(self) -> Array:
         """(k, N) performance, not to be written to; there may be gigabytes of it.
@@ -189,14 +220,46 @@ class StudyState:
         costs = self.spec.costs
         if costs is None:
             return self.cost
-        begun = [pick.source for pick in self.open_picks.values()]
-        begun += [failure.source for failure in self.failures]
-        return self.cost + sum(costs[source] for source in begun)
+        begun = [*self.open_picks.values(), *(self.picks[f.pick] for f in self.failures)]
+        return self.cost + sum(self.usual_cost(pick) for pick in begun)
+
+    def usual_cost(self, pick: PickRecord) -> float:
+        """What a pick is expected to cost, in the unit of the cost budget."""
+        assert self.spec is not None
+        costs = self.spec.costs
+        each = 1.0 if costs is None else float(np.mean([costs[source] for source in pick.sources]))
+        return each * pick.price
 
     @property
-    def trainings(self) -> int:
-        """Picks that were asked for: done, failed or under way. Rows told unasked are free."""
-        return len(self.picks)
+    def paid(self) -> float:
+        """Units of all picks: done, failed or under way. Rows told unasked are free."""
+        return sum(pick.price for pick in self.picks)
+
+    @property
+    def abilities(self) -> frozenset[str]:
+        """What the trainer can do beside specialists; all, while none is known."""
+        known = self.equipment or {}
+        return frozenset(known.get("abilities", ABILITIES))
+
+    def seed_of(self, pick: PickRecord) -> int:
+        """Training seed of a pick; of one that goes on, that of the beginning."""
+        assert self.spec is not None
+        spec, parent = self.spec, self._parent(pick.start)
+        if pick.done and not pick.retries and parent is not None and parent.pick is not None:
+            return self.seed_of(self.picks[parent.pick])
+        lineage = () if pick.start is None else self._lineage(parent)
+        return training_seed(spec.seed, spec.trial, pick.sources, pick.retries, lineage)
+
+    def _parent(self, start: int | None) -> ToldRow | None:
+        return None if start is None else self._told_by.get(start)
+
+    def _lineage(self, row: ToldRow | None) -> tuple[int, ...]:
+        """What a policy was made of: contexts, length, try, and its parent's likewise."""
+        if row is None:
+            return ()
+        tries = 0 if row.pick is None else self.picks[row.pick].retries
+        own = (len(row.sources), *row.sources, round(1000 * row.length), tries)
+        return (*own, *self._lineage(self._parent(row.start)))
 
     @property
     def cost(self) -> float:
@@ -229,24 +292,36 @@ class StudyState:
         self.proposing = None
         if data.get("ahead"):
             self.ahead, self._ahead_age = list(data["ahead"]), len(data["ahead"])
-        elif self.ahead and self.ahead[0]["source"] == data["source"]:
+        elif self.ahead and same_work(self.ahead[0], data):
             self.ahead = self.ahead[1:]
         else:  # proposed with newer rows
             self.ahead = []
-        pick = PickRecord(
-            data["pick"],
-            data["source"],
-            data["reason"],
-            data["acquisition"],
-            tuple(data["notes"]),
-            None,
-            event.time,
-            self._asked_before[data["source"]],
-            None if data.get("targets") is None else tuple(data["targets"]),
-        ).leased(_lease_of(event))
+        pick = self.planned(data, event.time).leased(_lease_of(event))
         self.picks.append(pick)
-        self._asked_before[pick.source] += 1
         self.open_picks[pick.number] = pick
+
+    def planned(self, facts: Mapping[str, Any], time: float = 0.0) -> PickRecord:
+        """A pick as its facts say it, which nobody holds."""
+        assert self.spec is not None
+        sources, start, length = tuple(facts["sources"]), facts.get("start"), facts.get("length")
+        parent = self._parent(start)
+        goes_on = parent is not None and parent.sources == sources and length != 0.0
+        done = parent.length if parent is not None and goes_on else 0.0
+        return PickRecord(
+            facts["pick"],
+            middle_of(sources, self.spec.space.steps),
+            facts["reason"],
+            facts["acquisition"],
+            tuple(facts["notes"]),
+            None,
+            time,
+            None if facts.get("targets") is None else tuple(facts["targets"]),
+            sources=sources,
+            start=start,
+            done=done,
+            length=done + 1.0 if length is None else float(length),
+            whole=length is None and start is None,
+        )
 
     def _claimed(self, event: Event) -> None:
         if event.data["pick"] == len(self.picks):
@@ -268,27 +343,58 @@ class StudyState:
         self._close(data["pick"], data.get("token") or "")
         self.fresh = None  # a new policy may serve targets that were not reported
         self.stopped = None  # nor was the prediction made with this row
-        self.rows.append(
-            ToldRow(
-                data["source"],
-                data["pick"],
-                event.arrays["returns"],
-                data["cost"],
-                data["seconds"],
-                data["policy"],
-                event.time,
-                event.seq,
-                data.get("sha256"),
-                data.get("recipe"),
-                data.get("steps"),
-            )
+        assert self.spec is not None
+        targets = slice(None) if data.get("targets") is None else list(data["targets"])
+        returns = event.arrays["returns"]
+        each = np.full((self.spec.space.n, returns.shape[1]), np.nan)
+        each[targets] = returns
+        pick = None if data["pick"] is None else self.picks[data["pick"]]
+        if pick is not None and not pick.length:
+            self._evaluated(pick, each)
+            return
+        if pick is None:
+            facts = {"pick": -1, "sources": data["sources"], "reason": "", "acquisition": None}
+            pick = self.planned({**facts, "notes": ()})
+        row = ToldRow(
+            pick.source,
+            data["pick"],
+            each,
+            data["cost"],
+            data["seconds"],
+            data["policy"],
+            event.time,
+            event.seq,
+            data.get("sha256"),
+            data.get("recipe"),
+            data.get("steps"),
+            pick.sources,
+            pick.start,
+            pick.done > 0.0,
+            pick.length,
+            data.get("state"),
+            data.get("state_sha256"),
+            bool(data.get("ended")),
         )
+        self.rows.append(row)
+        self._told_by[event.seq] = row
+
+    def _evaluated(self, pick: PickRecord, each: Array) -> None:
+        """Further entries of a row; those that it had stay."""
+        place = self.place_of(pick.start)
+        if place < 0:  # it was taken back meanwhile
+            return
+        row = self.rows[place]
+        wider = np.full((len(each), max(row.episodes, each.shape[1])), np.nan)
+        wider[:, : row.episodes] = row.each
+        new = np.isnan(wider).all(axis=1)
+        wider[new, : each.shape[1]] = each[new]
+        row = replace(row, each=wider)
+        self.rows[place] = self._told_by[row.event] = row
+        self._forget()
 
     def _late(self, event: Event) -> None:
         data = event.data
-        self.late.append(
-            LateResult(data["pick"], data["source"], data["outcome"], data["token"], event.seq)
-        )
+        self.late.append(LateResult(data["pick"], data["outcome"], data["token"], event.seq))
 
     def _voided(self, event: Event) -> None:
         place = self.place_of(event.data["told"])
@@ -304,11 +410,12 @@ class StudyState:
 
     def _failed(self, event: Event) -> None:
         self._close(event.data["pick"], event.data.get("token") or "")
-        self.failures.append(Failure.of(event.data))
+        self.failures.append(Failure.of(event.data, self.picks[event.data["pick"]].source))
         self.stopped = None  # the prediction believed that this pick would give something
 
     def _deferred(self, event: Event) -> None:
-        self.deferred[event.data["pick"]] = Failure.of(event.data)
+        number = event.data["pick"]
+        self.deferred[number] = Failure.of(event.data, self.picks[number].source)
 
     def _reopened(self, event: Event) -> None:
         number = event.data["pick"]
@@ -343,13 +450,14 @@ class StudyState:
         self.fresh = FreshReturns(arrays["served"], arrays["alone"], event.data["best_single"])
 
 
-def _lease_of(event: Event) -> Lease | None:
-    """Version 0.1 had none, and processes instead: anybody may take such a pick over."""
-    token = event.data.get("token")
-    if token is None:
-        return None
-    who = worker_words(event.data["worker"])
-    return Lease(token, who, event.data.get("seconds"), event.time)
+def same_work(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether the facts of two picks ask for the same."""
+    return all(one.get(key) == other.get(key) for key in ("sources", "start", "length", "targets"))
+
+
+def _lease_of(event: Event) -> Lease:
+    data = event.data
+    return Lease(data["token"], data["worker"], data.get("seconds"), event.time)
 
 
 def replay(events: Iterable[Event]) -> StudyState:

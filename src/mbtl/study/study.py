@@ -5,7 +5,7 @@ It decides; it trains nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,7 @@ from mbtl.study.events import Event, Kind
 from mbtl.study.leasing import LeasingStudy
 from mbtl.study.pick import Pick
 from mbtl.study.records import ToldRow
-from mbtl.study.state import StudyState
+from mbtl.study.state import ABILITIES, StudyState
 from mbtl.trainer import (
     FunctionTrainer,
     Trainer,
@@ -46,7 +46,7 @@ class Study(LeasingStudy):
 
     def tell(
         self,
-        pick: Pick | int | Mapping[str, Any],
+        pick: telling.Told,
         returns: ArrayLike,
         *,
         targets: Sequence[int] | None = None,
@@ -55,12 +55,15 @@ class Study(LeasingStudy):
         steps: float | None = None,
         policy: str | Artifact | None = None,
         policy_object: Any = None,
+        training_state: Artifact | None = None,
+        ended: bool = False,
     ) -> bool:
-        """Record the transfer row of one trained policy.
+        """Record the transfer row of one trained policy, or further entries of one.
 
         Args:
-            pick: what `ask` gave, or the context (or its index) of a policy you already have; rows
-                that nobody asked for do not count towards the budget.
+            pick: what `ask` gave, or the context (or its index) of a policy you already have, or
+                all of them, of one trained on several; rows that nobody asked for do not count
+                towards the budget.
             returns: (T,) or (T, n_episodes) undiscounted returns on the targets, raw units. NaN is
                 an episode that has none, and counts as not played.
             targets: T indices of the contexts evaluated on; None: those that the pick asks for,
@@ -72,6 +75,8 @@ class Study(LeasingStudy):
             policy: folder of the saved policy, relative to the study's folder; as an `Artifact`
                 with its hash, which is then checked whenever it is read.
             policy_object: the policy itself, kept in this process only.
+            training_state: saved state of the training, to go on from exactly.
+            ended: longer would give the same policy.
 
         Returns:
             True: recorded. False: too late, because somebody took the pick over meanwhile; the
@@ -84,25 +89,28 @@ class Study(LeasingStudy):
                 should be. Nothing is recorded.
             StudyError: the pick was answered before, or is another study's.
         """
-        source = telling.source_of(self.space, pick)
+        sources = telling.sources_of(self.space, pick)
         price = finite("cost", cost, 0.0)
-        usual = 1.0 if self.spec.costs is None else self.spec.costs[source]
         if targets is None and isinstance(pick, Pick):
             targets = pick.targets
         elif targets is None:
             with self._lock:
-                targets = telling.asked_targets(self.refresh(), source)
+                targets = telling.asked_targets(self.refresh(), sources)
         evaluated = checked_targets(targets, self.space.n)
         rows = checked_returns(returns, len(evaluated), self.space.named(evaluated))
-        arrays = {"returns": np.full((self.space.n, rows.shape[1]), np.nan)}
-        arrays["returns"][evaluated] = rows
+        order = np.argsort(evaluated)
+        arrays = {"returns": rows[order]}
         data: dict[str, Any] = {
-            "source": source,
+            "sources": list(sources),
+            "targets": None if targets is None else [evaluated[i] for i in order],
             "episodes": rows.shape[1],
             "seconds": finite("seconds", seconds, 0.0),
             "steps": finite("steps", steps, 0.0),
             "policy": policy.place if isinstance(policy, Artifact) else policy,
             "sha256": policy.sha256 if isinstance(policy, Artifact) else None,
+            "state": None if training_state is None else training_state.place,
+            "state_sha256": None if training_state is None else training_state.sha256,
+            "ended": ended,
         }
         if isinstance(pick, Pick) and pick.token:
             data["token"] = pick.token
@@ -113,8 +121,8 @@ class Study(LeasingStudy):
             if isinstance(pick, Pick) and telling.is_late(state, pick):
                 return Event("late", {**data, "pick": pick.number, "outcome": "told"}, arrays)
             place = len(state.rows)
-            number = telling.answered(state, pick, source)
-            expected = 0.0 if number is None else usual
+            number = telling.answered(state, pick, sources)
+            expected = 0.0 if number is None else state.usual_cost(state.picks[number])
             spent = expected if price is None else price
             made = self._made
             if made is None and state.equipment is not None:
@@ -225,12 +233,14 @@ class Study(LeasingStudy):
         code, state = code_of(trainer), self.refresh()
         given, known = equipment_of(trainer), state.equipment or {}
         given |= {"code": code} if code or "code" in known else {}
+        given["abilities"] = sorted(set(ABILITIES) & trainer.takes)
         self._made = recipe_digest(given)
         if known == given:
             return
         begun, changes = self.has_succeeded or bool(state.deferred), list[str]()
         if begun and known:
-            if found := first_difference({**known, "code": None}, {**given, "code": None}):
+            own: dict[str, Any] = {"code": None, "abilities": None}
+            if found := first_difference({**known, **own}, {**given, **own}):
                 key, was, now = found
                 raise StudyMismatch(
                     f"the policies of a study are made with one recipe: {key} was {was!r}, got "
@@ -250,17 +260,16 @@ class Study(LeasingStudy):
         """Raise the budget to `budget` trainings in all, for a few more picks.
 
         Raises:
-            InvalidInput: it is not larger than now, or exceeds the number of contexts.
+            InvalidInput: it is not larger than now, or asks a selector for more trainings than
+                there are contexts.
         """
         budget = whole("budget", budget)
 
         def extended(state: StudyState) -> Event:
-            now, most = self.spec.budget, self.space.n * self.spec.repeats
-            if not now < budget <= most:
-                raise InvalidInput(
-                    f"a budget can only be raised, from {now} up to {most} trainings of "
-                    f"{self.space.n} contexts, got {budget}"
-                )
+            now, n = self.spec.budget, self.space.n
+            if not now < budget or (budget > n and not self.spec.any_training):
+                most = "" if self.spec.any_training else f" up to {n} trainings of {n} contexts"
+                raise InvalidInput(f"a budget can only be raised, from {now}{most}, got {budget}")
             return Event("extended", {"budget": int(budget)})
 
         self._commit(extended)
@@ -395,7 +404,7 @@ class Study(LeasingStudy):
     def _answer(
         self, kind: Kind, pick: Pick, reason: str, traceback: str, *, pruned: bool = False
     ) -> bool:
-        data: dict[str, Any] = {"source": pick.source, "reason": reason, "traceback": traceback}
+        data: dict[str, Any] = {"reason": reason, "traceback": traceback}
         if pruned:
             data["pruned"] = True
         if pick.token:

@@ -1,38 +1,44 @@
-"""What a study is told: which source, which pick and which targets it is about."""
+"""What a study is told: which contexts, which pick and which targets it is about."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from mbtl.contexts import ContextSpace
+from mbtl.contexts.words import describe_set
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.study.events import Event
 from mbtl.study.pick import Pick
+from mbtl.study.records import PickRecord
 from mbtl.study.state import StudyState
 
 
-def answered(state: StudyState, pick: Any, source: int) -> int | None:
-    """Number of the open pick that a row of `source` answers; None for one nobody asked for.
+def answered(state: StudyState, pick: Any, sources: tuple[int, ...]) -> int | None:
+    """Number of the open pick that a row of `sources` answers; None for one nobody asked for.
 
     Raises:
-        StudyError: the pick was answered before, or the source was told before.
+        StudyError: the pick was answered before, or these sources were told before.
     """
-    assert state.spec is not None
     if isinstance(pick, Pick):
         return open_number(state, pick)
-    for number, record in state.open_picks.items():
-        if record.source == source:
-            return number
-    told = sum(row.source == source for row in state.rows)
-    if told >= state.spec.repeats:
+    record = _from_scratch(state, sources)
+    if record is not None:
+        return record.number
+    if any(row.sources == sources and row.start is None for row in state.rows):
         raise StudyError(
-            f"{_where(state, source)} was told before; a study keeps one row per source, or as "
-            f"many as create_study(repeats=...) allows, here {state.spec.repeats}"
+            f"{_where(state, sources)} was told before; a study keeps one row of each training "
+            "from scratch: answer a pick, or take the row back (void)"
         )
     return None
+
+
+def _from_scratch(state: StudyState, sources: tuple[int, ...]) -> PickRecord | None:
+    """The open pick that trains on these contexts from scratch."""
+    picks = state.open_picks.values()
+    return next((one for one in picks if one.sources == sources and one.start is None), None)
 
 
 def is_late(state: StudyState, pick: Pick) -> bool:
@@ -55,10 +61,11 @@ def open_number(state: StudyState, pick: Pick) -> int:
         StudyError: it was answered before, or it is the pick of another study.
     """
     if pick.number < len(state.picks) and not _is_ours(state, pick):
-        asked = state.picks[pick.number].source
+        asked = state.picks[pick.number].sources
         raise StudyError(
-            f"pick {pick.number + 1} of this study trains on {_where(state, asked)}, got a pick of "
-            f"{dict(pick.context)}; tell the study that gave it, or give the context instead"
+            f"pick {pick.number + 1} of this study trains on {_where(state, asked)}, got another "
+            f"study's, of {dict(pick.context)}; tell the study that gave it, or give the context "
+            "instead"
         )
     if pick.number not in state.open_picks:
         raise StudyError(f"pick {pick.number + 1} is not open: it was answered before, or given up")
@@ -85,46 +92,60 @@ def held_number(state: StudyState, pick: Pick | int) -> int:
 
 def _is_ours(state: StudyState, pick: Pick) -> bool:
     """True when this study gave that pick."""
-    return pick.number < len(state.picks) and state.picks[pick.number].source == pick.source
+    if pick.number >= len(state.picks):
+        return False
+    record = state.picks[pick.number]
+    return (record.sources, record.start) == (pick.sources, pick.start)
 
 
-def source_of(space: ContextSpace, pick: Pick | int | Mapping[str, Any]) -> int:
-    """Index of the context that a policy was trained on."""
+Told = Pick | int | Mapping[str, Any] | Sequence[int | Mapping[str, Any]]
+"""What `tell` takes: a pick, a context or its index, or several of those."""
+
+
+def sources_of(space: ContextSpace, pick: Told) -> tuple[int, ...]:
+    """Indices of the contexts that a policy was trained on."""
     if isinstance(pick, Pick):
-        return pick.source
+        return pick.sources
+    if isinstance(pick, Sequence) and not isinstance(pick, str) and len(pick):
+        return tuple(_source_of(space, one) for one in pick)
+    return (_source_of(space, pick),)
+
+
+def _source_of(space: ContextSpace, pick: Any) -> int:
     if isinstance(pick, Mapping):
         return space.index(pick)
     if not isinstance(pick, (int, np.integer)):
         raise InvalidInput(
-            f"tell takes what ask gave, a context or its index, got {type(pick).__name__} {pick!r}"
+            "tell takes what ask gave, a context, its index, or several, got "
+            f"{type(pick).__name__} {pick!r}"
         )
     if not 0 <= int(pick) < space.n:
         raise InvalidInput(f"context indices run from 0 to {space.n - 1}, got {pick}")
     return int(pick)
 
 
-def asked_targets(state: StudyState, source: int) -> tuple[int, ...] | None:
-    """Targets of the open pick with this source."""
-    return next((p.targets for p in state.open_picks.values() if p.source == source), None)
+def asked_targets(state: StudyState, sources: tuple[int, ...]) -> tuple[int, ...] | None:
+    """Targets of the open pick that trains on these from scratch."""
+    record = _from_scratch(state, sources)
+    return None if record is None else record.targets
 
 
 def reopening(state: StudyState, pick: Pick | int) -> Event:
     """The event that opens a failed pick again."""
-    assert state.spec is not None
     number = pick.number if isinstance(pick, Pick) else int(pick)
     failed = next((f for f in state.failures if f.pick == number), None)
     if failed is None:
         raise StudyError(
             f"only a failed pick can be tried again, got pick {number + 1}, which did not fail"
         )
-    same = [row.source == failed.source for row in state.rows]
-    if sum(same) >= state.spec.repeats:
-        where = _where(state, failed.source)
+    record = state.picks[number]
+    if any(r.sources == record.sources and r.start == record.start for r in state.rows):
+        where = _where(state, record.sources)
         raise StudyError(f"{where} was told since pick {number + 1} failed there")
     return Event("reopened", {"pick": number})
 
 
-def _where(state: StudyState, source: int) -> str:
-    """A context for people, to whom its index says nothing."""
+def _where(state: StudyState, sources: tuple[int, ...]) -> str:
+    """Contexts for people, to whom an index says nothing."""
     assert state.spec is not None
-    return state.spec.space.describe(state.spec.space.context(source))
+    return describe_set(state.spec.space, sources)

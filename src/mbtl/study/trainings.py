@@ -8,7 +8,6 @@ from typing import Any, Literal
 from mbtl.contexts import Context
 from mbtl.errors import missing_extra
 from mbtl.notebook import table
-from mbtl.seeds import training_seed
 from mbtl.study.leases import Watch
 from mbtl.study.records import Failure, PickRecord, ToldRow
 from mbtl.study.state import StudyState
@@ -22,7 +21,7 @@ class Training:
 
     Attributes:
         number: 0-based number of its pick; None for a row that nobody asked for.
-        source: context index.
+        source: context index; of several, the one in their middle.
         context: trained on.
         state: "done"; "failed"; "pruned", ended early on purpose; "running"; "stale", its worker
             is not heard of any more; "waiting", given back, or trained and not evaluated so far.
@@ -144,7 +143,7 @@ def _of_pick(
         row.steps if row is not None and row.steps is not None else _reported(watch, pick),
         None if row is None else row.cost,
         pick.last_worker,
-        training_seed(spec.seed, spec.trial, pick.source, pick.repeat, pick.retries),
+        state.seed_of(pick),
         pick.reason,
         None if trouble is None else trouble.reason,
     )
