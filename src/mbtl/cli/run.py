@@ -26,6 +26,7 @@ from mbtl.report import beside, reference_curves, summarise_study
 from mbtl.report.text import show_summary
 from mbtl.selectors import get_selector
 from mbtl.settings import first_difference
+from mbtl.strategies import get_strategy
 from mbtl.study import Callback, Study, asking
 from mbtl.study.runner import check_options
 from mbtl.study.storage import SqlLog
@@ -191,7 +192,7 @@ def run(
         return
     check_options(parallel, stop_after_failures=stop_after_failures, timeout=timeout)
     cmdp = resolve_cmdp(problem, engine=engine, score=score)
-    get_selector(selector)  # a mistyped name must not set a study aside
+    get_strategy(selector)  # a mistyped name must not set a study aside
     if timesteps is not None and cmdp.preset(preset).episodes is not None:
         raise InvalidInput(
             f"trainings of {cmdp.id!r} last a number of episodes, got --timesteps {timesteps}; use "

@@ -14,7 +14,7 @@ from logging import getLogger
 from typing import TYPE_CHECKING, Any
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
-from mbtl.study.artifacts import spools_of
+from mbtl.study.artifacts import Artifact, spools_of
 from mbtl.study.callbacks import Callback, where
 from mbtl.study.flights import Flights, brought_back, may_try_again
 from mbtl.study.job import (
@@ -240,37 +240,63 @@ class Batches:
     def _job(self, pick: Pick) -> Job:
         study, places = self.study, places_of(self.study, pick)
         targets = range(study.space.n) if pick.targets is None else pick.targets
+        start, state = self._begun_with(pick)
         return Job(
             self.trainer,
-            pick.context,
+            pick.contexts,
             pick.seed,
             [study.space.context(target) for target in targets],
             study.evaluation_seeds(pick.targets),
             study.artifacts,
             places[-1],
             tuple(places[:-1]),
-            Kept(study.untold[pick.number]) if pick.number in study.untold else None,
+            study.untold.get(pick.number),
             self.rehearse and not study.has_succeeded,
             spools_of(study.database) if study.is_durable else (),
             self.timeout,
+            start,
+            pick.done,
+            pick.length,
+            state,
+            study.spec.any_training and pick.trains,
         )
+
+    def _begun_with(self, pick: Pick) -> tuple[Kept | None, Artifact | None]:
+        """The policy that a training begins with, and its state where it goes on."""
+        if pick.start is None:
+            return None, None
+        place = self.study.state.place_of(pick.start)
+        if place < 0:
+            raise StudyError(
+                f"pick {pick.number + 1} begins with a policy that was taken back; give the pick "
+                "up (fail), and the strategy chooses another one"
+            )
+        row = self.study.state.rows[place]
+        kept = Artifact(row.policy, row.sha256 or "") if row.policy else None
+        state = None
+        if pick.done and row.state:
+            state = Artifact(row.state, row.state_sha256 or "")
+        return Kept(self.study.policies.get(place), kept), state
 
     def _keep(self, pick: Pick, kept: Kept | None) -> None:
         """Hold on to a policy that is nowhere else."""
         if kept is not None and kept.artifact is None:
-            self.study.untold[pick.number] = kept.policy
+            self.study.untold[pick.number] = kept
         else:
             self.study.untold.pop(pick.number, None)
 
     def _tell(self, pick: Pick, outcome: Outcome) -> bool:
-        self._keep(pick, Kept(outcome.policy, outcome.artifact))
+        kept = outcome.kept
+        self._keep(pick, kept)
         in_time = self.study.tell(
             pick,
             outcome.returns,
             seconds=outcome.seconds,
-            steps=outcome.steps,
-            policy=outcome.artifact,
-            policy_object=outcome.policy,
+            steps=kept.steps,
+            policy=kept.artifact if pick.trains else None,
+            policy_object=kept.policy if pick.trains else None,
+            training_state=kept.state,
+            ended=kept.ended,
         )
         self.study.untold.pop(pick.number, None)
         self._in_a_row = 0
@@ -390,7 +416,8 @@ def places_of(study: Study, pick: Pick) -> list[str]:
 
     Below the study's folder; studies that share it, or a database, keep apart by their uid.
     """
-    again = f"-{pick.repeat}" if pick.repeat else ""
-    base = f"policies/{study.state.uid}/source-{pick.source:04d}{again}"
-    tokens = (*study.state.picks[pick.number].tokens, pick.token)
+    record = study.state.picks[pick.number]
+    own = f"source-{pick.source:04d}" if record.is_specialist else f"pick-{pick.number:04d}"
+    base = f"policies/{study.state.uid}/{own}"
+    tokens = (*record.tokens, pick.token)
     return [base, *dict.fromkeys(f"{base}-{token}" for token in tokens if token)]

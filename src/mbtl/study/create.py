@@ -14,9 +14,10 @@ from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.objective import Bounds, Direction, Objective, direction_named
 from mbtl.plain import finite, real, short, text, whole
-from mbtl.selectors import Selector, get_selector, selector_names
+from mbtl.selectors import Selector
 from mbtl.selectors.contract import traits_of
 from mbtl.settings import described, first_difference
+from mbtl.strategies import get_strategy, strategy_names
 from mbtl.study.checks import check_spec
 from mbtl.study.database import exists_already, shown
 from mbtl.study.described import FROM, describe_selector, without_origin
@@ -212,7 +213,7 @@ def create_study(
             load_if_exists=load_if_exists,
         )  # fmt: skip
     check_paid_in_trainings(cost, of_steps)
-    chosen = get_selector(selector)
+    chosen = get_strategy(selector)
     aim = objective_of(
         objective, bounds=bounds, direction=direction, risk=risk, best_return=best_return
     )
@@ -358,13 +359,13 @@ def _selector_then(spec: StudySpec, given: str | Selector | None) -> Selector:
     """The selector of the study: by its registered name, or as it is given."""
     stored = dict(spec.selector)
     name = str(stored["name"])
-    if given is None and (FROM in stored or name not in selector_names()):
+    if given is None and (FROM in stored or name not in strategy_names()):
         again = repr(stored[FROM]) if FROM in stored else "<the object>"
         raise StudyError(
             f"this study was made with a selector of your own, {name!r}; give it as "
             f"selector={again}"
         )
-    chosen = get_selector(name if given is None else given)
+    chosen = get_strategy(name if given is None else given)
     if describe_selector(chosen) != without_origin(stored):
         raise StudyMismatch(
             f"this study was made with the selector {stored}, got {describe_selector(chosen)}; "

@@ -1,4 +1,4 @@
-"""One job: train on a context, save the policy, evaluate it. Any process can do it.
+"""One job: train, save the policy, evaluate it; or only that. Any process can do it.
 
 A trained policy is kept, durably, before it is evaluated. So whatever ends a job after its
 training, its policy is found by whoever does the job next, and nothing is trained again.
@@ -6,12 +6,14 @@ training, its policy is found by whoever does the job next, and nothing is train
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import shutil
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,7 +26,7 @@ from mbtl.study.limits import at_most
 from mbtl.trainer import (
     OnProgress,
     Progress,
-    ResumingTrainer,
+    Trained,
     Trainer,
     checked_returns,
     equipment_of,
@@ -39,10 +41,21 @@ Stage = Literal["training", "saving", "loading", "evaluation"]
 
 @dataclass(frozen=True)
 class Kept:
-    """A trained policy, and where it is safe; None: nowhere so far."""
+    """A trained policy, and where it is safe.
+
+    Attributes:
+        policy: itself.
+        artifact: where it is safe; None: nowhere so far.
+        steps: environment steps of its training; None: unknown.
+        ended: longer would be the same policy.
+        state: where the state of its training is, to go on from exactly; None: nowhere.
+    """
 
     policy: Any
     artifact: Artifact | None = None
+    steps: float | None = None
+    ended: bool = False
+    state: Artifact | None = None
 
 
 @dataclass(frozen=True)
@@ -51,7 +64,7 @@ class Job:
 
     Attributes:
         trainer: does the work.
-        context: to train on.
+        contexts: to train on.
         seed: of the training.
         targets: to evaluate on.
         evaluation_seeds: of the episodes, one per target.
@@ -62,10 +75,15 @@ class Job:
         rehearse: no evaluation of this study has succeeded yet, so a short one goes first.
         spools: where the policy waits while the store cannot be written, best first.
         timeout: seconds for all of it; None: no limit.
+        start: the policy to begin with; None: from scratch.
+        done: units that its training has had, where it goes on.
+        length: units of the training in all; 0: `start` is only evaluated; None: a whole one.
+        state: of the training of `start`, where it goes on; None: it begins with the weights.
+        keeps_state: the training may go on later, so its state is kept.
     """
 
     trainer: Trainer
-    context: Context
+    contexts: Sequence[Context]
     seed: int
     targets: Sequence[Context]
     evaluation_seeds: Sequence[int]
@@ -76,17 +94,20 @@ class Job:
     rehearse: bool = False
     spools: tuple[FolderStore, ...] = ()
     timeout: float | None = None
+    start: Kept | None = None
+    done: float = 0.0
+    length: float | None = None
+    state: Artifact | None = None
+    keeps_state: bool = False
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a job gave: checked returns (N, n_episodes), and the policy if it was not saved."""
+    """What a job gave: checked returns (T, n_episodes), and the policy if it was not saved."""
 
     returns: Array
     seconds: float
-    artifact: Artifact | None
-    policy: Any = None
-    steps: float | None = None
+    kept: Kept
 
 
 @dataclass(frozen=True)
@@ -122,6 +143,8 @@ def perform(
 ) -> Outcome | Trouble:
     """Train (unless the policy is there already), save, evaluate. Runs in any process.
 
+    A job of length 0 evaluates only.
+
     Args:
         job: what to do.
         on_progress: told by the training.
@@ -135,20 +158,25 @@ def perform(
     stage: Stage = "training" if kept is None else "saving"
     try:
         with at_most(job.timeout, on_stuck):
+            if job.length == 0.0:
+                stage = "loading"
+                kept = Kept(_begun_with(job), Artifact("", ""))
             if kept is None and (found := _left(job)) is not None:
                 stage, kept = "loading", Kept(None, found)
-                kept = Kept(job.trainer.load(_folder(job, found)), found)
+                kept = _found(job, found)
             if kept is None:
-                kept = Kept(_trained(job, None if on_progress is None else steps))
+                trained = _trained(job, steps)
+                kept = Kept(trained.policy, None, trained.steps or steps.done, trained.ended)
                 on_kept(kept)
             if kept.artifact is None:
                 stage = "saving"
-                kept = replace(kept, artifact=_save(job, kept.policy))
+                kept = replace(kept, state=_save_state(job))
+                kept = replace(kept, artifact=_save(job, kept))
                 on_kept(kept)
                 _forget_partial(job)
             if on_evaluation is not None:
                 on_evaluation()
-            if job.rehearse and kept.artifact is not None:
+            if job.rehearse and job.length != 0.0 and kept.artifact is not None:
                 stage = "loading"  # what cannot be read back is found out with the first policy
                 kept = replace(kept, policy=job.trainer.load(_folder(job, kept.artifact)))
             stage = "evaluation"
@@ -161,8 +189,7 @@ def perform(
     except FAULTS as error:
         return Trouble(stage, reason_of(error), traceback_of(error), error, kept)
     seconds = time.perf_counter() - started
-    policy = None if kept.artifact else kept.policy
-    return Outcome(returns, seconds, kept.artifact, policy, steps.done)
+    return Outcome(returns, seconds, replace(kept, policy=None) if kept.artifact else kept)
 
 
 class _Steps:
@@ -253,18 +280,81 @@ def _folder(job: Job, artifact: Artifact) -> Path:
     return job.store.read(artifact.place, artifact.sha256)
 
 
-def _trained(job: Job, on_progress: OnProgress | None) -> Any:
-    """From the beginning, or from where another worker has left it."""
-    context, trainer = dict(job.context), job.trainer
-    partials = _partials(job)
-    if not partials or not isinstance(trainer, ResumingTrainer):
-        return trainer.train(context, job.seed, on_progress)
-    own, *others = partials
-    left = next((file for file in others if file.is_file()), None)
-    if left is not None and not own.is_file():
+def _found(job: Job, artifact: Artifact) -> Kept:
+    """What a former worker has left: the policy, and what its receipt says of the training."""
+    assert job.store is not None
+    receipt = job.store.receipt(artifact.place) or {}
+    state = receipt.get("state")
+    return Kept(
+        job.trainer.load(_folder(job, artifact)),
+        artifact,
+        receipt.get("steps"),
+        bool(receipt.get("ended")),
+        Artifact(*state) if isinstance(state, list) and len(state) == 2 else None,
+    )
+
+
+def _begun_with(job: Job) -> Any:
+    """The policy to begin with; None: from scratch.
+
+    Raises:
+        InvalidInput: it is nowhere.
+    """
+    if job.start is None:
+        return None
+    if job.start.policy is not None:
+        return job.start.policy
+    if job.start.artifact is None:
+        raise InvalidInput(
+            "a training begins with a policy that was kept, and this one was told without; tell it "
+            "with policy= or policy_object="
+        )
+    return job.trainer.load(_folder(job, job.start.artifact))
+
+
+def _trained(job: Job, on_progress: OnProgress) -> Trained:
+    """From the beginning, from a policy or its training's state, or where another worker left it.
+
+    A state that cannot be read is as none: then it begins with the weights.
+    """
+    own, *others = (*_partials(job), None)
+    left = next((file for file in others if file is not None and file.exists()), None)
+    if left is None and job.state is not None and "state" in job.trainer.takes:
+        left = next(iter(_folder(job, job.state).glob(f"{_STATE}*")), None)
+    if own is not None and left is not None and not own.exists():
         with contextlib.suppress(OSError):
-            shutil.copyfile(left, own)
-    return trainer.train(context, job.seed, on_progress, partial=own)
+            copy = shutil.copytree if left.is_dir() else shutil.copyfile
+            copy(left, own)
+    return job.trainer.train(
+        [dict(context) for context in job.contexts],
+        job.seed,
+        start=_begun_with(job),
+        length=job.length,
+        done=job.done,
+        state=own,
+        on_progress=on_progress,
+    )
+
+
+_STATE = "state"
+"""Name of the state of a training in its artifact."""
+
+
+def _save_state(job: Job) -> Artifact | None:
+    """Keep the state of a training that may go on; None: there is none, or no place for it."""
+    own = next(iter(_partials(job)), None)
+    if not job.keeps_state or own is None or not own.exists() or job.store is None:
+        return None
+
+    def fill(folder: Path) -> bool:
+        copy = shutil.copytree if own.is_dir() else shutil.copyfile
+        copy(own, folder / _STATE)
+        return True
+
+    try:
+        return job.store.write(f"{job.place}.state", fill, {"seed": job.seed})
+    except (StorageError, OSError):  # it can go on from its weights, too
+        return None
 
 
 def _partials(job: Job) -> list[Path]:
@@ -272,29 +362,41 @@ def _partials(job: Job) -> list[Path]:
 
     One that failed is begun again with another seed, and from the beginning.
     """
-    if job.store is None or not isinstance(job.trainer, ResumingTrainer):
+    takes = job.trainer.takes
+    if job.store is None or not ("resume" in takes or (job.keeps_state and "state" in takes)):
         return []
     made = f"{recipe_digest(equipment_of(job.trainer))}-{job.seed}"
     places = [f"{place}.{made}" for place in (job.place, *reversed(job.former))]
-    found = [job.store.partial(place) for place in places]
-    return [file for file in found if file is not None]
+    found = [job.store.partial(place) or _scratch() / place.replace("/", "-") for place in places]
+    return found
+
+
+@cache
+def _scratch() -> Path:
+    """Of this process, for stores that keep no unfinished trainings."""
+    folder = Path(tempfile.mkdtemp(prefix="mbtl-state-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
 def _forget_partial(job: Job) -> None:
     for file in _partials(job):
         with contextlib.suppress(OSError):
-            file.unlink(missing_ok=True)
+            shutil.rmtree(file) if file.is_dir() else file.unlink(missing_ok=True)
 
 
-def _save(job: Job, policy: Any) -> Artifact | None:
+def _save(job: Job, kept: Kept) -> Artifact | None:
     """Keep it in the store; where that cannot be written it waits in a spool, for the next run."""
     if job.store is None:
         return None
-    made, fill = equipment_of(job.trainer), partial(job.trainer.save, policy)
-    receipt = {"seed": job.seed, "context": dict(job.context)}
+    made, fill = equipment_of(job.trainer), partial(job.trainer.save, kept.policy)
+    receipt: dict[str, Any] = {"seed": job.seed, "contexts": [dict(c) for c in job.contexts]}
     receipt |= {"format": made["policy_format"], "recipe": made["recipe"]}
+    receipt |= {"steps": kept.steps, "ended": kept.ended}
+    if kept.state is not None:
+        receipt["state"] = [kept.state.place, kept.state.sha256]
     try:
-        kept = job.store.write(job.place, fill, receipt)
+        safe = job.store.write(job.place, fill, receipt)
     except (StorageError, OSError) as error:
         raise _unsaved(job, error, _spooled(job, fill, receipt)) from error
     except NOT_THE_TRAININGS_FAULT:
@@ -306,7 +408,7 @@ def _save(job: Job, policy: Any) -> Artifact | None:
         ) from error
     for spool in job.spools:
         spool.remove(job.place)
-    return kept
+    return safe
 
 
 def _spooled(job: Job, fill: Callable[[Path], bool], receipt: Mapping[str, Any]) -> Path | None:

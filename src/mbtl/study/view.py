@@ -20,6 +20,7 @@ from mbtl.selectors import SelectionProblem
 from mbtl.study import asking
 from mbtl.study.artifacts import ArtifactStore, FolderStore
 from mbtl.study.fresh import value_of
+from mbtl.study.job import Kept
 from mbtl.study.leases import Lease, Watch, new_worker
 from mbtl.study.places import database_file
 from mbtl.study.presence import Presence
@@ -64,7 +65,7 @@ class StudyView:
         worker: name by which this object holds picks.
         presence: who surely is gone, where that can be known.
         policies: number of the row -> policy, for policies of this process that were not saved.
-        untold: number of the pick -> policy that is trained, not saved, and not evaluated so far.
+        untold: number of the pick -> what is trained, not saved, and not evaluated so far.
         stopping: why the run that goes on is to end (`Study.stop`); None: it is not.
     """
 
@@ -82,7 +83,7 @@ class StudyView:
         self.artifacts = FolderStore(folder.absolute()) if isinstance(folder, Path) else folder
         self.trainer = trainer
         self.policies: dict[int, Any] = {}
-        self.untold: dict[int, Any] = {}
+        self.untold: dict[int, Kept] = {}
         self.stopping: str | None = None
         self._made: str | None = None  # digest of what this object's policies are made with
         self.worker = new_worker()
@@ -155,8 +156,8 @@ class StudyView:
 
     @property
     def problem(self) -> SelectionProblem:
-        """What the selector may know before any training."""
-        return self.spec.selection_problem()
+        """What the strategy may know before any training."""
+        return self._state.problem()
 
     @property
     @_alone
@@ -288,6 +289,7 @@ class StudyView:
             policy_format=policy_format,
             load=trainer.load if trainer is not None else None,
             in_memory=dict(self.policies),
+            sets={i: row.sources for i, row in enumerate(rows) if len(row.sources) > 1},
             cmdp=spec.problem or None,
             metadata={"study": self.name, **made},
             trust=trust,
