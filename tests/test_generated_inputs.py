@@ -231,7 +231,7 @@ def test_names_of_own_objects(name):
 
 SETTINGS = (
     "budget", "preset", "trainer", "selector", "bounds", "direction", "objective", "stopping",
-    "theta", "seed", "trial", "stop_value", "cost_budget", "costs", "repeats", "risk",
+    "theta", "seed", "trial", "stop_value", "cost_budget", "costs", "risk",
     "eval_targets", "stop_gain", "stop_confidence", "stop_left", "best_return", "problem",
     "settings",
 )  # fmt: skip
@@ -313,7 +313,7 @@ def test_matrices_and_comparisons(data):
 
 OPTIONS = (
     "--json", "--help", "--name", "--budget", "--seeds", "--matrix", "--selectors", "--bounds",
-    "--seed", "--study", "--repeats", "--risk", "--costs", "--out", "--variant", "--nope", "-x",
+    "--seed", "--study", "--risk", "--costs", "--out", "--variant", "--nope", "-x",
 )  # fmt: skip
 COMMANDS = (
     ("study", "list"), ("study", "show"), ("study", "export"), ("cmdps",), ("matrix", "show"),

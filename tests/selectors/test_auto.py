@@ -9,7 +9,7 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models import priors
 from mbtl.models.transfer_kernel import TransferPrior
-from mbtl.selectors import Auto, Exhausted, Random, SelectionProblem, auto_beliefs
+from mbtl.selectors import Auto, Random, SelectionProblem, auto_beliefs
 from mbtl.selectors.auto import _nearest, _search
 from mbtl.selectors.auto_beliefs import forget, pending_pairs
 
@@ -140,16 +140,6 @@ def test_covering_picks_heed_costs_and_the_chance_of_a_gain():
     assert proposal.chance == Auto(cover=0).propose(asked, first_two(problem), RNG).chance > 0
 
 
-def test_with_everything_trained_a_covering_pick_is_an_ordinary_one():
-    problem = replace(line(5, budget=5), repeats=2)
-    history = History(5)
-    for source in range(5):
-        history = history.with_row(source, np.full(5, 0.1 * source))
-    proposal = Auto(cover=3).propose(problem, history, RNG)
-    assert 0 <= proposal.source < 5
-    assert "largest untested region" not in proposal.reason
-
-
 def test_gain_per_cost_prefers_the_cheap_of_two_alike():
     n = 41
     problem = line(n)
@@ -162,23 +152,6 @@ def test_gain_per_cost_prefers_the_cheap_of_two_alike():
     proposal = Auto().propose(dear, history, RNG)
     assert (proposal.source < 20) != (free < 20)
     assert proposal.reason.endswith("per cost")
-
-
-def test_a_source_is_trained_again_where_its_own_training_failed():
-    """All others are known and good; one failed, and another try at it is allowed."""
-    n = 12
-    problem = SelectionProblem.of(
-        mbtl.ContextSpace.grid({mbtl.Linear("x", 0.1, 10.0): n}), budget=20, repeats=2
-    )
-    history = History(n)
-    for source in range(n):
-        row = np.full(n, 0.1) if source == 9 else reach(n, source, 1, 1)
-        history = history.with_row(source, row - 0.4 * (np.arange(n) >= 9))
-    proposal = Auto().propose(problem, history, RNG)
-    assert proposal.source >= 8
-    assert proposal.reason == "largest expected gain, trained again"
-    with pytest.raises(Exhausted):
-        Auto().propose(line(n), history, RNG)
 
 
 def test_with_a_risk_only_the_worst_targets_count():

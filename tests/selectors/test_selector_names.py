@@ -82,8 +82,8 @@ def test_one_method_is_enough_for_a_selector():
 
 def test_a_selector_without_a_name_may_say_what_it_can():
     bare = Bare()
-    bare.traits = Traits(retrains=True)
-    assert traits_of(get_selector(bare)).retrains
+    bare.traits = Traits(one_axis=True)
+    assert traits_of(get_selector(bare)).one_axis
 
 
 def test_attributes_of_version_0_1_are_read_with_a_warning():

@@ -31,7 +31,7 @@ SPACE = mbtl.ContextSpace.grid(
 def study(tmp_path):
     """A study in a file with events of every kind but one."""
     made = mbtl.create_study(
-        SPACE, budget=3, bounds=(0.0, 9.0), repeats=2, costs=np.arange(1, 7), cost_budget=50,
+        SPACE, budget=3, bounds=(0.0, 9.0), costs=np.arange(1, 7), cost_budget=50,
         eval_targets=4, settings={"recipe": {"steps": 3}}, storage=tmp_path / "study.db",
     )  # fmt: skip
     (tmp_path / "policies" / "a").mkdir(parents=True)
@@ -269,7 +269,7 @@ def test_a_pick_of_another_study_answers_nothing():
         mbtl.create_study(SPACE, budget=3, selector=name) for name in ("mbtl", "worst-first")
     ]
     ours, theirs = (study.ask() for study in studies)
-    other = dataclasses.replace(theirs, source=(ours.source + 1) % 6)
+    other = dataclasses.replace(theirs, sources=((ours.source + 1) % 6,))
     for answer in (lambda p: studies[0].tell(p, np.zeros(6)), lambda p: studies[0].fail(p, "no"),
                    lambda p: studies[0].release(p)):  # fmt: skip
         with pytest.raises(StudyError, match="tell the study that gave it"):

@@ -178,9 +178,11 @@ def test_tries_survive_the_process(tmp_path):
     assert other.ask().seed == again.seed != pick.seed
 
 
-def test_tries_and_repeats_never_share_a_seed():
-    pairs = itertools.product(range(3), range(3))
-    assert len({training_seed(0, 0, 4, repeat, retry) for repeat, retry in pairs}) == 9
+def test_tries_sets_and_lineages_never_share_a_seed():
+    made = itertools.product(range(3), [4, (4, 5), (5, 4)], [(), (1, 4, 1000, 0), (1, 4, 2000, 0)])
+    seeds = {training_seed(0, 0, on, tries, lineage) for tries, on, lineage in made}
+    assert len(seeds) == 27
+    assert training_seed(0, 0, [4]) == training_seed(0, 0, 4)
 
 
 @pytest.mark.parametrize("parallel", [1, 2])

@@ -1,6 +1,4 @@
-from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ from mbtl.errors import InvalidInput, StudyError, StudyMismatch, TrainingFailed
 from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.seeds import training_seed
-from mbtl.selectors import MBTL, Proposal, SelectionProblem, Traits
+from mbtl.selectors import MBTL, Proposal, SelectionProblem
 from mbtl.study import StudyFinished
 from mbtl.study.events import Event
 
@@ -341,42 +339,6 @@ def test_ask_gives_several_picks_that_differ():
         study.ask(2)
     with pytest.raises(InvalidInput, match="a whole number of picks, 1 or more"):
         study.ask(0)
-
-
-def test_a_context_may_be_trained_again_with_another_seed(tmp_path):
-    study = new(tmp_path, selector=Stubborn(), budget=3, repeats=2)
-    first = study.ask()
-    study.tell(first, row(first.source) - 0.1)
-    study.policies[0] = "first"
-    second = study.ask()
-    assert (first.source, first.repeat) == (second.source, 0)
-    assert second.repeat == 1
-    assert first.seed == training_seed(0, 0, first.source)
-    assert second.seed == training_seed(0, 0, first.source, 1) != first.seed
-    study.tell(second, row(first.source), policy_object="second")
-    assert study.policies == {0: "first", 1: "second"}
-    assert study.portfolio().policy(1) == "second"
-    assert study.value == pytest.approx(row(first.source).mean())
-    with pytest.raises(StudyError, match=r"repeats=\.\.\.\) allows, here 2"):
-        study.tell(first.source, row(first.source))
-    with pytest.raises(InvalidInput, match=r"contexts \(20\) times 2 repeats, got 41"):
-        new(selector="auto", repeats=2, budget=41)
-    with pytest.raises(InvalidInput, match="needs a selector that trains a context again"):
-        new(selector="mbtl", repeats=2)
-    again = mbtl.load_study(tmp_path, selector=Stubborn())
-    assert again.state.picks[1].repeat == 1
-
-
-@dataclass(frozen=True)
-class Stubborn:
-    """Context 7 as long as it is allowed."""
-
-    name: str = "stubborn"
-    traits: ClassVar[Traits] = Traits(retrains=True)
-
-    def propose(self, problem, history, rng):
-        mask = history.open_mask(problem.n, problem.repeats)
-        return Proposal(7 if mask[7] else int(mask.argmax()), "because")
 
 
 def test_costs_known_before_keep_the_study_within_its_budget():

@@ -5,13 +5,13 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 import pytest
+from mbtl.set_trainer import SetTrainer
+from mbtl.training.sb3_steps import _can_be_copied
 from training_envs import Guess, cartpole, pendulum
 
 from mbtl.errors import InvalidInput
-from mbtl.set_trainer import SetTrainer
 from mbtl.trainer import SteppingTrainer
 from mbtl.training import SB3Trainer
-from mbtl.training.sb3_steps import _can_be_copied
 
 POLE = {"length": 0.5}
 MASS = {"mass": 1.0}

@@ -8,10 +8,11 @@ import pytest
 pytest.importorskip("jax", reason="the jax extra is not installed")
 pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
+from mbtl.set_trainer import SetTrainer
+
 import mbtl.training.jax as engine
 from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput
-from mbtl.set_trainer import SetTrainer
 
 UNIT = 12_800
 TRAINER = get_cmdp("cartpole-length", engine="jax").trainer_for("quick", eval_episodes=2)

@@ -40,7 +40,8 @@ class SelectionProblem:
         axes: of the context space, D columns together; empty: D linear axes.
         trainable: (N,) mask of the contexts that one may train on; None: all. All are targets.
         abilities: what the trainer can do beside specialists: train on several contexts ("sets"),
-            begin from a policy ("start"), train for any length ("length").
+            begin from a policy ("start"), train for any length ("length"); None: specialists are
+            all that is asked for, and each context is one.
     """
 
     unit: Array
@@ -55,7 +56,7 @@ class SelectionProblem:
     least_left: float | None = None
     axes: tuple[Axis, ...] = ()
     trainable: NDArray[np.bool_] | None = None
-    abilities: frozenset[str] = frozenset()
+    abilities: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "budget", whole("budget", self.budget))
@@ -66,7 +67,7 @@ class SelectionProblem:
                 f"trainable must be a mask of {self.n} contexts, got "
                 f"{self.trainable.dtype} of shape {self.trainable.shape}"
             )
-        if self.budget < 1 or (not self.abilities and self.budget > len(self.sources)):
+        if self.budget < 1 or (self.abilities is None and self.budget > len(self.sources)):
             which = "contexts" if self.trainable is None else "trainable contexts"
             raise InvalidInput(
                 f"budget must be from 1 to the number of {which} ({len(self.sources)}), "

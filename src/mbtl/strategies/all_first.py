@@ -37,7 +37,7 @@ class AllFirst:
         if (first := on_all(problem, history)) is not None:
             return first
         units = min(problem.budget, problem.n)
-        alone = replace(problem, budget=units, abilities=frozenset())
+        alone = replace(problem, budget=units, abilities=None)
         return self.selector.propose(alone, history.specialists(), rng)
 
 
@@ -45,11 +45,12 @@ def on_all(problem: SelectionProblem, history: History) -> Proposal | None:
     """One policy for all contexts; None: that was tried, or cannot be."""
     everyone = tuple(problem.sources.tolist())
     tried = (*history.trainings, *history.under_way, *history.given_up)
-    if "sets" not in problem.abilities or len(everyone) < 2:
+    abilities = problem.abilities or frozenset()
+    if "sets" not in abilities or len(everyone) < 2:
         return None
     if any(training.contexts == everyone for training in tried):
         return None
     middle = middle_of(everyone, problem.steps)
     # asked for by its length, the training can go on later
-    length = 1.0 if "length" in problem.abilities else None
+    length = 1.0 if "length" in abilities else None
     return Proposal(middle, "all contexts first", length=length, sources=everyone)

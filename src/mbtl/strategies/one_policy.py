@@ -34,13 +34,14 @@ class OnePolicy:
         """
         if (first := on_all(problem, history)) is not None:
             return first
-        if "sets" not in problem.abilities:
+        abilities = problem.abilities or frozenset()
+        if "sets" not in abilities:
             raise Exhausted("the trainer takes one context at a time, so there is no such policy")
         if history.under_way or history.given_up or not len(history):
             raise Exhausted("the one policy is in training, or its training failed")
         last = max(range(len(history)), key=lambda row: (history.made(row).length, row))
         made, left = history.made(last), problem.budget - history.paid
-        if not {"start", "length"} <= problem.abilities:
+        if not {"start", "length"} <= abilities:
             raise Exhausted("this trainer cannot go on with a policy")
         length = min(2.0 * made.length, made.length + left)
         reason = f"all contexts, longer: {made.length:g} to {length:g} units"

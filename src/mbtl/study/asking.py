@@ -378,7 +378,7 @@ def _check_training(moment: Moment, name: str, proposal: Proposal) -> None:
         "length": length not in (None, 0.0),
     }
     for ability, wanted in asked.items():
-        if wanted and ability not in moment.problem.abilities:
+        if wanted and ability not in (moment.problem.abilities or ()):
             raise InvalidInput(
                 f"the trainer of this study cannot do what {name!r} asks for, {_WORDS[ability]}; "
                 "give another trainer, or a strategy that heeds `problem.abilities`"

@@ -139,7 +139,7 @@ class Batches:
         finally:
             outcomes.close()
             self._give_back(waiting)
-        if end is None and self._failed is not None and not self.study.has_succeeded:
+        if end is None and self._failed is not None and self._in_doubt:
             end = self._end(*self._failed, "nothing has succeeded yet")
         if end is not None:
             raise end
@@ -175,8 +175,7 @@ class Batches:
         flights = Flights(self.executor, self.timeout, self.retries, self._again)
         try:
             while True:
-                doubt = self._failed is not None and not self.study.has_succeeded
-                while len(flights) < size and not self._ending and not doubt:
+                while len(flights) < size and not self._ending and not self._in_doubt:
                     pick = ask()
                     if pick is None:
                         break
@@ -189,6 +188,15 @@ class Batches:
                 yield from flights.landed()
         finally:
             flights.cancel()
+
+    @property
+    def _in_doubt(self) -> bool:
+        """Nothing has succeeded, and something failed, though not only what not all can do."""
+        if self._failed is None or self.study.has_succeeded:
+            return False
+        state = self.study.state
+        alone = any(len(state.picks[one.pick].sources) == 1 for one in state.failures)
+        return alone or bool(state.deferred)
 
     def _perform_here(self, pick: Pick) -> tuple[Pick, Outcome | Trouble | None]:
         tries = 0

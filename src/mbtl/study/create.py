@@ -36,7 +36,7 @@ from mbtl.study.listing import chosen_name, database_at
 from mbtl.study.places import fixed_url, policy_store
 from mbtl.study.problem import Problem, ProblemFacts, check_problem, facts_of
 from mbtl.study.spec import StudySpec
-from mbtl.study.state import ABILITIES, StudyState, replay
+from mbtl.study.state import StudyState, replay
 from mbtl.study.steps.create import create_step_study
 from mbtl.study.steps.strategies import DEFAULT
 from mbtl.study.steps.study import StepStudy
@@ -279,7 +279,7 @@ def create_study(
         traits_of(chosen).any_training,
     )
     check_spec(spec)
-    check_axes(chosen, spec.selection_problem(frozenset(ABILITIES)))
+    check_axes(chosen, spec.selection_problem())
     address = None if storage is None else fixed_url(storage)
     folder = policy_store(address, artifacts)
     log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)

@@ -40,7 +40,7 @@ def rehearse(
         store = FolderStore(Path(folder))
         made = _Untrained(trainer)
         job = Job(
-            made, targets[0], 0, targets, seeds, store, "policies/a/untrained", rehearse=True,
+            made, targets[:1], 0, targets, seeds, store, "policies/a/untrained", rehearse=True,
             timeout=timeout,
         )  # fmt: skip
         outcome = perform(job) if here else perform_elsewhere(job, (MbtlError,))

@@ -80,7 +80,7 @@ class StudySpec:
             risk=self.risk,
             least_gain=self.stop_gain,
             least_left=self.stop_left,
-            abilities=abilities if self.any_training else frozenset(),
+            abilities=abilities if self.any_training else None,
         )
 
     def to_json(self) -> dict[str, Any]:
