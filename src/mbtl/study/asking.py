@@ -28,6 +28,8 @@ _LONGEST = 5.0
 """Seconds after which no more is proposed ahead: others wait for what is."""
 LEAST_ROWS = 3
 """Rows before a prediction may end the study: one or two say too little of how rows differ."""
+LEAST_TARGETS = 2
+"""On which a policy is still evaluated with the last steps."""
 LEAST_UNIT = 1e-6
 """Units that are no training any more."""
 
@@ -87,6 +89,8 @@ def stop_reason(state: StudyState) -> str | None:
         return reason
     if state.paid > state.spec.budget - LEAST_UNIT:
         return f"the budget of {state.spec.budget} trainings is spent"
+    if (spent := _steps_spent(state)) is not None:
+        return spent
     if state.spec.any_training:  # there is always something that may be trained for longer
         return None
     try:
@@ -94,6 +98,19 @@ def stop_reason(state: StudyState) -> str | None:
     except Exhausted as error:
         return str(error)
     return None
+
+
+def _steps_spent(state: StudyState) -> str | None:
+    """Why no training can be paid any more in environment steps; None: one can be."""
+    spec = state.spec
+    assert spec is not None
+    if spec.steps is None or spec.unit is None or spec.target_steps is None:
+        return None
+    left = spec.steps - state.bill().total
+    least = 0.0 if spec.any_training else float(spec.unit)
+    if left > least + state.evaluation_price(min(LEAST_TARGETS, spec.space.n), 0.0):
+        return None
+    return f"the budget of {spec.steps:,} steps has {max(left, 0.0):,.0f} left, less than it takes"
 
 
 def is_finished(state: StudyState) -> bool:
@@ -214,6 +231,8 @@ class Moment:
         told: numbers of the events that told the rows of `known`.
         planned: a pick as its facts say it.
         cost: what that is expected to cost, in the unit of the cost budget.
+        steps: likewise, environment steps.
+        steps_left: of the budget; infinite where they are not counted.
     """
 
     spec: StudySpec
@@ -224,6 +243,8 @@ class Moment:
     told: tuple[int, ...]
     planned: Callable[[Mapping[str, Any]], PickRecord]
     cost: Callable[[PickRecord], float]
+    steps: Callable[[PickRecord], float]
+    steps_left: float
 
     @classmethod
     def of(cls, state: StudyState) -> Moment:
@@ -238,6 +259,8 @@ class Moment:
             tuple(row.event for row in state.rows),
             state.planned,
             state.usual_cost,
+            state.expected_steps,
+            np.inf if state.spec.steps is None else state.spec.steps - state.bill().total,
         )
 
     def after(self, facts: Mapping[str, Any], proposal: Proposal) -> Moment:
@@ -249,8 +272,8 @@ class Moment:
             spent=self.known.spent + (0.0 if self.spec.costs is None else self.cost(pick)),
             paid=self.known.paid + pick.price,
         )
-        trained = self.trained + (pick.price > 0.0)
-        return replace(self, known=known, number=self.number + 1, trained=trained)
+        trained, left = self.trained + (pick.price > 0.0), self.steps_left - self.steps(pick)
+        return replace(self, known=known, number=self.number + 1, trained=trained, steps_left=left)
 
 
 def propose(moment: Moment, strategy: Selector, more: int = 0) -> dict[str, Any] | str:
@@ -279,11 +302,11 @@ def propose(moment: Moment, strategy: Selector, more: int = 0) -> dict[str, Any]
         moment = moment.after(facts, proposal)
         try:
             proposal = _proposed(moment, strategy)
-        except Exhausted:
+            if isinstance(proposal, str):
+                break
+            facts = _facts(moment, proposal)
+        except (Exhausted, StudyFinished):
             break
-        if isinstance(proposal, str):
-            break
-        facts = _facts(moment, proposal)
         following.append(facts)
     return {"pick": number, **first, **({"ahead": following} if following else {})}
 
@@ -317,7 +340,32 @@ def _facts(moment: Moment, proposal: Proposal) -> dict[str, Any]:
         targets = spread_targets(moment.problem, middle, spec.eval_targets)
     if targets is not None:
         facts["targets"] = sorted(int(target) for target in targets)
-    return facts
+    return facts if moment.steps_left == np.inf else _within(moment, facts)
+
+
+def _within(moment: Moment, facts: dict[str, Any]) -> dict[str, Any]:
+    """The facts of a pick, on as few targets as there are steps for.
+
+    Raises:
+        StudyFinished: not even on a few.
+    """
+    pick = moment.planned({"pick": moment.number, **facts})
+    alone = replace(pick, targets=())
+    n = moment.spec.space.n
+    count = n if pick.targets is None else len(pick.targets)
+    each = (moment.steps(pick) - moment.steps(alone)) / count
+    affordable = count if each == 0.0 else int((moment.steps_left - moment.steps(alone)) // each)
+    if moment.steps_left >= moment.steps(alone) and affordable >= count:
+        return facts
+    if moment.steps_left < moment.steps(alone) or affordable < min(LEAST_TARGETS, n):
+        raise StudyFinished(
+            f"the study is finished: the budget of {moment.spec.steps:,} steps has "
+            f"{max(moment.steps_left, 0.0):,.0f} left, less than what is wanted next costs"
+        )
+    targets = spread_targets(moment.problem, pick.source, affordable)
+    if pick.targets is not None:
+        targets = tuple(sorted(pick.targets)[:affordable])
+    return {**facts, "targets": sorted(targets)}
 
 
 def _check_proposal(moment: Moment, seen: History, strategy: Selector, proposal: Any) -> None:

@@ -267,6 +267,7 @@ class Batches:
             pick.length,
             state,
             study.spec.any_training and pick.trains,
+            study.spec.steps is not None,
         )
 
     def _begun_with(self, pick: Pick) -> tuple[Kept | None, Artifact | None]:
@@ -305,6 +306,8 @@ class Batches:
             policy_object=kept.policy if pick.trains else None,
             training_state=kept.state,
             ended=kept.ended,
+            checks=kept.checks,
+            evaluation_steps=outcome.evaluation_steps,
         )
         self.study.untold.pop(pick.number, None)
         self._in_a_row = 0
@@ -326,7 +329,11 @@ class Batches:
         reason = _reason(trouble)
         if trouble.kept is None:
             in_time = self.study.fail(
-                pick, reason, traceback=trouble.traceback, pruned=trouble.pruned
+                pick,
+                reason,
+                traceback=trouble.traceback,
+                pruned=trouble.pruned,
+                steps=trouble.steps,
             )
         else:
             in_time = self.study.defer(pick, reason, traceback=trouble.traceback)

@@ -73,6 +73,8 @@ def check_spec(spec: StudySpec) -> None:
             raise InvalidInput(f"{name} must be {words}, got {_short(value)}")
     Bounds(*(spec.bounds or (0.0, 1.0)), spec.direction)
     spec.selection_problem()
+    if spec.steps is not None and None in (spec.unit, spec.target_steps):
+        raise InvalidInput("a study that counts steps must know those of a unit and of a target")
     if spec.eval_targets is not None and spec.eval_targets > spec.space.n:
         raise InvalidInput(f"eval_targets must be at most {spec.space.n}")
 
@@ -177,6 +179,10 @@ _SPEC: dict[str, Rule] = {
     "stop_left": _NUMBER,
     "best_return": _NUMBER,
     "floor": _NUMBER,
+    "any_training": (lambda value: isinstance(value, bool), "true or false"),
+    "steps": (_maybe(_COUNT[0]), "a whole number of 1 or more, or null"),
+    "unit": (_maybe(_COUNT[0]), "a whole number of 1 or more, or null"),
+    "target_steps": (_maybe(_COUNT[0]), "a whole number of 1 or more, or null"),
 }
 
 
@@ -217,6 +223,7 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
         "reason": _TEXT,
         "traceback": _MAYBE_TEXT,
         "pruned": (_maybe(lambda value: isinstance(value, bool)), "true, false or null"),
+        "steps": _SECONDS,
     }
     table: dict[Kind, dict[str, Rule]] = {
         "extended": {"budget": _COUNT},
@@ -255,6 +262,8 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
             "cost": (_at_least(0.0), "a finite number >= 0"),
             "seconds": _SECONDS,
             "steps": _SECONDS,
+            "checks": _SECONDS,
+            "evaluation_steps": _SECONDS,
             "policy": _POLICY,
             "sha256": _MAYBE_TEXT,
             "recipe": _MAYBE_TEXT,

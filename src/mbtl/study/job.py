@@ -17,6 +17,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingPruned
@@ -24,6 +26,7 @@ from mbtl.faults import FAULTS, REASON, TookTooLong, harmless, reason_of, traceb
 from mbtl.study.artifacts import RECEIPT, Artifact, ArtifactStore, FolderStore
 from mbtl.study.limits import at_most
 from mbtl.trainer import (
+    CountingTrainer,
     OnProgress,
     Progress,
     Trained,
@@ -49,6 +52,7 @@ class Kept:
         steps: environment steps of its training; None: unknown.
         ended: longer would be the same policy.
         state: where the state of its training is, to go on from exactly; None: nowhere.
+        checks: environment steps of evaluations that its training made of itself.
     """
 
     policy: Any
@@ -56,6 +60,7 @@ class Kept:
     steps: float | None = None
     ended: bool = False
     state: Artifact | None = None
+    checks: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,7 @@ class Job:
         length: units of the training in all; 0: `start` is only evaluated; None: a whole one.
         state: of the training of `start`, where it goes on; None: it begins with the weights.
         keeps_state: the training may go on later, so its state is kept.
+        counts_steps: the steps of evaluations are counted, where the trainer can.
     """
 
     trainer: Trainer
@@ -99,15 +105,24 @@ class Job:
     length: float | None = None
     state: Artifact | None = None
     keeps_state: bool = False
+    counts_steps: bool = False
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a job gave: checked returns (T, n_episodes), and the policy if it was not saved."""
+    """What a job gave.
+
+    Attributes:
+        returns: (T, n_episodes), checked.
+        seconds: wall time.
+        kept: the policy, or where it is.
+        evaluation_steps: environment steps of the evaluation; None: not counted.
+    """
 
     returns: Array
     seconds: float
     kept: Kept
+    evaluation_steps: float | None = None
 
 
 @dataclass(frozen=True)
@@ -120,6 +135,7 @@ class Trouble:
         traceback: where it came from.
         error: the exception; of another process, only our own travel.
         kept: the policy, once it is trained: then only the rest is to be done again.
+        steps: environment steps that the training had; None: not known.
     """
 
     stage: Stage
@@ -127,6 +143,7 @@ class Trouble:
     traceback: str
     error: BaseException | None = None
     kept: Kept | None = None
+    steps: float | None = None
 
     @property
     def pruned(self) -> bool:
@@ -166,7 +183,8 @@ def perform(
                 kept = _found(job, found)
             if kept is None:
                 trained = _trained(job, steps)
-                kept = Kept(trained.policy, None, trained.steps or steps.done, trained.ended)
+                done = trained.steps or steps.done
+                kept = Kept(trained.policy, None, done, trained.ended, checks=trained.checks)
                 on_kept(kept)
             if kept.artifact is None:
                 stage = "saving"
@@ -183,13 +201,14 @@ def perform(
             if job.rehearse and len(job.targets) > 2:
                 ends, seeds = job.targets[:: len(job.targets) - 1], job.evaluation_seeds
                 evaluated(job.trainer, kept.policy, ends, seeds[:: len(seeds) - 1])
-            returns = evaluated(job.trainer, kept.policy, job.targets, job.evaluation_seeds)
+            returns, played = _evaluated(job, kept.policy)
     except (TrainingPruned, TookTooLong) as error:
-        return Trouble(stage, harmless(str(error), REASON), "", error, kept)
+        return Trouble(stage, harmless(str(error), REASON), "", error, kept, steps.done)
     except FAULTS as error:
-        return Trouble(stage, reason_of(error), traceback_of(error), error, kept)
+        return Trouble(stage, reason_of(error), traceback_of(error), error, kept, steps.done)
     seconds = time.perf_counter() - started
-    return Outcome(returns, seconds, replace(kept, policy=None) if kept.artifact else kept)
+    kept = replace(kept, policy=None) if kept.artifact else kept
+    return Outcome(returns, seconds, kept, played)
 
 
 class _Steps:
@@ -218,6 +237,18 @@ def perform_elsewhere(
         if outcome.kept is not None and outcome.kept.artifact is not None:
             outcome = replace(outcome, kept=replace(outcome.kept, policy=None))
     return outcome
+
+
+def _evaluated(job: Job, policy: Any) -> tuple[Array, float | None]:
+    """Checked returns on all targets and, where they are counted, the steps of the episodes."""
+    trainer = job.trainer
+    if not (job.counts_steps and isinstance(trainer, CountingTrainer)):
+        return evaluated(trainer, policy, job.targets, job.evaluation_seeds), None
+    targets = list(job.targets)
+    returns, lasted = trainer.evaluate_steps(policy, targets, list(job.evaluation_seeds))
+    checked = checked_returns(returns, len(targets), lambda t: str(dict(targets[t])))
+    steps = float(np.sum(lasted))
+    return checked, steps if steps == steps else None
 
 
 def evaluated(
@@ -291,6 +322,7 @@ def _found(job: Job, artifact: Artifact) -> Kept:
         receipt.get("steps"),
         bool(receipt.get("ended")),
         Artifact(*state) if isinstance(state, list) and len(state) == 2 else None,
+        float(receipt.get("checks") or 0.0),
     )
 
 
@@ -392,7 +424,7 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
     made, fill = equipment_of(job.trainer), partial(job.trainer.save, kept.policy)
     receipt: dict[str, Any] = {"seed": job.seed, "contexts": [dict(c) for c in job.contexts]}
     receipt |= {"format": made["policy_format"], "recipe": made["recipe"]}
-    receipt |= {"steps": kept.steps, "ended": kept.ended}
+    receipt |= {"steps": kept.steps, "ended": kept.ended, "checks": kept.checks}
     if kept.state is not None:
         receipt["state"] = [kept.state.place, kept.state.sha256]
     try:

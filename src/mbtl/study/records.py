@@ -105,6 +105,8 @@ class ToldRow:
         state: folder of the training's state, to go on from exactly; None: there is none.
         state_sha256: of its files.
         ended: longer would be the same policy.
+        checks: environment steps of the evaluations that the training made of itself so far.
+        evaluation_steps: environment steps of its evaluations on targets; None: not known.
     """
 
     source: int
@@ -125,6 +127,8 @@ class ToldRow:
     state: str | None = None
     state_sha256: str | None = None
     ended: bool = False
+    checks: float = 0.0
+    evaluation_steps: float | None = None
 
     @cached_property
     def returns(self) -> Array:
@@ -152,6 +156,7 @@ class Failure:
         reason: the error in one line.
         traceback: where it came from; empty where nobody said.
         pruned: it was ended early on purpose.
+        steps: environment steps that it had; None: not known.
     """
 
     source: int
@@ -159,12 +164,14 @@ class Failure:
     reason: str
     traceback: str = ""
     pruned: bool = False
+    steps: float | None = None
 
     @classmethod
     def of(cls, data: Mapping[str, Any], source: int) -> Failure:
         """As logged, of a pick with this source."""
         pruned = data.get("pruned") is True
-        return cls(source, data["pick"], data["reason"], data.get("traceback") or "", pruned)
+        trace, steps = data.get("traceback") or "", data.get("steps")
+        return cls(source, data["pick"], data["reason"], trace, pruned, steps)
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,9 @@ class StudySpec:
         best_return: no policy can return more (less, if minimised); None: not known.
         floor: return below which none is worse in performance; None: nothing is clipped.
         any_training: the selector is a strategy that asks for trainings of every kind.
+        steps: environment steps, all in, that the study may spend; None: they are not counted.
+        unit: of a whole training; None: they are not counted.
+        target_steps: of an evaluation on one target, at most; None likewise.
     """
 
     space: ContextSpace
@@ -64,6 +67,9 @@ class StudySpec:
     best_return: float | None = None
     floor: float | None = None
     any_training: bool = False
+    steps: int | None = None
+    unit: int | None = None
+    target_steps: int | None = None
 
     def selection_problem(self, abilities: frozenset[str] = frozenset()) -> SelectionProblem:
         """What the strategy may know before any training.

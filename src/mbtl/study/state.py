@@ -17,6 +17,7 @@ from mbtl.objective import Bounds
 from mbtl.routing import Routing
 from mbtl.seeds import training_seed
 from mbtl.selectors.base import SelectionProblem
+from mbtl.study.budget import Bill
 from mbtl.study.checks import check_event
 from mbtl.study.events import OPENED, Event
 from mbtl.study.leases import Lease
@@ -61,6 +62,8 @@ class StudyState:
     _routing_seq: int = field(default=-1, repr=False)
     _rows_seq: int = field(default=0, repr=False)
     """Number of the last event that changed the rows, or how they count."""
+    further_steps: float = 0.0
+    """Environment steps of policies that were evaluated further."""
     _told_by: dict[int, ToldRow] = field(default_factory=dict, repr=False)
     """Number of the event -> the row that it told, also where that was taken back."""
     _ahead_age: int = field(default=0, repr=False)
@@ -241,6 +244,54 @@ class StudyState:
         known = self.equipment or {}
         return frozenset(known.get("abilities", ABILITIES))
 
+    def bill(self) -> Bill:
+        """Environment steps so far; what is not known counts as much as it can be.
+
+        Rows that nobody asked for are free.
+        """
+        training, extension, checks, evaluation = 0.0, 0.0, 0.0, self.further_steps
+        for row in (row for row in self._told_by.values() if row.pick is not None):
+            before = self._parent(row.start) if row.goes_on else None
+            price = self.picks[row.pick].price if row.pick is not None else 0.0
+            own = self._unit * price if row.steps is None else row.steps
+            if before is not None and before.steps is not None and own >= before.steps:
+                own -= before.steps  # what a training reports is counted from its beginning
+            if before is not None:
+                extension += own
+            else:
+                training += own
+            checks += row.checks - (before.checks if before is not None else 0.0)
+            evaluated = int(np.isfinite(row.each).any(axis=1).sum())
+            evaluation += self.evaluation_price(evaluated, row.evaluation_steps)
+        failed = sum(
+            self._unit * self.picks[one.pick].price if one.steps is None else one.steps
+            for one in self.failures
+            if one.pick not in {row.pick for row in self._told_by.values()}
+        )
+        open_ = sum(self.expected_steps(pick) for pick in self.open_picks.values())
+        return Bill(training, extension, checks, evaluation, failed, open_)
+
+    def evaluation_price(self, targets: int, steps: float | None = None) -> float:
+        """Environment steps of an evaluation, at most where they are not known."""
+        assert self.spec is not None
+        return float(targets * (self.spec.target_steps or 0)) if steps is None else steps
+
+    def expected_steps(self, pick: PickRecord) -> float:
+        """Environment steps that a pick is expected to cost, all in."""
+        assert self.spec is not None
+        count = self.spec.space.n if pick.targets is None else len(pick.targets)
+        known = [row for row in self.rows if row.evaluation_steps is not None]
+        each = float(self.spec.target_steps or 0)
+        if known:
+            entries = sum(int(np.isfinite(row.each).any(axis=1).sum()) for row in known)
+            each = sum(row.evaluation_steps or 0.0 for row in known) / max(entries, 1)
+        return self._unit * pick.price + each * count
+
+    @property
+    def _unit(self) -> float:
+        assert self.spec is not None
+        return float(self.spec.unit or 0)
+
     def seed_of(self, pick: PickRecord) -> int:
         """Training seed of a pick; of one that goes on, that of the beginning."""
         assert self.spec is not None
@@ -350,7 +401,7 @@ class StudyState:
         each[targets] = returns
         pick = None if data["pick"] is None else self.picks[data["pick"]]
         if pick is not None and not pick.length:
-            self._evaluated(pick, each)
+            self._evaluated(pick, each, data.get("evaluation_steps"))
             return
         if pick is None:
             facts = {"pick": -1, "sources": data["sources"], "reason": "", "acquisition": None}
@@ -374,12 +425,15 @@ class StudyState:
             data.get("state"),
             data.get("state_sha256"),
             bool(data.get("ended")),
+            data.get("checks") or 0.0,
+            data.get("evaluation_steps"),
         )
         self.rows.append(row)
         self._told_by[event.seq] = row
 
-    def _evaluated(self, pick: PickRecord, each: Array) -> None:
+    def _evaluated(self, pick: PickRecord, each: Array, steps: float | None) -> None:
         """Further entries of a row; those that it had stay."""
+        self.further_steps += self.evaluation_price(np.isfinite(each).any(axis=1).sum(), steps)
         place = self.place_of(pick.start)
         if place < 0:  # it was taken back meanwhile
             return

@@ -57,6 +57,8 @@ class Study(LeasingStudy):
         policy_object: Any = None,
         training_state: Artifact | None = None,
         ended: bool = False,
+        checks: float | None = None,
+        evaluation_steps: float | None = None,
     ) -> bool:
         """Record the transfer row of one trained policy, or further entries of one.
 
@@ -77,6 +79,8 @@ class Study(LeasingStudy):
             policy_object: the policy itself, kept in this process only.
             training_state: saved state of the training, to go on from exactly.
             ended: longer would give the same policy.
+            checks: environment steps that the training spent on evaluations of itself so far.
+            evaluation_steps: of the evaluation told here; None: each episode counts as the longest.
 
         Returns:
             True: recorded. False: too late, because somebody took the pick over meanwhile; the
@@ -111,6 +115,8 @@ class Study(LeasingStudy):
             "state": None if training_state is None else training_state.place,
             "state_sha256": None if training_state is None else training_state.sha256,
             "ended": ended,
+            "checks": finite("checks", checks, 0.0),
+            "evaluation_steps": finite("evaluation_steps", evaluation_steps, 0.0),
         }
         if isinstance(pick, Pick) and pick.token:
             data["token"] = pick.token
@@ -177,7 +183,15 @@ class Study(LeasingStudy):
 
         self._commit(voided)
 
-    def fail(self, pick: Pick, reason: str, *, traceback: str = "", pruned: bool = False) -> bool:
+    def fail(
+        self,
+        pick: Pick,
+        reason: str,
+        *,
+        traceback: str = "",
+        pruned: bool = False,
+        steps: float | None = None,
+    ) -> bool:
         """Record that a pick gave no policy; it spends budget and is not proposed again.
 
         Args:
@@ -185,11 +199,13 @@ class Study(LeasingStudy):
             reason: why, in one line.
             traceback: where that came from, for people.
             pruned: it was ended early on purpose, so nothing went wrong.
+            steps: environment steps that it had; None: not known.
 
         Returns:
             False where it came too late; see `tell`.
         """
-        return self._answer("failed", pick, reason, traceback, pruned=pruned)
+        steps = finite("steps", steps, 0.0)
+        return self._answer("failed", pick, reason, traceback, pruned=pruned, steps=steps)
 
     def defer(self, pick: Pick, reason: str, *, traceback: str = "") -> bool:
         """Record that a policy is trained and could not be evaluated; the pick stays open."""
@@ -402,9 +418,16 @@ class Study(LeasingStudy):
     # ---- inside ------------------------------------------------------------------------------
 
     def _answer(
-        self, kind: Kind, pick: Pick, reason: str, traceback: str, *, pruned: bool = False
+        self,
+        kind: Kind,
+        pick: Pick,
+        reason: str,
+        traceback: str,
+        *,
+        pruned: bool = False,
+        steps: float | None = None,
     ) -> bool:
-        data: dict[str, Any] = {"reason": reason, "traceback": traceback}
+        data: dict[str, Any] = {"reason": reason, "traceback": traceback, "steps": steps}
         if pruned:
             data["pruned"] = True
         if pick.token:
