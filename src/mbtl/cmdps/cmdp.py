@@ -18,6 +18,7 @@ from typing import Any, Literal, cast
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import ContextMismatch, InvalidInput, unknown_name
 from mbtl.objective import Bounds, Direction, direction_named
+from mbtl.plain import whole
 from mbtl.score import Score
 from mbtl.study import Study, create_study
 from mbtl.study.problem import ProblemFacts
@@ -85,6 +86,21 @@ class Preset:
 
 
 @dataclass(frozen=True)
+class Chosen:
+    """The recipe of a study.
+
+    Attributes:
+        preset: its name.
+        trainer: that does it; None: as the preset says.
+        trial: which repetition of the same problem.
+    """
+
+    preset: str
+    trainer: Trainer | None
+    trial: int = 0
+
+
+@dataclass(frozen=True)
 class CMDP:
     """A family of tasks that differ by their context, and how policies for it are trained.
 
@@ -107,6 +123,7 @@ class CMDP:
         check_steps: environment steps of a rollout of `check_cmdp`; None: its default.
         family: name of the simulator family.
         presets: recipes by name, the first is the default.
+        chosen: the recipe that `recipe` chose; None: the first preset.
         score: what an episode is worth, where that is not the sum of its rewards: a key of the
             `info` of its last step, or a `Score`.
         settings: switches this problem was made with, e.g. {"visibility": "hidden"}. With `id` and
@@ -140,6 +157,7 @@ class CMDP:
     best_return: float | None = None
     beside: Mapping[str, str] = field(default_factory=dict)
     score: Score | None = None
+    chosen: Chosen | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.bounds, Bounds):
@@ -325,9 +343,12 @@ class CMDP:
             preset: name of the recipe; None: the default one.
             trainer: where it differs from the recipe, e.g. `trainer_for(preset, timesteps=100)`.
         """
+        chosen = self.chosen or Chosen(self.default_preset, None)
+        if preset is None:
+            preset, trainer = chosen.preset, chosen.trainer if trainer is None else trainer
         trainer = self.trainer_for(preset) if trainer is None else trainer
         settings = {
-            "preset": preset or self.default_preset,
+            "preset": preset,
             "version": self.version,
             "switches": dict(self.settings),
             "recipe": recipe_of(trainer),
@@ -344,21 +365,50 @@ class CMDP:
             settings,
             trainer,
             self.horizon,
+            chosen.trial,
         )
 
-    def study(self, preset: str | None = None, **settings: Any) -> Study:
-        """Start a study of this problem; `study.run()` then trains with the recipe.
+    def recipe(
+        self,
+        preset: str | None = None,
+        *,
+        trainer: Trainer | None = None,
+        trial: int = 0,
+        **overrides: Any,
+    ) -> CMDP:
+        """The same, trained by another recipe: what a study of it then goes by.
 
         Args:
             preset: name of the recipe; None: the default one.
+            trainer: in place of the recipe's.
+            trial: repetition; another trial has other training seeds.
+            **overrides: options of the trainer, e.g. `timesteps=20_000` (`trainer_for`).
+
+        Raises:
+            UnknownName: no such recipe, or the trainer has no such option.
+            InvalidInput: a trainer and options, or a trial that is no whole number >= 0.
+        """
+        if trainer is not None and overrides:
+            raise InvalidInput(
+                f"a recipe takes a trainer or options of one, got both, {sorted(overrides)}; set "
+                "them on that trainer"
+            )
+        if whole("trial", trial) < 0:
+            raise InvalidInput(f"a trial is a whole number >= 0, got {trial}")
+        name = self.default_preset if preset is None else preset
+        made = self.trainer_for(name, **overrides) if trainer is None else trainer
+        return dataclasses.replace(self, chosen=Chosen(name, made, trial))
+
+    def study(self, **settings: Any) -> Study:
+        """Start a study of this problem; `study.run()` then trains with its recipe.
+
+        Args:
             **settings: further arguments of `mbtl.create_study`, e.g. `storage`, `seed`, `budget`.
 
         Raises:
-            UnknownName: no such recipe.
             StudyError: as of `mbtl.create_study`, for a study that exists.
         """
-        made: Study = create_study(self, preset=preset, **settings)
-        return made
+        return create_study(self, **settings)
 
     def every(self, step: int) -> CMDP:
         """The same on a coarser grid: each `step`-th value per axis (`ContextSpace.every`)."""

@@ -226,7 +226,7 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
         "steps": _SECONDS,
     }
     table: dict[Kind, dict[str, Rule]] = {
-        "extended": {"budget": _COUNT},
+        "extended": {"budget": _COUNT, "steps": (_maybe(_COUNT[0]), f"{_COUNT[1]}, or null")},
         "asked": {
             "pick": (lambda i: _is_whole(i) and i == asked, f"the number {asked} of the next pick"),
             **proposed,

@@ -3,280 +3,119 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Any
 
-from numpy.typing import ArrayLike
-
-from mbtl.actions import Strategy
-from mbtl.contexts import Context, ContextSpace
+from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
-from mbtl.objective import Bounds, Direction, Objective, direction_named
-from mbtl.plain import finite, real, short, text, whole
+from mbtl.objective import Bounds, Objective, direction_named
+from mbtl.plain import finite, real, short, whole
 from mbtl.selectors import Selector
 from mbtl.selectors.contract import traits_of
 from mbtl.settings import described, first_difference
 from mbtl.strategies import get_strategy, strategy_names
+from mbtl.study.budget import Cost, Steps
 from mbtl.study.checks import check_spec
 from mbtl.study.database import exists_already, shown
 from mbtl.study.described import FROM, describe_selector, without_origin
 from mbtl.study.events import Event
-from mbtl.study.given import (
-    any_given,
-    check_axes,
-    check_paid_in_steps,
-    check_paid_in_trainings,
-    check_wishes,
-    costs_of,
-    pair_of,
-    target_count,
-)
+from mbtl.study.given import check_axes, check_stopping, costs_of, pair_of, target_count
 from mbtl.study.listing import chosen_name, database_at
 from mbtl.study.places import fixed_url, policy_store
 from mbtl.study.problem import Problem, ProblemFacts, check_problem, facts_of
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState, replay
-from mbtl.study.steps.create import create_step_study
-from mbtl.study.steps.strategies import DEFAULT
-from mbtl.study.steps.study import StepStudy
 from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog
 from mbtl.study.study import Study
-from mbtl.study.wishes import Stopping, objective_of, stopping_of
 from mbtl.trainer import Trainer
 from mbtl.version import __version__
 
+EPISODES = 10
+"""Of a policy on a target, where a trainer does not say how many it plays."""
 
-@overload
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Where policies are evaluated.
+
+    Attributes:
+        targets: each policy on so many contexts, those it was trained on among them
+            (`Pick.targets`); None: on all.
+    """
+
+    targets: int | None = None
+
+
+@dataclass(frozen=True)
+class Stopping:
+    """When a study ends before its budget is spent; None: never for that.
+
+    Attributes:
+        value: V, performance, that is enough; needs bounds.
+        gain: in V, that one more training should be worth, as the strategy predicts after three
+            rows or more; needs bounds.
+        left: gain in V that all trainings left together should be worth, or that is left to what
+            `Objective.best_return` is worth; needs bounds.
+        confidence: how probable that must be, and that V is what it seems, in (0, 1).
+    """
+
+    value: float | None = None
+    gain: float | None = None
+    left: float | None = None
+    confidence: float = 0.9
+
+
 def create_study(
-    space: ContextSpace | Problem,
+    problem: ContextSpace | Problem,
     *,
-    cost: Literal["steps"],
-    budget: int | None = None,
-    preset: str | None = None,
-    trainer: Trainer | None = None,
-    strategy: str | Strategy | None = None,
-    lengths: Sequence[int] | None = None,
-    episodes: int | None = None,
-    horizon: int | None = None,
-    bounds: tuple[float, float] | Bounds | None = None,
-    direction: Direction | str | None = None,
-    theta: float | None = None,
-    seed: int = 0,
-    trial: int = 0,
-    storage: str | Path | None = None,
-    artifacts: str | Path | None = None,
-    name: str = "study",
-    problem: str = "",
-    settings: Mapping[str, Any] | None = None,
-    load_if_exists: bool = False,
-) -> StepStudy: ...
-
-
-@overload
-def create_study(
-    space: ContextSpace | Problem,
-    *,
-    budget: int | None = None,
-    preset: str | None = None,
-    trainer: Trainer | None = None,
-    selector: str | Selector = "auto",
-    bounds: tuple[float, float] | Bounds | None = None,
-    direction: Direction | str | None = None,
+    budget: int | Steps | Cost | None = None,
+    strategy: str | Selector = "auto",
     objective: Objective | None = None,
+    evaluation: Evaluation | None = None,
     stopping: Stopping | None = None,
-    theta: float | None = None,
-    seed: int = 0,
-    trial: int = 0,
-    stop_value: float | None = None,
-    cost_budget: float | None = None,
-    costs: ArrayLike | Callable[[Context], float] | None = None,
-    risk: float | None = None,
-    eval_targets: int | None = None,
-    stop_gain: float | None = None,
-    stop_confidence: float | None = None,
-    stop_left: float | None = None,
-    best_return: float | None = None,
     storage: str | Path | None = None,
     artifacts: str | Path | None = None,
     name: str = "study",
-    problem: str = "",
-    settings: Mapping[str, Any] | None = None,
-    load_if_exists: bool = False,
-    cost: Literal["trainings"] = "trainings",
-) -> Study: ...
-
-
-def create_study(
-    space: ContextSpace | Problem,
-    *,
-    budget: int | None = None,
-    preset: str | None = None,
-    trainer: Trainer | None = None,
-    selector: str | Selector = "auto",
-    bounds: tuple[float, float] | Bounds | None = None,
-    direction: Direction | str | None = None,
-    objective: Objective | None = None,
-    stopping: Stopping | None = None,
-    theta: float | None = None,
     seed: int = 0,
-    trial: int = 0,
-    stop_value: float | None = None,
-    cost_budget: float | None = None,
-    costs: ArrayLike | Callable[[Context], float] | None = None,
-    risk: float | None = None,
-    eval_targets: int | None = None,
-    stop_gain: float | None = None,
-    stop_confidence: float | None = None,
-    stop_left: float | None = None,
-    best_return: float | None = None,
-    storage: str | Path | None = None,
-    artifacts: str | Path | None = None,
-    name: str = "study",
-    problem: str = "",
-    settings: Mapping[str, Any] | None = None,
     load_if_exists: bool = False,
-    cost: Literal["trainings", "steps"] = "trainings",
-    strategy: str | Strategy | None = None,
-    lengths: Sequence[int] | None = None,
-    episodes: int | None = None,
-    horizon: int | None = None,
-) -> Study | StepStudy:
+) -> Study:
     """Start a study.
 
     Args:
-        space: the contexts, sources and targets alike; or a CMDP, which gives all that belongs to
-            the problem and is not given here: contexts, budget, bounds, direction, theta, best
-            return, id, trainer, and the record of its recipe.
-        budget: number of trainings K, 1..N; of a strategy over trainings of every kind, units.
-        preset: which recipe of the CMDP; None: its default.
-        trainer: what `run` trains with when it is given nothing else; None: the CMDP's.
-        selector: a registered name, "my_file.py:Mine", or an object with `propose`. "auto" heeds
-            all that follows; of costs, risk and noise the paper's selectors know nothing.
-        bounds: (low, high) of the returns, or `Bounds`, whose direction and floor then count; None
-            takes the range told so far.
-        direction: "maximize" (default) or "minimize" the returns; "max" and "min" will do.
-        objective: bounds, direction, risk and best return in one record, instead of those keywords.
-        stopping: when to end early in one record, instead of `stop_value`, `stop_gain`,
-            `stop_left`, `stop_confidence` and `cost_budget`.
-        theta: slope of the linear gap, performance per grid step; None: 0.005, or 0.5/(N-1) for
-            N > 100.
-        seed: root of the seed tree.
-        trial: repetition; another trial has other training seeds.
-        stop_value: end when V reaches this performance; needs bounds.
-        cost_budget: end when the costs told add up to this; with `costs`, no source is proposed
-            that costs more than what is left.
-        costs: (N,) expected cost of a training on each context, or a function of the context. The
-            selector then maximises gain per cost.
-        risk: V is the mean over this share of the targets, those that do worst; None: 1, all.
-        eval_targets: evaluate each policy on so many targets, its source among them
-            (`Pick.targets`); None for all.
-        stop_gain: end when one more training gains less than this in V ...
-        stop_confidence: ... with at least this probability, as the selector predicts it after
-            three rows or more; None: 0.9. V counts as what it surely is, with this probability.
-        stop_left: end when nothing is left to gain: V is so near to what `best_return` is worth, or
-            the selector predicts that all trainings left together gain less than this in V.
-        best_return: the largest return there is (smallest, if minimised), if you know it.
+        problem: a CMDP, which says what belongs to it: contexts, budget, bounds, direction, trainer
+            and recipe (`CMDP.recipe` chooses another one); or a bare `ContextSpace`.
+        budget: number of trainings; or `Steps` or a `Cost`; None: the problem's.
+        strategy: what to train next: a name such as "auto", "mbtl", "all-first"; "my_file.py:Mine";
+            or an object with `propose`.
+        objective: what V is; None: as the problem has it.
+        evaluation: where policies are evaluated; None: on all contexts.
+        stopping: when to end early; None: when the budget is spent.
         storage: path of an SQLite file or an SQLAlchemy URL; None keeps the study in memory.
         artifacts: folder that policies are saved below, or a URL that fsspec can write to, such as
             "s3://bucket/studies"; None: the folder of the database, where that is a file. Give it
             again to `load_study`.
         name: name of the study within its storage.
-        problem: id of the problem, to refuse a study of another one.
-        settings: JSON-able record of the recipe, to refuse a study of another; added to the CMDP's.
+        seed: root of the seed tree.
         load_if_exists: go on with a study of this name and settings. A larger budget raises that of
             the study, which goes on even if it was finished; a smaller one is refused.
-        cost: what the budget counts: "trainings", or environment "steps", all in. The latter makes
-            a `StepStudy`, which takes what follows, and no selector, objective, stopping rule,
-            costs, risk or targets.
-        strategy: decides what to train on, how long, and where to evaluate: a name or an object.
-        lengths: see `mbtl.study.steps.create.create_step_study`, as for all that follows.
-        episodes: of a policy on a target.
-        horizon: most steps of an episode.
 
     Raises:
-        InvalidInput: budget out of range, bounds reversed, unknown selector, ...
+        InvalidInput: budget out of range, bounds reversed, unknown strategy, ...
         StudyError: a study of this name exists and `load_if_exists` is False.
         StudyMismatch: it exists with other settings.
         StorageError: the storage cannot be written.
     """
-    of_steps = {"strategy": strategy, "lengths": lengths, "episodes": episodes, "horizon": horizon}
-    if cost == "steps":
-        others = (objective, stopping, stop_value, cost_budget, costs, risk, eval_targets,
-                  stop_gain, stop_confidence, stop_left, best_return)  # fmt: skip
-        check_paid_in_steps(selector == "auto" and not any_given(others))
-        return create_step_study(
-            space, budget=budget, preset=preset, trainer=trainer, strategy=strategy or DEFAULT,
-            lengths=lengths, episodes=episodes, horizon=horizon, bounds=bounds,
-            direction=direction, theta=theta, seed=seed, trial=trial, storage=storage,
-            artifacts=artifacts, name=name, problem=problem, settings=settings,
-            load_if_exists=load_if_exists,
-        )  # fmt: skip
-    check_paid_in_trainings(cost, of_steps)
-    chosen = get_strategy(selector)
-    aim = objective_of(
-        objective, bounds=bounds, direction=direction, risk=risk, best_return=best_return
-    )
-    end = stopping_of(
-        stopping,
-        stop_value=stop_value,
-        stop_gain=stop_gain,
-        stop_left=stop_left,
-        stop_confidence=stop_confidence,
-        cost_budget=cost_budget,
-    )
-    facts = facts_of(space, preset, trainer)
-    space, trainer = facts.space, facts.trainer
-    budget = facts.budget if budget is None else budget
-    if budget is None:
-        raise InvalidInput("a study of a ContextSpace needs budget=<number of trainings>; got none")
-    budget, seed, trial = whole("budget", budget), whole("seed", seed), whole("trial", trial)
-    direction = direction_named(facts.direction if aim.direction is None else aim.direction)
-    bounds = facts.bounds if aim.bounds is None else aim.bounds
-    floor = None
-    if isinstance(bounds, Bounds):
-        direction, floor = bounds.direction, bounds.floor
-    pair = pair_of("bounds", bounds)
-    if pair is not None:
-        Bounds(*pair, direction, floor)
-    stop_value = finite("stop_value", end.value)
-    if stop_value is not None and bounds is None:
-        raise InvalidInput("stop_value is a performance, so it needs bounds=(low, high); got none")
-    if stop_value is not None and stop_value > 1.0:
-        raise InvalidInput(
-            f"stop_value is a performance, at most 1 (the better bound), got {stop_value!r}"
-        )
-    cost_budget = real("cost_budget", end.cost)
-    stop_gain = real("stop_gain", end.gain)
-    stop_left = real("stop_left", end.left)
-    confidence = real("stop_confidence", end.confidence)
-    if seed < 0 or trial < 0:
-        raise InvalidInput(f"seed and trial must be >= 0, got {seed} and {trial}")
-    check_wishes(chosen, stop_gain, confidence, bounds)
-    if stop_left is not None and bounds is None:
-        raise InvalidInput("stop_left is in performance, so it needs bounds=(low, high); got none")
-    spec = StudySpec(
-        space,
-        budget,
-        describe_selector(chosen, selector),
-        pair,
-        direction,
-        finite("theta", facts.theta if theta is None else theta),
-        seed,
-        trial,
-        stop_value,
-        cost_budget,
-        text("problem", facts.id if problem is None else problem) or facts.id,
-        described({**facts.settings, **_record("settings", settings)}),
-        costs_of(costs, space),
-        real("risk", aim.risk),
-        target_count(eval_targets, space.n),
-        stop_gain,
-        confidence,
-        stop_left,
-        finite("best_return", facts.best_return if aim.best_return is None else aim.best_return),
-        floor,
-        traits_of(chosen).any_training,
+    chosen, facts = get_strategy(strategy), facts_of(problem)
+    spec = _spec(
+        facts,
+        chosen,
+        describe_selector(chosen, strategy),
+        _given("budget", budget, facts.budget, Steps, Cost),
+        _given("objective", objective, Objective(), Objective),
+        _given("evaluation", evaluation, Evaluation(), Evaluation),
+        _given("stopping", stopping, Stopping(), Stopping),
+        whole("seed", seed),
     )
     check_spec(spec)
     check_axes(chosen, spec.selection_problem())
@@ -287,20 +126,103 @@ def create_study(
     try:
         log.append(Event("created", created), after=0)
     except Conflict:
-        study = Study(log, chosen, folder=folder, name=name, trainer=trainer)
+        study = Study(log, chosen, folder=folder, name=name, trainer=facts.trainer)
         if not load_if_exists:
             raise exists_already(name, storage) from None
         _check_same(study.state, spec)
-        if spec.budget > study.spec.budget:
-            study.extend(spec.budget)
+        if (spec.budget, spec.steps or 0) > (study.spec.budget, study.spec.steps or 0):
+            study.extend(spec.budget if spec.steps is None else Steps(spec.steps))
         return study
-    return Study(log, chosen, folder=folder, name=name, trainer=trainer)
+    return Study(log, chosen, folder=folder, name=name, trainer=facts.trainer)
 
 
-def _record(name: str, given: Any) -> Mapping[str, Any]:
-    if given is not None and not isinstance(given, Mapping):
-        raise InvalidInput(f"{name} must be a record, a dict of names, got {short(given)}")
-    return given or {}
+def _given(name: str, given: Any, usual: Any, *kinds: type) -> Any:
+    """A record of its kind, or a number where that is a budget."""
+    if given is None:
+        return usual
+    if isinstance(given, kinds) or (name == "budget" and not hasattr(given, "__dict__")):
+        return given
+    raise InvalidInput(
+        f"{name} must be a mbtl.{' or '.join(kind.__name__ for kind in kinds)}(...), got "
+        f"{type(given).__name__} {short(given)}"
+    )
+
+
+def _spec(
+    facts: ProblemFacts,
+    strategy: Selector,
+    described_strategy: dict[str, Any],
+    budget: int | Steps | Cost | None,
+    aim: Objective,
+    evaluation: Evaluation,
+    end: Stopping,
+    seed: int,
+) -> StudySpec:
+    """The settings of a study, made plain."""
+    space, any_training = facts.space, traits_of(strategy).any_training
+    cost = budget if isinstance(budget, Cost) else None
+    counted = _in_steps(facts, budget) if isinstance(budget, Steps) else {}
+    if isinstance(budget, Steps):
+        budget = max(1, budget.total // counted["unit"])
+        budget = budget if any_training else min(budget, space.n)
+    elif cost is not None:
+        budget = cost.trainings or facts.budget or space.n
+    if budget is None:
+        raise InvalidInput("a study of a ContextSpace needs budget=<number of trainings>; got none")
+    direction = direction_named(facts.direction if aim.direction is None else aim.direction)
+    bounds, floor = facts.bounds if aim.bounds is None else aim.bounds, None
+    if isinstance(bounds, Bounds):
+        direction, floor = bounds.direction, bounds.floor
+    pair = pair_of("bounds", bounds)
+    if pair is not None:
+        Bounds(*pair, direction, floor)
+    best = facts.best_return if aim.best_return is None else aim.best_return
+    check_stopping(strategy, end, pair)
+    if seed < 0:
+        raise InvalidInput(f"a seed is a whole number >= 0, got {seed}")
+    return StudySpec(
+        space,
+        whole("budget", budget),
+        described_strategy,
+        pair,
+        direction,
+        finite("theta", facts.theta),
+        seed,
+        facts.trial,
+        finite("value of Stopping", end.value),
+        None if cost is None else float(cost.total),
+        facts.id,
+        described(dict(facts.settings)),
+        costs_of(None if cost is None else cost.per_context, space),
+        real("risk", aim.risk),
+        target_count(evaluation.targets, space.n),
+        real("gain of Stopping", end.gain),
+        real("confidence of Stopping", end.confidence),
+        real("left of Stopping", end.left),
+        finite("best_return", best),
+        floor,
+        any_training,
+        **counted,
+    )
+
+
+def _in_steps(facts: ProblemFacts, budget: Steps) -> dict[str, int]:
+    """Environment steps of the budget, of a unit and of an evaluation on one target, at most."""
+    trainer = facts.trainer
+    horizon = facts.horizon if budget.horizon is None else budget.horizon
+    unit = budget.unit
+    if unit is None and trainer is not None and trainer.whole is not None:
+        steps = 1 if trainer.counts == "steps" else horizon
+        unit = None if steps is None else trainer.whole * steps
+    for what, known in (("unit", unit), ("horizon", horizon)):
+        if known is None:
+            raise InvalidInput(
+                "to pay in environment steps it must be known how many a training and an episode "
+                f"have, and this problem does not say; give Steps(total, {what}=<steps>)"
+            )
+    assert unit is not None and horizon is not None
+    episodes = int(getattr(trainer, "eval_episodes", None) or EPISODES)
+    return {"steps": budget.total, "unit": unit, "target_steps": horizon * episodes}
 
 
 def load_study(
@@ -309,7 +231,7 @@ def load_study(
     *,
     problem: Problem | None = None,
     trainer: Trainer | None = None,
-    selector: str | Selector | None = None,
+    strategy: str | Selector | None = None,
     artifacts: str | Path | None = None,
 ) -> Study:
     """Open an existing study.
@@ -319,14 +241,14 @@ def load_study(
         name: name of the study; needed only when the storage holds several.
         problem: the CMDP that it is a study of; its recipe trains and reads the policies.
         trainer: what `run` trains with, and what reads the policies; None: the problem's.
-        selector: as it was given to `create_study`; needed only for one of your own. A log is
+        strategy: as it was given to `create_study`; needed only for one of your own. A log is
             never followed to code: it may be a stranger's.
         artifacts: folder that policies are saved below, as it was given to `create_study`.
 
     Raises:
         StorageError: no database there, or a damaged one.
         StudyError: no such study, or several and no name.
-        StudyMismatch: it is a study of another problem, or with another selector.
+        StudyMismatch: it is a study of another problem, or with another strategy.
     """
     place = database_at(storage)
     name = chosen_name(place, name)
@@ -341,7 +263,7 @@ def load_study(
         facts = _facts_then(problem, spec, trainer)
         check_problem(spec, facts)
         trainer = facts.trainer
-    chosen = _selector_then(spec, selector)
+    chosen = _strategy_then(spec, strategy)
     folder = policy_store(place, artifacts)
     return Study(log, chosen, folder=folder, name=name, trainer=trainer, state=state)
 
@@ -355,35 +277,38 @@ def _facts_then(problem: Problem, spec: StudySpec, trainer: Trainer | None) -> P
         return problem.facts(None, trainer)
 
 
-def _selector_then(spec: StudySpec, given: str | Selector | None) -> Selector:
-    """The selector of the study: by its registered name, or as it is given."""
+def _strategy_then(spec: StudySpec, given: str | Selector | None) -> Selector:
+    """The strategy of the study: by its registered name, or as it is given."""
     stored = dict(spec.selector)
     name = str(stored["name"])
     if given is None and (FROM in stored or name not in strategy_names()):
         again = repr(stored[FROM]) if FROM in stored else "<the object>"
         raise StudyError(
-            f"this study was made with a selector of your own, {name!r}; give it as "
-            f"selector={again}"
+            f"this study was made with a strategy of your own, {name!r}; give it as "
+            f"strategy={again}"
         )
     chosen = get_strategy(name if given is None else given)
     if describe_selector(chosen) != without_origin(stored):
         raise StudyMismatch(
-            f"this study was made with the selector {stored}, got {describe_selector(chosen)}; "
-            "give the same one as selector="
+            f"this study was made with the strategy {stored}, got {describe_selector(chosen)}; "
+            "give the same one as strategy="
         )
     return chosen
 
 
 def _check_same(state: StudyState, given: StudySpec) -> None:
-    """Refuse other settings; the budget may be larger, and settings that came later are free."""
-    records, stored = [], state.spec
+    """Refuse other settings; the budget may be larger, which extends the study."""
+    stored = state.spec
     assert stored is not None
-    for spec in (stored, given):
-        record = {**spec.to_json(), "selector": without_origin(spec.selector)}
-        records.append({name: record[name] for name in state.settings_named})
-    was, now = records
-    was["budget"] = max(stored.budget, given.budget)  # less is refused, more extends the study
-    difference = stored.space.difference(given.space) or first_difference(was, now)
+    now = replace(
+        given,
+        budget=min(given.budget, stored.budget) if given.budget >= stored.budget else given.budget,
+        steps=stored.steps if (given.steps or 0) >= (stored.steps or 0) else given.steps,
+    )
+    was, now_record = (
+        {**spec.to_json(), "selector": without_origin(spec.selector)} for spec in (stored, now)
+    )
+    difference = stored.space.difference(given.space) or first_difference(was, now_record)
     if difference:
         key, old, new = difference
         raise StudyMismatch(

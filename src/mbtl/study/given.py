@@ -5,16 +5,19 @@ Each function raises `InvalidInput`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
 from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput
-from mbtl.objective import Bounds
-from mbtl.plain import float_of, floats, short, whole
+from mbtl.plain import float_of, floats, is_finite, short, whole
 from mbtl.selectors import SelectionProblem, Selector
 from mbtl.selectors.contract import traits_of
+
+if TYPE_CHECKING:
+    from mbtl.study.create import Stopping
 
 
 def costs_of(
@@ -33,49 +36,26 @@ def costs_of(
     return tuple(array.tolist())
 
 
-def any_given(settings: Iterable[object]) -> bool:
-    """Whether one of them is not None."""
-    return any(setting is not None for setting in settings)
-
-
-def check_paid_in_steps(alone: bool) -> None:
-    """Settings of studies that are paid in trainings mean nothing to a strategy."""
-    if not alone:
-        raise InvalidInput(
-            "with cost='steps' a strategy decides, so selector, objective, stopping rules, costs, "
-            "risk and eval_targets mean nothing; leave them out, and give strategy="
-        )
-
-
-def check_paid_in_trainings(cost: str, of_steps: Mapping[str, object]) -> None:
-    """What is counted, and settings that need another count."""
-    if cost != "trainings":
-        raise InvalidInput(f"a budget counts 'trainings' or 'steps', got cost={cost!r}")
-    for name, setting in of_steps.items():
-        if setting is not None:
+def check_stopping(selector: Selector, end: Stopping, bounds: object) -> None:
+    """What is said in performance needs bounds, and a predicted gain somebody who predicts it."""
+    for name in ("value", "gain", "left"):
+        value = getattr(end, name)
+        if value is not None and bounds is None:
             raise InvalidInput(
-                f"{name} belongs to a study that is paid in steps, got {short(setting)}; add "
-                "cost='steps', or leave it out"
+                f"{name} of Stopping is in performance, so it needs bounds=(low, high); got none"
             )
-
-
-def check_wishes(
-    selector: Selector,
-    stop_gain: float | None,
-    stop_confidence: float,
-    bounds: tuple[float, float] | Bounds | None,
-) -> None:
-    """The stopping rule needs a selector that knows of it."""
-    if not stop_confidence < 1.0:
-        raise InvalidInput(f"stop_confidence is a probability in (0, 1), got {stop_confidence!r}")
-    if stop_gain is None:
-        return
-    if bounds is None:
-        raise InvalidInput("stop_gain is in performance, so it needs bounds=(low, high); got none")
-    if not traits_of(selector).predicts_chances:
+    if end.value is not None and is_finite(end.value) and end.value > 1.0:
         raise InvalidInput(
-            f"stop_gain needs a selector that predicts chances of a gain, such as 'auto', got "
-            f"{selector.name!r}"
+            f"value of Stopping is a performance, at most 1 (the better bound), got {end.value!r}"
+        )
+    if not (is_finite(end.confidence) and 0.0 < end.confidence < 1.0):
+        raise InvalidInput(
+            f"confidence of Stopping is a probability in (0, 1), got {short(end.confidence)}"
+        )
+    if end.gain is not None and not traits_of(selector).predicts_chances:
+        raise InvalidInput(
+            f"gain of Stopping needs a strategy that predicts chances of a gain, such as 'auto', "
+            f"got {selector.name!r}"
         )
 
 
@@ -89,9 +69,9 @@ def target_count(count: int | None, n: int) -> int | None:
     """A whole number from 1 to `n`, or None."""
     if count is None:
         return None
-    count = whole("eval_targets", count)
+    count = whole("targets of Evaluation", count)
     if not 1 <= count <= n:
-        raise InvalidInput(f"eval_targets must be from 1 to {n}, got {count}")
+        raise InvalidInput(f"targets of Evaluation must be from 1 to {n}, got {count}")
     return count
 
 

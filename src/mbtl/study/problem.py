@@ -29,6 +29,7 @@ class ProblemFacts:
         settings: JSON-able record of version, switches and recipe.
         trainer: trains where no other is given; None: there is none.
         horizon: longest episode in environment steps; None: not known.
+        trial: which repetition of the same problem this is.
     """
 
     space: ContextSpace
@@ -41,6 +42,7 @@ class ProblemFacts:
     settings: Mapping[str, Any] = field(default_factory=dict)
     trainer: Trainer | None = None
     horizon: int | None = None
+    trial: int = 0
 
 
 @runtime_checkable
@@ -48,29 +50,22 @@ class Problem(Protocol):
     """A problem that knows how it is studied, such as `mbtl.CMDP`."""
 
     def facts(self, preset: str | None = None, trainer: Trainer | None = None) -> ProblemFacts:
-        """Its facts with the recipe `preset`, or with a trainer that differs from it."""
+        """Its facts; on request with the recipe `preset`, or with a trainer that differs."""
         ...
 
 
-def facts_of(
-    problem: ContextSpace | Problem, preset: str | None = None, trainer: Trainer | None = None
-) -> ProblemFacts:
+def facts_of(problem: ContextSpace | Problem) -> ProblemFacts:
     """The facts of a problem; of bare contexts there are few.
 
     Raises:
-        InvalidInput: it is neither, or a preset of bare contexts.
+        InvalidInput: it is neither.
     """
     if isinstance(problem, ContextSpace):
-        if preset is not None:
-            raise InvalidInput(
-                f"presets belong to a CMDP, got preset={preset!r} with a ContextSpace; give the "
-                "CMDP itself"
-            )
-        return ProblemFacts(problem, trainer=trainer)
+        return ProblemFacts(problem)
     if isinstance(problem, Problem):
-        return problem.facts(preset, trainer)
+        return problem.facts()
     raise InvalidInput(
-        f"space must be a ContextSpace or a CMDP, got {type(problem).__name__}; build one with "
+        f"the problem must be a ContextSpace or a CMDP, got {type(problem).__name__}; build one with "
         "ContextSpace.grid, ContextSpace.points, CMDP.from_functions or CMDP.from_env"
     )
 

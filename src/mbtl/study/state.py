@@ -42,8 +42,6 @@ class StudyState:
     open_picks: dict[int, PickRecord] = field(default_factory=dict)
     proposing: Lease | None = None
     """Of the worker that finds the source of the next pick; None: nobody does."""
-    settings_named: tuple[str, ...] = ()
-    """Those that the log names: an older version knew fewer."""
     ahead: list[Mapping[str, Any]] = field(default_factory=list)
     """Facts of picks to come, proposed together with one before them, in order."""
     rows: list[ToldRow] = field(default_factory=list)
@@ -321,7 +319,6 @@ class StudyState:
 
     def _created(self, event: Event) -> None:
         self.spec = StudySpec.from_json(event.data["spec"])
-        self.settings_named = tuple(event.data["spec"])
         self.version = event.data["version"]
         self.uid = event.data["uid"]
         self.created_at = event.time
@@ -335,7 +332,8 @@ class StudyState:
     def _extended(self, event: Event) -> None:
         assert self.spec is not None
         self.first_budget = self.first_budget or self.spec.budget
-        self.spec = replace(self.spec, budget=event.data["budget"])
+        steps = event.data.get("steps", self.spec.steps)
+        self.spec = replace(self.spec, budget=event.data["budget"], steps=steps)
         self.stopped = None
 
     def _asked(self, event: Event) -> None:

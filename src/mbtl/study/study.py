@@ -20,6 +20,7 @@ from mbtl.seeds import Purpose, evaluation_seeds
 from mbtl.settings import first_difference
 from mbtl.study import telling
 from mbtl.study.artifacts import Artifact
+from mbtl.study.budget import Steps
 from mbtl.study.described import changed_code, code_mismatch
 from mbtl.study.events import Event, Kind
 from mbtl.study.leasing import LeasingStudy
@@ -272,16 +273,29 @@ class Study(LeasingStudy):
         if not begun:
             self.untold.clear()  # of another recipe
 
-    def extend(self, budget: int) -> None:
-        """Raise the budget to `budget` trainings in all, for a few more picks.
+    def extend(self, budget: int | Steps) -> None:
+        """Raise the budget to so many trainings, or steps, in all, for a few more picks.
 
         Raises:
             InvalidInput: it is not larger than now, or asks a selector for more trainings than
                 there are contexts.
         """
+        steps, unit = None, self.spec.unit
+        if isinstance(budget, Steps):
+            steps, budget = budget.total, budget.total // (unit or budget.total)
+            budget = budget if self.spec.any_training else min(budget, self.space.n)
         budget = whole("budget", budget)
+        if (steps is None) != (self.spec.steps is None) or (steps or 1) <= (self.spec.steps or 0):
+            raise InvalidInput(
+                "a budget can only be raised, and counts what it counted before, got "
+                f"{steps or budget} where it was {self.spec.steps or self.spec.budget} "
+                f"{'trainings' if unit is None else 'steps'}"
+            )
 
         def extended(state: StudyState) -> Event:
+            if steps is not None:
+                more = max(budget, self.spec.budget)
+                return Event("extended", {"budget": more, "steps": steps})
             now, n = self.spec.budget, self.space.n
             if not now < budget or (budget > n and not self.spec.any_training):
                 most = "" if self.spec.any_training else f" up to {n} trainings of {n} contexts"
