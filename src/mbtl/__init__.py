@@ -34,18 +34,22 @@ from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import READERS
 from mbtl.study import (
     Callback,
+    Cost,
+    Evaluation,
+    Failures,
     Pick,
     RunResult,
+    Steps,
     Stopping,
     Study,
     StudyFinished,
     Training,
+    Workers,
     create_study,
     delete_study,
     list_studies,
     load_study,
 )
-from mbtl.study.steps.study import StepStudy
 from mbtl.version import __version__
 
 if TYPE_CHECKING:
@@ -73,6 +77,9 @@ __all__ = [
     "Context",
     "ContextMismatch",
     "ContextSpace",
+    "Cost",
+    "Evaluation",
+    "Failures",
     "Integer",
     "InvalidInput",
     "Linear",
@@ -85,7 +92,7 @@ __all__ = [
     "Portfolio",
     "RunResult",
     "SimulationFailed",
-    "StepStudy",
+    "Steps",
     "Stopping",
     "StorageError",
     "Study",
@@ -99,6 +106,7 @@ __all__ = [
     "UnknownName",
     "Unreachable",
     "UnsavedPolicies",
+    "Workers",
     "__version__",
     "check_cmdp",
     "compare",

@@ -22,7 +22,6 @@ from mbtl.cli.report import report
 from mbtl.cli.reproduce import reproduce_command
 from mbtl.cli.run import run
 from mbtl.cli.study import study_app
-from mbtl.cli.watch import watch
 from mbtl.cli.worker import worker
 from mbtl.errors import InvalidInput, MbtlError, TrainingFailed, cannot_write
 from mbtl.processes import end_children
@@ -37,7 +36,7 @@ app = typer.Typer(
 )
 
 
-for command in (run, worker, watch, report, play, cmdps, bench, check):
+for command in (run, worker, report, play, cmdps, bench, check):
     app.command()(interruptible(command))
 app.command("reproduce")(interruptible(reproduce_command))
 app.add_typer(study_app, name="study")

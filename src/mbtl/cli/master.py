@@ -47,11 +47,11 @@ def artifacts_for(url: str, given: str | None, folder: Path) -> str | None:
     return str(folder.absolute())
 
 
-def command(url: str, name: str, problem: str, selector: str = "", **options: str | None) -> str:
+def command(url: str, name: str, problem: str, strategy: str = "", **options: str | None) -> str:
     """What starts a worker of this study; `options` are further ones by name, if they are given."""
     words = ["mbtl", "worker", url, problem, "--name", name]
     optional = {f"--{key}": value for key, value in options.items()}
-    optional["--selector"] = selector if ":" in selector else None  # a rule of the user's own
+    optional["--strategy"] = strategy if ":" in strategy else None  # a rule of the user's own
     words += [word for key, value in optional.items() if value for word in (key, value)]
     return shlex.join(words)
 

@@ -13,12 +13,11 @@ from rich.text import Text
 from mbtl.benchmark import TransferMatrix, open_matrix, shipped_matrices
 from mbtl.benchmark.npz import a_folder
 from mbtl.cli.common import JsonFlag, console, print_json, printer
-from mbtl.cli.study import any_study
+from mbtl.cli.study import open_study
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.report import StepSubject, Subject, of_matrix, of_step_study, of_study, write_page
+from mbtl.report import Subject, of_matrix, of_study, write_page
 from mbtl.study import Study
 from mbtl.study.database import check_path
-from mbtl.study.steps.study import StepStudy
 
 _LEAST = 2.0
 
@@ -68,7 +67,7 @@ def report(
     if name and all(isinstance(one, TransferMatrix) for one in opened):
         raise InvalidInput(f"--name is of a study, and no study is given, got {name[0]!r}")
 
-    def made() -> list[Subject | StepSubject]:
+    def made() -> list[Subject]:
         return [_subject(one, selector, budget, seed) for one in opened]
 
     found = made()
@@ -86,17 +85,13 @@ def report(
         printer().print(Text(f"wrote {out} ({size / 1e6:.1f} MB); open it in a browser"))
 
 
-def _subject(
-    one: Study | StepStudy | TransferMatrix, selector: str, budget: int, seed: int
-) -> Subject | StepSubject:
+def _subject(one: Study | TransferMatrix, selector: str, budget: int, seed: int) -> Subject:
     if isinstance(one, Study):
         return of_study(one)
-    if isinstance(one, StepStudy):
-        return of_step_study(one)
     return of_matrix(one, selector, budget=budget, seed=_seed_of(one, seed))
 
 
-def _open(given: str, names: Sequence[str | None]) -> Sequence[Study | StepStudy | TransferMatrix]:
+def _open(given: str, names: Sequence[str | None]) -> Sequence[Study | TransferMatrix]:
     """A matrix, or the studies of these names; None: the only one."""
     path = Path(given)
     if path.suffix == ".npz" or (given in shipped_matrices() and not path.exists()):
@@ -107,7 +102,7 @@ def _open(given: str, names: Sequence[str | None]) -> Sequence[Study | StepStudy
     if path.is_dir() and not (path / "study.db").exists() and any(path.glob("*.npz")):
         raise a_folder(path)
     if "://" in given or path.exists():
-        return [any_study(given, name) for name in names]
+        return [open_study(given, name) for name in names]
     raise unknown_name(
         "study or matrix", given, shipped_matrices(),
         hint="Give the folder of a study, an .npz file, or an id that `mbtl matrix list` shows.",

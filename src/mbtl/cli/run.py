@@ -1,10 +1,11 @@
 """`mbtl run`: the main job.
 
-Train what the selector picks, evaluate everywhere, save the portfolio.
+Train what the strategy picks, evaluate everywhere, save the portfolio.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,19 +18,27 @@ from mbtl.cli.common import AcceptFlag, JsonFlag, console, print_json, printer
 from mbtl.cli.folders import check_folder, set_aside, study_in
 from mbtl.cli.master import artifacts_for, check_master, command, follow
 from mbtl.cli.progress import LiveProgress
-from mbtl.cli.run_steps import StepWish, check_steps, run_steps, steps_of
 from mbtl.cli.worker import check_evaluated
 from mbtl.cmdps import resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
+from mbtl.objective import Objective
 from mbtl.plot import curve, policy_map, save
 from mbtl.report import beside, reference_curves, summarise_study
 from mbtl.report.text import show_summary
-from mbtl.selectors import get_selector
-from mbtl.settings import first_difference
 from mbtl.strategies import get_strategy
-from mbtl.study import Callback, Study, asking
-from mbtl.study.runner import check_options
-from mbtl.study.storage import SqlLog
+from mbtl.study import (
+    Callback,
+    Cost,
+    Evaluation,
+    Failures,
+    Steps,
+    Stopping,
+    Study,
+    Workers,
+    asking,
+    create_study,
+)
+from mbtl.study.runner import run as run_study
 from mbtl.trainer import Trainer
 
 NOTHING_LEFT = 0.005
@@ -49,8 +58,8 @@ def run(
     budget: Annotated[
         int | None, typer.Option(help="Number of trainings K; default: the preset's.")
     ] = None,
-    selector: Annotated[
-        str, typer.Option(help="Rule that picks the next source; the paper's is mbtl.")
+    strategy: Annotated[
+        str, typer.Option(help="Rule that picks the next training; the paper's is mbtl.")
     ] = "auto",
     seed: Annotated[int, typer.Option(help="Root of all randomness.")] = 0,
     study: Annotated[
@@ -88,7 +97,7 @@ def run(
         typer.Option(help="End when one more training surely gains less than this in V."),
     ] = None,
     stop_confidence: Annotated[
-        float, typer.Option(help="How sure the selector must be of that.")
+        float, typer.Option(help="How sure the strategy must be of that.")
     ] = 0.9,
     whole_budget: Annotated[
         bool,
@@ -152,12 +161,8 @@ def run(
         str | None,
         typer.Option(
             metavar="NUMBER",
-            help="Pay in environment steps, all in, e.g. 20M; how long trainings are, is decided.",
+            help="Pay in environment steps, all in, e.g. 20M, and not in trainings.",
         ),
-    ] = None,
-    strategy: Annotated[
-        str | None,
-        typer.Option(help="With --steps: pilot (default), fixed, halving, asha, committee."),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -173,79 +178,63 @@ def run(
     `mbtl worker` as you like on the hosts.
 
     The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million
-    steps each, 100 episodes per context). The paper's rule: --selector mbtl.
+    steps each, 100 episodes per context). The paper's rule: --strategy mbtl.
     """
-    if steps is not None or strategy is not None:
-        meant_for_trainings = {
-            "--budget": budget, "--selector": selector != "auto", "--parallel": parallel != 1,
-            "--stop-value": stop_value, "--stop-gain": stop_gain,
-            "--eval-targets": eval_targets, "--costs": costs, "--cost-budget": cost_budget,
-            "--risk": risk != 1.0, "--stop-on-failure": stop_on_failure,
-            "--retry-failed": retry_failed, "--all": whole_budget, "--no-report": no_report,
-        }  # fmt: skip
-        check_steps(steps, [k for k, given in meant_for_trainings.items() if given])
-        wish = StepWish(problem, steps_of(str(steps)), strategy, preset, seed, engine, score,
-                        timesteps, episodes, eval_episodes, tensorboard, artifacts, workers,
-                        accept_changes)  # fmt: skip
-        run_steps(wish, study, new=new, failures=stop_after_failures, timeout=timeout,
-                  as_json=as_json)  # fmt: skip
-        return
-    check_options(parallel, stop_after_failures=stop_after_failures, timeout=timeout)
+    pay = budget_of(budget, steps, cost_budget, costs)
     cmdp = resolve_cmdp(problem, engine=engine, score=score)
-    get_strategy(selector)  # a mistyped name must not set a study aside
+    get_strategy(strategy)  # a mistyped name must not set a study aside
     if timesteps is not None and cmdp.preset(preset).episodes is not None:
         raise InvalidInput(
             f"trainings of {cmdp.id!r} last a number of episodes, got --timesteps {timesteps}; use "
             "--episodes"
         )
-    overrides = {
+    overrides: dict[str, Any] = {
         "timesteps": timesteps,
         "episodes": episodes,
         "eval_episodes": eval_episodes,
         "tensorboard": tensorboard,
     }
-    trainer = cmdp.trainer_for(preset, **{k: v for k, v in overrides.items() if v is not None})
-    settings: Mapping[str, Any] = cmdp.facts(preset, trainer).settings
-    folder = study or Path("runs") / f"{cmdp.id}-{settings['preset']}-seed{seed}"
-    former = cmdp.preset(preset).formerly
-    begun = Path("runs") / f"{cmdp.id}-{former}-seed{seed}"
+    cmdp = cmdp.recipe(preset, **{k: v for k, v in overrides.items() if v is not None})
+    pay_how = "-steps" if steps is not None else ""
+    recipe = cmdp.facts().settings["preset"]
+    folder = study or Path("runs") / f"{cmdp.id}-{recipe}{pay_how}-seed{seed}"
+    failing = Failures(1 if stop_on_failure else stop_after_failures,
+                       retry_failed=retry_failed and workers is None,
+                       rehearse=not no_rehearsal)  # fmt: skip
     if workers is not None:
         check_master(workers, new=new, parallel=parallel, tensorboard=tensorboard)
         artifacts = artifacts_for(workers, artifacts, folder)
-    elif former and study is None and not folder.exists() and _is_there(begun, settings, former):
-        folder, settings = begun, {**settings, "preset": former}  # before the preset was renamed
     if new:
         set_aside(folder)
     if workers is None:
         check_folder(folder)
-    running = cmdp.study(
-        preset,
-        trainer=trainer,
-        budget=budget,
-        selector=selector,
+    running = create_study(
+        cmdp,
+        budget=pay,
+        strategy=strategy,
+        objective=Objective(risk=risk),
+        evaluation=Evaluation(eval_targets),
+        stopping=Stopping(
+            stop_value,
+            stop_gain,
+            None if whole_budget or cmdp.bounds is None else NOTHING_LEFT,
+            stop_confidence,
+        ),
         seed=seed,
-        stop_value=stop_value,
-        stop_gain=stop_gain,
-        stop_confidence=stop_confidence,
-        stop_left=None if whole_budget or cmdp.bounds is None else NOTHING_LEFT,
-        eval_targets=eval_targets,
-        costs=None if costs is None else _numbers(costs),
-        cost_budget=cost_budget,
-        risk=risk,
         storage=folder / "study.db" if workers is None else workers,
         artifacts=artifacts,
         name=study_in(folder) if workers is None else folder.resolve().name,
-        settings=settings,
         load_if_exists=True,
     )
     _announce(running, folder)
-    ended: TrainingFailed | None = None
+    trainer, ended = cmdp.facts().trainer, None
+    assert trainer is not None
     if workers is not None:
         start = command(
             workers,
             running.name,
             problem,
-            selector,
+            strategy,
             engine=engine,
             score=score,
             artifacts=artifacts,
@@ -258,14 +247,11 @@ def run(
 
             callbacks.append(TensorBoardCallback(tensorboard))
         try:
-            running.run(
-                parallel=parallel,
-                on_failure="stop" if stop_on_failure else "continue",
-                stop_after_failures=stop_after_failures,
-                retry_failed=retry_failed and workers is None,
-                rehearse=not no_rehearsal,
-                timeout=timeout,
-                progress=False,
+            run_study(
+                running,
+                trainer,
+                workers=Workers(parallel, timeout=timeout),
+                failures=failing,
                 callbacks=callbacks,
                 accept_changes=accept_changes,
                 report=not no_report,
@@ -280,6 +266,48 @@ def run(
     check_evaluated(running)
 
 
+_NUMBER = re.compile(r"(\d+(?:\.\d+)?(?:e\d+)?)\s*([kmg]?)", re.IGNORECASE)
+_SIZES = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9}
+
+
+def budget_of(
+    trainings: int | None, steps: str | None, cost: float | None, costs: Path | None
+) -> int | Steps | Cost | None:
+    """What the study may spend, as the options say it.
+
+    Raises:
+        InvalidInput: in two ways at once, or costs without their budget.
+    """
+    if steps is not None:
+        if trainings is not None or cost is not None or costs is not None:
+            raise InvalidInput(
+                "a study pays in environment steps (--steps), in trainings (--budget) or by a cost "
+                "(--cost-budget), got --steps and another one; leave that out"
+            )
+        return Steps(steps_of(steps))
+    if cost is not None:
+        return Cost(cost, None if costs is None else _numbers(costs), trainings)
+    if costs is not None:
+        raise InvalidInput("--costs says what trainings cost; say how much they may, --cost-budget")
+    return trainings
+
+
+def steps_of(text: str) -> int:
+    """Environment steps as people write them: 300K, 20M, 1.5e6.
+
+    Raises:
+        InvalidInput: it is no number of steps.
+    """
+    found = _NUMBER.fullmatch(text.strip().replace("_", "").replace(",", ""))
+    number = round(float(found[1]) * _SIZES[found[2].lower()]) if found else 0
+    if number < 1:
+        raise InvalidInput(
+            f"--steps takes a number of environment steps, such as 300K, 20M or 1500000, got "
+            f"{text!r}"
+        )
+    return number
+
+
 def _numbers(file: Path) -> Array:
     """The numbers of a text file, in the order of the contexts."""
     try:
@@ -289,15 +317,6 @@ def _numbers(file: Path) -> Array:
             "--costs takes a text file of numbers, one per context, with spaces or new lines "
             f"between them, got {file}: {error}"
         ) from error
-
-
-def _is_there(folder: Path, settings: Mapping[str, Any], preset: str) -> bool:
-    """Whether a study of these settings was begun in `folder` under another name of its preset."""
-    place = folder / "study.db"
-    if not place.is_file():
-        return False
-    begun = Study(SqlLog(place, study_in(folder)), get_selector("random"), folder=folder)
-    return first_difference(begun.spec.settings, {**settings, "preset": preset}) is None
 
 
 def _announce(study: Study, folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,21 +11,20 @@ from typing import Annotated, Any
 
 import typer
 from rich import box
+from rich.console import Group
+from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.errors import InvalidInput, MbtlError, StudyError, cannot_write, unknown_name
 from mbtl.report import summarise_study
-from mbtl.report.step_text import show_steps
-from mbtl.report.text import show_causes, show_summary
+from mbtl.report.text import lines, show_causes, show_summary
+from mbtl.report.text import table as summary_table
 from mbtl.selectors import get_selector
 from mbtl.study import SqlLog, Study, study_names
 from mbtl.study.database import check_path, shown
-from mbtl.study.listing import is_paid_in_steps
 from mbtl.study.state import replay
-from mbtl.study.steps.study import StepStudy
-from mbtl.study.steps.summary import counted
 
 study_app = typer.Typer(
     help="List, show and export studies, and give back what dead workers hold.",
@@ -85,18 +85,28 @@ def list_studies(
 
 
 @study_app.command("show")
-def show(study: _Study, name: _Name = None, as_json: JsonFlag = False) -> None:
+def show(
+    study: _Study,
+    name: _Name = None,
+    live: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help="Look again at this interval, until the study is finished."
+        ),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
     """Show the picks of a study, V, what one more training should bring, and why picks failed.
 
     Example: mbtl study show runs/cartpole-length-quick-seed0
+
+    While others train: mbtl study show runs/cartpole-length-full-seed0 --live 2
     """
-    opened = any_study(study, name)
-    if isinstance(opened, StepStudy):
-        found = opened.summary()
-        if as_json:
-            print_json(found.to_json())
-        else:
-            show_steps(printer(), found, opened.space)
+    if live is not None and (live <= 0 or as_json):
+        raise InvalidInput(f"--live takes seconds > 0, and no --json, got {live:g}")
+    opened = open_study(study, name)
+    if live is not None:
+        _watch(opened, live)
         return
     summary = summarise_study(opened)
     if as_json:
@@ -117,7 +127,7 @@ def release(
 
     Example: mbtl study release runs/cartpole-length-quick-seed0 host-1a2b3c
     """
-    count = any_study(study, name).release_all(worker)
+    count = open_study(study, name).release_all(worker)
     if as_json:
         print_json({"released": count, "worker": worker})
     else:
@@ -208,9 +218,7 @@ def _reported(database: str | Path) -> Iterator[None]:
 
 
 def _row(database: str | Path, name: str) -> dict[str, Any]:
-    study = any_study(database, name)
-    if isinstance(study, StepStudy):
-        return _step_row(study, database)
+    study = open_study(database, name)
     state = study.state
     return {
         "study": _shown_at(database),
@@ -226,52 +234,32 @@ def _row(database: str | Path, name: str) -> dict[str, Any]:
     }
 
 
-def _step_row(study: StepStudy, database: str | Path) -> dict[str, Any]:
-    summary = study.summary()
-    return {
-        "study": _shown_at(database),
-        "name": study.name,
-        "problem": summary.problem,
-        "selector": summary.strategy,
-        "told": counted(summary.spent),
-        "failed": sum(one.state == "failed" for one in summary.trainings),
-        "open": sum(one.state == "running" for one in summary.trainings),
-        "budget": counted(summary.budget),
-        "value": summary.value,
-        "finished": study.is_finished,
-    }
+def _watch(study: Study, every: float) -> None:
+    """The summary, again when something has happened; without a terminal once."""
+    with Live(_view(study), console=printer(), auto_refresh=False) as screen:
+        while screen.console.is_terminal and not study.is_finished:
+            time.sleep(every)
+            before = study.state.seq
+            if study.refresh().seq != before:
+                screen.update(_view(study), refresh=True)
 
 
-def any_study(path: str | Path, name: str | None) -> Study | StepStudy:
-    """A study for reading only: with any selector, so that one of the user's own opens too."""
-    return _opened(*_place_of(path, name))
+def _view(study: Study) -> Group:
+    summary = summarise_study(study)
+    said = lines(summary, study.space)
+    if summary.finished is None:
+        paid, budget = study.state.paid, study.spec.budget
+        said.append(f"{paid:g} of {budget} trainings asked for; Ctrl-C ends this view only.")
+    return Group(summary_table(summary, study.space), *map(Text, said))
 
 
 def open_study(path: str | Path, name: str | None) -> Study:
-    """`any_study` that is paid in trainings.
-
-    Raises:
-        StudyError: it is paid in steps.
-    """
+    """A study for reading only: with any strategy, so that one of the user's own opens too."""
     place, chosen = _place_of(path, name)
-    study = _opened(place, chosen)
-    if isinstance(study, StepStudy):
-        raise StudyError(
-            f"this command reads studies that count trainings, and {chosen!r} is paid in steps; "
-            f"`mbtl study show {_shown_at(place)}` prints its bill, V and who serves, `mbtl report "
-            f"{_shown_at(place)}` draws them"
-        )
-    return study
-
-
-def _opened(place: str | Path, name: str) -> Study | StepStudy:
-    """Of either kind; a log is read once, since it may be large."""
-    log = SqlLog(place, name)
-    events = log.read()
-    if is_paid_in_steps(events):
-        return StepStudy.load(place, name)
+    log = SqlLog(place, chosen)
     folder = None if isinstance(place, str) else place.parent
-    return Study(log, get_selector("random"), folder=folder, name=name, state=replay(events))
+    state = replay(log.read())
+    return Study(log, get_selector("random"), folder=folder, name=chosen, state=state)
 
 
 def _place_of(path: str | Path, name: str | None) -> tuple[str | Path, str]:

@@ -14,7 +14,6 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from mbtl.cli import step_worker
 from mbtl.cli.common import (
     AcceptFlag,
     JsonFlag,
@@ -24,13 +23,11 @@ from mbtl.cli.common import (
 )
 from mbtl.cli.interrupts import interrupt_main
 from mbtl.cli.progress import LiveProgress
-from mbtl.cli.step_progress import StepProgress
 from mbtl.cmdps import CMDP, resolve_cmdp
 from mbtl.errors import InvalidInput, StudyError, TrainingFailed, Unreachable
 from mbtl.study import Callback, Pick, Study, load_study
 from mbtl.study.patience import PATIENCE, Patience
-from mbtl.study.runner import LEASE, check_options, run
-from mbtl.study.steps.study import StepStudy
+from mbtl.study.runner import LEASE, Failures, Workers, run
 from mbtl.study.walltime import WallTime
 from mbtl.trainer import Trainer, recipe_of
 
@@ -67,7 +64,7 @@ def worker(
         str | None,
         typer.Option(help="What an episode of traffic is worth: paper, or the CMDP's own."),
     ] = None,
-    selector: Annotated[
+    strategy: Annotated[
         str | None, typer.Option(help="Only for a rule of your own: as the study was made with.")
     ] = None,
     wall_time: Annotated[
@@ -113,44 +110,25 @@ def worker(
 
     Example: mbtl worker postgresql+psycopg://me@db/studies my_problem.py:problem --wall-time 4h
     """
-    check_options(1, "continue", stop_after_failures, lease, retries, timeout)
+    failures = Failures(stop_after_failures, retries=retries, rehearse=not no_rehearsal)
+    alone = Workers(lease=lease, timeout=timeout)
     end = _end(wall_time, until)
     cmdp = resolve_cmdp(problem, engine=engine, score=score)
     tally, over = _Tally(), threading.Event()
     opened: Study | None = None
     with _spoken(), _alarm(end, over):
         try:
-            try:
-                opened = _opened(study, name, cmdp, artifacts, selector, patience)
-            except StudyError:
-                if not step_worker.is_of_steps(study, name):
-                    raise
-            if opened is None:
-                meaningless = {
-                    "--selector": selector is not None, "--retries": retries != 0,
-                    "--no-rehearsal": no_rehearsal,
-                }  # fmt: skip
-                step_worker.check_options(meaningless)
-                _of_steps(
-                    study, name, cmdp, artifacts, Patience(patience), over, lease=lease,
-                    failures=stop_after_failures, timeout=timeout, wait=not no_wait,
-                    accept_changes=accept_changes,
-                    as_json=as_json,
-                )  # fmt: skip
-                return
+            opened = _opened(study, name, cmdp, artifacts, strategy, patience)
             trainer = _as_recorded(cmdp, opened)
             has_room = _always if end is None else partial(end.has_room, opened, trainer)
             with LiveProgress(opened, console) as live:
                 run(
                     opened,
                     trainer,
-                    stop_after_failures=stop_after_failures,
-                    rehearse=not no_rehearsal,
+                    workers=alone,
+                    failures=failures,
                     callbacks=[live, tally],
                     report=False,
-                    lease=lease,
-                    retries=retries,
-                    timeout=timeout,
                     accept_changes=accept_changes,
                     may_begin=has_room,
                     wait=not no_wait,
@@ -168,46 +146,6 @@ def worker(
         if not has_room():
             why = "no further training would end within the wall time"
     _report(opened, tally, why, as_json=as_json)
-
-
-def _of_steps(
-    study: str,
-    name: str | None,
-    cmdp: CMDP,
-    artifacts: str | None,
-    patience: Patience,
-    over: threading.Event,
-    *,
-    lease: float,
-    failures: int,
-    timeout: float | None,
-    wait: bool,
-    accept_changes: bool,
-    as_json: bool,
-) -> None:
-    """The same for a study that is paid in steps: one action after another."""
-    opened = step_worker.opened(study, name, cmdp, artifacts)
-    log: Any = opened.log
-    log.patience = patience
-    try:
-        with StepProgress(console) as live:
-            opened.run(
-                trainer=_as_recorded(cmdp, opened),
-                progress=False,
-                callbacks=[live],
-                report=False,
-                stop_after_failures=failures,
-                lease=lease,
-                timeout=timeout,
-                wait=wait,
-                accept_changes=accept_changes,
-            )
-    except KeyboardInterrupt:
-        if not over.is_set():
-            raise
-        interrupts.append("worker")  # in the middle of something: see `program`
-    why = "the wall time is over" if over.is_set() else "others are at the last actions"
-    step_worker.report(opened, why, as_json=as_json)
 
 
 def _always() -> bool:
@@ -322,14 +260,14 @@ def _opened(
     name: str | None,
     cmdp: CMDP,
     artifacts: str | None,
-    selector: str | None,
+    strategy: str | None,
     seconds: float,
 ) -> Study:
     """The study, as soon as its database answers."""
     patience = Patience(seconds)
 
     def opened() -> Study:
-        return load_study(study, name, problem=cmdp, artifacts=artifacts, selector=selector)
+        return load_study(study, name, problem=cmdp, artifacts=artifacts, strategy=strategy)
 
     found = _patiently(opened, patience)
     log: Any = found.log
@@ -348,7 +286,7 @@ def _patiently(work: Callable[[], T], patience: Patience) -> T:
             return done
 
 
-def _as_recorded(cmdp: CMDP, study: Study | StepStudy) -> Trainer:
+def _as_recorded(cmdp: CMDP, study: Study) -> Trainer:
     """The trainer of the study's preset, with lengths that were given to `mbtl run`."""
     trainer = study.trainer or cmdp.trainer_for(study.spec.settings.get("preset"))
     recorded, own = study.spec.settings.get("recipe", {}), recipe_of(trainer)

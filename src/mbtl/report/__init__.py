@@ -2,18 +2,15 @@
 
 from mbtl.report.html import page, write_page
 from mbtl.report.reference import ReferenceCurves, reference_curves
-from mbtl.report.step_subject import StepSubject, of_step_study
 from mbtl.report.subject import Subject, of_matrix, of_study
 from mbtl.report.summary import PickSummary, StudySummary, summarise_study
 
 __all__ = [
     "PickSummary",
     "ReferenceCurves",
-    "StepSubject",
     "StudySummary",
     "Subject",
     "of_matrix",
-    "of_step_study",
     "of_study",
     "page",
     "reference_curves",

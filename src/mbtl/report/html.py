@@ -18,8 +18,6 @@ from mbtl.files import whole_file
 from mbtl.report.content import content
 from mbtl.report.packing import compressed, packed
 from mbtl.report.parts import details, number, opening, provenance, section, table
-from mbtl.report.step_article import step_article
-from mbtl.report.step_subject import KIND, StepSubject, step_content
 from mbtl.report.subject import Subject
 from mbtl.version import __version__
 
@@ -30,7 +28,7 @@ _SCORE = (
 
 
 def write_page(
-    subjects: Sequence[Subject | StepSubject], path: str | Path, *, refresh: float | None = None
+    subjects: Sequence[Subject], path: str | Path, *, refresh: float | None = None
 ) -> Path:
     """Write a report of one or more subjects.
 
@@ -54,11 +52,9 @@ def write_page(
     return path
 
 
-def page(subjects: Sequence[Subject | StepSubject], *, refresh: float | None = None) -> str:
+def page(subjects: Sequence[Subject], *, refresh: float | None = None) -> str:
     """The page as text; see `write_page`."""
-    items = [
-        step_content(one) if isinstance(one, StepSubject) else content(one) for one in subjects
-    ]
+    items = [content(one) for one in subjects]
     title = ", ".join(subject.name for subject in subjects)
     parts = {
         "TITLE": html.escape(title),
@@ -98,8 +94,6 @@ def _choice(items: list[dict[str, Any]]) -> str:
 
 
 def _article(i: int, item: dict[str, Any]) -> str:
-    if item["kind"] == KIND:
-        return step_article(i, item)
     e = html.escape
     told = [pick for pick in item["picks"] if pick["status"] == "told"]
     state = "finished" if item["finished"] else "under way"

@@ -353,7 +353,9 @@ class Batches:
     def _end(self, pick: Pick, trouble: Trouble, why: str) -> TrainingFailed:
         then = "run again: the policy is kept and only evaluated"
         if trouble.kept is None:
-            then = "run again, with retry_failed=True (--retry-failed) to train there again"
+            then = (
+                "run again, with Failures(retry_failed=True) (--retry-failed) to train there again"
+            )
         elif trouble.stage == "loading" and trouble.kept.artifact is not None:
             place = trouble.kept.artifact.place
             then = f"run again, or remove {place} to have the policy trained again"

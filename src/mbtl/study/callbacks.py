@@ -17,7 +17,6 @@ from mbtl.trainer import Progress
 
 if TYPE_CHECKING:
     from mbtl.study.pick import Pick
-    from mbtl.study.steps.study import StepStudy
     from mbtl.study.study import Study
 
 
@@ -172,7 +171,7 @@ def shared_words(others: Sequence[str]) -> str:
     return f"{', '.join(others)} {works} on this study, too: joining, each trains other picks"
 
 
-def waiting_words(study: Study | StepStudy, others: Sequence[str]) -> str:
+def waiting_words(study: Study, others: Sequence[str]) -> str:
     """What a run waits for, and how not to wait for a worker of whose end nobody would know."""
     said = f"waiting for the last trainings of {', '.join(others)}"
     unknown = [one for one in others if not study.presence.is_known(one)]
@@ -184,7 +183,7 @@ def waiting_words(study: Study | StepStudy, others: Sequence[str]) -> str:
     )
 
 
-def place_words(study: Study | StepStudy) -> str:
+def place_words(study: Study) -> str:
     """What names a stored study on the command line."""
     url = getattr(study.log, "url", "")
     file = database_file(url)

@@ -220,7 +220,8 @@ def _in_steps(facts: ProblemFacts, budget: Steps) -> dict[str, int]:
                 "to pay in environment steps it must be known how many a training and an episode "
                 f"have, and this problem does not say; give Steps(total, {what}=<steps>)"
             )
-    assert unit is not None and horizon is not None
+    assert unit is not None
+    assert horizon is not None
     episodes = int(getattr(trainer, "eval_episodes", None) or EPISODES)
     return {"steps": budget.total, "unit": unit, "target_steps": horizon * episodes}
 

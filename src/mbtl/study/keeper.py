@@ -3,36 +3,21 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
 from logging import getLogger
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from mbtl.errors import MbtlError
 from mbtl.trainer import Progress
 
 if TYPE_CHECKING:
-    from mbtl.study.steps.study import StepStudy
+    from mbtl.study.pick import Pick
     from mbtl.study.study import Study
 
 _logger = getLogger(__name__)
 
 ANSWERS = ("claimed", "released", "told", "failed")
 """Kinds of events after which a pick is somebody else's, or answered."""
-
-
-class Leased(Protocol):
-    """Work that a worker holds: a pick, or an action of a study that is paid in steps."""
-
-    @property
-    def number(self) -> int:
-        """Which."""
-        ...
-
-    @property
-    def token(self) -> str:
-        """Of its lease."""
-        ...
 
 
 class Keeper:
@@ -43,22 +28,13 @@ class Keeper:
     Args:
         study: whose work it is.
         seconds: that a lease lasts; three heartbeats fall into it.
-        answers: kinds of events that answer such work.
-        key: what these events call its number.
     """
 
-    def __init__(
-        self,
-        study: Study | StepStudy,
-        seconds: float,
-        answers: Sequence[str] = ANSWERS,
-        key: str = "pick",
-    ) -> None:
+    def __init__(self, study: Study, seconds: float) -> None:
         self.seconds = seconds
         self._study = study
         self._log = study.log
-        self._answers, self._key = answers, key
-        self._held: dict[int, Leased] = {}
+        self._held: dict[int, Pick] = {}
         self._lost: set[str] = set()
         self._said: dict[str, Progress] = {}
         self._seq = 0
@@ -84,22 +60,22 @@ class Keeper:
             self._thread.join()
         self._study.presence.leave(self._study.worker, self._study.leases)
 
-    def hold(self, pick: Leased) -> None:
+    def hold(self, pick: Pick) -> None:
         """From now on this pick is worked on."""
         with self._lock:
             self._held[pick.number] = pick
 
-    def drop(self, pick: Leased) -> None:
+    def drop(self, pick: Pick) -> None:
         """It is answered, or given back."""
         with self._lock:
             self._held.pop(pick.number, None)
             self._said.pop(pick.token, None)
 
-    def is_lost(self, pick: Leased) -> bool:
+    def is_lost(self, pick: Pick) -> bool:
         """True when somebody took it over or away: its training is for nothing."""
         return pick.token in self._lost
 
-    def said(self, pick: Leased, progress: Progress) -> None:
+    def said(self, pick: Pick, progress: Progress) -> None:
         """What the next heartbeat tells of a training."""
         self._said[pick.token] = progress
 
@@ -116,10 +92,10 @@ class Keeper:
         """One round: hear what was lost, and say that the rest is alive."""
         for event in self._log.read(self._seq):
             self._seq = event.seq
-            if event.kind not in self._answers:
+            if event.kind not in ANSWERS:
                 continue
             with self._lock:
-                held = self._held.get(event.data[self._key])
+                held = self._held.get(event.data["pick"])
             if held is not None and event.data.get("token") != held.token:
                 self._lost.add(held.token)
         with self._lock:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,13 +17,11 @@ from mbtl.study.database import (
     open_database,
     shown,
 )
-from mbtl.study.events import OPENED, Event
 from mbtl.study.fresh import value_of
 from mbtl.study.leases import Watch
 from mbtl.study.places import database_file, fixed_url, policy_store
 from mbtl.study.presence import Presence
 from mbtl.study.state import StudyState, replay
-from mbtl.study.steps.state import StepState
 from mbtl.study.storage import SqlLog, study_names
 
 
@@ -60,9 +57,6 @@ class StudyEntry:
 def list_studies(storage: str | Path) -> list[StudyEntry]:
     """The studies of a database, oldest first; each of them is read.
 
-    Of one that is paid in steps, `told` counts policies, `budget` steps, and `selector` is its
-    strategy.
-
     Args:
         storage: path of the SQLite file (or of the folder that holds `study.db`), or a URL.
 
@@ -70,7 +64,7 @@ def list_studies(storage: str | Path) -> list[StudyEntry]:
         StorageError: no database there, or a damaged one.
     """
     address = database_at(storage)
-    return [_entry_of(name, SqlLog(address, name).read()) for name in study_names(address)]
+    return [_entry_of(name, SqlLog(address, name)) for name in study_names(address)]
 
 
 def delete_study(
@@ -97,13 +91,8 @@ def delete_study(
     address = database_at(storage)
     name = chosen_name(address, name)
     log = SqlLog(address, name)
-    events = log.read()
-    state: StudyState | StepState
-    if is_paid_in_steps(events):
-        state = _steps(events)
-    else:
-        state = replay(events)
-        _check_idle(state, Watch(log, Presence(database_file(address)).is_gone), name)
+    state = replay(log.read())
+    _check_idle(state, Watch(log, Presence(database_file(address)).is_gone), name)
     store = policy_store(address, artifacts)
     engine, table, heartbeats = open_database(as_url(address), create=False)
     try:
@@ -116,11 +105,6 @@ def delete_study(
         engine.dispose()
     if isinstance(store, FolderStore) and not keep_policies:
         store.remove(f"policies/{state.uid}")
-
-
-def is_paid_in_steps(events: Sequence[Event]) -> bool:
-    """Whether a log is of a study that is paid in steps."""
-    return bool(events) and events[0].kind == OPENED
 
 
 def database_at(storage: str | Path) -> str:
@@ -167,38 +151,8 @@ def _check_idle(state: StudyState, watch: Watch, name: str) -> None:
         )
 
 
-def _steps(events: Sequence[Event]) -> StepState:
-    state = StepState()
-    for event in events:
-        state.apply(event)
-    return state
-
-
-def _entry_of(name: str, events: Sequence[Event]) -> StudyEntry:
-    return (
-        _step_entry(name, _steps(events))
-        if is_paid_in_steps(events)
-        else _entry(name, replay(events))
-    )
-
-
-def _step_entry(name: str, state: StepState) -> StudyEntry:
-    spec, failed = state.the_spec, sum(t.failed is not None for t in state.trainings)
-    return StudyEntry(
-        name,
-        spec.problem,
-        str(spec.strategy["name"]),
-        len(state.policies),
-        failed + len(state.dead),
-        len(state.under_way),
-        spec.budget,
-        state.value() if state.policies else None,
-        state.stopped,
-        state.created_at,
-    )
-
-
-def _entry(name: str, state: StudyState) -> StudyEntry:
+def _entry_of(name: str, log: SqlLog) -> StudyEntry:
+    state = replay(log.read())
     spec = state.spec
     assert spec is not None
     return StudyEntry(

@@ -65,8 +65,8 @@ def facts_of(problem: ContextSpace | Problem) -> ProblemFacts:
     if isinstance(problem, Problem):
         return problem.facts()
     raise InvalidInput(
-        f"the problem must be a ContextSpace or a CMDP, got {type(problem).__name__}; build one with "
-        "ContextSpace.grid, ContextSpace.points, CMDP.from_functions or CMDP.from_env"
+        f"the problem must be a ContextSpace or a CMDP, got {type(problem).__name__}; build one "
+        "with ContextSpace.grid, ContextSpace.points, CMDP.from_functions or CMDP.from_env"
     )
 
 

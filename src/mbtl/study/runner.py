@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from logging import getLogger
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ from mbtl.errors import (
     UnsavedPolicies,
 )
 from mbtl.faults import FAULTS, reason_of
+from mbtl.plain import short, whole
 from mbtl.processes import SeparateWorkers, separate_workers
 from mbtl.study import asking
 from mbtl.study.batch import Batches, failure
@@ -50,22 +52,75 @@ _LOOK, _LONGEST_LOOK = 0.1, 2.0
 """Seconds between looks at what others do: often at first, seldom while nothing happens."""
 
 
+@dataclass(frozen=True)
+class Failures:
+    """What a run does about trainings that fail.
+
+    Attributes:
+        most_in_a_row: so many failures in a row end the run, and so does the first one while
+            nothing has succeeded; 1: the first one always.
+        retries: so often a training that failed is begun again, each time with another seed, before
+            it counts as failed. One whose worker process died is begun again once in any case, as
+            it was.
+        retry_failed: train again where trainings of former runs failed; see `Study.retry`.
+        rehearse: evaluate an untrained policy on two contexts before the first training, where the
+            trainer can make one; else the first policy on two contexts before all others.
+
+    Raises:
+        InvalidInput: a number that is too small.
+    """
+
+    most_in_a_row: int = 3
+    retries: int = 0
+    retry_failed: bool = False
+    rehearse: bool = True
+
+    def __post_init__(self) -> None:
+        for name, least in (("most_in_a_row", 1), ("retries", 0)):
+            if whole(f"{name} of Failures", value := getattr(self, name)) < least:
+                raise InvalidInput(f"{name} of Failures is {least} or more, got {short(value)}")
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where the trainings of a run are done, and how long they may take.
+
+    Attributes:
+        parallel: picks trained at the same time. Each is told when it is done, and the next one is
+            proposed at once, without the rows of those under way.
+        executor: does them when `parallel` > 1; None: processes of this machine.
+        deterministic: ask for the next picks only when all of a batch are told, so that a study
+            does not depend on how long trainings take. Slots stand idle meanwhile.
+        lease: seconds without a sign of life after which other runs take the trainings over. On one
+            machine they do so at once when the process has ended.
+        timeout: seconds that a training and its evaluation may take; longer ones are ended, and
+            count as failed. In this process only Python code and waits can be ended, and native
+            code when it returns (`Callback.on_stuck`); worker processes are killed if need be.
+
+    Raises:
+        InvalidInput: a number that is too small.
+    """
+
+    parallel: int = 1
+    executor: Executor | None = None
+    deterministic: bool = False
+    lease: float = LEASE
+    timeout: float | None = None
+
+    def __post_init__(self) -> None:
+        if whole("parallel of Workers", self.parallel) < 1:
+            raise InvalidInput(f"parallel of Workers is 1 or more, got {short(self.parallel)}")
+        check_limits(self.lease, self.timeout)
+
+
 def run(
     study: Study,
     trainer: Trainer,
     *,
-    parallel: int = 1,
-    executor: Executor | None = None,
-    on_failure: str = "continue",
-    stop_after_failures: int = 3,
-    retry_failed: bool = False,
-    rehearse: bool = True,
+    workers: Workers = Workers(),
+    failures: Failures = Failures(),
     callbacks: Sequence[Callback] = (),
     report: bool = True,
-    lease: float = LEASE,
-    deterministic: bool = False,
-    retries: int = 0,
-    timeout: float | None = None,
     accept_changes: bool = False,
     may_begin: Callable[[], bool] | None = None,
     wait: bool = True,
@@ -78,27 +133,10 @@ def run(
     Args:
         study: decides what to train.
         trainer: trains, evaluates, saves and loads.
-        parallel: picks trained at the same time. Each is told when it is done, and the next one is
-            proposed at once, without the rows of those under way.
-        executor: runs the jobs when parallel > 1; local processes when missing.
-        on_failure: "continue" records a failed training and goes on; "stop" also raises it.
-        stop_after_failures: so many failures in a row end the run, and so does the first one while
-            nothing has succeeded.
-        retry_failed: train again where trainings failed; see `Study.retry`.
-        rehearse: evaluate an untrained policy on two contexts before the first training, where the
-            trainer can make one; else the first policy on two contexts before all others.
+        workers: where, and how long at most.
+        failures: what to do about them.
         callbacks: told what happens.
         report: evaluate the routed policies on fresh seeds at the end.
-        lease: seconds without a sign of life from a run after which others take its trainings
-            over. On one machine they do so at once when its process has ended.
-        deterministic: with parallel > 1, ask for the next picks only when all of a batch are told,
-            so that a study does not depend on how long trainings take. Slots stand idle meanwhile.
-        retries: so often a training that failed is begun again, each time with another seed,
-            before it counts as failed. One whose worker process died is begun again once in any
-            case, as it was.
-        timeout: seconds that a training and its evaluation may take; longer ones are ended, and
-            count as failed. In this process only Python code and waits can be ended, and native
-            code when it returns (`Callback.on_stuck`); worker processes are killed if need be.
         accept_changes: a user's own functions may have changed since the study was begun; the log
             says so then.
         may_begin: asked before each training; once it says no, the run ends.
@@ -110,30 +148,30 @@ def run(
     Raises:
         TrainingFailed: failures ended the run, or no training succeeded.
     """
-    check_options(parallel, on_failure, stop_after_failures, lease, retries, timeout)
     started, study.stopping = time.monotonic(), None
-    study.proposes_ahead = not deterministic
+    study.proposes_ahead = not workers.deterministic
     try:
-        with Keeper(study, lease) as keeper, _workers(parallel, executor) as pooled:
+        with Keeper(study, workers.lease) as keeper, _pool(workers) as pooled:
             if pooled is not None:
                 _check_can_travel(pooled, trainer)
             _warn_of_unsaved(study, trainer)
             _announce_others(study, callbacks)
-            if study.state.equipment is not None or retry_failed or not study.is_finished:
+            again = failures.retry_failed
+            if study.state.equipment is not None or again or not study.is_finished:
                 study.equip(trainer, accept_changes=accept_changes)
-            for failed in list(study.refresh().failures) if retry_failed else []:
+            for failed in list(study.refresh().failures) if again else []:
                 if not failed.pruned:
                     study.retry(failed.pick)
-            first_policy = rehearse
-            if rehearse and isinstance(trainer, RehearsingTrainer):
-                _rehearse(study, partial(rehearsed, trainer, timeout=timeout), pooled)
+            first_policy = failures.rehearse
+            if first_policy and isinstance(trainer, RehearsingTrainer):
+                _rehearse(study, partial(rehearsed, trainer, timeout=workers.timeout), pooled)
                 first_policy = False
-            allowed = 0 if on_failure == "stop" else stop_after_failures - 1
             batches = Batches(
-                study, trainer, pooled, allowed, first_policy, callbacks, keeper, timeout, retries
-            )
+                study, trainer, pooled, failures.most_in_a_row - 1, first_policy, callbacks, keeper,
+                workers.timeout, failures.retries,
+            )  # fmt: skip
             ask = partial(_next_pick, study, keeper, may_begin or _always)
-            do_all = partial(_do_all, study, batches, parallel, deterministic, ask)
+            do_all = partial(_do_all, study, batches, workers, ask)
             try:
                 do_all()
                 while wait and _wait_for_others(study, callbacks, may_begin or _always):
@@ -159,38 +197,15 @@ def run(
     )
 
 
-def check_options(
-    parallel: int = 1,
-    on_failure: str = "continue",
-    stop_after_failures: int = 1,
-    lease: float = LEASE,
-    retries: int = 0,
-    timeout: float | None = None,
-) -> None:
-    """Refuse what `run` cannot do, before anything is stored.
-
-    Raises:
-        InvalidInput: a number below 1, or neither "continue" nor "stop".
-    """
-    if on_failure not in ("continue", "stop"):
-        raise InvalidInput(f"on_failure must be 'continue' or 'stop', got {on_failure!r}")
-    if retries < 0:
-        raise InvalidInput(f"retries must be >= 0, got {retries}")
-    check_limits(lease, timeout)
-    for name, number in (("parallel", parallel), ("stop_after_failures", stop_after_failures)):
-        if number < 1:
-            raise InvalidInput(f"{name} must be >= 1, got {number}")
-
-
 @contextmanager
-def _workers(parallel: int, executor: Executor | None) -> Iterator[Executor | None]:
+def _pool(workers: Workers) -> Iterator[Executor | None]:
     """Where jobs run; None: in this process."""
-    if parallel == 1:
+    if workers.parallel == 1:
         yield None
-    elif executor is not None:
-        yield executor
+    elif workers.executor is not None:
+        yield workers.executor
     else:
-        with separate_workers(parallel) as pool:
+        with separate_workers(workers.parallel) as pool:
             yield pool
 
 
@@ -199,8 +214,8 @@ def _check_any_success(study: Study) -> None:
     if failures and not study.state.rows:
         raise TrainingFailed(
             f"no training of this study succeeded, {len(failures)} failed, the last with "
-            f"{failures[-1].reason}; mend the cause and run again with retry_failed=True "
-            "(--retry-failed)"
+            f"{failures[-1].reason}; mend the cause and run again with "
+            "Failures(retry_failed=True) (--retry-failed)"
         )
 
 
@@ -226,7 +241,8 @@ def _rehearse(
         raise TrainingFailed(f"{trouble.error}; nothing was trained") from cause
     raise failure(
         f"{trouble.stage} of an untrained policy failed with {trouble.reason}, so nothing was "
-        "trained: mend the cause and run again; rehearse=False (--no-rehearsal) skips this trial",
+        "trained: mend the cause and run again; Failures(rehearse=False) "
+        "(--no-rehearsal) skips this trial",
         trouble,
     )
 
@@ -236,13 +252,13 @@ def _always() -> bool:
 
 
 def _do_all(
-    study: Study, batches: Batches, size: int, deterministic: bool, ask: Callable[[], Pick | None]
+    study: Study, batches: Batches, workers: Workers, ask: Callable[[], Pick | None]
 ) -> None:
-    if batches.executor is not None and not deterministic:
-        while batches.flow(size, ask):
+    if batches.executor is not None and not workers.deterministic:
+        while batches.flow(workers.parallel, ask):
             pass
         return
-    while batch := _next_batch(study, size, ask):
+    while batch := _next_batch(study, workers.parallel, ask):
         batches.do(batch)
 
 

@@ -19,7 +19,7 @@ from mbtl.seeds import training_seed
 from mbtl.selectors.base import SelectionProblem
 from mbtl.study.budget import Bill
 from mbtl.study.checks import check_event
-from mbtl.study.events import OPENED, Event
+from mbtl.study.events import Event
 from mbtl.study.leases import Lease
 from mbtl.study.records import Failure, FreshReturns, LateResult, PickRecord, ToldRow
 from mbtl.study.spec import StudySpec
@@ -75,10 +75,6 @@ class StudyState:
         """Advance by one event."""
         if event.seq != self.seq + 1:
             raise StorageError(f"event {self.seq + 1} is missing from the log, got {event.seq}")
-        if self.spec is None and event.kind == OPENED:
-            raise StudyError(
-                "this study is paid in steps, not in trainings; open it with mbtl.StepStudy.load"
-            )
         if (self.spec is None) != (event.kind == "created"):
             raise StorageError(
                 f"event {event.seq} ({event.kind}) is out of place; the log is damaged"

@@ -6,14 +6,11 @@ It decides; it trains nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Executor
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.plain import finite, whole
 from mbtl.seeds import Purpose, evaluation_seeds
@@ -40,6 +37,7 @@ from mbtl.trainer import (
 if TYPE_CHECKING:
     from mbtl.study.callbacks import Callback
     from mbtl.study.result import RunResult
+    from mbtl.study.runner import Failures, Workers
 
 
 class Study(LeasingStudy):
@@ -336,86 +334,58 @@ class Study(LeasingStudy):
 
     def run(
         self,
-        train: Callable[[Context, int], Any] | None = None,
+        train: Callable[..., Any] | None = None,
         evaluate: Callable[..., Any] | None = None,
         *,
-        save: Callable[[Any, Path], None] | None = None,
-        load: Callable[[Path], Any] | None = None,
         trainer: Trainer | None = None,
-        parallel: int = 1,
-        executor: Executor | None = None,
-        on_failure: str = "continue",
-        stop_after_failures: int = 3,
-        retry_failed: bool = False,
-        rehearse: bool = True,
-        progress: bool = True,
+        workers: Workers | None = None,
+        failures: Failures | None = None,
         callbacks: Sequence[Callback] = (),
+        progress: bool = True,
         report: bool = True,
-        lease: float = 60.0,
-        deterministic: bool = False,
-        retries: int = 0,
-        timeout: float | None = None,
-        accept_changes: bool = False,
     ) -> RunResult:
         """Train and evaluate until the study is finished; see `mbtl.study.runner.run`.
 
         A callback ends the run by `study.stop`, and a training early by raising `TrainingPruned`.
 
         Args:
-            train: context, seed -> policy.
+            train: `train(context, seed) -> policy`; or `train(contexts, seed, *, start=None,
+                length=None) -> policy`, which lets a strategy train on several contexts, from a
+                policy, for any length; see `mbtl.FunctionTrainer`.
             evaluate: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes);
-                one seed per context, see `mbtl.trainer.FunctionTrainer`.
-            save: policy, empty folder -> None; without it policies end with this process.
-            load: folder -> policy.
-            trainer: instead of these functions; None: the one that the study was made with.
-            parallel: see `mbtl.study.runner.run`, as for all that follows.
-            executor: runs the trainings when parallel > 1.
-            on_failure: "continue", or "stop" at the first failure.
-            stop_after_failures: so many failures in a row end the run.
-            retry_failed: train again where trainings failed.
-            rehearse: try the evaluation before the first training.
-            progress: print a line per pick to standard error.
+                one seed per context.
+            trainer: instead of these functions; None: the one that the study was made with. Give
+                `mbtl.FunctionTrainer(train, evaluate, save, load)` to keep policies of functions.
+            workers: how many trainings at a time, where, how long; None: one after another, here.
+            failures: what to do about trainings that fail; None: see `Failures`.
             callbacks: told what happens.
+            progress: print a line per pick to standard error.
             report: evaluate the routed policies on fresh seeds at the end.
-            lease: seconds without a sign of life after which others take a training over.
-            deterministic: with parallel > 1, wait for a whole batch before the next picks.
-            retries: so often a training that failed is begun again before it counts as failed.
-            timeout: seconds that a training and its evaluation may take.
-            accept_changes: go on although own functions have changed since the study was begun.
 
         Returns:
             V after each training, all trainings, failures, and why the run ended.
 
         Raises:
-            StudyMismatch: the study was run with another recipe, policy format or code before.
+            StudyMismatch: the study was run with another recipe, policy format or code before;
+                `equip(trainer, accept_changes=True)` accepts other code.
         """
         from mbtl.study.callbacks import PrintProgress
-        from mbtl.study.runner import run  # the runner joins study, trainer and executor
+        from mbtl.study.runner import Failures, Workers, run
 
-        given = [f for f in (train, evaluate, save, load) if f is not None]
-        if given and trainer is not None:
+        if (train is not None or evaluate is not None) and trainer is not None:
             raise InvalidInput("run takes functions or a trainer, got both; leave one out")
-        trainer = self.trainer if trainer is None and not given else trainer
+        trainer = self.trainer if trainer is None and train is None else trainer
         if trainer is None:
             if train is None or evaluate is None:
                 raise InvalidInput("run needs train and evaluate functions, or a trainer")
-            trainer = FunctionTrainer(train, evaluate, save, load)
+            trainer = FunctionTrainer(train, evaluate)
         return run(
             self,
             trainer,
-            parallel=parallel,
-            executor=executor,
-            on_failure=on_failure,
-            stop_after_failures=stop_after_failures,
-            retry_failed=retry_failed,
-            rehearse=rehearse,
+            workers=workers or Workers(),
+            failures=failures or Failures(),
             callbacks=(*callbacks, *([PrintProgress()] if progress else [])),
             report=report,
-            lease=lease,
-            deterministic=deterministic,
-            retries=retries,
-            timeout=timeout,
-            accept_changes=accept_changes,
         )
 
     def stop(self, reason: str = "it was stopped") -> None:

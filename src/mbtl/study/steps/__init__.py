@@ -1,1 +1,0 @@
-"""Studies that are paid in environment steps, all in."""
