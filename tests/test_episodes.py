@@ -10,6 +10,7 @@ import pytest
 import scipy.stats
 
 import mbtl
+from flat import created
 from mbtl.episodes import Episodes, scatter_of_sum, student
 from mbtl.objective import Bounds
 
@@ -71,7 +72,7 @@ def noisy_run(capsys, n, seed, budget, **wishes):
         luck = [0.2 * np.random.default_rng(each).standard_normal(2) for each in seeds]
         return [true(policy, c["load"]) + each for c, each in zip(contexts, luck, strict=True)]
 
-    study = mbtl.create_study(space, budget=budget, seed=seed, bounds=(0.0, 1.0), **wishes)
+    study = created(space, budget=budget, seed=seed, bounds=(0.0, 1.0), **wishes)
     study.run(lambda context, seed: context["load"], evaluate, report=False)
     trained = loads[list(study.history.sources)]
     return capsys.readouterr().err.splitlines(), true(trained[study.routing.route], loads).mean()

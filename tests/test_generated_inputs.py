@@ -20,6 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import mbtl
+from flat import created
 from mbtl.benchmark import TransferMatrix
 from mbtl.cli import main
 from mbtl.loading import load_object
@@ -119,8 +120,8 @@ def text_of(record):
 def made(tmp_path_factory):
     """A study with its policies, a portfolio and a matrix, to be copied and damaged."""
     folder = tmp_path_factory.mktemp("made")
-    study = mbtl.create_study(
-        quick_problem.SPACE, budget=2, bounds=(-40.0, 0.0), selector="mbtl",
+    study = created(
+        quick_problem.SPACE, budget=2, bounds=(-40.0, 0.0), strategy="mbtl",
         storage=folder / "study.db",
     )  # fmt: skip
     study.run(trainer=quick_problem.TRAINER, progress=False)
@@ -238,7 +239,7 @@ SETTINGS = (
 LIKELY = {
     "budget": st.integers(1, 5),
     "bounds": st.sampled_from([(0.0, 1.0), (1, 0), (0, np.inf), mbtl.Bounds(0, 1, floor=0.5)]),
-    "selector": st.sampled_from(["random", "greedy", "auto"]),
+    "strategy": st.sampled_from(["random", "greedy", "auto"]),
 }
 
 
@@ -246,12 +247,12 @@ LIKELY = {
 @given(data=st.data())
 def test_settings_of_a_study(data):
     chosen = data.draw(st.lists(st.sampled_from(SETTINGS), max_size=3, unique=True))
-    wishes = {"budget": 3, "selector": "random"}
+    wishes = {"budget": 3, "strategy": "random"}
     wishes |= {name: data.draw(LIKELY.get(name, ANY) | ANY) for name in chosen}
     if callable(wishes.get("costs")) or isinstance(wishes.get("trainer"), str):
         wishes.pop("costs", None)  # a user's own function may raise what it likes
     with ours():
-        study = mbtl.create_study(SPACE, **wishes)
+        study = created(SPACE, **wishes)
         study.tell(study.ask(), np.linspace(0.0, 1.0, 5), targets=None)
         study.ask()
 
@@ -259,7 +260,7 @@ def test_settings_of_a_study(data):
 @generated
 @given(pick=ANY, returns=ANY, targets=st.none() | ANY, cost=st.none() | ANY, seconds=ANY, n=ANY)
 def test_asking_and_telling(pick, returns, targets, cost, seconds, n):
-    study = mbtl.create_study(SPACE, budget=3, selector="random")
+    study = mbtl.create_study(SPACE, budget=3, strategy="random")
     with ours():
         study.ask(n)
     with ours():

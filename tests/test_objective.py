@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from mbtl import ContextSpace, Linear, TransferMatrix, create_study
+from flat import created
+from mbtl import ContextSpace, Linear, TransferMatrix
 from mbtl.cmdps import CMDP
 from mbtl.errors import InvalidInput
 from mbtl.objective import (
@@ -109,7 +110,7 @@ def test_a_direction_has_a_short_name_everywhere(short):
     for name in (short, long):
         assert TransferMatrix.of(np.eye(2)[None], direction=name).bounds.direction == long
         space = ContextSpace.grid({Linear("x", 0, 1): 2})
-        assert create_study(space, budget=1, direction=name).spec.direction == long
+        assert created(space, budget=1, direction=name).spec.direction == long
         assert CMDP("own", space, None, bounds=(0, 1), direction=name).direction == long
     with pytest.raises(InvalidInput, match="'maximize' or 'minimize'"):
         direction_named("up")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-import mbtl
+from flat import created
 from mbtl.benchmark.replay import replay
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.models import transfer_gp
@@ -75,7 +75,7 @@ def test_value_curve_and_routes_take_one_thread_as_a_pick_does(two_threads, monk
     noted = lambda *given: seen.append(most_threads()) or solve(*given)  # noqa: E731
     monkeypatch.setattr(transfer_gp, "half_solved", noted)
     space = ContextSpace.grid({Linear("x", 0.0, 4.0): 5})
-    study = mbtl.create_study(space, budget=3, risk=risk, selector="equidistant")
+    study = created(space, budget=3, risk=risk, strategy="equidistant")
     rng = np.random.default_rng(0)
     for ask in ("value", "curve", "routing"):
         study.tell(study.ask(), rng.random((5, 3)))

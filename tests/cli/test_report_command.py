@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.benchmark import TransferMatrix
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0, unit="m"): 12})
@@ -13,7 +14,7 @@ SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0, unit="m"): 12})
 @pytest.fixture
 def stored(tmp_path):
     """A study with one of two trainings, in its folder."""
-    study = mbtl.create_study(
+    study = created(
         SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s" / "study.db", name="s"
     )
     tell_one(study)
@@ -79,7 +80,7 @@ def test_a_mistake_costs_one_line(mbtl_command, stored, arguments, said):
 def test_a_database_of_several_studies_shows_those_that_are_named(mbtl_command, tmp_path, stored):
     for name in ("second", "third"):
         database = tmp_path / "s" / "study.db"
-        tell_one(mbtl.create_study(SPACE, budget=1, bounds=(0, 1), storage=database, name=name))
+        tell_one(created(SPACE, budget=1, bounds=(0, 1), storage=database, name=name))
     url = f"sqlite:///{tmp_path}/s/study.db"
     code, _, err = mbtl_command("report", url)
     assert code == 2
@@ -103,7 +104,7 @@ def test_a_folder_without_a_study_says_what_it_holds(mbtl_command, tmp_path, sto
 
 
 def test_a_study_paid_in_steps_has_a_page_and_no_rows_to_export(mbtl_command, tmp_path):
-    mbtl.create_study(
+    created(
         SPACE, cost="steps", budget=1000, bounds=(0, 1), lengths=[10], episodes=2, horizon=5,
         storage=tmp_path / "s.db",
     )  # fmt: skip

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.cli.play import _portfolio
 from mbtl.objective import Bounds
 from mbtl.portfolio import Portfolio
@@ -19,7 +20,7 @@ def place(tmp_path):
     """A folder whose database holds two studies, and one beside it that holds one."""
     for folder, name, told in (("a", "first", 1), ("a", "the second", 2), ("b", "study", 1)):
         database = tmp_path / "runs" / folder / "study.db"
-        study = mbtl.create_study(SPACE, budget=2, bounds=(0, 4), storage=database, name=name)
+        study = created(SPACE, budget=2, bounds=(0, 4), storage=database, name=name)
         for _ in range(told):
             study.tell(study.ask(), np.full(3, float(told)))
     return tmp_path / "runs"

@@ -50,7 +50,7 @@ def place(tmp_path, monkeypatch):
 def made(place, **settings):
     problem = mbtl.loading.load_object("quick.py:problem")
     return problem.study(
-        storage=place / "s" / "study.db", selector="mbtl", **{"budget": 3, **settings}
+        storage=place / "s" / "study.db", strategy="mbtl", **{"budget": 3, **settings}
     )
 
 

@@ -5,6 +5,8 @@ from functools import partial
 
 import pytest
 
+from flat import created, ran
+
 pytest.importorskip("libsumo")
 pytest.importorskip("stable_baselines3")
 
@@ -25,13 +27,13 @@ def test_a_study_goes_on_after_a_simulator_was_killed_in_training(tmp_path):
         hyperparameters={"n_steps": 10, "batch_size": 10, "n_epochs": 1},
     )  # fmt: skip
     space = mbtl.ContextSpace.points(cmdp.space.axes, [{"hold": h} for h in (10.0, 20.0, 40.0)])
-    study = mbtl.create_study(
-        space, budget=3, selector="random", bounds=cmdp.bounds, storage=tmp_path / "study"
+    study = created(
+        space, budget=3, strategy="random", bounds=cmdp.bounds, storage=tmp_path / "study"
     )
     with pytest.raises(TrainingFailed, match="end of a process"):  # nothing has succeeded yet
         study.run(trainer=trainer)
     assert (tmp_path / "died").exists()
     again = mbtl.load_study(tmp_path / "study")
     assert len(again.state.failures) == 1
-    again.run(trainer=trainer, retry_failed=True)
+    ran(again, trainer=trainer, retry_failed=True)
     assert (len(again.state.failures), len(again.history.sources)) == (0, 3)

@@ -8,6 +8,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import mbtl
+from flat import created
 from mbtl.benchmark import TransferMatrix
 from mbtl.plot.style import distinct
 
@@ -23,7 +24,7 @@ def row(space, source):
 
 
 def study_on(space, picks=4):
-    study = mbtl.create_study(space, budget=6, bounds=(0.0, 1.0), problem="toy", selector="mbtl")
+    study = created(space, budget=6, bounds=(0.0, 1.0), problem="toy", strategy="mbtl")
     for _ in range(picks):
         pick = study.ask()
         study.tell(pick, row(space, pick.source))
@@ -125,7 +126,7 @@ def test_many_values_of_a_third_axis_are_nine_maps_that_say_how_much_they_show()
     assert "(1188 of 1320 contexts)" in panels[0].figure.get_suptitle()
     assert {panels[0].get_title("left"), panels[8].get_title("left")} == {"z 0", "z 1"}
     points = mbtl.ContextSpace.sample(space.axes, 40, seed=0)
-    study = mbtl.create_study(points, budget=2, bounds=(0.0, 1.0), selector="random")
+    study = created(points, budget=2, bounds=(0.0, 1.0), strategy="random")
     for _ in range(2):
         pick = study.ask()
         study.tell(pick, row(points, pick.source))
@@ -146,7 +147,7 @@ def test_colours_of_policies_are_told_apart():
 
 def test_numbers_of_sources_side_by_side_do_not_hide_each_other():
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 100})
-    study = mbtl.create_study(space, budget=3, bounds=(0.0, 1.0))
+    study = created(space, budget=3, bounds=(0.0, 1.0))
     for source in (50, 51, 52):
         study.tell(source, row(space, source))
     ax = mbtl.plot.policy_map(study)
@@ -218,7 +219,7 @@ def test_shares_have_a_panel_for_each_axis():
         }
     )
     wet = np.array([road == "wet" for road in space.values("road")])
-    study = mbtl.create_study(space, budget=2, bounds=(0.0, 1.0))
+    study = created(space, budget=2, bounds=(0.0, 1.0))
     study.tell(0, np.where(wet, 0.6, 0.4))
     study.tell(399, np.where(wet, 0.4, 0.6))
     mass, length, road = mbtl.plot.policy_shares(study)
@@ -237,7 +238,7 @@ def test_pictures_are_written_in_the_format_of_their_ending(tmp_path, ending):
 
 
 def test_a_curve_has_the_intervals_of_the_episodes_it_is_of():
-    study = mbtl.create_study(LINE, budget=3, bounds=(0.0, 1.0))
+    study = created(LINE, budget=3, bounds=(0.0, 1.0))
     for pick, base in zip(study.ask(3), (0.2, 0.5, 0.6), strict=True):
         study.tell(pick, base + 0.1 * np.random.default_rng(0).standard_normal((LINE.n, 4)))
     ax = mbtl.plot.curve(study)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.benchmark import TransferMatrix
 from mbtl.errors import InvalidInput
 from mbtl.report import of_matrix, of_study, page, write_page
@@ -20,7 +21,7 @@ SPACE = mbtl.ContextSpace.grid({mbtl.Log("mass", 0.1, 10.0, unit="kg"): N})
 
 
 def study_on(space=SPACE, picks=3, problem="toy"):
-    study = mbtl.create_study(space, budget=6, bounds=(0.0, 1.0), problem=problem, selector="mbtl")
+    study = created(space, budget=6, bounds=(0.0, 1.0), problem=problem, strategy="mbtl")
     for _ in range(picks):
         pick = study.ask()
         away = np.linalg.norm(space.unit - space.unit[pick.source], axis=1)
@@ -166,7 +167,7 @@ def test_a_matrix_of_fewer_sources_is_replayed_beside_others():
 
 def test_a_study_of_100_contexts_and_15_picks_is_below_4_mb():
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 100})
-    study = mbtl.create_study(space, budget=15, bounds=(0.0, 1.0), selector="random")
+    study = created(space, budget=15, bounds=(0.0, 1.0), strategy="random")
     rng = np.random.default_rng(0)
     for _ in range(15):
         study.tell(study.ask(), rng.random(100))

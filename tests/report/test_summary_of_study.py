@@ -5,6 +5,7 @@ import pytest
 import scipy.stats
 
 import mbtl
+from flat import created
 from mbtl.report import reference_curves, summarise_study
 from mbtl.report.summary import policies_enough
 from mbtl.report.text import lines
@@ -19,9 +20,7 @@ def row(source):
 
 
 def study_of(picks, episodes=1, **settings):
-    study = mbtl.create_study(
-        SPACE, budget=6, bounds=(0.0, 1.0), problem="toy", selector="mbtl", **settings
-    )
+    study = created(SPACE, budget=6, bounds=(0.0, 1.0), problem="toy", strategy="mbtl", **settings)
     for _ in range(picks):
         pick = study.ask()
         study.tell(pick, np.repeat(row(pick.source)[:, None], episodes, axis=1))
@@ -99,7 +98,7 @@ def test_fresh_intervals_are_of_independent_contexts_and_paired_between_policies
 
 
 def test_it_is_said_on_how_many_contexts_and_in_how_many_episodes_policies_were_evaluated():
-    study = mbtl.create_study(SPACE, budget=4, bounds=(0.0, 1.0), eval_targets=5)
+    study = created(SPACE, budget=4, bounds=(0.0, 1.0), eval_targets=5)
     study.tell(study.ask(), np.full((5, 3), 0.5))
     first = lines(summarise_study(study), SPACE)[0]
     assert first.endswith("Every policy was evaluated on 5 of 20 contexts in 3 episodes.")
@@ -132,7 +131,7 @@ def test_the_verdict_follows_from_the_interval(gain, margin, verdict):
 
 
 def test_verdict_tells_one_policy_from_many():
-    flat = mbtl.create_study(SPACE, budget=3, bounds=(0.0, 1.0), selector="mbtl")
+    flat = created(SPACE, budget=3, bounds=(0.0, 1.0), strategy="mbtl")
     for _ in range(3):
         flat.tell(flat.ask(), np.full((N, 2), 0.8))
     assert summarise_study(flat).verdict.startswith("One policy would do")
@@ -142,7 +141,7 @@ def test_verdict_tells_one_policy_from_many():
 def test_verdict_is_silent_where_chance_decides():
     assert "cannot be said from one episode" in summarise_study(study_of(4)).verdict
     rng = np.random.default_rng(0)
-    noisy = mbtl.create_study(SPACE, budget=3, bounds=(0.0, 1.0), selector="mbtl")
+    noisy = created(SPACE, budget=3, bounds=(0.0, 1.0), strategy="mbtl")
     for _ in range(3):
         noisy.tell(noisy.ask(), 0.8 + 0.3 * rng.standard_normal((N, 3)))
     summary = summarise_study(noisy)
@@ -184,7 +183,7 @@ def test_reference_curves_need_the_same_recipe(tmp_path, monkeypatch):
 
 def test_report_portfolio_and_fresh_episodes_follow_the_same_routes_also_where_policies_tie():
     """Two policies that are equally good in the episodes seen; afresh each is good near its own."""
-    study = mbtl.create_study(SPACE, budget=2, bounds=(0.0, 1.0), selector="mbtl")
+    study = created(SPACE, budget=2, bounds=(0.0, 1.0), strategy="mbtl")
     sources = []
     for _ in range(2):
         pick = study.ask()

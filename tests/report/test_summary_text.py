@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-import mbtl
+from flat import created
 from mbtl.cmdps import get_cmdp
 from mbtl.report import summarise_study
 from mbtl.report.text import show_summary
@@ -18,7 +18,7 @@ def space():
 
 
 def test_a_context_of_three_axes_takes_three_lines_of_the_table(space):
-    study = mbtl.create_study(space, budget=2, bounds=(0.0, 1.0), problem="cartpole-masses-length")
+    study = created(space, budget=2, bounds=(0.0, 1.0), problem="cartpole-masses-length")
     study.tell(study.ask(), np.linspace(0.1, 0.9, space.n))
     screen = Console(file=io.StringIO(), width=80)
     show_summary(screen, summarise_study(study), space)

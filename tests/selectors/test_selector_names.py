@@ -74,7 +74,7 @@ class Bare:
 
 def test_one_method_is_enough_for_a_selector():
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
-    study = mbtl.create_study(space, budget=2, selector=Bare())
+    study = mbtl.create_study(space, budget=2, strategy=Bare())
     assert [study.ask().source, study.ask().source] == [4, 3]
     assert study.spec.selector["name"] == "Bare"
     assert traits_of(study.selector) == Traits()
@@ -115,7 +115,7 @@ def test_an_object_that_is_no_selector_is_refused_in_one_sentence(given, match):
 )
 def test_a_proposal_that_breaks_the_contract_is_refused_and_the_next_asker_goes_on(proposed, match):
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
-    study = mbtl.create_study(space, budget=3, selector=Bare())
+    study = mbtl.create_study(space, budget=3, strategy=Bare())
     study.tell(2, np.zeros(5))
     study.selector = types.SimpleNamespace(name="Bare", propose=lambda *_: proposed)
     with pytest.raises(InvalidInput, match=match):

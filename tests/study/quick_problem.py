@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import mbtl
+from flat import created, ran
 from mbtl.trainer import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("mass", 0.2, 4.0, unit="kg"): 15})
@@ -55,7 +56,7 @@ TRAINER = FunctionTrainer(train, evaluate, save, load)
 
 
 def play(folder, parallel=1):
-    study = mbtl.create_study(
+    study = created(
         SPACE,
         budget=BUDGET,
         bounds=None,
@@ -63,7 +64,7 @@ def play(folder, parallel=1):
         storage=Path(folder) / "study.db",
         load_if_exists=True,
     )
-    study.run(trainer=TRAINER, parallel=parallel)
+    ran(study, trainer=TRAINER, parallel=parallel)
     return study
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created, ran
 from mbtl.errors import StorageError
 from mbtl.selectors import MBTL
 from mbtl.study import StudyFinished, asking, leasing
@@ -57,13 +58,13 @@ def wait(study):
 
 def begun(place, **wishes):
     wishes = settings_of(place, **wishes)
-    crowd = mbtl.create_study(SPACE, selector="mbtl", **wishes)
+    crowd = created(SPACE, strategy="mbtl", **wishes)
     for source in (3, 35):
         crowd.tell(source, row(source))
     for _ in range(HELD):
         crowd.ask(lease=600.0)
     wait(crowd)
-    one, another = (mbtl.create_study(SPACE, selector=Counting(), **wishes) for _ in range(2))
+    one, another = (created(SPACE, strategy=Counting(), **wishes) for _ in range(2))
     return crowd, one, another
 
 
@@ -109,7 +110,7 @@ def test_a_pick_ahead_that_does_not_hold_any_more_is_proposed_anew(busy, change)
 
 
 def test_who_waits_says_so_and_is_proposed_for(tmp_path, monkeypatch):
-    study = mbtl.create_study(SPACE, selector="mbtl", **settings_of(tmp_path))
+    study = created(SPACE, strategy="mbtl", **settings_of(tmp_path))
     waiting = mbtl.load_study(tmp_path / "study.db")
     claim = asking.claim(study.state, study.watch(), 60.0, study.worker)
     study._commit(lambda state: claim)
@@ -126,7 +127,7 @@ def test_who_waits_says_so_and_is_proposed_for(tmp_path, monkeypatch):
 
 
 def test_a_worker_alone_proposes_nothing_ahead(tmp_path):
-    study = mbtl.create_study(SPACE, selector="mbtl", **settings_of(tmp_path))
+    study = created(SPACE, strategy="mbtl", **settings_of(tmp_path))
     study.ask(3, lease=600.0)
     study.run(trainer=TRAINER, report=False, progress=False)
     assert not any("ahead" in event.data for event in study.log.read())
@@ -137,13 +138,13 @@ def test_a_run_in_whole_batches_proposes_nothing_ahead(busy):
     crowd, one, _ = busy
     for pick in crowd.open_picks():
         crowd.release(pick)
-    one.run(trainer=TRAINER, report=False, progress=False, deterministic=True)
+    ran(one, trainer=TRAINER, report=False, progress=False, deterministic=True)
     assert not one.proposes_ahead
     assert not any("ahead" in event.data for event in one.log.read())
 
 
 def test_a_study_that_a_prediction_may_end_proposes_nothing_ahead(tmp_path):
-    study = mbtl.create_study(SPACE, selector="auto", stop_gain=1e-6, **settings_of(tmp_path))
+    study = created(SPACE, strategy="auto", stop_gain=1e-6, **settings_of(tmp_path))
     wait(study)
     study.ask(lease=600.0)
     assert not study.state.ahead

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created, ran
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.seeds import training_seed
 from mbtl.selectors import Proposal, Traits
@@ -41,11 +42,11 @@ class Simulator:
 
 
 def study_of(strategy, budget=4, **settings):
-    return mbtl.create_study(SPACE, budget=budget, selector=strategy, bounds=(0.0, 1.0), **settings)
+    return created(SPACE, budget=budget, strategy=strategy, bounds=(0.0, 1.0), **settings)
 
 
 def run(study, simulator, **how):
-    return study.run(simulator.train, simulator.evaluate, progress=False, **how)
+    return ran(study, simulator.train, simulator.evaluate, **how)
 
 
 @dataclass(frozen=True)
@@ -204,7 +205,7 @@ def test_what_goes_on_is_read_back_by_another_process(tmp_path):
     again = mbtl.load_study(place)
     assert [row.length for row in again.state.rows] == [1.0, 2.0]
     assert len(again.orphans) == 1
-    again.run(simulator.train, simulator.evaluate, accept_changes=True, **functions)
+    ran(again, simulator.train, simulator.evaluate, accept_changes=True, **functions)
     assert [row.length for row in again.state.rows] == [1.0, 2.0, 4.0]
     assert again.portfolio(again.trainer or None).sets == {0: ALL, 1: ALL, 2: ALL}
     assert simulator.calls[-1][2]["units"] == 2.0

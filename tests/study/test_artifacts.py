@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.study.artifacts import FolderStore, RemoteStore, store_at
 from mbtl.testing.artifacts import ArtifactStoreContract
@@ -98,11 +99,9 @@ class TestS3(ArtifactStoreContract):
 
 
 def study_at(path, artifacts=None, **settings):
-    settings = {"budget": 3, "bounds": (0.0, 1.0), "selector": "random", **settings}
+    settings = {"budget": 3, "bounds": (0.0, 1.0), "strategy": "random", **settings}
     place = path / "study.db"
-    return mbtl.create_study(
-        SPACE, storage=place, artifacts=artifacts, load_if_exists=True, **settings
-    )
+    return created(SPACE, storage=place, artifacts=artifacts, load_if_exists=True, **settings)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
@@ -231,12 +230,12 @@ def test_a_place_that_cannot_be_written_is_found_before_the_first_training(tmp_p
     TRAINED.clear()
     (tmp_path / "file").write_text("no folder")
     if steps:
-        study = mbtl.create_study(
+        study = created(
             SPACE, cost="steps", budget=2_000, lengths=[1000], horizon=10, episodes=1,
             strategy="fixed", bounds=(0.0, 1.0), artifacts=tmp_path / "file" / "kept",
         )  # fmt: skip
     else:
-        study = mbtl.create_study(SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s.db",
+        study = created(SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s.db",
                                   artifacts=tmp_path / "file" / "kept")  # fmt: skip
     trainer = FunctionTrainer(counted, evaluate, TRAINER.save_fn, TRAINER.load_fn)
     with pytest.raises(StorageError, match=r"nothing can be written there.*nothing is trained"):
@@ -260,7 +259,7 @@ def test_a_policy_that_cannot_be_saved_waits_for_the_next_run(tmp_path, monkeypa
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     if not beside:
         (tmp_path / "waiting").write_text("no room beside the database")
-    study = mbtl.create_study(SPACE, budget=1, bounds=(0.0, 1.0), storage=tmp_path / "s.db",
+    study = created(SPACE, budget=1, bounds=(0.0, 1.0), storage=tmp_path / "s.db",
                               artifacts=tmp_path / "kept")  # fmt: skip
     trainer = FunctionTrainer(counted, evaluate, TRAINER.save_fn, TRAINER.load_fn)
     study.artifacts = Full(tmp_path / "kept")

@@ -14,6 +14,7 @@ import quick_problem
 
 import mbtl
 from damage import damaged, damaged_bytes, refusals
+from flat import created
 from mbtl.errors import InvalidInput, StorageError, StudyError
 from mbtl.report import summarise_study
 from mbtl.selectors import get_selector
@@ -30,7 +31,7 @@ SPACE = mbtl.ContextSpace.grid(
 @pytest.fixture
 def study(tmp_path):
     """A study in a file with events of every kind but one."""
-    made = mbtl.create_study(
+    made = created(
         SPACE, budget=3, bounds=(0.0, 9.0), costs=np.arange(1, 7), cost_budget=50,
         eval_targets=4, settings={"recipe": {"steps": 3}}, storage=tmp_path / "study.db",
     )  # fmt: skip
@@ -266,7 +267,7 @@ def test_any_damage_to_the_database_gets_a_sentence(study, tmp_path):
 
 def test_a_pick_of_another_study_answers_nothing():
     studies = [
-        mbtl.create_study(SPACE, budget=3, selector=name) for name in ("mbtl", "worst-first")
+        mbtl.create_study(SPACE, budget=3, strategy=name) for name in ("mbtl", "worst-first")
     ]
     ours, theirs = (study.ask() for study in studies)
     other = dataclasses.replace(theirs, sources=((ours.source + 1) % 6,))
@@ -280,7 +281,7 @@ def test_a_pick_of_another_study_answers_nothing():
 
 def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
     number = np.float32(0.5)
-    study = mbtl.create_study(
+    study = created(
         SPACE, budget=3, theta=number, stop_value=number, bounds=(number, np.int64(3)),
         direction="max", storage=tmp_path / "a.db",
     )  # fmt: skip
@@ -309,5 +310,5 @@ def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
 )
 def test_settings_that_are_no_numbers_are_refused_and_nothing_is_stored(tmp_path, wrong, words):
     with pytest.raises(InvalidInput, match=words):
-        mbtl.create_study(SPACE, budget=3, storage=tmp_path / "a.db", **wrong)
+        created(SPACE, budget=3, storage=tmp_path / "a.db", **wrong)
     assert not (tmp_path / "a.db").exists()

@@ -10,6 +10,7 @@ import pytest
 import quick_problem
 
 import mbtl
+from flat import created, ran
 from mbtl.trainer import FunctionTrainer
 
 PROGRAM = "from mbtl.cli import program; program()"
@@ -42,7 +43,7 @@ def test_a_study_on_dask_loses_nothing_when_a_worker_process_is_killed(tmp_path,
     trainer = FunctionTrainer(
         Deadly(tmp_path / "killed"), quick_problem.evaluate, quick_problem.save, quick_problem.load
     )
-    study = mbtl.create_study(
+    study = created(
         quick_problem.SPACE, budget=6, bounds=(-20.0, 0.0), storage=tmp_path / "study.db"
     )
     with (
@@ -52,7 +53,7 @@ def test_a_study_on_dask_loses_nothing_when_a_worker_process_is_killed(tmp_path,
         ) as cluster,
         distributed.Client(cluster) as client,
     ):  # fmt: skip
-        study.run(trainer=trainer, parallel=2, executor=client.get_executor(pure=False))
+        ran(study, trainer=trainer, parallel=2, executor=client.get_executor(pure=False))
     assert (tmp_path / "killed").exists()
     assert study.is_finished
     rows = mbtl.load_study(tmp_path).state.rows
@@ -75,7 +76,7 @@ def test_submitit_starts_workers_and_they_end_the_study(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folders = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(folders))
-    study = mbtl.create_study(
+    study = created(
         quick_problem.SPACE, budget=6, bounds=(-20.0, 0.0), storage=tmp_path / "study.db",
         problem="quick", settings={"switches": {}},
     )  # fmt: skip

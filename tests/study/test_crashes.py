@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.episodes import episode_moments
 from mbtl.errors import TrainingFailed
 from mbtl.history import History
@@ -15,7 +16,7 @@ X = SPACE.unit[:, 0]
 
 
 def study_of(**settings):
-    return mbtl.create_study(SPACE, budget=9, bounds=(0.0, 1.0), **settings)
+    return created(SPACE, budget=9, bounds=(0.0, 1.0), **settings)
 
 
 def test_an_episode_that_crashed_costs_one_episode():
@@ -34,7 +35,7 @@ def test_an_episode_that_crashed_costs_one_episode():
 
 @pytest.mark.parametrize("selector", ["auto", "mbtl", "mbtl-ei", "gp-mbtl", "random"])
 def test_a_context_where_all_crashed_is_missing_and_the_study_goes_on(selector):
-    study = study_of(selector=selector)
+    study = study_of(strategy=selector)
     for _ in range(3):
         pick = study.ask()
         returns = 1.0 - np.abs(X[:, None] - X[pick.source]) + np.zeros((60, 4))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.errors import InvalidInput
 from mbtl.study import StudyFinished
 
@@ -12,7 +13,7 @@ SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})
 
 
 def study_of(**settings):
-    return mbtl.create_study(SPACE, **{"budget": 8, "bounds": (0.0, 500.0), **settings})
+    return created(SPACE, **{"budget": 8, "bounds": (0.0, 500.0), **settings})
 
 
 def tell(study, level, episodes=2, noise=0.0):
@@ -22,7 +23,7 @@ def tell(study, level, episodes=2, noise=0.0):
 
 
 def test_a_study_ends_where_v_is_as_large_as_it_can_be():
-    study = study_of(stop_left=0.005, best_return=500.0, selector="mbtl")
+    study = study_of(stop_left=0.005, best_return=500.0, strategy="mbtl")
     tell(study, 490.0)
     assert study.stop_reason is None
     tell(study, 498.0)
@@ -38,7 +39,7 @@ def test_the_smallest_return_is_the_best_where_returns_are_minimised():
 
 
 def test_without_those_wishes_the_budget_is_spent():
-    study = study_of(budget=3, selector="mbtl")
+    study = study_of(budget=3, strategy="mbtl")
     for _ in range(3):
         tell(study, 500.0)
     assert study.stop_reason == "the budget of 3 trainings is spent"
@@ -64,13 +65,13 @@ def test_a_study_goes_on_while_other_contexts_promise_something():
 
 
 def test_a_lucky_mean_does_not_reach_a_level():
-    lucky = study_of(stop_value=0.8, selector="mbtl")
+    lucky = study_of(stop_value=0.8, strategy="mbtl")
     tell(lucky, 405.0, episodes=3, noise=120.0)
     now = lucky.routing.value
     assert now.error > 0.01
     assert now.value - 1.28 * now.error < 0.8
     assert lucky.stop_reason is None
-    sure = study_of(stop_value=0.8, selector="mbtl")
+    sure = study_of(stop_value=0.8, strategy="mbtl")
     tell(sure, 405.0)
     assert sure.stop_reason == "V = 0.8100 reaches the level 0.8"
 

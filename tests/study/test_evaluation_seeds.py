@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.seeds import Purpose, evaluation_seeds
 from mbtl.study.fresh import fresh_value
@@ -19,8 +20,8 @@ def start_of(seed):
 
 
 def study_of(root=0, **settings):
-    given = {"budget": 2, "bounds": (0.0, 1.0), "selector": "random", **settings}
-    return mbtl.create_study(SPACE, seed=root, **given)
+    given = {"budget": 2, "bounds": (0.0, 1.0), "strategy": "random", **settings}
+    return created(SPACE, seed=root, **given)
 
 
 def train(context, seed):

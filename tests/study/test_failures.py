@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created, ran
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
 from mbtl.seeds import training_seed
 from mbtl.study import Callback
@@ -62,10 +63,8 @@ class Rehearsing(Bench):
 
 
 def study_in(path, **settings):
-    settings = {"budget": 5, "bounds": (0.0, 1.0), "selector": "random", **settings}
-    return mbtl.create_study(
-        SPACE, storage=path and path / "study.db", load_if_exists=True, **settings
-    )
+    settings = {"budget": 5, "bounds": (0.0, 1.0), "strategy": "random", **settings}
+    return created(SPACE, storage=path and path / "study.db", load_if_exists=True, **settings)
 
 
 def fails(when, error=RuntimeError):
@@ -98,7 +97,7 @@ def test_a_rehearsal_is_short_and_can_be_left_out():
     study_in(None, budget=1).run(trainer=trainer, report=False)
     assert trainer.evaluated == [(0.0, 2), (trainer.trained[0], N)]
     trainer = Rehearsing()
-    study_in(None, budget=1).run(trainer=trainer, report=False, rehearse=False)
+    ran(study_in(None, budget=1), trainer=trainer, report=False, rehearse=False)
     assert trainer.evaluated == [(trainer.trained[0], N)]
 
 
@@ -146,7 +145,7 @@ def test_a_licence_that_expires_after_the_first_training_ends_the_run_after_thre
         study.run(trainer=trainer)
     assert (len(study.state.rows), len(study.state.failures)) == (1, 3)
     trainer.breaks["train"] = None
-    study = study_in(tmp_path).run(trainer=trainer, retry_failed=True).study
+    study = ran(study_in(tmp_path), trainer=trainer, retry_failed=True).study
     assert (len(study.state.rows), len(study.state.failures)) == (5, 0)
     assert len(study.state.picks) == 5  # what failed spent no budget twice
 
@@ -157,7 +156,7 @@ def test_failures_with_successes_between_do_not_end_the_run(tmp_path):
     assert (len(study.state.rows), len(study.state.failures)) == (6, 2)
     trainer = Bench(train=fails(lambda count: count % 3 == 0))
     with pytest.raises(TrainingFailed, match="1 failure in a row"):
-        study_in(None, budget=8).run(trainer=trainer, stop_after_failures=1)
+        ran(study_in(None, budget=8), trainer=trainer, stop_after_failures=1)
     assert len(trainer.trained) == 3
 
 
@@ -268,7 +267,7 @@ def test_a_batch_is_told_before_one_of_its_failures_ends_the_run(tmp_path):
     first = SPACE.context(study_in(None).ask().source)["x"]
     evaluate = Bench().evaluate
     with ThreadPoolExecutor(2) as pool, pytest.raises(TrainingFailed, match="out of memory") as end:
-        study.run(broken, evaluate, parallel=2, executor=pool, on_failure="stop")
+        ran(study, broken, evaluate, parallel=2, executor=pool, on_failure="stop")
     assert len(study.state.rows) == 1
     assert "in broken" in end.value.__notes__[0]  # the exception itself stays in the worker
 

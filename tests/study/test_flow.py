@@ -11,6 +11,7 @@ import pytest
 import quick_problem
 
 import mbtl
+from flat import created, ran
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.processes import SeparateWorkers
 from mbtl.study import Callback
@@ -25,8 +26,8 @@ def evaluate(policy, contexts, seeds):
 
 
 def study_of(**settings):
-    settings = {"budget": 6, "bounds": (0.0, 1.0), "selector": "random", **settings}
-    return mbtl.create_study(SPACE, **settings)
+    settings = {"budget": 6, "bounds": (0.0, 1.0), "strategy": "random", **settings}
+    return created(SPACE, **settings)
 
 
 @pytest.mark.timeout(120)
@@ -49,7 +50,7 @@ def test_a_slow_training_holds_up_no_other(tmp_path):
         return context["x"]
 
     with ThreadPoolExecutor(2) as pool:
-        study.run(train, evaluate, parallel=2, executor=pool, callbacks=[Ear()], report=False)
+        ran(study, train, evaluate, parallel=2, executor=pool, callbacks=[Ear()], report=False)
     assert order == [1, 2, 3, 4, 5, 0]
     assert study.is_finished
 
@@ -74,13 +75,13 @@ class Mortal(FunctionTrainer):
 
 @pytest.mark.parametrize(("lives", "failed"), [(1, 0), (2, 1)])
 def test_a_worker_that_dies_costs_one_training_and_is_replaced(tmp_path, lives, failed):
-    study = mbtl.create_study(
+    study = created(
         quick_problem.SPACE, budget=4, bounds=(-20.0, 0.0), storage=tmp_path / "study.db"
     )
     for pick in study.ask(4):  # the same ones, whatever comes first
         study.release(pick)
     assert 7 in [pick.source for pick in study.state.picks]
-    study.run(trainer=Mortal(tmp_path, lives), parallel=2, report=False, rehearse=False)
+    ran(study, trainer=Mortal(tmp_path, lives), parallel=2, report=False, rehearse=False)
     assert [f.reason for f in study.state.failures] == ["its worker process died"] * failed
     assert len(study.state.rows) == 4 - failed
     assert study.is_finished
@@ -97,11 +98,9 @@ def test_a_training_that_fails_by_chance_is_begun_again(parallel):
         return context["x"]
 
     with ThreadPoolExecutor(2) as pool:
-        study = (
-            study_of()
-            .run(train, evaluate, parallel=parallel, executor=pool, retries=2, report=False)
-            .study
-        )
+        study = ran(
+            study_of(), train, evaluate, parallel=parallel, executor=pool, retries=2, report=False
+        ).study
     assert (len(study.state.rows), len(study.state.failures)) == (6, 0)
     assert len(tries) == 18
 
@@ -122,7 +121,7 @@ def test_a_training_that_takes_too_long_is_given_up(parallel):
     endless = study_of().ask(2)[1].context["x"]
     study = study_of()
     with ThreadPoolExecutor(3) as pool:
-        study.run(
+        ran(study,
             trainer=Endless(None, evaluate), parallel=parallel, executor=pool, timeout=0.3,
             report=False,
         )  # fmt: skip
@@ -157,11 +156,9 @@ def test_a_future_that_its_user_cancels_is_a_failed_training():
             return super().submit(fn, *args, **kwargs)
 
     with Cancelling(1) as pool:
-        study = (
-            study_of()
-            .run(lambda c, s: c["x"], evaluate, parallel=2, executor=pool, report=False)
-            .study
-        )
+        study = ran(
+            study_of(), lambda c, s: c["x"], evaluate, parallel=2, executor=pool, report=False
+        ).study
     assert [f.reason for f in study.state.failures] == ["it was cancelled"]
     assert len(study.state.rows) == 5
 
@@ -177,7 +174,7 @@ def test_while_nothing_has_succeeded_a_failure_begins_nothing_new():
         ThreadPoolExecutor(2) as pool,
         pytest.raises(TrainingFailed, match="nothing has succeeded"),
     ):
-        study_of().run(broken, evaluate, parallel=2, executor=pool)
+        ran(study_of(), broken, evaluate, parallel=2, executor=pool)
     assert len(begun) == 2
 
 
@@ -188,7 +185,7 @@ def test_an_interrupt_gives_back_what_is_under_way(tmp_path):
 
     study = study_of(storage=tmp_path / "study.db")
     with ThreadPoolExecutor(2) as pool, pytest.raises(KeyboardInterrupt):
-        study.run(
+        ran(study,
             lambda c, s: c["x"], evaluate, parallel=2, executor=pool, callbacks=[Stop()]
         )  # fmt: skip
     assert len(study.state.rows) == 1

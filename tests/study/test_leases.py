@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.selectors import Proposal
 from mbtl.study import Callback, StudyFinished, database
@@ -44,9 +45,7 @@ def clock(monkeypatch):
 
 @pytest.fixture
 def place(tmp_path):
-    mbtl.create_study(
-        SPACE, budget=4, bounds=(0.0, 1.0), selector="random", storage=tmp_path / "study.db"
-    )
+    created(SPACE, budget=4, bounds=(0.0, 1.0), strategy="random", storage=tmp_path / "study.db")
     return tmp_path
 
 
@@ -71,11 +70,11 @@ class Slow:
 def test_ten_askers_make_ten_proposals(tmp_path):
     """Each used to be thrown away when somebody else was faster: 53 for ten askers."""
     made, picks = [], []
-    settings = {"budget": 10, "selector": Slow(made), "storage": tmp_path / "study.db"}
-    mbtl.create_study(SPACE, **settings)
+    settings = {"budget": 10, "strategy": Slow(made), "storage": tmp_path / "study.db"}
+    created(SPACE, **settings)
 
     def ask():
-        picks.append(mbtl.create_study(SPACE, load_if_exists=True, **settings).ask())
+        picks.append(created(SPACE, load_if_exists=True, **settings).ask())
 
     threads = [threading.Thread(target=ask) for _ in range(10)]
     for thread in threads:
@@ -358,6 +357,6 @@ def test_events_of_leases_are_plain_records(place):
 
 
 def test_take_over_is_refused_by_strict_programs_and_ignored_by_others():
-    study = mbtl.create_study(SPACE, budget=2, bounds=(0.0, 1.0))
+    study = created(SPACE, budget=2, bounds=(0.0, 1.0))
     with pytest.warns(DeprecationWarning, match=r"take_over=.* 0\.3"):
         assert study.ask(take_over=True).number == study.ask().number - 1

@@ -10,13 +10,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from mbtl.study.steps.create import create_step_study
 
 import mbtl
+from flat import created, ran
 from mbtl.errors import TrainingFailed
 from mbtl.faults import TookTooLong
 from mbtl.seeds import training_seed
 from mbtl.study.limits import at_most
-from mbtl.study.steps.create import create_step_study
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies"),
@@ -31,8 +32,8 @@ def evaluate(policy, contexts, seed):
 
 
 def study_of(**settings):
-    settings = {"budget": 9, "bounds": (0.0, 1.0), "selector": "random", **settings}
-    return mbtl.create_study(SPACE, **settings)
+    settings = {"budget": 9, "bounds": (0.0, 1.0), "strategy": "random", **settings}
+    return created(SPACE, **settings)
 
 
 def step_study():
@@ -127,7 +128,7 @@ def test_a_training_that_never_reports_is_ended(where):
         return evaluate(policy, contexts, seed)
 
     study = study_of()
-    study.run(train, evaluated, timeout=0.2, report=False, rehearse=False)
+    ran(study, train, evaluated, timeout=0.2, report=False, rehearse=False)
     assert len(study.state.rows) == 8
     failed = [*study.state.failures, *study.state.deferred.values()]
     assert [one.source for one in failed] == [WRONG]
@@ -137,7 +138,7 @@ def test_a_training_that_never_reports_is_ended(where):
 def test_the_limit_holds_for_steps_too():
     study = step_study()
     with pytest.raises(TrainingFailed, match=r"it took longer than 0\.1 s"):
-        study.run(
+        ran(study,
             lambda context, seed: spin(), evaluate, timeout=0.1, progress=False,
             stop_after_failures=1,
         )  # fmt: skip
@@ -156,7 +157,7 @@ def test_another_try_has_another_seed_and_the_log_says_so(parallel):
     first = training_seed(5, 0, WRONG)
     study = study_of(seed=5)
     with ThreadPoolExecutor(2) as pool:
-        study.run(train, evaluate, parallel=parallel, executor=pool, retries=1, report=False)
+        ran(study, train, evaluate, parallel=parallel, executor=pool, retries=1, report=False)
     wrong = SPACE.context(WRONG)["x"]
     assert seeds.pop(wrong) == [first, training_seed(5, 0, WRONG, 0, 1)]
     assert all(len(found) == 1 for found in seeds.values())
@@ -195,7 +196,7 @@ def test_a_training_that_exits_has_failed(parallel, code):
 
     study = study_of()
     with ThreadPoolExecutor(2) as pool:
-        study.run(train, evaluate, parallel=parallel, executor=pool, report=False)
+        ran(study, train, evaluate, parallel=parallel, executor=pool, report=False)
     assert len(study.state.rows) == 8
     (failed,) = study.state.failures
     assert failed.reason == f"sys.exit({code!r}) was called, where it must return or raise"
@@ -213,4 +214,4 @@ def test_an_evaluation_that_exits_keeps_the_policy():
 def test_a_training_in_steps_that_exits_has_failed():
     study = step_study()
     with pytest.raises(TrainingFailed, match=r"sys\.exit\(0\)"):
-        study.run(lambda c, s: sys.exit(0), evaluate, progress=False, stop_after_failures=1)
+        ran(study, lambda c, s: sys.exit(0), evaluate, progress=False, stop_after_failures=1)

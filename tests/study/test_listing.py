@@ -3,13 +3,14 @@ import pytest
 import quick_problem
 
 import mbtl
+from flat import created
 
 BUDGET = 2
 
 
 def study_at(tmp_path, name, **settings):
-    settings = {"bounds": (-40.0, 0.0), "selector": "equidistant", **settings}
-    return mbtl.create_study(
+    settings = {"bounds": (-40.0, 0.0), "strategy": "equidistant", **settings}
+    return created(
         quick_problem.SPACE, budget=BUDGET, storage=tmp_path / "study.db", name=name, **settings
     )
 
@@ -89,8 +90,8 @@ def test_a_folder_is_no_database_and_names_the_studies_below(tmp_path):
 
 def test_a_larger_budget_is_known_to_be_raised(tmp_path):
     study_at(tmp_path, "one")
-    study = mbtl.create_study(
-        quick_problem.SPACE, budget=4, bounds=(-40.0, 0.0), selector="equidistant",
+    study = created(
+        quick_problem.SPACE, budget=4, bounds=(-40.0, 0.0), strategy="equidistant",
         storage=tmp_path / "study.db", name="one", load_if_exists=True,
     )  # fmt: skip
     assert (study.spec.budget, study.state.first_budget) == (4, BUDGET)

@@ -10,6 +10,7 @@ import pytest
 from postgres import Server, missing
 
 import mbtl
+from flat import created
 from mbtl.errors import StudyError
 from mbtl.study import StudyFinished
 from mbtl.trainer import FunctionTrainer
@@ -54,8 +55,8 @@ def storage(request, tmp_path):
 
 
 def test_one_study_that_eight_threads_tell_and_read_misses_no_row(storage, request):
-    study = mbtl.create_study(
-        SPACE, budget=N, bounds=(0.0, 1.0), selector="random", storage=storage,
+    study = created(
+        SPACE, budget=N, bounds=(0.0, 1.0), strategy="random", storage=storage,
         name=request.node.name,
     )  # fmt: skip
     picks, begin = study.ask(N), threading.Barrier(THREADS)
@@ -79,8 +80,8 @@ def test_one_study_that_eight_threads_tell_and_read_misses_no_row(storage, reque
 
 
 def test_eight_threads_that_ask_one_study_share_its_picks(tmp_path):
-    settings = {"bounds": (0.0, 1.0), "selector": "random", "storage": tmp_path / "study.db"}
-    study = mbtl.create_study(SPACE, budget=2 * THREADS, **settings)
+    settings = {"bounds": (0.0, 1.0), "strategy": "random", "storage": tmp_path / "study.db"}
+    study = created(SPACE, budget=2 * THREADS, **settings)
 
     def work(_):
         sources = []
@@ -100,7 +101,7 @@ def test_eight_threads_that_ask_one_study_share_its_picks(tmp_path):
 
 def test_what_was_decided_is_written_after_the_state_that_it_was_decided_on():
     """A row told by another thread between deciding and writing would pass for known."""
-    study = mbtl.create_study(SPACE, budget=3, bounds=(0.0, 1.0), selector="random")
+    study = created(SPACE, budget=3, bounds=(0.0, 1.0), strategy="random")
     (first, second), other = study.ask(2), None
 
     def slow(state):
@@ -117,9 +118,9 @@ def test_what_was_decided_is_written_after_the_state_that_it_was_decided_on():
 
 
 def test_a_pickled_study_is_opened_anew_and_one_in_memory_says_why_not(tmp_path):
-    settings = {"budget": 3, "bounds": (0.0, 1.0), "selector": mbtl.selectors.Random()}
+    settings = {"budget": 3, "bounds": (0.0, 1.0), "strategy": mbtl.selectors.Random()}
     trainer = FunctionTrainer(train, evaluate, save, load)
-    study = mbtl.create_study(SPACE, storage=tmp_path / "study.db", trainer=trainer,
+    study = created(SPACE, storage=tmp_path / "study.db", trainer=trainer,
                               artifacts=tmp_path / "kept", **settings)  # fmt: skip
     first = study.ask()
     for twin in (pickle.loads(pickle.dumps(study)), copy.deepcopy(study)):
@@ -131,4 +132,4 @@ def test_a_pickled_study_is_opened_anew_and_one_in_memory_says_why_not(tmp_path)
     twin.run(progress=False, report=False)
     assert len(study.refresh().rows) == 3
     with pytest.raises(StudyError, match=r"in memory lives in one process.*make it with storage="):
-        pickle.dumps(mbtl.create_study(SPACE, **settings))
+        pickle.dumps(created(SPACE, **settings))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.plain import LARGEST
 from mbtl.selectors import SelectionProblem, selector_names
@@ -24,7 +25,7 @@ def replaced(row, place, number):
 
 @pytest.mark.parametrize("number", [9e154, -1e300, 1.1e30, np.inf])
 def test_a_return_beyond_reach_is_named_with_its_context_and_leaves_the_study_whole(number):
-    study = mbtl.create_study(SPACE, budget=3, bounds=(0, 1))
+    study = created(SPACE, budget=3, bounds=(0, 1))
     pick = study.ask()
     episodes = replaced(np.tile(ROW[:, None], (1, 3)), (2, 1), number)
     words = f"got {number!r} for x = 0.5 m, the first of 1 of 15; give an episode"
@@ -39,7 +40,7 @@ def test_a_return_beyond_reach_is_named_with_its_context_and_leaves_the_study_wh
 @pytest.mark.parametrize("bounds", [None, (0.0, 1.0), (0.0, 1.0 / LARGEST)])
 def test_whatever_passes_the_door_can_be_computed_with(selector, bounds):
     rng = np.random.default_rng(0)
-    study = mbtl.create_study(SPACE, budget=5, bounds=bounds, selector=selector)
+    study = created(SPACE, budget=5, bounds=bounds, strategy=selector)
     for returns in (
         replaced(np.tile(ROW[:, None], (1, 3)), 1, LARGEST),
         np.full((N, 3), LARGEST),
@@ -54,7 +55,7 @@ def test_whatever_passes_the_door_can_be_computed_with(selector, bounds):
 
 @pytest.mark.parametrize("broken", [1e300, 1e160])
 def test_a_run_defers_what_broke_and_goes_on(broken):
-    study = mbtl.create_study(SPACE, budget=3, bounds=(0, 1), selector="equidistant")
+    study = created(SPACE, budget=3, bounds=(0, 1), strategy="equidistant")
 
     def evaluate(policy, contexts, seeds):
         returns = np.array([[1 - abs(c["x"] - policy)] * 3 for c in contexts])
@@ -78,7 +79,7 @@ def test_constant_returns_of_any_size_have_a_scale():
 def test_what_a_mask_hides_is_missing():
     hidden = np.ma.array(np.tile(ROW[:, None], (1, 2)), mask=False)
     hidden[3, 1] = np.ma.masked
-    study = mbtl.create_study(SPACE, budget=1, bounds=(0, 1))
+    study = created(SPACE, budget=1, bounds=(0, 1))
     told = ((hidden, ROW[3]), (list(hidden), ROW[3]), (hidden[:, 1], np.nan))
     for source, (returns, found) in enumerate(told):
         study.tell(source, returns)
@@ -95,7 +96,7 @@ def test_what_a_mask_hides_is_missing():
 
 def test_a_tensor_that_gradients_flow_through_is_told_by_its_values():
     torch = pytest.importorskip("torch")
-    study = mbtl.create_study(SPACE, budget=1, bounds=(0, 1))
+    study = created(SPACE, budget=1, bounds=(0, 1))
     study.tell(study.ask(), torch.linspace(0.0, 1.0, N, requires_grad=True))
     assert study.value == pytest.approx(0.5)
 
@@ -103,7 +104,7 @@ def test_a_tensor_that_gradients_flow_through_is_told_by_its_values():
 @pytest.mark.parametrize("costs", [[1e-200, 1e200], [1.0, 1e-31], [1e31, 1.0], [0.0, 1.0]])
 def test_costs_whose_ratio_is_no_number_are_refused(costs):
     with pytest.raises(InvalidInput, match="costs must be 5 numbers from 1e-30 to 1e\\+30"):
-        mbtl.create_study(SPACE, budget=2, costs=[*costs, 1.0, 1.0, 1.0])
+        created(SPACE, budget=2, costs=[*costs, 1.0, 1.0, 1.0])
 
 
 @pytest.mark.parametrize("fact", ["seconds", "steps", "cost"])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created, ran
 from mbtl.errors import StudyMismatch
 from mbtl.trainer import FunctionTrainer, recipe_digest
 
@@ -52,9 +53,9 @@ def edited(tmp_path, monkeypatch):
 
 
 def run(tmp_path, own, budget, **options):
-    study = mbtl.create_study(SPACE, budget=budget, bounds=(0.0, 1.0), selector="random",
+    study = created(SPACE, budget=budget, bounds=(0.0, 1.0), strategy="random",
                               storage=tmp_path / "s.db", load_if_exists=True)  # fmt: skip
-    study.run(own.train, own.evaluate, save=own.save, load=own.load, progress=False, **options)
+    ran(study, own.train, own.evaluate, save=own.save, load=own.load, progress=False, **options)
     return study
 
 
@@ -90,7 +91,7 @@ def test_before_anything_succeeded_code_may_be_mended_and_rows_of_ask_and_tell_h
         run(tmp_path, broken, 2)
     study = run(tmp_path, edited(), 2)
     assert len(study.state.rows) == 2
-    told = mbtl.create_study(SPACE, budget=2, bounds=(0.0, 1.0))
+    told = created(SPACE, budget=2, bounds=(0.0, 1.0))
     told.tell(told.ask(), np.zeros(7))
     own = edited()
     told.run(own.train, own.evaluate, progress=False)
@@ -100,7 +101,7 @@ def test_before_anything_succeeded_code_may_be_mended_and_rows_of_ask_and_tell_h
 def test_a_worker_that_runs_other_code_marks_its_rows_as_of_that(edited, tmp_path):
     own = edited()
     old, new = (FunctionTrainer(o.train, o.evaluate, o.save, o.load) for o in (own, edited(0.5)))
-    first = mbtl.create_study(SPACE, budget=3, bounds=(0.0, 1.0), storage=tmp_path / "s.db")
+    first = created(SPACE, budget=3, bounds=(0.0, 1.0), storage=tmp_path / "s.db")
     first.equip(old)
     first.tell(first.ask(), np.zeros(7))
     second = mbtl.load_study(tmp_path / "s.db")
@@ -113,11 +114,11 @@ def test_a_worker_that_runs_other_code_marks_its_rows_as_of_that(edited, tmp_pat
 
 def test_studies_that_count_steps_notice_it_too(edited, tmp_path):
     def run_steps(own, budget, **options):
-        study = mbtl.create_study(
+        study = created(
             SPACE, cost="steps", budget=budget, lengths=[1000], horizon=10, episodes=1,
             strategy="fixed", bounds=(0.0, 1.0), storage=tmp_path / "s.db", load_if_exists=True,
         )  # fmt: skip
-        study.run(own.train, own.evaluate, save=own.save, load=own.load, progress=False, **options)
+        ran(study, own.train, own.evaluate, save=own.save, load=own.load, progress=False, **options)
         return study
 
     run_steps(edited(), 2_000)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created, ran
 from mbtl.errors import InvalidInput, StudyMismatch, UnsavedPolicies
 from mbtl.study import artifacts, places
 from mbtl.trainer import FunctionTrainer
@@ -42,8 +43,8 @@ class Recipe(FunctionTrainer):
 
 
 def study_at(storage, **settings):
-    settings = {"budget": 2, "bounds": (0.0, 1.0), "selector": "random", **settings}
-    return mbtl.create_study(SPACE, storage=storage, load_if_exists=True, **settings)
+    settings = {"budget": 2, "bounds": (0.0, 1.0), "strategy": "random", **settings}
+    return created(SPACE, storage=storage, load_if_exists=True, **settings)
 
 
 def policies_in(folder):
@@ -51,13 +52,13 @@ def policies_in(folder):
 
 
 def test_functions_that_save_and_load_keep_the_policies(tmp_path):
-    study_at(tmp_path / "s.db").run(train, evaluate, save=save, load=load)
+    ran(study_at(tmp_path / "s.db"), train, evaluate, save=save, load=load)
     later = mbtl.load_study(tmp_path / "s.db")
     assert len(policies_in(tmp_path / "policies")) == 2
     policy = later.portfolio(TRAINER).policy(0)
     assert policy[0] == SPACE.context(later.history.sources[0])["x"]
     with pytest.raises(InvalidInput, match="come together"):
-        later.run(train, evaluate, save=save)
+        ran(later, train, evaluate, save=save)
     with pytest.raises(InvalidInput, match="functions or a trainer, got both"):
         later.run(train, evaluate, trainer=TRAINER)
 
@@ -73,7 +74,7 @@ def test_the_working_folder_may_change_while_a_study_runs(tmp_path, monkeypatch,
         os.chdir(tmp_path / "there")
         return train(context, seed)
 
-    study.run(wandering, evaluate, save=save, load=load)
+    ran(study, wandering, evaluate, save=save, load=load)
     assert study.portfolio(TRAINER).policy(1) == pytest.approx(study.portfolio(TRAINER).policy(1))
     assert not any((tmp_path / "there").iterdir())
     again = mbtl.load_study(tmp_path / "here" / "s.db")

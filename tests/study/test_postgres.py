@@ -10,6 +10,7 @@ import sqlalchemy
 from postgres import Server, missing
 
 import mbtl
+from flat import created, ran
 from mbtl.errors import StorageError, Unreachable
 from mbtl.study import SqlLog, StudyFinished, study_names, turns
 from mbtl.study.events import Event
@@ -47,7 +48,7 @@ class TestPostgres(EventLogContract):
 def test_sixty_four_workers_never_share_a_pick(postgres, name):
     """Each has a connection of its own, and they all begin at once, with the tables to be made."""
     settings = {
-        "budget": 96, "bounds": (0.0, 1.0), "selector": "random", "storage": postgres,
+        "budget": 96, "bounds": (0.0, 1.0), "strategy": "random", "storage": postgres,
         "name": name, "load_if_exists": True,
     }  # fmt: skip
     begin, told, errors = threading.Barrier(64), [], []
@@ -55,7 +56,7 @@ def test_sixty_four_workers_never_share_a_pick(postgres, name):
     def work():
         try:
             begin.wait()
-            study = mbtl.create_study(SPACE, **settings)
+            study = created(SPACE, **settings)
             while True:
                 pick = study.ask(lease=60.0)
                 if study.tell(pick, np.full(100, pick.source / 100)):
@@ -80,7 +81,7 @@ def test_sixty_four_workers_never_share_a_pick(postgres, name):
 
 
 def test_leases_end_by_the_clock_of_the_server(postgres, name, monkeypatch):
-    made = mbtl.create_study(SPACE, budget=3, bounds=(0.0, 1.0), storage=postgres, name=name)
+    made = created(SPACE, budget=3, bounds=(0.0, 1.0), storage=postgres, name=name)
     monkeypatch.setattr(time, "time", lambda: 1e9)  # of this machine, 2001
     pick = made.ask(lease=0.05)
     other = mbtl.load_study(postgres, name)
@@ -97,10 +98,11 @@ def test_leases_end_by_the_clock_of_the_server(postgres, name, monkeypatch):
 
 @pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
 def test_a_run_keeps_its_policies_in_a_folder_of_its_own(postgres, name, tmp_path):
-    study = mbtl.create_study(
+    study = created(
         SPACE, budget=3, bounds=(0.0, 1.0), storage=postgres, name=name, artifacts=tmp_path
     )
-    study.run(
+    ran(
+        study,
         lambda c, s: c["x"],
         lambda p, cs, s: [1 - abs(p - c["x"]) for c in cs],
         save=lambda policy, folder: (folder / "x").write_text(str(policy)),
@@ -112,8 +114,8 @@ def test_a_run_keeps_its_policies_in_a_folder_of_its_own(postgres, name, tmp_pat
 
 @pytest.mark.parametrize("how", [signal.SIGQUIT, signal.SIGKILL])
 def test_a_restart_of_the_server_costs_a_study_nothing(server, name, how, caplog):
-    study = mbtl.create_study(
-        SPACE, budget=3, bounds=(0.0, 1.0), storage=server.url, name=name, selector="random"
+    study = created(
+        SPACE, budget=3, bounds=(0.0, 1.0), storage=server.url, name=name, strategy="random"
     )
     pick = study.ask(lease=60.0)
     server.stop(how)
@@ -153,7 +155,7 @@ def test_a_database_that_was_not_made_says_how_to_make_it(postgres):
 
 
 def test_a_server_that_stays_away_is_given_up_in_one_sentence_without_the_password(server, name):
-    study = mbtl.create_study(
+    study = created(
         SPACE, budget=3, bounds=(0.0, 1.0), storage=server.url.replace("mbtl@", "mbtl:pw9@"),
         name=name,
     )  # fmt: skip
@@ -224,8 +226,8 @@ def test_a_turn_that_lasts_too_long_is_taken_away_and_its_event_is_written_once(
 
 
 def test_who_came_too_late_waits_for_its_turn_from_then_on(postgres, name, monkeypatch):
-    study = mbtl.create_study(
-        SPACE, budget=3, bounds=(0.0, 1.0), selector="random", storage=postgres, name=name
+    study = created(
+        SPACE, budget=3, bounds=(0.0, 1.0), strategy="random", storage=postgres, name=name
     )
     taken, turn = [], study.log.turn
     monkeypatch.setattr(study.log, "turn", lambda: taken.append(1) or turn())

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.cmdps import CMDP, Preset
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.study import Callback
@@ -54,18 +55,18 @@ def test_a_study_of_a_problem_needs_nothing_said_twice(tmp_path, make):
 
 def test_what_is_given_counts_more_than_the_problem():
     trainer = Toy(steps=20)
-    study = problem().study(
-        "long", budget=2, bounds=(0.0, 8.0), trainer=trainer, settings={"note": 1}
+    study = created(
+        problem(), preset="long", budget=2, bounds=(0.0, 8.0), trainer=trainer, settings={"note": 1}
     )
     assert (study.spec.budget, study.spec.bounds, study.trainer) == (2, (0.0, 8.0), trainer)
     assert study.spec.settings["recipe"] == {"steps": 20}
     assert (study.spec.settings["preset"], study.spec.settings["note"]) == ("long", 1)
     with pytest.raises(UnknownName, match="preset"):
-        problem().study("lon")
+        created(problem(), preset="lon")
     with pytest.raises(InvalidInput, match="ContextSpace or a CMDP, got dict"):
         mbtl.create_study({"gravity": 1.0}, budget=3)
     with pytest.raises(InvalidInput, match="presets belong to a CMDP"):
-        mbtl.create_study(SPACE, budget=3, preset="quick")
+        created(SPACE, budget=3, preset="quick")
     with pytest.raises(InvalidInput, match="needs budget="):
         mbtl.create_study(SPACE)
     with pytest.raises(InvalidInput, match="or a trainer"):
@@ -88,7 +89,9 @@ def test_another_problem_is_refused(tmp_path, other, words):
 
 
 def test_a_preset_that_is_gone_still_loads_and_another_recipe_does_not_train(tmp_path):
-    problem().study("long", selector="random", storage=tmp_path / "s.db").run(report=False)
+    created(problem(), preset="long", strategy="random", storage=tmp_path / "s.db").run(
+        report=False
+    )
     later = CMDP("toy", SPACE, Toy(steps=99), version=3)
     study = mbtl.load_study(tmp_path / "s.db", problem=later)
     assert isinstance(study.portfolio().policy(0), float)
@@ -108,7 +111,7 @@ def test_settings_that_came_later_do_not_close_older_studies(tmp_path, monkeypat
     with monkeypatch.context() as older:
         older.setattr(SqlLog, "append", as_then)
         problem().study(storage=tmp_path / "s.db")
-    again = problem().study(storage=tmp_path / "s.db", stop_left=0.1, load_if_exists=True)
+    again = created(problem(), storage=tmp_path / "s.db", stop_left=0.1, load_if_exists=True)
     assert again.spec.stop_left is None
     with pytest.raises(StudyMismatch, match="seed was 0, got 1"):
         problem().study(storage=tmp_path / "s.db", seed=1, load_if_exists=True)
@@ -131,22 +134,22 @@ def test_a_selector_in_a_file_is_named_in_the_log_and_never_run_from_it(tmp_path
     monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "own_selector.py").write_text(OWN)
     reference = "own_selector.py:Last"
-    study = problem().study(selector=reference, storage="s.db").run(report=False).study
+    study = problem().study(strategy=reference, storage="s.db").run(report=False).study
     assert study.history.sources == (8, 7, 6)
     with pytest.raises(StudyError, match=r"'last'; give it as selector='own_selector\.py:Last'"):
         mbtl.load_study("s.db")
-    assert mbtl.load_study("s.db", selector=reference).is_finished
+    assert mbtl.load_study("s.db", strategy=reference).is_finished
     elsewhere = f"{tmp_path}/own_selector.py:Last"  # the same, by another path
-    assert problem().study(selector=elsewhere, storage="s.db", load_if_exists=True).is_finished
+    assert problem().study(strategy=elsewhere, storage="s.db", load_if_exists=True).is_finished
     changed = study.selector.__class__(back=2)
     with pytest.raises(StudyMismatch, match="back"):
-        problem().study(selector=changed, storage="s.db", load_if_exists=True)
+        problem().study(strategy=changed, storage="s.db", load_if_exists=True)
     with pytest.raises(StudyMismatch, match="give the same one"):
-        mbtl.load_study("s.db", selector="random")
+        mbtl.load_study("s.db", strategy="random")
 
 
 def test_a_line_per_pick_is_for_people_who_count_from_1(capsys):
-    study = problem().study(selector="equidistant").run(report=False).study
+    study = problem().study(strategy="equidistant").run(report=False).study
     lines = capsys.readouterr().err.splitlines()
     gain = study.curve[1] - study.curve[0]
     assert lines[0].startswith("pick 1 of 3: gravity = 8 m/s2, V = ")
@@ -157,7 +160,7 @@ def test_a_line_per_pick_is_for_people_who_count_from_1(capsys):
     assert lines[2].startswith("pick 2 of 3: gravity = 5 m/s2, V = ")
     assert lines[2].endswith(f"(gain {gain:.4f})")
     assert len(lines) == 4
-    problem().study(selector="equidistant").run(report=False, progress=False)
+    problem().study(strategy="equidistant").run(report=False, progress=False)
     assert capsys.readouterr() == ("", "")
     study = problem().study()
     assert str(study.ask()) == "pick 1: gravity = 5.0 (middle of the range)"
@@ -167,7 +170,7 @@ def test_a_line_per_pick_is_for_people_who_count_from_1(capsys):
 
 
 def test_a_run_that_joins_is_told_so(tmp_path, capsys):
-    first = problem().study(selector="random", storage=tmp_path / "s.db")
+    first = problem().study(strategy="random", storage=tmp_path / "s.db")
     first.ask()
     heard = []
 

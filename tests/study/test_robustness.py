@@ -11,6 +11,7 @@ import pytest
 import quick_problem
 
 import mbtl
+from flat import created, ran
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.seeds import training_seed
 from mbtl.selectors import MBTL
@@ -24,7 +25,7 @@ LINE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 101})
 
 def new(path, **settings):
     settings = {"budget": 4, "bounds": (-20.0, 0.0), "load_if_exists": True, **settings}
-    return mbtl.create_study(SPACE, storage=path, **settings)
+    return created(SPACE, storage=path, **settings)
 
 
 def scaled(factor):
@@ -75,8 +76,11 @@ class Fails(Callback):
 def test_a_broken_callback_ends_the_run_and_nothing_is_lost(tmp_path, method, error, parallel):
     study = new(tmp_path / "study.db")
     with pytest.raises(type(error)):
-        study.run(
-            trainer=quick_problem.TRAINER, callbacks=[Fails(method, error)], parallel=parallel
+        ran(
+            study,
+            trainer=quick_problem.TRAINER,
+            callbacks=[Fails(method, error)],
+            parallel=parallel,
         )
     assert not study.state.failures
     study.run(trainer=quick_problem.TRAINER)
@@ -87,7 +91,7 @@ def test_a_broken_callback_ends_the_run_and_nothing_is_lost(tmp_path, method, er
 def test_functions_that_cannot_travel_are_refused_before_any_budget_is_spent(tmp_path):
     study = new(tmp_path / "study.db")
     with pytest.raises(InvalidInput, match="functions of a module"):
-        study.run(lambda c, s: c, lambda p, c, s: np.zeros(len(c)), parallel=2)
+        ran(study, lambda c, s: c, lambda p, c, s: np.zeros(len(c)), parallel=2)
     assert not study.state.failures
     assert not [p for p in study.state.open_picks.values() if p.worker is not None]
 
@@ -103,7 +107,7 @@ def test_a_killed_worker_gives_its_picks_back(tmp_path):
     study = new(tmp_path / "study.db")
     pool = ProcessPoolExecutor(1, mp_context=get_context("fork"))
     with pool, pytest.raises(StudyError, match="worker process died"):
-        study.run(trainer=replace(quick_problem.TRAINER, train_fn=_die), parallel=2, executor=pool)
+        ran(study, trainer=replace(quick_problem.TRAINER, train_fn=_die), parallel=2, executor=pool)
     assert not study.state.failures
     study.run(trainer=quick_problem.TRAINER)
     assert len(study.state.rows) == 4
@@ -143,7 +147,7 @@ def test_only_changed_settings_of_a_selector_are_stored():
 
 
 def test_a_report_that_does_not_fit_the_rows_is_refused():
-    study = mbtl.create_study(SPACE, budget=3, bounds=(-20.0, 0.0))
+    study = created(SPACE, budget=3, bounds=(-20.0, 0.0))
     study.tell(study.ask(), np.zeros(15))
     with pytest.raises(StudyError, match=r"shape \(15, episodes\)"):
         study.record_fresh_returns(np.zeros((2, 15)), np.zeros((2, 15)), best_single=0)
@@ -152,7 +156,7 @@ def test_a_report_that_does_not_fit_the_rows_is_refused():
 
 
 def test_a_new_row_makes_an_old_report_void():
-    study = mbtl.create_study(SPACE, budget=3, bounds=(-20.0, 0.0))
+    study = created(SPACE, budget=3, bounds=(-20.0, 0.0))
     study.tell(study.ask(), np.zeros(15))
     study.record_fresh_returns(np.zeros((15, 1)), np.zeros((15, 1)), best_single=0)
     study.tell(study.ask(), np.zeros(15))
@@ -179,12 +183,12 @@ def test_a_report_that_fails_does_not_hide_the_study(tmp_path):
 
 def test_the_first_picks_of_parallel_workers_spread_out():
     for selector in ("mbtl", "mbtl-ei", "mbtl-release", "worst-first"):
-        study = mbtl.create_study(LINE, budget=8, selector=selector)
+        study = mbtl.create_study(LINE, budget=8, strategy=selector)
         assert [study.ask().source for _ in range(5)] == [50, 0, 100, 25, 75]
 
 
 def test_a_level_once_reached_ends_the_study_also_for_picks_given_back():
-    study = mbtl.create_study(LINE, budget=8, bounds=(0.0, 1.0), stop_value=0.9)
+    study = created(LINE, budget=8, bounds=(0.0, 1.0), stop_value=0.9)
     first, second = study.ask(), study.ask()
     study.tell(first, np.ones(101))
     study.release(second)

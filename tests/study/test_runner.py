@@ -6,6 +6,7 @@ import pytest
 import quick_problem
 
 import mbtl
+from flat import created, ran
 from mbtl.errors import InvalidInput, TrainingFailed, UnsavedPolicies
 from mbtl.study import Callback
 from mbtl.study.fresh import ReportPlan, fresh_value, plan_of
@@ -18,7 +19,7 @@ BATCHES = {"parallel": 2, "deterministic": True}
 
 def study_at(path, **settings):
     settings = {"budget": 5, "bounds": (-20.0, 0.0), "seed": 1, **settings}
-    return mbtl.create_study(SPACE, storage=path / "study.db", load_if_exists=True, **settings)
+    return created(SPACE, storage=path / "study.db", load_if_exists=True, **settings)
 
 
 def counting(calls, **changes):
@@ -86,7 +87,7 @@ def test_on_failure_stop_raises_and_keeps_what_was_told(tmp_path):
 
     trainer = counting(calls, train_fn=train)
     with pytest.raises(TrainingFailed, match="the simulator crashed"):
-        study_at(tmp_path).run(trainer=trainer, on_failure="stop")
+        ran(study_at(tmp_path), trainer=trainer, on_failure="stop")
     study = study_at(tmp_path)
     assert (len(study.state.rows), len(study.state.failures)) == (2, 1)
     study.run(trainer=trainer)
@@ -119,17 +120,16 @@ def test_minimised_returns_serve_with_the_smallest(tmp_path):
 
 def test_workers_in_other_processes_give_the_same_study(tmp_path):
     """Real processes, two trainings at a time; the order of completion does not matter."""
-    there = (
-        study_at(tmp_path / "processes")
-        .run(trainer=quick_problem.TRAINER, parallel=2, deterministic=True)
-        .study
-    )
+    there = ran(
+        study_at(tmp_path / "processes"),
+        trainer=quick_problem.TRAINER,
+        parallel=2,
+        deterministic=True,
+    ).study
     with ThreadPoolExecutor(2) as pool:
-        here = (
-            study_at(tmp_path / "threads")
-            .run(trainer=quick_problem.TRAINER, executor=pool, **BATCHES)
-            .study
-        )
+        here = ran(
+            study_at(tmp_path / "threads"), trainer=quick_problem.TRAINER, executor=pool, **BATCHES
+        ).study
     assert [p.source for p in there.state.picks] == [p.source for p in here.state.picks]
     assert np.array_equal(there.curve, here.curve)
 
@@ -157,24 +157,21 @@ def test_an_interrupted_batch_asks_as_an_undisturbed_one(tmp_path):
                 raise KeyboardInterrupt
 
     with ThreadPoolExecutor(2) as pool:
-        calm = (
-            study_at(tmp_path / "calm")
-            .run(trainer=quick_problem.TRAINER, executor=pool, **BATCHES)
-            .study
-        )
+        calm = ran(
+            study_at(tmp_path / "calm"), trainer=quick_problem.TRAINER, executor=pool, **BATCHES
+        ).study
         with pytest.raises(KeyboardInterrupt):
-            study_at(tmp_path / "b").run(
+            ran(
+                study_at(tmp_path / "b"),
                 trainer=quick_problem.TRAINER,
                 parallel=2,
                 executor=pool,
                 deterministic=True,
                 callbacks=[Stop()],
             )
-        resumed = (
-            study_at(tmp_path / "b")
-            .run(trainer=quick_problem.TRAINER, executor=pool, **BATCHES)
-            .study
-        )
+        resumed = ran(
+            study_at(tmp_path / "b"), trainer=quick_problem.TRAINER, executor=pool, **BATCHES
+        ).study
     assert [p.source for p in resumed.state.picks] == [p.source for p in calm.state.picks]
 
 

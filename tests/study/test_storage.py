@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.study.events import Event
 from mbtl.study.storage import Conflict, MemoryLog, SqlLog, study_names
 from mbtl.testing.storage import EventLogContract
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
-SETTINGS = {"budget": 3, "selector": "random", "load_if_exists": True}
+SETTINGS = {"budget": 3, "strategy": "random", "load_if_exists": True}
 
 
 class TestLogs(EventLogContract):
@@ -131,7 +132,7 @@ def test_an_array_of_one_number_is_read_as_that_number(tmp_path):
 @pytest.mark.parametrize("again", [mbtl.load_study, partial(mbtl.create_study, SPACE, **SETTINGS)])
 def test_a_study_is_read_once_when_it_is_opened(tmp_path, monkeypatch, again):
     """A thousand rows of a million contexts take a minute each time."""
-    study = mbtl.create_study(SPACE, storage=tmp_path / "study.db", **SETTINGS)
+    study = created(SPACE, storage=tmp_path / "study.db", **SETTINGS)
     study.tell(study.ask(), np.zeros(5))
     read, whole = SqlLog.read, []
 
@@ -162,12 +163,12 @@ def test_names_and_paths_that_cannot_be_are_refused_before_anything_is_made(
 ):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InvalidInput, match=words):
-        mbtl.create_study(SPACE, budget=2, **{"storage": "s.db", **settings})
+        created(SPACE, budget=2, **{"storage": "s.db", **settings})
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_clock_that_shows_no_date_is_refused_before_anything_is_written(tmp_path, monkeypatch):
-    study = mbtl.create_study(SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s.db")
+    study = created(SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s.db")
     pick = study.ask()
     before = len(study.log.read())
     for wrong in (-86400.0, 1e12):

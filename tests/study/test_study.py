@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, TrainingFailed
 from mbtl.history import History
 from mbtl.objective import Bounds
@@ -28,8 +29,8 @@ def told(study, picks):
 
 
 def new(tmp_path=None, **settings):
-    settings = {"budget": 6, "bounds": (0.0, 1.0), "selector": "mbtl", **settings}
-    return mbtl.create_study(SPACE, storage=tmp_path / "study.db" if tmp_path else None, **settings)
+    settings = {"budget": 6, "bounds": (0.0, 1.0), "strategy": "mbtl", **settings}
+    return created(SPACE, storage=tmp_path / "study.db" if tmp_path else None, **settings)
 
 
 def test_ask_and_tell_play_the_selector():
@@ -40,7 +41,7 @@ def test_ask_and_tell_play_the_selector():
 
 def test_the_training_seed_belongs_to_the_source_not_to_the_pick():
     for selector in ("mbtl", "equidistant"):
-        study = new(selector=selector, seed=3, trial=1)
+        study = new(strategy=selector, seed=3, trial=1)
         for _ in range(6):
             pick = study.ask()
             assert pick.seed == training_seed(3, 1, pick.source)
@@ -185,7 +186,7 @@ def test_a_stored_study_refuses_other_settings(tmp_path):
     for change in (
         {"budget": 5},
         {"seed": 1},
-        {"selector": "greedy"},
+        {"strategy": "greedy"},
         {"bounds": (0, 2)},
         {"problem": "x"},
     ):
@@ -225,9 +226,7 @@ def test_a_stored_study_says_what_differs_in_another_space(tmp_path, axes, weigh
     if axes is not None:
         other = mbtl.ContextSpace.grid(axes, weights=weights)
     with pytest.raises(StudyMismatch, match=words):
-        mbtl.create_study(
-            other, budget=6, bounds=(0, 1), storage=tmp_path / "study.db", load_if_exists=True
-        )
+        created(other, budget=6, bounds=(0, 1), storage=tmp_path / "study.db", load_if_exists=True)
 
 
 def test_a_leading_tilde_is_the_home_folder(tmp_path, monkeypatch):
@@ -250,7 +249,7 @@ def test_a_selector_of_one_axis_refuses_others_before_there_is_a_database(tmp_pa
     for axes, words in (({X: 3, road: 2}, "x, road"), ({road: 2}, "road")):
         with pytest.raises(InvalidInput, match=f"on one numeric axis, got {words}; choose"):
             mbtl.create_study(
-                mbtl.ContextSpace.grid(axes), budget=2, selector=selector, storage=tmp_path / "s.db"
+                mbtl.ContextSpace.grid(axes), budget=2, strategy=selector, storage=tmp_path / "s.db"
             )
     assert not (tmp_path / "s.db").exists()
 
@@ -267,18 +266,18 @@ class Last:
 
 
 def test_a_users_own_selector_runs_and_is_asked_for_when_loading(tmp_path):
-    study = told(new(tmp_path, selector=Last()), 3)
+    study = told(new(tmp_path, strategy=Last()), 3)
     assert [p.source for p in study.state.picks] == [19, 18, 17]
     with pytest.raises(StudyError, match="give it as selector="):
         mbtl.load_study(tmp_path)
-    assert told(mbtl.load_study(tmp_path, selector=Last()), 1).state.picks[-1].source == 16
+    assert told(mbtl.load_study(tmp_path, strategy=Last()), 1).state.picks[-1].source == 16
 
 
 def test_settings_of_a_selector_are_part_of_the_study(tmp_path):
-    new(tmp_path, selector=MBTL(warm_up=1))
+    new(tmp_path, strategy=MBTL(warm_up=1))
     with pytest.raises(StudyMismatch, match="warm_up"):
         mbtl.load_study(tmp_path)
-    assert mbtl.load_study(tmp_path, selector=MBTL(warm_up=1)).spec.budget == 6
+    assert mbtl.load_study(tmp_path, strategy=MBTL(warm_up=1)).spec.budget == 6
 
 
 @pytest.mark.parametrize(
@@ -286,7 +285,7 @@ def test_settings_of_a_selector_are_part_of_the_study(tmp_path):
     [
         ({"budget": 0}, "budget must be from 1"),
         ({"budget": 21}, "budget must be from 1"),
-        ({"selector": "mbtll"}, "Did you mean 'mbtl'"),
+        ({"strategy": "mbtll"}, "Did you mean 'mbtl'"),
         ({"bounds": (1.0, 0.0)}, "low < high"),
         ({"direction": "up"}, "'maximize' or 'minimize'"),
         ({"theta": -1.0}, "theta"),
@@ -329,7 +328,7 @@ def test_a_damaged_log_is_noticed(tmp_path):
 
 
 def test_ask_gives_several_picks_that_differ():
-    study = new(selector="auto")
+    study = new(strategy="auto")
     picks = study.ask(4)
     assert len({pick.source for pick in picks}) == 4
     for pick in reversed(picks):
@@ -342,7 +341,7 @@ def test_ask_gives_several_picks_that_differ():
 
 
 def test_costs_known_before_keep_the_study_within_its_budget():
-    study = new(selector="auto", costs=lambda c: 1.0 + 9.0 * (c["x"] > 0.5), cost_budget=12.5)
+    study = new(strategy="auto", costs=lambda c: 1.0 + 9.0 * (c["x"] > 0.5), cost_budget=12.5)
     told(study, 4)
     dear = [source >= 10 for source in study.history.sources]
     assert [r.cost for r in study.state.rows] == [10.0 if d else 1.0 for d in dear]
@@ -358,7 +357,7 @@ def test_costs_known_before_keep_the_study_within_its_budget():
 
 
 def test_policies_evaluated_on_a_few_targets_only():
-    study = new(selector="auto", eval_targets=6)
+    study = new(strategy="auto", eval_targets=6)
     for _ in range(4):
         pick = study.ask()
         assert len(pick.targets) == 6
@@ -380,7 +379,7 @@ def test_policies_evaluated_on_a_few_targets_only():
 
 
 def test_a_study_of_the_worst_share_values_it():
-    study = new(selector="auto", risk=0.1)
+    study = new(strategy="auto", risk=0.1)
     told(study, 3)
     best = np.max([row(s) for s in study.history.sources], axis=0)
     assert study.value == pytest.approx(np.sort(best)[:2].mean())
@@ -391,7 +390,7 @@ def test_a_study_of_the_worst_share_values_it():
 
 
 def test_the_study_ends_when_one_more_training_is_predicted_to_gain_little(tmp_path):
-    study = new(tmp_path, selector="auto", budget=20, stop_gain=0.02, stop_confidence=0.8)
+    study = new(tmp_path, strategy="auto", budget=20, stop_gain=0.02, stop_confidence=0.8)
     with pytest.raises(StudyFinished, match=r"one more training gains less than 0\.02"):
         told(study, 20)
     done = len(study.state.rows)
@@ -403,11 +402,11 @@ def test_the_study_ends_when_one_more_training_is_predicted_to_gain_little(tmp_p
     again.tell(0, row(0))  # news: it asks the selector once more
     assert again.stop_reason is None
     with pytest.raises(InvalidInput, match="needs a selector that predicts chances"):
-        new(selector="mbtl", stop_gain=0.02)
+        new(strategy="mbtl", stop_gain=0.02)
     with pytest.raises(InvalidInput, match="needs bounds"):
-        new(selector="auto", bounds=None, stop_gain=0.02)
+        new(strategy="auto", bounds=None, stop_gain=0.02)
     with pytest.raises(InvalidInput, match="probability in"):
-        new(selector="auto", stop_gain=0.02, stop_confidence=1.0)
+        new(strategy="auto", stop_gain=0.02, stop_confidence=1.0)
 
 
 def test_scatter_of_episodes_reaches_the_selector_as_standard_errors():
@@ -421,7 +420,7 @@ def test_scatter_of_episodes_reaches_the_selector_as_standard_errors():
 
 
 def test_a_failed_pick_takes_back_what_was_predicted_with_it():
-    study = told(new(selector="auto", budget=20, stop_gain=0.02, stop_confidence=0.8), 2)
+    study = told(new(strategy="auto", budget=20, stop_gain=0.02, stop_confidence=0.8), 2)
     pick = study.ask()
     study._commit(lambda state: Event("stopped", {"reason": "it seemed so"}))
     assert study.stop_reason == "it seemed so"
@@ -449,7 +448,7 @@ def test_a_pick_given_back_is_not_begun_again_where_the_budget_cannot_pay_it():
 
 
 def test_a_pick_told_by_its_context_has_the_targets_it_was_asked_with():
-    study = new(selector="auto", eval_targets=4)
+    study = new(strategy="auto", eval_targets=4)
     pick = study.ask()
     study.tell(pick.context, np.repeat(row(pick.source)[list(pick.targets), None], 2, axis=1))
     assert np.isfinite(study.history.rows[0]).sum() == 4
@@ -457,7 +456,7 @@ def test_a_pick_told_by_its_context_has_the_targets_it_was_asked_with():
 
 
 def test_portfolio_and_study_agree_on_rows_that_are_partial():
-    study = told_partly(new(selector="auto", eval_targets=5), 4)
+    study = told_partly(new(strategy="auto", eval_targets=5), 4)
     portfolio = study.portfolio()
     assert portfolio.value == pytest.approx(study.value)
     assert portfolio.assignment.tolist() == study.routing.route.tolist()
@@ -484,12 +483,12 @@ def told_partly(study, picks):
 )
 def test_wishes_that_make_no_sense_leave_nothing_behind(tmp_path, settings, words):
     with pytest.raises(InvalidInput, match=words):
-        new(tmp_path, **{"selector": "auto", **settings})
+        new(tmp_path, **{"strategy": "auto", **settings})
     assert not (tmp_path / "study.db").exists()
 
 
 def test_performance_is_computed_once_per_row_under_bounds_that_stay(monkeypatch):
-    study = mbtl.create_study(
+    study = created(
         mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 6}), budget=6, bounds=(0.0, 2.0)
     )
     normalised, usual = [], Bounds.normalise

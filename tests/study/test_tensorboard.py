@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 import mbtl
+from flat import created
 from mbtl.study.tensorboard import TensorBoardCallback
 from mbtl.trainer import FunctionTrainer, Progress
 
@@ -22,7 +23,7 @@ def test_v_and_training_scalars_reach_tensorboard(tmp_path):
     def evaluate(policy, contexts, seeds):
         return [1 - abs(c["x"] - policy) for c in contexts]
 
-    study = mbtl.create_study(SPACE, budget=3, bounds=(0.0, 1.0))
+    study = created(SPACE, budget=3, bounds=(0.0, 1.0))
     study.run(trainer=Reporting(None, evaluate), callbacks=[TensorBoardCallback(tmp_path)])
     events = event_accumulator.EventAccumulator(str(tmp_path / "study")).Reload()
     assert [e.value for e in events.Scalars("study/V")] == pytest.approx(study.curve, abs=1e-6)

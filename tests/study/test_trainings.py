@@ -8,6 +8,7 @@ import pytest
 import quick_problem
 
 import mbtl
+from flat import created, ran
 from mbtl.study.job import Job, perform_elsewhere
 from mbtl.trainer import FunctionTrainer, Progress
 
@@ -15,8 +16,8 @@ N = 15
 
 
 def study_of(storage=None, **settings):
-    settings = {"budget": 4, "bounds": (-40.0, 0.0), "selector": "equidistant", **settings}
-    return mbtl.create_study(quick_problem.SPACE, storage=storage, **settings)
+    settings = {"budget": 4, "bounds": (-40.0, 0.0), "strategy": "equidistant", **settings}
+    return created(quick_problem.SPACE, storage=storage, **settings)
 
 
 class Reporting(FunctionTrainer):
@@ -123,7 +124,7 @@ class Ends(mbtl.Callback):
 def test_a_callback_ends_a_run_and_the_next_one_goes_on(tmp_path, parallel):
     study = study_of(tmp_path / "s.db")
     options = {"trainer": quick_problem.TRAINER, "progress": False, "report": False}
-    stopped = study.run(**options, parallel=parallel, callbacks=[Ends(1)])
+    stopped = ran(study, **options, parallel=parallel, callbacks=[Ends(1)])
     assert stopped.stop_reason == "enough for today"
     assert len(stopped.curve) == len(study.state.picks) == parallel
     assert not study.is_finished
@@ -146,11 +147,13 @@ class Prunes(mbtl.Callback):
 
 def test_a_callback_ends_one_training_early_which_is_no_failure():
     study, callback = study_of(), Prunes()
-    result = study.run(trainer=TRAINER, progress=False, callbacks=[callback], stop_after_failures=1)
+    result = ran(
+        study, trainer=TRAINER, progress=False, callbacks=[callback], stop_after_failures=1
+    )
     assert callback.heard == [(0, "a return of 200 at step 200")]
     assert [line.state for line in result.trainings] == ["pruned", "done", "done", "done"]
     assert result.trainings[0].error == "a return of 200 at step 200"
-    assert study.run(trainer=TRAINER, progress=False, retry_failed=True).curve.size == 3
+    assert ran(study, trainer=TRAINER, progress=False, retry_failed=True).curve.size == 3
 
 
 def gives_up(context, seed):

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from mbtl.study.steps.callbacks import StepCallback
 from training_envs import cartpole
 from warm_strategy import Warm
 
 import mbtl
+from flat import created
 from mbtl.actions import Policy
 from mbtl.seeds import training_seed
-from mbtl.study.steps.callbacks import StepCallback
 from mbtl.training import SB3Trainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("length", 0.3, 1.0): 5})
@@ -20,7 +21,7 @@ WARM = Warm()
 
 def opened(folder=None, strategy=WARM):
     trainer = SB3Trainer(cartpole, timesteps=512, hyperparameters=PPO, eval_episodes=1)
-    return mbtl.create_study(
+    return created(
         SPACE, cost="steps", budget=2_600, trainer=trainer, lengths=(128, 256, 512), episodes=1,
         horizon=200, bounds=(0.0, 200.0), strategy=strategy, seed=4,
         load_if_exists=True, storage=None if folder is None else folder / "study.db",

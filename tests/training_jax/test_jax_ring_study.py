@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from flat import created
+
 pytest.importorskip("jax", reason="the jax extra is not installed")
 pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
-import mbtl
-from mbtl.cmdps import get_cmdp
 from mbtl.study.steps.callbacks import StepCallback
+
+from mbtl.cmdps import get_cmdp
 
 RING = get_cmdp("ring-acc", engine="jax").every(13)
 """Holds of 7, 20 and 33 s: episodes of 58, 20 and 13 decisions."""
@@ -28,7 +30,7 @@ class Stops(StepCallback):
 
 def opened(folder=None):
     trainer = RING.trainer_for("quick", episodes=4, hyperparameters={"hidden": (8,)})
-    return mbtl.create_study(
+    return created(
         RING, cost="steps", budget=11_000, trainer=trainer, lengths=[800, 1_600], episodes=1,
         strategy="fixed", load_if_exists=True,
         storage=None if folder is None else folder / "study.db",

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from flat import created
+
 pytest.importorskip("jax", reason="the jax extra is not installed")
 pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
@@ -15,7 +17,6 @@ from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import evaluation_seeds, training_seed
-from mbtl.study import create_study
 from mbtl.study.rehearsal import rehearse
 from mbtl.training import SB3Trainer, WorldTrainer
 from mbtl.training.jax import evaluation, saving
@@ -155,7 +156,7 @@ def test_a_matrix_row_is_the_row_of_a_study(tmp_path):
         lanes=1,
     )
     building.run()
-    study = create_study(
+    study = created(
         building.space, budget=2, seed=7, bounds=(0, 500), storage=tmp_path / "study.db"
     )
     study.run(trainer=TRAINER, report=False)

@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 from warm_strategy import Warm
 
+from flat import created
+
 pytest.importorskip("jax", reason="the jax extra is not installed")
 pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
-import mbtl
+from mbtl.study.steps.callbacks import StepCallback
+
 from mbtl.actions import Policy
 from mbtl.cmdps import get_cmdp
 from mbtl.seeds import training_seed
-from mbtl.study.steps.callbacks import StepCallback
 
 SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
 PROBLEM = get_cmdp("pendulum-length", engine="jax", visibility="hidden")
@@ -44,7 +46,7 @@ WARM = Warm()
 
 def opened(folder=None, strategy=WARM):
     trainer = PROBLEM.trainer_for("quick", timesteps=1_024, hyperparameters=SMALL)
-    return mbtl.create_study(
+    return created(
         PROBLEM, cost="steps", budget=16_000, trainer=trainer, lengths=LENGTHS, episodes=1,
         strategy=strategy, seed=4, load_if_exists=True,
         storage=None if folder is None else folder / "study.db",
