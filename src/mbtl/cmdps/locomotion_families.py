@@ -110,9 +110,6 @@ LOCOMOTION_FAMILIES: Mapping[str, Family] = {
         presets=_SB3,
         preset_on_all="standard",
         jax=JaxFamily("mbtl.worlds.walker:BipedalWalker", _ours(_WALKER)),
-        in_simulator=JaxFamily(
-            "mbtl.cmdps.locomotion.walker_batch:BipedalWalkers", _ours(_WALKER), on_host=True
-        ),
     ),
     "cheetah": Family(
         entry_point="mbtl.cmdps.locomotion.cheetah:HalfCheetah",
