@@ -37,7 +37,6 @@ CORE = [
     "models",
     "routing",
     "acquisition",
-    "theory",
     "selectors",
     "actions",
     "portfolio",
