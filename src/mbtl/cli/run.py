@@ -25,10 +25,8 @@ from mbtl.plot import curve, policy_map, save
 from mbtl.report import beside, reference_curves, summarise_study
 from mbtl.report.text import show_summary
 from mbtl.selectors import get_selector
-from mbtl.settings import first_difference
 from mbtl.study import Callback, Study, asking
 from mbtl.study.runner import check_options
-from mbtl.study.storage import SqlLog
 from mbtl.trainer import Trainer
 
 NOTHING_LEFT = 0.005
@@ -209,13 +207,9 @@ def run(
     trainer = cmdp.trainer_for(preset, **{k: v for k, v in overrides.items() if v is not None})
     settings: Mapping[str, Any] = cmdp.facts(preset, trainer).settings
     folder = study or Path("runs") / f"{cmdp.id}-{settings['preset']}-seed{seed}"
-    former = cmdp.preset(preset).formerly
-    begun = Path("runs") / f"{cmdp.id}-{former}-seed{seed}"
     if workers is not None:
         check_master(workers, new=new, parallel=parallel, tensorboard=tensorboard)
         artifacts = artifacts_for(workers, artifacts, folder)
-    elif former and study is None and not folder.exists() and _is_there(begun, settings, former):
-        folder, settings = begun, {**settings, "preset": former}  # before the preset was renamed
     if new:
         set_aside(folder)
     if workers is None:
@@ -292,15 +286,6 @@ def _numbers(file: Path) -> Array:
             "--costs takes a text file of numbers, one per context, with spaces or new lines "
             f"between them, got {file}: {error}"
         ) from error
-
-
-def _is_there(folder: Path, settings: Mapping[str, Any], preset: str) -> bool:
-    """Whether a study of these settings was begun in `folder` under another name of its preset."""
-    place = folder / "study.db"
-    if not place.is_file():
-        return False
-    begun = Study(SqlLog(place, study_in(folder)), get_selector("random"), folder=folder)
-    return first_difference(begun.spec.settings, {**settings, "preset": preset}) is None
 
 
 def _announce(study: Study, folder: Path) -> None:

@@ -53,7 +53,6 @@ class Preset:
         normalize_observations: learn from standardised observations.
         n_envs: environments stepped together in training.
         description: one line for people.
-        formerly: what this recipe was called when work that may still be about was begun.
     """
 
     budget: int
@@ -75,12 +74,11 @@ class Preset:
     normalize_observations: bool | None = None
     n_envs: int | None = None
     description: str = ""
-    formerly: str = ""
 
     def options(self) -> dict[str, Any]:
         """What the recipe asks of the trainer; settings it leaves alone are absent."""
         chosen = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        del chosen["budget"], chosen["description"], chosen["formerly"]
+        del chosen["budget"], chosen["description"]
         return {name: value for name, value in chosen.items() if value is not None}
 
 
