@@ -23,7 +23,7 @@ from sklearn_gp import fit_sklearn
 from mbtl.acquisition import argmax_open, linear_gap_gain
 from mbtl.arrays import Array, uniform_weights
 from mbtl.models import FittedGP, GPSettings, fit_gp
-from mbtl.theory import beta_experiments
+from mbtl.selectors.mbtl import ucb_weight
 
 SHAPES = ("smooth", "rough", "flat", "failures", "cliff", "noise")
 
@@ -73,7 +73,7 @@ def next_pick(gp: FittedGP, data: DataSet) -> int:
     steps = np.arange(n, dtype=np.float64)[:, None]
     mean, std = gp.predict(steps)
     best = (data.y[:, None] - theta * np.abs(data.points[:, None] - steps[:, 0])).max(axis=0)
-    upper = mean + np.sqrt(beta_experiments(len(data.y) + 1, n)) * std
+    upper = mean + np.sqrt(ucb_weight(len(data.y) + 1, n)) * std
     gain = linear_gap_gain(upper, steps, steps, best, uniform_weights(n), theta=theta)
     is_open = np.ones(n, dtype=bool)
     is_open[data.points.astype(np.intp)] = False

@@ -1,6 +1,6 @@
 """Training and evaluation in a twin, end to end, against another checkout of this project.
 
-Both checkouts train the same contexts with the same recipe (preset `fast`, else `standard`), one
+Both checkouts train the same contexts with the same recipe (of the default preset), one
 process after the other in turns, on one thread. The contexts are trained twice: the first time
 compiles (`first_s`), the second is what counts. Steps are decisions of training episodes: those of
 evaluations are part of the cost. The same seeds are used, so the scores of both must agree.
@@ -30,8 +30,7 @@ def play(args: argparse.Namespace) -> dict[str, Any]:
     from mbtl.cmdps import get_cmdp
 
     cmdp = get_cmdp(args.cmdp, engine="jax")
-    preset = "fast" if "fast" in cmdp.presets else "standard"  # of eco-driving, the former name
-    trainer = cmdp.trainer_for(preset, episodes=args.episodes, checkpoint_every=args.every)
+    trainer = cmdp.trainer_for(None, episodes=args.episodes, checkpoint_every=args.every)
     own = cmdp.space.contexts
     contexts = [own[i * len(own) // args.contexts] for i in range(args.contexts)]
     decisions = {tuple(c.items()): decisions_in(trainer, c) for c in contexts}

@@ -17,7 +17,7 @@ from typing import Any
 import measure
 from measure import cost_of, digits, note
 
-CASES = ("eco-inflow standard", "eco-inflow fast")
+CASES = ("eco-inflow standard",)
 PARTS = ("cars", "networks", "keeping", "learning")
 
 

@@ -1,23 +1,19 @@
-"""BipedalWalker: what a step costs, and what training gives, beside Stable-Baselines3.
+"""BipedalWalker in jax: a step, and what training gives, beside Stable-Baselines3.
 
     python benchmarks/walker_training.py [--part PARTS] [--steps 1000000] [--seeds 3]
 
-`step` is of one core: Gymnasium's BipedalWalker-v3, our environment alone, our walkers together,
-and what of that is Box2D, all with walking actions; the lower tenth of many short measurements.
 `twin` is a step of 160 walkers in jax, without networks, and how long it is compiled.
 `rate` trains for --seconds on every core at once, one process each: Stable-Baselines3 with its
-default PPO on Gymnasium's environment, and the recipe of the CMDP in the engine, with Box2D's
-walkers and with those in jax. Rates are steps per second of processor time, added up over cores,
-with learning and all else.
+default PPO on Gymnasium's environment, and the recipe of the CMDP in the engine. Rates are steps
+per second of processor time, added up over cores, with learning and all else.
 `learning` trains --who in the nominal context for as many --steps: `ours`, the recipe of the CMDP
-with the walker in jax; `box2d`, the same learner with our walkers in Box2D; `same`,
-Stable-Baselines3's PPO with that recipe on Gymnasium's environment; and `default`, its PPO with its
-defaults. It prints, --looks times on the way, what policies return in Gymnasium's environment (mean
-actions, the same ten fresh episodes of 1000 steps) and the seconds of processor time that the
-trainings took, with compiling, without these looks. Of the two engines of ours it prints as much
-for the best of the evaluations on the way, which the recipe keeps, and what the latest policies
-return where they were trained, in other episodes. Trainings of the same kind take turns, so that an
-interrupted run has equal steps of all.
+with the walker in jax; `same`, Stable-Baselines3's PPO with that recipe on Gymnasium's environment;
+and `default`, its PPO with its defaults. It prints, --looks times on the way, what policies return
+in Gymnasium's environment (mean actions, the same ten fresh episodes of 1000 steps) and the seconds
+of processor time that the trainings took, with compiling, without these looks. Of ours it prints as
+much for the best of the evaluations on the way, which the recipe keeps, and what the latest
+policies return where they were trained, in other episodes. Trainings of the same kind take turns,
+so that an interrupted run has equal steps of all.
 """
 
 from __future__ import annotations
@@ -37,7 +33,7 @@ from rates import CORES, on_every_core
 
 HORIZON, EPISODES = 1000, 10
 NOMINAL = {"gravity": 10.0}
-WHO = ("ours", "box2d", "same", "default")
+WHO = ("ours", "same", "default")
 
 
 def gymnasium_walker() -> Any:
@@ -57,52 +53,6 @@ def sb3_model(seed: int) -> Any:
 
 
 # ---- a step ----------------------------------------------------------------------------------
-
-
-def step_costs() -> dict[str, float]:
-    """Microseconds of processor time."""
-    from gymnasium.envs.box2d.bipedal_walker import BipedalWalker, BipedalWalkerHeuristics
-
-    from mbtl.cmdps.locomotion import walker
-    from mbtl.cmdps.locomotion.walker_body import Constants, Walker, advance
-
-    def walking(env: Any) -> tuple[list[Any], list[float]]:
-        seen, heuristic, actions, costs = env.reset(seed=5)[0], BipedalWalkerHeuristics(), [], []
-        heuristic.a = np.zeros(4)
-        for _ in range(300):
-            actions.append(heuristic.step_heuristic(seen).astype(np.float32))
-            begin = time.thread_time()
-            seen, _, ended, *_ = env.step(actions[-1])
-            costs.append(time.thread_time() - begin)
-            if ended:
-                break
-        return actions, costs
-
-    found = {
-        "Gymnasium's BipedalWalker": least(walking(BipedalWalker())[1]),
-        "our environment": least(walking(walker.BipedalWalker(NOMINAL))[1]),
-    }
-    rng = np.random.default_rng(0)
-    for n in (1, 8, 32):
-        herd = [Walker(Constants(10.0, 2.5, 30.0), rng.random(300)) for _ in range(n)]
-        each = [BipedalWalkerHeuristics() for _ in herd]
-        for one in each:
-            one.a = np.zeros(4)
-        seen = advance(herd, np.zeros((n, 4), np.float32))[0]
-        together, alone = [], []
-        for k in range(400):
-            action = np.array([h.step_heuristic(s) for h, s in zip(each, seen, strict=True)])
-            begin = time.thread_time()
-            if k % 2:
-                for one in herd:
-                    one.world.Step(0.02, 180, 60)
-                alone.append((time.thread_time() - begin) / n)
-            else:
-                seen = advance(herd, action.astype(np.float32))[0]
-                together.append((time.thread_time() - begin) / n)
-        found[f"our walkers, {n} together"] = least(together)
-        found[f"of which Box2D, {n} together"] = least(alone)
-    return found
 
 
 def twin_costs(n: int = 160, steps: int = 40) -> tuple[float, float]:
@@ -135,11 +85,6 @@ def twin_costs(n: int = 160, steps: int = 40) -> tuple[float, float]:
     return min(costs) * 1e6, compiling
 
 
-def least(seconds: list[float]) -> float:
-    """Microseconds: the lower tenth, which other processes on the machine disturb least."""
-    return float(np.quantile(seconds, 0.1)) * 1e6
-
-
 # ---- rates -----------------------------------------------------------------------------------
 
 
@@ -148,12 +93,12 @@ def sb3_rate(seconds: float, barrier: Any) -> float:
     return rates.of_sb3(sb3_model(0), seconds, barrier)
 
 
-def our_rate(engine: str, seconds: float, barrier: Any) -> float:
+def our_rate(seconds: float, barrier: Any) -> float:
     """Likewise, of the default preset, with few evaluations on the way."""
     os.environ["NPROC"] = "1"
     from mbtl.cmdps import get_cmdp
 
-    trainer = get_cmdp("walker-gravity", engine=engine).trainer
+    trainer = get_cmdp("walker-gravity", engine="jax").trainer
     world, params = trainer.problem([NOMINAL])
     every = 10 * trainer.update_length
     return rates.of_engine(world, trainer.learner, [0], params, every, seconds, barrier)
@@ -188,14 +133,14 @@ def judged(policy: Any, shown: Any = ()) -> float:
     return float(np.mean(returns))
 
 
-def our_learning(simulator: str, seed: int, steps: int, looks: int) -> Iterator[Look]:
-    """Of the engine, with the walker in jax or Box2D's."""
+def our_learning(seed: int, steps: int, looks: int) -> Iterator[Look]:
+    """Of the engine."""
     os.environ["NPROC"] = "1"
     import mbtl.training.jax as engine
     from mbtl.checkpoints import Checkpoint
     from mbtl.cmdps import get_cmdp
 
-    trainer = get_cmdp("walker-gravity", engine=simulator).trainer
+    trainer = get_cmdp("walker-gravity", engine="jax").trainer
     recipe, (world, params) = trainer.learner, trainer.problem([NOMINAL])
     total, every = looks_of(recipe, steps, looks)
     training, spent = None, 0.0
@@ -266,8 +211,7 @@ def sb3_learning(same: bool, seed: int, steps: int, looks: int) -> Iterator[Look
 def learning(who: str, seeds: range, steps: int, looks: int) -> None:
     """Prints a line per look: steps, mean return and seconds of each seed."""
     made = {
-        "ours": partial(our_learning, "jax"),
-        "box2d": partial(our_learning, "gymnasium-jax"),
+        "ours": our_learning,
         "same": partial(sb3_learning, True),
         "default": partial(sb3_learning, False),
     }[who]
@@ -283,7 +227,7 @@ def learning(who: str, seeds: range, steps: int, looks: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parts = ("step", "twin", "rate", "learning")
+    parts = ("twin", "rate", "learning")
     parser.add_argument("--part", nargs="+", choices=parts, default=list(parts))
     parser.add_argument("--seconds", type=float, default=60.0, help="of a rate")
     parser.add_argument("--who", nargs="+", choices=WHO, default=list(WHO), help="that learn")
@@ -292,11 +236,6 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="trainings of each")
     parser.add_argument("--first-seed", type=int, default=0, help="of the trainings")
     args = parser.parse_args()
-    if "step" in args.part:
-        costs = step_costs()
-        theirs = costs["Gymnasium's BipedalWalker"]
-        for name, cost in costs.items():
-            print(f"{name:32s} {cost:6.1f} us a step, {theirs / cost:4.1f} x", flush=True)
     if "twin" in args.part:
         cost, compiling = twin_costs()
         print(
@@ -308,9 +247,8 @@ def main() -> None:
             f"training steps per second on {CORES} cores: Stable-Baselines3 {theirs:.0f}",
             flush=True,
         )
-        for name, engine in (("ours, Box2D", "gymnasium-jax"), ("ours, in jax", "jax")):
-            rate = sum(on_every_core(our_rate, engine, args.seconds))
-            print(f"{name}: {rate:.0f}, {rate / theirs:.1f} x", flush=True)
+        ours = sum(on_every_core(our_rate, args.seconds))
+        print(f"ours: {ours:.0f}, {ours / theirs:.1f} x", flush=True)
     if "learning" in args.part:
         for who in args.who:
             seeds = range(args.first_seed, args.first_seed + args.seeds)

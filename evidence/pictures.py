@@ -1,7 +1,8 @@
-"""The pictures of docs/concepts.md, from a shipped transfer matrix; nothing is trained.
+"""The pictures of README and docs/concepts.md, from shipped transfer matrices; nothing is trained.
 
 CartPole with 100 pole lengths, learnt by DQN: a policy of one length fails on others, so choosing
-pays. The study is the one that the paper's rule makes of the matrix.
+pays. The study is the one that the paper's rule makes of the matrix. README's picture is of a merge
+onto a motorway, where advice is held for 1 to 40 s.
 
 example: python evidence/pictures.py --write
 """
@@ -17,19 +18,20 @@ import pages
 
 import mbtl
 from mbtl import plot
-from mbtl.plot.style import axes_for, dress
+from mbtl.plot.style import axes_for, dress, new_figure
 
 NAME, SEED = "cartpole-length-dqn", 0
 COMPARED = "pendulum-length-hidden"
+README = "ramp-acc"
 SOURCES = (9, 30, 70)
 """Contexts whose policies are drawn one by one."""
 
 
-def replayed(budget: int, selector: str = "mbtl") -> mbtl.Study:
-    """The study that a selector makes when trainings are rows of the matrix."""
-    matrix = mbtl.load_matrix(NAME)
+def replayed(budget: int, name: str = NAME) -> mbtl.Study:
+    """The study that the paper's rule makes when trainings are rows of the matrix."""
+    matrix = mbtl.load_matrix(name)
     study = mbtl.create_study(
-        matrix.space, budget=budget, selector=selector, bounds=matrix.bounds, problem=NAME
+        matrix.space, budget=budget, selector="mbtl", bounds=matrix.bounds, problem=name
     )
     for _ in range(budget):
         pick = study.ask()
@@ -80,6 +82,20 @@ def compared(ax: Any = None) -> Any:
     return mbtl.compare(names, [mbtl.load_matrix(COMPARED)], 15, seeds=1).plot(ax=ax)
 
 
+def readme() -> Any:
+    """V against the number of trainings, and which policy serves which context."""
+    with plot.style():
+        left, right = new_figure(10.6, 3.6).subplots(1, 2)
+        matrix = mbtl.load_matrix(README)
+        mbtl.compare(["random", "greedy", "auto", "mbtl", "oracle"], [matrix], 15, seeds=1).plot(
+            ax=left
+        )
+        left.set_title(f"{README}: {matrix.n} contexts, {matrix.n_seeds} seeds")
+        left.legend(loc="lower right", fontsize=7)
+        plot.policy_map(replayed(15, README), ax=right)
+    return left
+
+
 PICTURES: dict[str, Callable[[], Any]] = {
     "matrix": lambda: plot.matrix(mbtl.load_matrix(NAME), SEED, picks=SOURCES),
     "rows": rows,
@@ -87,6 +103,7 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "model": lambda: plot.model(replayed(5), 4),
     "policy-map": lambda: plot.policy_map(replayed(5)),
     "comparison": compared,
+    "readme": readme,
 }
 
 
@@ -94,12 +111,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--write", action="store_true", help="docs/images/concepts-*.png")
+    parser.add_argument("--write", action="store_true", help="into docs/images")
     args = parser.parse_args()
     for name, draw in PICTURES.items():
         drawn = draw()
         if args.write:
-            print(plot.save(drawn, pages.DOCS / "images" / f"concepts-{name}.png"))
+            file = "hero" if name == "readme" else f"concepts-{name}"
+            print(plot.save(drawn, pages.DOCS / "images" / f"{file}.png"))
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ class Laboratory:
     def __init__(self, name: str, steps: int, folder: Path) -> None:
         self.name, self.folder, self.steps = name, folder / name, steps
         self.cmdp = get_cmdp(name, engine="jax")
-        self.trainer: Any = self.cmdp.trainer_for("standard", timesteps=steps)
+        self.trainer: Any = self.cmdp.trainer_for("full", timesteps=steps, eval_episodes=20)
         axis = next(iter(self.cmdp.nominal or {}))
         values = np.asarray(self.cmdp.space.values(axis), dtype=float)
         self._at = lambda share: {axis: float(np.interp(share * 99.0, np.arange(100), values))}

@@ -26,7 +26,6 @@ import numpy as np
 from scipy import stats
 
 from mbtl.cmdps import get_cmdp
-from mbtl.cmdps.registry import engines_of
 from mbtl.seeds import Purpose, evaluation_seeds, training_seed
 from mbtl.training import export_mlp
 
@@ -42,10 +41,10 @@ def main() -> None:
     parser.add_argument("--policies", type=Path)
     parser.add_argument("--out")
     args = parser.parse_args()
-    walks = "gymnasium-jax" in engines_of(args.cmdp)
+    walks = args.cmdp.startswith("walker")
     if walks and not args.policies:
         parser.error("walkers need --policies, those that the build of a matrix kept")
-    name, engine = ("Box2D", "gymnasium-jax") if walks else ("SUMO", "sumo")
+    name, engine = ("Box2D", "gymnasium") if walks else ("SUMO", "sumo")
     score = "paper" if args.cmdp.startswith(("eco", "signal")) else None
     twin, native = (get_cmdp(args.cmdp, engine=one, score=score) for one in ("jax", engine))
     n = twin.space.n
@@ -69,13 +68,17 @@ def main() -> None:
         policies = trainer.train_many(lessons, seeds, keep=(kept,))[kept]
     else:
         school = native.trainer_for("quick", **length)
-        policies = [school.train(one, seed) for one, seed in zip(lessons, seeds, strict=True)]
+        policies = [
+            school.train([one], seed).policy for one, seed in zip(lessons, seeds, strict=True)
+        ]
     where = args.policies or args.train_in
     print(f"{len(policies)} policies of {where}: {time.perf_counter() - begin:.0f} s", flush=True)
     if args.train_in == "sumo":
         policies = [export_mlp(policy) for policy in policies]
     acting = {} if walks else {"acting": trainer.acting}
-    judge = native.trainer_for("quick", eval_episodes=args.episodes, **acting)
+    judge = native.trainer_for(
+        "standard" if walks else "quick", eval_episodes=args.episodes, **acting
+    )
     purposes = Purpose.EVALUATION, Purpose.REPORT
     seeds = {p: evaluation_seeds(0, 0, range(len(there)), p) for p in purposes}
     found = {"twin": _means(trainer, policies, there, seeds[Purpose.EVALUATION])}

@@ -1,8 +1,8 @@
 """An object that lives in a process of its own and is asked by the names of its methods.
 
-    herd = Elsewhere(partial(LocalHerd, 1000))
-    herd.ask("start", constants, noise)             # many can be asked before one is waited for
-    numbers, seen = herd.answer()
+    scene = Elsewhere(make_scene)
+    scene.ask("start", context, seed)               # many can be asked before one is waited for
+    sight = scene.answer()
 
 The process begins at the first question and ends with this one. One that has died is replaced at
 the next question, by an object that knows nothing of the past.
@@ -21,17 +21,6 @@ from collections.abc import Callable
 from typing import Any
 
 from mbtl.errors import MbtlError, SimulationFailed
-
-
-class Died(SimulationFailed):
-    """A process ended before its answer; `code` is its exit code."""
-
-    def __init__(self, code: int | None) -> None:
-        super().__init__(
-            f"a process with simulations must not end before them, got exit code {code}; what was "
-            "in it is lost, start that again"
-        )
-        self.code = code
 
 
 class Elsewhere:
@@ -64,7 +53,7 @@ class Elsewhere:
         """What the method gave.
 
         Raises:
-            Died: the process has ended.
+            SimulationFailed: the process has ended.
             MbtlError: the method raised it.
         """
         assert self._process is not None
@@ -72,7 +61,10 @@ class Elsewhere:
         try:
             found = pickle.load(self._process.stdout)
         except (EOFError, OSError, pickle.UnpicklingError):
-            raise Died(self.close()) from None
+            raise SimulationFailed(
+                "a process with simulations must not end before them, got exit code "
+                f"{self.close()}; what was in it is lost, start that again"
+            ) from None
         if isinstance(found, MbtlError):
             raise found
         return found

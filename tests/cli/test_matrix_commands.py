@@ -76,53 +76,6 @@ def test_an_interrupted_build_goes_on(mbtl_command, problem):
     assert len((problem / "trained.txt").read_text().split()) == 4
 
 
-RENAMED = """
-from mbtl.cmdps import CMDP, Preset
-from own import mine
-renamed = CMDP("cartpole-length", mine.space, mine.trainer, bounds=(0.0, 100.0),
-               presets={"full": Preset(4, formerly="paper")})
-"""
-
-
-def test_a_build_goes_on_where_it_was_begun_under_a_former_name_of_its_preset(
-    mbtl_command, problem
-):
-    (problem / "renamed.py").write_text(RENAMED)
-    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
-    runs = problem / "runs"
-    (begun,) = runs.iterdir()
-    begun.rename(runs / "matrix-cartpole-length-paper-seed0")
-    command = ("matrix", "build", "renamed.py:renamed", "--workers", 1, "--seeds", 1)
-    code, _, err = mbtl_command(*command, "--out", "again")
-    assert code == 0, err
-    assert len((problem / "trained.txt").read_text().split()) == 4
-    assert [one.name for one in runs.iterdir()] == ["matrix-cartpole-length-paper-seed0"]
-
-
-AGAIN = """
-from kept import Kept, kept
-from mbtl.cmdps import CMDP, Preset
-def named(**presets):
-    return CMDP("cartpole-length", kept.space, Kept(), bounds=(-9.0, 0.0), presets=presets)
-before = named(paper=Preset(4, timesteps=5))
-after = named(full=Preset(4, timesteps=5, formerly="paper"), paper=Preset(4, timesteps=9))
-"""
-
-
-def test_a_preset_that_has_another_name_now_is_named_where_a_file_of_it_is_there(
-    mbtl_command, problem
-):
-    (problem / "kept.py").write_text(KEPT)
-    (problem / "again.py").write_text(AGAIN)
-    build = ("--seeds", 1, "--workers", 1)
-    assert mbtl_command("matrix", "build", "again.py:before", *build)[0] == 0
-    assert mbtl_command("matrix", "build", "again.py:after", *build)[0] == 0
-    code, _, err = mbtl_command("matrix", "build", "again.py:after", "--preset", "paper", *build)
-    assert code == 2
-    assert "timesteps was 5, got 9" in " ".join(err.split())
-    assert "its preset is called 'full' now" in " ".join(err.split())
-
-
 def test_two_checkpoints_are_two_files_whose_command_builds_both(mbtl_command, problem):
     (problem / "two.py").write_text(TWO)
     code, _, err = mbtl_command(
@@ -186,6 +139,7 @@ import json
 from dataclasses import dataclass
 import numpy as np
 from mbtl.cmdps import CMDP, Preset
+from mbtl.trainer import Trained
 from own import mine, train
 
 @dataclass(frozen=True)
@@ -198,8 +152,10 @@ class Kept:
     def recipe(self):
         return {"timesteps": self.timesteps, "eval_episodes": self.eval_episodes}
 
-    def train(self, context, seed, on_progress=None):
-        return train(context, seed)
+    takes, whole, counts = frozenset(), None, "steps"
+
+    def train(self, contexts, seed, **asked):
+        return Trained(train(contexts[0], seed))
 
     def evaluate(self, policy, contexts, seeds):
         return np.zeros((len(contexts), self.eval_episodes))
@@ -228,7 +184,7 @@ class Both:
     policy_format = "custom"
     recipe = {"trainer": "both", "checkpoint": "best"}
 
-    def train_many(self, contexts, seeds, on_progress=None, *, keep=(), partial=None):
+    def train_many(self, contexts, seeds, *, keep=(), state=None, on_progress=None):
         return {k: [c["length"] for c in contexts] for k in keep}
 
     def evaluate_many(self, policies, contexts, seeds):

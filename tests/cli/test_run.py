@@ -77,25 +77,6 @@ def test_a_larger_budget_goes_on_and_is_announced(mbtl_command, own):
     assert "K = 3 (raised from 2)" in " ".join(err.split())
 
 
-RENAMED = """
-from dataclasses import replace
-from own import problem
-from mbtl.cmdps import Preset
-before = replace(problem, presets={"paper": Preset(3)})
-after = replace(problem, presets={"full": Preset(3, formerly="paper"), "paper": Preset(3)})
-"""
-
-
-def test_a_study_begun_under_a_former_name_of_its_preset_goes_on(mbtl_command, own, tmp_path):
-    (tmp_path / "renamed.py").write_text(RENAMED)
-    assert mbtl_command("run", "renamed.py:before")[0] == 0
-    code, out, err = mbtl_command("run", "renamed.py:after", "--json")
-    assert code == 0, err
-    assert json.loads(out)["study"] == "runs/mass-paper-seed0"
-    assert "pick" not in err
-    assert not (tmp_path / "runs" / "mass-full-seed0").exists()
-
-
 def test_costs_come_from_a_file_and_end_the_study(mbtl_command, own, tmp_path):
     file = tmp_path / "costs.txt"
     file.write_text("1 " * 9 + "\n" + "50 " * 6)

@@ -183,7 +183,7 @@ def test_reference_physics_of_the_pendulum_is_the_intended_one():
 
 def test_presets_and_overrides_shape_the_trainer():
     cmdp = get_cmdp("pendulum-length", engine="gymnasium")
-    assert list(cmdp.presets) == ["quick", "standard", "paper"]
+    assert list(cmdp.presets) == ["quick", "paper"]
     assert cmdp.default_preset == "quick"
     assert cmdp.trainer == cmdp.trainer_for() == cmdp.trainer_for("quick")
     paper = cmdp.trainer_for("paper")

@@ -9,6 +9,7 @@ from mbtl.errors import UnknownName
 from mbtl.reproduction import Bench, Setting, items_named, published
 from mbtl.reproduction.case import Case
 from mbtl.reproduction.claims import NOT, OPEN, PARTLY, REPRODUCED
+from mbtl.reproduction.items.elimination import longest_run, rates
 from mbtl.reproduction.paper import METHODS, Value, marked
 from mbtl.reproduction.rows import row_verdict
 from mbtl.reproduction.statistics import interquartile_mean, pooled, pooled_mean
@@ -225,3 +226,22 @@ def test_multitask_files_go_round(folder):
     np.testing.assert_allclose(found["ppo"].std[1], 3.2, rtol=1e-6)
     assert found["ppo"].provenance == ({"s": 0}, {"s": 1})
     assert load_multitask("cartpole-masscart", folder=folder / "multitask") == {}
+
+
+def test_elimination_in_a_linear_gap_world_by_hand():
+    # N = 11, slope 0.1, constant training performance: after the middle (5), the policy of 0 is
+    # at least as good where |x' - 0| <= |x' - 5|, that is on 0, 1, 2.
+    i = np.arange(11.0)
+    world = 1.0 - 0.1 * np.abs(i[:, None] - i)
+    matrix = TransferMatrix.of(world[None], bounds=(0, 1), theta=0.1)
+    assert rates(matrix, 0, [5, 0]) == pytest.approx([1.0, 3 / 11])
+    printed = rates(matrix, 0, [5, 0], gaps=2)
+    assert printed == pytest.approx([1.0, 2 / 11])  # 0.5 <= 1, 0.6 <= 0.8, not 0.7 <= 0.6
+
+
+@pytest.mark.parametrize(
+    ("mask", "length"),
+    [([], 0), ([0, 0], 0), ([1, 1, 0, 1], 2), ([0, 1, 0, 1, 1, 1], 3), ([1, 1], 2)],
+)
+def test_longest_run(mask, length):
+    assert longest_run(np.array(mask, dtype=bool)) == length

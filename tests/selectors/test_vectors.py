@@ -23,6 +23,7 @@ from mbtl.selectors import (
     model_based,
     selector_names,
 )
+from mbtl.selectors.mbtl import ucb_weight
 from mbtl.selectors.mbtl_release import running_own_best
 
 GREEDY = {
@@ -277,3 +278,9 @@ def test_a_part_of_very_many_contexts_stands_for_all_and_the_pick_says_so(monkey
     assert (whole.notes, thin.notes) == ((), said)
     assert thin.source == there.source
     assert there.acquisition >= (1.0 if exact else 0.9) * whole.acquisition
+
+
+def test_the_exploration_weight_is_that_of_the_paper():
+    # cmdp-spec 8.2: sqrt(beta) is 3.46, 3.96 and 4.48 at picks 2, 5 and 15 of N = 100
+    found = [ucb_weight(k, 100) ** 0.5 for k in (2, 5, 15)]
+    assert found == pytest.approx([3.46, 3.96, 4.48], abs=5e-3)

@@ -65,16 +65,16 @@ def test_each_reward_is_given_to_agents_only(cmdp):
 
 
 def test_a_new_policy_begins_with_the_first_action_of_its_recipe(cmdp):
-    trainer = cmdp.trainer_for("fast", hyperparameters={"first_action": 3.0})
+    trainer = cmdp.trainer_for("paper", hyperparameters={"first_action": 3.0})
     action, _ = trainer.untrained(CONTEXT).predict(np.zeros((1, 40), np.float32))
     assert float(action.reshape(())) == pytest.approx(3.0)
 
 
 def test_another_reward_is_part_of_the_recipe_and_an_unknown_one_is_refused(cmdp):
-    assert "reward" not in cmdp.trainer_for("fast").recipe
-    assert cmdp.trainer_for("fast", reward="delay").recipe["reward"] == "delay"
+    assert "reward" not in cmdp.trainer_for("paper").recipe
+    assert cmdp.trainer_for("paper", reward="delay").recipe["reward"] == "delay"
     with pytest.raises(UnknownName, match="delay, paper, platoon, road"):
-        cmdp.trainer_for("standard", reward="speed").train(CONTEXT, 0)
+        cmdp.trainer_for("standard", reward="speed").train([CONTEXT], 0)
     ring = get_cmdp("ring-acc", engine="jax").trainer_for("quick", reward="delay")
     with pytest.raises(UnknownName, match="reward of this world"):
-        ring.train({"hold": 5.0}, 0)
+        ring.train([{"hold": 5.0}], 0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -106,7 +105,7 @@ class Job:
             file = self.file(out, checkpoint, seed)
             if file.is_file():
                 found[file] = TransferMatrix.load(file)
-                self._check(file, found[file].provenance, checkpoint)
+                check_made_by(file, found[file].provenance, self.of_checkpoint(checkpoint))
                 there, wanted = len(found[file].problem(1).sources), len(self.sources)
                 if there != wanted:
                     raise InvalidInput(
@@ -117,15 +116,6 @@ class Job:
         if self.along and not self.curves_file(out, seed).is_file():
             complete = False
         return found if complete else {}
-
-    def _check(self, file: Path, record: Mapping[str, Any], checkpoint: str) -> None:
-        try:
-            check_made_by(file, record, self.of_checkpoint(checkpoint))
-        except InvalidInput as error:
-            for name, preset in self.cmdp.presets.items():
-                if preset.formerly == record.get("preset") == self.preset:
-                    raise InvalidInput(f"{error} (its preset is called {name!r} now)") from error
-            raise
 
     def run(self, building: Build, out: Path, workers: int | None) -> dict[Path, TransferMatrix]:
         """Train and evaluate what is missing, and write the files of a seed."""
@@ -189,10 +179,18 @@ class Job:
         ).save(file)
 
     def building(self, work: Path, seed: int) -> Build:
-        """In the folder of the preset's name, or of its former one if it was begun there."""
-        builds = self._builds(work, seed)
-        return next(
-            (one for one in builds if not _differs(claim_of(one.folder), one.claim)), builds[0]
+        """In its folder below `work`."""
+        name = matrix_id(self.cmdp.id, self.variant)
+        return Build(
+            self.trainer,
+            self.cmdp.space,
+            seed,
+            work / f"matrix-{name}-{self.preset}-seed{seed}",
+            self.settings,
+            self.checkpoints,
+            self.lanes,
+            along=self.along,
+            every=self.every,
         )
 
     def again(self, work: Path, seed: int) -> Build:
@@ -201,55 +199,25 @@ class Job:
         Raises:
             InvalidInput: nothing was built there, or by another training.
         """
-        refusal = None
-        for begun in self._builds(work, seed):
-            claim = claim_of(begun.folder)
-            if claim is None:
-                continue
-            now = {**begun.claim, "recipe": dict(begun.claim["recipe"])}
-            for record in (claim, now):
-                record["recipe"].pop("eval_episodes", None)
-                record.pop("evaluation_seeds", None)
-            difference = _differs(claim, now)
-            if difference is None:
-                folder, kept = begun.folder / "evaluated-again", begun.folder / "policies"
-                return replace(begun, folder=folder, kept=kept, along=None)
+        begun = self.building(work, seed)
+        claim = claim_of(begun.folder)
+        if claim is None:
+            raise InvalidInput(
+                f"no policies were kept in {begun.folder}; build without --evaluate-again, or give "
+                "the --work of that build"
+            )
+        now = json.loads(json.dumps(begun.claim))
+        for record in (claim, now):
+            record["recipe"].pop("eval_episodes", None)
+            record.pop("evaluation_seeds", None)
+        if difference := first_difference(claim, now):
             name, was, got = difference
-            refusal = refusal or (
+            raise InvalidInput(
                 f"only the number of episodes may change when policies of {begun.folder} are "
                 f"evaluated again: {name} was {was!r}, got {got!r}"
             )
-        raise InvalidInput(
-            refusal
-            or f"no policies were kept in {self._builds(work, seed)[0].folder}; build without "
-            "--evaluate-again, or give the --work of that build"
-        )
-
-    def _builds(self, work: Path, seed: int) -> list[Build]:
-        name = matrix_id(self.cmdp.id, self.variant)
-        presets = [self.preset, self.cmdp.preset(self.preset).formerly]
-        return [
-            Build(
-                self.trainer,
-                self.cmdp.space,
-                seed,
-                work / f"matrix-{name}-{preset}-seed{seed}",
-                self.settings,
-                self.checkpoints,
-                self.lanes,
-                along=self.along,
-                every=self.every,
-            )
-            for preset in presets
-            if preset
-        ]
-
-
-def _differs(
-    there: Mapping[str, Any] | None, now: Mapping[str, Any]
-) -> tuple[str, Any, Any] | None:
-    """The first setting in which a folder's claim is not today's."""
-    return first_difference(there or {}, json.loads(json.dumps(now)))
+        folder, kept = begun.folder / "evaluated-again", begun.folder / "policies"
+        return replace(begun, folder=folder, kept=kept, along=None)
 
 
 def _perform(building: Build, workers: int, label: str) -> None:

@@ -54,7 +54,6 @@ class Preset:
         normalize_observations: learn from standardised observations.
         n_envs: environments stepped together in training.
         description: one line for people.
-        formerly: what this recipe was called when work that may still be about was begun.
     """
 
     budget: int
@@ -76,12 +75,11 @@ class Preset:
     normalize_observations: bool | None = None
     n_envs: int | None = None
     description: str = ""
-    formerly: str = ""
 
     def options(self) -> dict[str, Any]:
         """What the recipe asks of the trainer; settings it leaves alone are absent."""
         chosen = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        del chosen["budget"], chosen["description"], chosen["formerly"]
+        del chosen["budget"], chosen["description"]
         return {name: value for name, value in chosen.items() if value is not None}
 
 
@@ -198,7 +196,7 @@ class CMDP:
         id: str,
         space: ContextSpace,
         *,
-        train: Callable[[Context, int], Any],
+        train: Callable[..., Any],
         evaluate: Callable[..., Any],
         save: Callable[[Any, Path], None] | None = None,
         load: Callable[[Path], Any] | None = None,
@@ -210,7 +208,8 @@ class CMDP:
         Args:
             id: short name, part of file names.
             space: the contexts.
-            train: context, seed -> policy.
+            train: `train(context, seed)`, or `train(contexts, seed, *, start=None, length=None)`,
+                which can do more; see `mbtl.trainer.FunctionTrainer`.
             evaluate: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes);
                 one seed per context, see `mbtl.trainer.FunctionTrainer`. The same seed should mean
                 the same episodes for every policy.

@@ -1,8 +1,7 @@
 """Where a CMDP is simulated: step by step in Gymnasium or SUMO, or in jax for whole batches.
 
 All take their physics from the same environment, so no constant is derived twice. "sumo-jax" is
-SUMO with the learners of the jax engine: each simulation has a process of its own. "gymnasium-jax"
-is a native simulator with them, which steps whole batches, where the jax engine has a twin of it.
+SUMO with the learners of the jax engine: each simulation has a process of its own.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from mbtl.contexts import Axis, Context
 from mbtl.errors import ContextMismatch, InvalidInput, missing_extra, unknown_name
 from mbtl.score import Score
 
-ENGINES = ("jax", "gymnasium", "gymnasium-jax", "sumo", "sumo-jax")
+ENGINES = ("jax", "gymnasium", "sumo", "sumo-jax")
 
 _EXTRAS = {"Box2D": "envs", "gymnasium": "envs", "mujoco": "envs", "pettingzoo": "traffic"}
 """Of packages that simulators need."""

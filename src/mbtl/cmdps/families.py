@@ -38,15 +38,6 @@ _CARTPOLE = {
         checkpoint="final",
         description="minutes on a laptop: SB3 default PPO, final policy",
     ),
-    "standard": Preset(
-        budget=15,
-        timesteps=300_000,
-        eval_episodes=20,
-        algorithm="PPO",
-        checkpoint="best",
-        checkpoint_episodes=10,
-        description="an hour or two: SB3 default PPO, best-of-evaluations policy",
-    ),
     "paper": _paper(5_000_000),
 }
 
@@ -64,17 +55,6 @@ _PENDULUM = {
         n_envs=4,
         description="minutes on a laptop: PPO tuned for short training, final policy",
     ),
-    "standard": Preset(
-        budget=15,
-        timesteps=300_000,
-        eval_episodes=20,
-        algorithm="PPO",
-        hyperparameters=_PENDULUM_PPO,
-        checkpoint="best",
-        checkpoint_episodes=10,
-        n_envs=4,
-        description="an hour or two: PPO tuned for short training, best-of-evaluations policy",
-    ),
     "paper": _paper(1_000_000),
 }
 
@@ -83,27 +63,28 @@ def _jax(
     environment: str, paper_steps: int, hyperparameters: Mapping[str, Any] | None = None
 ) -> JaxFamily:
     """The paper's steps are the default here: a policy takes seconds."""
-
-    def preset(timesteps: int, eval_episodes: int, budget: int, description: str) -> Preset:
-        return Preset(
-            budget=budget,
-            timesteps=timesteps,
-            eval_episodes=eval_episodes,
-            algorithm="PPO",
-            recipe_name="fast",
-            hyperparameters=hyperparameters,
-            checkpoint="best",
-            checkpoint_episodes=10,
-            description=f"{description}, best-of-evaluations policy",
-        )
-
-    full = preset(paper_steps, 100, 15, "the paper's steps with our faster recipe")
+    full = Preset(
+        budget=15,
+        timesteps=paper_steps,
+        eval_episodes=100,
+        algorithm="PPO",
+        recipe_name="fast",
+        hyperparameters=hyperparameters,
+        checkpoint="best",
+        checkpoint_episodes=10,
+        description="the paper's steps with our faster recipe, best-of-evaluations policy",
+    )
     return JaxFamily(
         environment,
         {
-            "full": replace(full, formerly="paper"),
-            "standard": preset(300_000, 20, 15, "fewer steps with our faster recipe"),
-            "quick": preset(100_000, 10, 10, "a first look with our faster recipe"),
+            "full": full,
+            "quick": replace(
+                full,
+                budget=10,
+                timesteps=100_000,
+                eval_episodes=10,
+                description="a first look with our faster recipe, best-of-evaluations policy",
+            ),
             "paper": replace(
                 full,
                 recipe_name="sb3",

@@ -55,7 +55,6 @@ class Family:
         theta: slope of the linear gap, performance per grid step (spec, 2.2).
         presets: recipes of Stable-Baselines3 by name, the first is the default.
         jax: the same in the jax engine, if it is there.
-        in_simulator: the jax engine's learners in the simulator itself, where `jax` is a twin.
         in_processes: recipes of the jax engine's learners in the simulator, each simulation in a
             process of its own; empty: they cannot.
         switches: options of the environment beside visibility and time limit.
@@ -78,7 +77,6 @@ class Family:
     theta: float
     presets: Mapping[str, Preset]
     jax: JaxFamily | TwinFamily | None = None
-    in_simulator: JaxFamily | None = None
     in_processes: Mapping[str, Preset] = field(default_factory=dict)
     switches: tuple[str, ...] = ()
     simulator: str = "gymnasium"

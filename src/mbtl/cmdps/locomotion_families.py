@@ -51,12 +51,6 @@ def _ours(hyperparameters: Mapping[str, Any]) -> dict[str, Preset]:
     )
     return {
         "standard": standard,
-        "full": replace(
-            standard,
-            timesteps=5_000_000,
-            checkpoint_every=100_000,
-            description="the paper's steps with our faster recipe, best-of-evaluations policy",
-        ),
         "quick": replace(
             standard,
             budget=10,
@@ -74,7 +68,7 @@ def _ours(hyperparameters: Mapping[str, Any]) -> dict[str, Preset]:
             checkpoint_every=100_000,
             checkpoint_episodes=10,
             description="the paper's steps and hyper-parameters (SB3's default PPO), "
-            "best-of-evaluations policy: several times slower than `full`",
+            "best-of-evaluations policy: several times slower than `standard` at equal steps",
         ),
     }
 
@@ -110,9 +104,6 @@ LOCOMOTION_FAMILIES: Mapping[str, Family] = {
         presets=_SB3,
         preset_on_all="standard",
         jax=JaxFamily("mbtl.worlds.walker:BipedalWalker", _ours(_WALKER)),
-        in_simulator=JaxFamily(
-            "mbtl.cmdps.locomotion.walker_batch:BipedalWalkers", _ours(_WALKER), on_host=True
-        ),
     ),
     "cheetah": Family(
         entry_point="mbtl.cmdps.locomotion.cheetah:HalfCheetah",

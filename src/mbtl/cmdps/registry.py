@@ -40,7 +40,6 @@ def engines_of(id: str) -> list[str]:
     _, family = _entry(id)
     others = {
         "jax": family.jax is not None,
-        "gymnasium-jax": family.in_simulator is not None,
         "sumo-jax": bool(family.in_processes),
     }
     return [family.simulator, *(engine for engine, there in others.items() if there)]
@@ -231,7 +230,7 @@ def _training(
         default = next(iter(family.in_processes.values()))
         scenes = SceneProblem(make_env, make_env.options["time_limit"], family.score)
         return family.in_processes, WorldTrainer(scenes, **default.options())
-    record = family.jax if engine == "jax" else family.in_simulator
+    record = family.jax
     assert record is not None  # `engines_of` says so
     default = next(iter(record.presets.values()))
     problem: JaxProblem | TwinProblem

@@ -286,22 +286,6 @@ _ECO = {
     "paper": _eco_in_sumo(5000, description="the paper's episodes, final policy"),
 }
 
-_FAR_SIGHTED = {"gamma": 0.99, "gae_lambda": 0.97}
-"""The paper's: within the `fast` recipe's horizon of ten seconds no stop is in sight."""
-
-_ECO_FAST = Preset(
-    budget=15,
-    episodes=240,
-    eval_episodes=5,
-    algorithm="PPO",
-    recipe_name="fast",
-    hyperparameters=_FAR_SIGHTED,
-    acting="mean",
-    checkpoint="best",
-    checkpoint_episodes=2,
-    description="from the paper's first action and reward, in the twin: worse than no controller",
-    formerly="standard",
-)
 _ECO_STANDARD = Preset(
     budget=15,
     episodes=160,
@@ -324,7 +308,6 @@ _ECO_TWIN = {
         eval_episodes=5,
         description="a first look, in the twin",
     ),
-    "fast": _ECO_FAST,
     "paper": Preset(
         budget=15,
         episodes=5000,
@@ -374,7 +357,7 @@ TRAFFIC_FAMILIES: Mapping[str, Family] = {
         theta=0.005,
         presets=_ECO,
         jax=TwinFamily("mbtl.cmdps.traffic.twins:EcoProblem", _ECO_TWIN),
-        in_processes={name: _ECO_TWIN[name] for name in ("fast", "paper")},
+        in_processes={"paper": _ECO_TWIN["paper"]},
         simulator="sumo",
         check_steps=60,
         score=_SCORE,

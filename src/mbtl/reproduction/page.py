@@ -28,7 +28,6 @@ _SHOWN = (
     ("11-elimination", "Search space that is left"),
 )
 _IMAGES = "images/reproduction"
-_HERO = "14-hero.png"
 
 
 def write_index(file: Path, outcomes: Sequence[Outcome], claims: Sequence[Claim]) -> None:
@@ -66,8 +65,6 @@ def write_page(
         for stem in {*(stem for stem, _ in _SHOWN), *(claim.figure for claim in claims)}:
             if (out / FIGURES / f"{stem}.png").is_file():
                 shutil.copyfile(out / FIGURES / f"{stem}.png", pictures / f"{stem}.png")
-        if (out / FIGURES / _HERO).is_file():
-            shutil.copyfile(out / FIGURES / _HERO, page.parent / "images" / "hero.png")
     except OSError as error:
         raise cannot_write(pictures, error) from error
     parts = [

@@ -1,4 +1,4 @@
-"""The items by number: the paper's experiments in its order, then README's picture."""
+"""The items by number: the paper's experiments in its order."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from mbtl.reproduction.items import (
     gp_evolution,
     gp_study,
     heatmaps,
-    hero,
     main_table,
     multitask_rivals,
     per_context,
@@ -37,7 +36,6 @@ ITEMS: tuple[Item, ...] = (
     elimination.ITEM,
     transfer_curves.ITEM,
     gp_study.ITEM,
-    hero.ITEM,
 )
 
 

@@ -35,10 +35,19 @@ from mbtl.selectors.model_based import (
     predicted_incumbent,
 )
 from mbtl.selectors.worst_first import worst_context
-from mbtl.theory import beta_experiments
 
 Indices = NDArray[np.intp]
 Incumbent = Literal["observed", "predicted"]
+
+
+def ucb_weight(k: int, n: int) -> float:
+    """Exploration weight of the paper's experiments: beta_k = 2 log(N k^2).
+
+    Args:
+        k: number of the pick, from 1.
+        n: number of contexts N.
+    """
+    return float(2.0 * np.log(n * float(k) ** 2))
 
 
 @dataclass(frozen=True)
@@ -139,7 +148,7 @@ class MBTL:
 
             return gain_by_pairs(problem, mask, expected)
         k = len(history) + len(history.pending) + 1
-        upper = mean + np.sqrt(beta_experiments(k, problem.n)) * std
+        upper = mean + np.sqrt(ucb_weight(k, problem.n)) * std
         return optimistic_gains(problem, mask, upper, best, theta)
 
     def theta(self, problem: SelectionProblem, history: History) -> float:

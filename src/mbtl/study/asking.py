@@ -370,7 +370,7 @@ def _within(moment: Moment, facts: dict[str, Any]) -> dict[str, Any]:
 
 def _check_proposal(moment: Moment, seen: History, strategy: Selector, proposal: Any) -> None:
     """A user's own strategy may give anything."""
-    name, n = strategy.name, seen.n_targets
+    name, n = getattr(strategy, "name", type(strategy).__name__), seen.n_targets
     if not isinstance(proposal, Proposal):
         raise InvalidInput(
             f"a strategy proposes a mbtl.selectors.Proposal(source, reason), got "

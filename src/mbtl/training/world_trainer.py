@@ -287,7 +287,9 @@ class WorldTrainer:
         (start, done), recipe, whole = begin, self.learner, until is None
         each = 1 if self.episodes is None else engine.counted.decisions_of(world, params)
         checked = not whole and _may_end(world)
-        only_best = self.checkpoint == "best" if whole else checked
+        only_best, every = checked, _check_every(self, world) if checked else None
+        if whole:
+            only_best, every = self.checkpoint == "best", self.checkpoint_every
 
         def fresh() -> Any:
             weights = None if start is None else engine.taught(world, start, recipe.activation)
@@ -312,7 +314,7 @@ class WorldTrainer:
             params,
             self.length,
             on_block=self._on_block(on_progress) if whole else on_block,
-            checkpoint_every=_check_every(self, world) if checked else self.checkpoint_every,
+            checkpoint_every=every,
             checkpoint_episodes=self.checkpoint_episodes,
             acting=self._how,
             only_best=only_best,
@@ -371,11 +373,11 @@ class WorldTrainer:
 
         total = played(ends[-1])
         training = file.load(fresh)  # its `updates` count from the last mark on
-        stage = file.notes.get(_STAGE, 0)
         if training is None:
             begun = -(-done // unit)
-            stage = max(k for k, end in enumerate(ends) if end <= begun)
+            stage = file.notes[_STAGE] = max(k for k, end in enumerate(ends) if end <= begun)
             training = _advanced(fresh(), begun - ends[stage])
+        stage = file.notes.setdefault(_STAGE, 0)
         judging: dict[str, Any] = {"judging": False}
         if whole:
             every = math.ceil(self.length / _CHECKPOINTS)

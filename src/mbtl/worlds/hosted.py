@@ -5,9 +5,7 @@
 A batch is numpy functions of any number of simulations. Within a compiled program each of them is
 one call on the host for all policies, contexts and copies, while networks stay in the program: so
 every learner, evaluation and file of the engine serves a native simulator as it is. States go in
-and out as arrays. A simulator that keeps its own must be able to be set to one; or a state is a
-number that names it in this process, `storable = False` says so, and a training that is interrupted
-begins again.
+and out as arrays. A simulator that keeps its own must be able to be set to one.
 
 All numbers of a call travel in one array of float32, each way: jax spends most of a call on its
 arrays, whatever their size. So whole numbers are exact up to 2^24.

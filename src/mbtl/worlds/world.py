@@ -234,17 +234,12 @@ class Solo:
         return self.env.params
 
     @property
-    def storable(self) -> bool:
-        """Whether its states mean something in another process."""
-        return bool(getattr(self.env, "storable", True))
-
-    @property
     def ends_early(self) -> bool:
-        """Whether many episodes are much shorter than others, and their states can be moved.
+        """Whether many episodes are much shorter than others.
 
         Not where the environment says how long they are (`lasts`): those are played in one part.
         """
-        return self.storable and not hasattr(self.env, "lasts")
+        return not hasattr(self.env, "lasts")
 
     @property
     def drives(self) -> bool:
