@@ -64,7 +64,7 @@ class History:
         trainings: (k,) how the policies were made; none: all are specialists.
         under_way: trainings of other kinds that others are at.
         given_up: likewise, that gave nothing.
-        paid: units of all trainings that were asked for.
+        paid: units of the budget that are spent or set aside; what is left pays for trainings.
     """
 
     n_targets: int

@@ -87,30 +87,32 @@ def stop_reason(state: StudyState) -> str | None:
     reason = _early_stop(state) or state.stopped
     if reason is not None:
         return reason
-    if state.paid > state.spec.budget - LEAST_UNIT:
-        return f"the budget of {state.spec.budget} trainings is spent"
-    if (spent := _steps_spent(state)) is not None:
+    if (spent := _spent(state)) is not None:
         return spent
     if state.spec.any_training:  # there is always something that may be trained for longer
         return None
     try:
-        open_candidates(state.problem(), state.history())
+        open_candidates(state.problem(), state.history().specialists())
     except Exhausted as error:
         return str(error)
     return None
 
 
-def _steps_spent(state: StudyState) -> str | None:
-    """Why no training can be paid any more in environment steps; None: one can be."""
+def _spent(state: StudyState) -> str | None:
+    """That no training can be paid any more; None: one can be."""
     spec = state.spec
     assert spec is not None
-    if spec.steps is None or spec.unit is None or spec.target_steps is None:
-        return None
+    if spec.steps is None:
+        over = state.paid > spec.budget - LEAST_UNIT
+        return f"the budget of {spec.budget} trainings is spent" if over else None
     left = spec.steps - state.bill().total
-    least = 0.0 if spec.any_training else float(spec.unit)
-    if left > least + state.evaluation_price(min(LEAST_TARGETS, spec.space.n), 0.0):
+    least = 0.0 if spec.any_training else float(spec.unit or 0)
+    if left >= least + state.target_steps * min(LEAST_TARGETS, spec.space.n):
         return None
-    return f"the budget of {spec.steps:,} steps has {max(left, 0.0):,.0f} left, less than it takes"
+    return (
+        f"of the budget of {spec.steps:,} steps {max(left, 0.0):,.0f} are left, and a training "
+        "with its evaluation takes more"
+    )
 
 
 def is_finished(state: StudyState) -> bool:
@@ -136,7 +138,7 @@ def is_open(state: StudyState, facts: Mapping[str, Any]) -> bool:
         return False
     pick = state.planned(facts)
     if pick.is_specialist:
-        return bool(state.history().open_mask(state.spec.space.n)[pick.source])
+        return bool(state.history().specialists().open_mask(state.spec.space.n)[pick.source])
     dead = [state.picks[failure.pick] for failure in state.failures]
     known = {one.work for one in (*state.open_picks.values(), *dead)}
     if pick.length:
@@ -148,7 +150,7 @@ def _is_affordable(state: StudyState, facts: Mapping[str, Any]) -> bool:
     """True where a pick of these facts may be asked for at this moment."""
     assert state.spec is not None
     pick, most = state.planned(facts), state.spec.cost_budget
-    if state.paid + pick.price > state.spec.budget + LEAST_UNIT or not is_open(state, facts):
+    if pick.price > state.units_left + LEAST_UNIT or not is_open(state, facts):
         return False
     left = np.inf if most is None else most * (1.0 + 1e-9) - state.committed
     return state.spec.costs is None or state.usual_cost(pick) <= left
@@ -166,7 +168,7 @@ def ahead(state: StudyState, watch: Watch, worker: str) -> int:
         return 0
     busy = [pick.worker for pick in state.open_picks.values() if pick.worker is not None]
     waiting = watch.askers() - {asker(one) for one in (worker, *busy)}
-    return min(len(waiting), int(spec.budget - state.paid) - 1)
+    return min(len(waiting), int(state.units_left + LEAST_UNIT) - 1)
 
 
 def left_alone(state: StudyState, watch: Watch) -> list[int]:
@@ -432,7 +434,7 @@ def _check_training(moment: Moment, name: str, proposal: Proposal) -> None:
                 "give another trainer, or a strategy that heeds `problem.abilities`"
             )
     price = moment.planned({"pick": moment.number, **_facts(moment, proposal)}).price
-    if seen.paid + price > spec.budget + LEAST_UNIT:
+    if spec.steps is None and seen.paid + price > spec.budget + LEAST_UNIT:
         raise InvalidInput(
             f"a training costs no more than is left of the budget of {spec.budget}, got {price:g} "
             f"units where {seen.paid:g} are spent, from {name!r}"

@@ -160,7 +160,7 @@ class StudyState:
             () if usual else tuple(trainings),
             tuple(self._planned(pick) for pick in busy if not pick.is_specialist),
             tuple(self._planned(pick) for pick in dead if not pick.is_specialist),
-            self.paid,
+            self.spec.budget - self.units_left,
         )
 
     def _made(self, row: ToldRow) -> Training:
@@ -233,6 +233,28 @@ class StudyState:
         return sum(pick.price for pick in self.picks)
 
     @property
+    def units_left(self) -> float:
+        """Units that can still be paid; in environment steps with an evaluation on all targets."""
+        assert self.spec is not None
+        if self.spec.steps is None:
+            return self.spec.budget - self.paid
+        evaluation = self.target_steps * (self.spec.eval_targets or self.spec.space.n)
+        return (self.spec.steps - self.bill().total - evaluation) / self._unit
+
+    @property
+    def target_steps(self) -> float:
+        """Environment steps that an evaluation on one target is expected to cost: the mean so far.
+
+        At first as many as it can be.
+        """
+        assert self.spec is not None
+        known = [row for row in self.rows if row.evaluation_steps is not None]
+        if not known:
+            return float(self.spec.target_steps or 0)
+        entries = sum(int(np.isfinite(row.each).any(axis=1).sum()) for row in known)
+        return sum(row.evaluation_steps or 0.0 for row in known) / max(entries, 1)
+
+    @property
     def abilities(self) -> frozenset[str]:
         """What the trainer can do beside specialists; all, while none is known."""
         known = self.equipment or {}
@@ -274,12 +296,7 @@ class StudyState:
         """Environment steps that a pick is expected to cost, all in."""
         assert self.spec is not None
         count = self.spec.space.n if pick.targets is None else len(pick.targets)
-        known = [row for row in self.rows if row.evaluation_steps is not None]
-        each = float(self.spec.target_steps or 0)
-        if known:
-            entries = sum(int(np.isfinite(row.each).any(axis=1).sum()) for row in known)
-            each = sum(row.evaluation_steps or 0.0 for row in known) / max(entries, 1)
-        return self._unit * pick.price + each * count
+        return self._unit * pick.price + self.target_steps * count
 
     @property
     def _unit(self) -> float:

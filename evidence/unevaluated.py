@@ -1,0 +1,82 @@
+"""What to believe of a policy on a context where it was not evaluated: three rules compared.
+
+    python evidence/unevaluated.py
+
+On every shipped matrix, five random sources, each policy evaluated on the same few targets as a
+study spreads them (its own context among them). A rule fills in the rest, which gives a route and a
+V. Claimed: that V. Real: V of that route on the reporting episodes of all contexts. A rule is good
+where its routes are (real), and honest where it claims what is real (bias).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+
+import numpy as np
+
+from mbtl.actions.base import filled_rows
+from mbtl.benchmark import load_matrix, shipped_matrices
+from mbtl.objective import nearest_filled
+from mbtl.routing import Routing, last_route
+from mbtl.selectors.targets import spread_targets
+
+SOURCES, DRAWS = 5, 4
+SHARES = (0.05, 0.1, 0.2, 0.5)
+
+
+def believed(rule: str, matrix, sources, rows):
+    """(k, N) rows with all entries."""
+    if rule == "nearest":
+        return nearest_filled(rows, matrix.space.steps)
+    if rule == "linear":
+        return filled_rows(rows, matrix.space.steps)
+    return Routing(matrix.space, sources, rows).believed
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", help="id of one matrix")
+    only = parser.parse_args().only
+    found: dict[tuple[str, float], list[tuple[float, float]]] = defaultdict(list)
+    for name in [only] if only else shipped_matrices():
+        matrix = load_matrix(name)
+        if not matrix.measures_apart:
+            continue
+        for seed in range(matrix.n_seeds):
+            problem = matrix.problem(SOURCES)
+            for draw in range(DRAWS):
+                rng = np.random.default_rng([seed, draw])
+                sources = rng.choice(problem.sources, SOURCES, replace=False)
+                full, real = matrix.rows(seed, sources), matrix.fresh_rows(seed, sources)
+                for share in SHARES:
+                    count = max(2, round(share * problem.n))
+                    rows = np.full(full.shape, np.nan)
+                    for row, source in enumerate(sources):
+                        at = list(spread_targets(problem, int(source), count))
+                        rows[row, at] = full[row, at]
+                    for rule in ("nearest", "linear", "posterior mean", "all evaluated"):
+                        known = (
+                            full
+                            if rule == "all evaluated"
+                            else believed(rule, matrix, tuple(sources.tolist()), rows)
+                        )
+                        route = last_route(known, sources.tolist(), problem.steps)
+                        every = np.arange(problem.n)
+                        claimed = float(known[route, every] @ problem.weights)
+                        served = float(real[route, every] @ problem.weights)
+                        found[rule, share].append((claimed, served))
+        print(f"{name} done", flush=True)
+    print(f"\n{'rule':<16}{'evaluated':>10}{'real V':>9}{'bias':>9}{'error':>9}{'cases':>7}")
+    for (rule, share), pairs in sorted(found.items(), key=lambda one: (one[0][1], one[0][0])):
+        claimed, served = np.array(pairs).T
+        off = claimed - served
+        print(
+            f"{rule:<16}{share:>10.0%}{served.mean():>9.4f}{off.mean():>+9.4f}"
+            f"{np.sqrt(np.square(off).mean()):>9.4f}{len(off):>7}"
+        )
+
+
+if __name__ == "__main__":
+    main()
