@@ -15,9 +15,8 @@ from collections import defaultdict
 
 import numpy as np
 
-from mbtl.actions.base import filled_rows
+from mbtl.actions.base import filled_rows, nearest_filled
 from mbtl.benchmark import load_matrix, shipped_matrices
-from mbtl.objective import nearest_filled
 from mbtl.routing import Routing, last_route
 from mbtl.selectors.targets import spread_targets
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.objective import generalisation_performance, nearest_filled
+from mbtl.objective import generalisation_performance
 
 
 @dataclass(frozen=True)
@@ -149,14 +149,6 @@ class History:
     def best(self) -> Array:
         """(N,) generalisation performance so far; -inf before the first row."""
         return generalisation_performance(self.rows)
-
-    def filled(self, steps: Array) -> Array:
-        """(k, N) rows where a missing entry is the one evaluated nearest to it, (N, D) in steps."""
-        return nearest_filled(self.rows, steps)
-
-    def served(self, steps: Array) -> Array:
-        """(N,) as `best`, where entries not evaluated count as in `filled`."""
-        return generalisation_performance(self.filled(steps))
 
     @cached_property
     def training_performance(self) -> Array:

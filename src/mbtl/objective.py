@@ -154,27 +154,6 @@ def generalisation_performance(rows: Array) -> Array:
     return np.asarray(np.fmax.reduce(rows, axis=0, initial=-np.inf))
 
 
-def nearest_filled(rows: Array, steps: Array, *, least: int = 1) -> Array:
-    """Rows where a policy that was not evaluated counts as on the nearest target where it was.
-
-    Args:
-        rows: (k, N) performance, NaN where not evaluated.
-        steps: (N, D) grid steps of the targets.
-        least: rows with fewer entries than this stay as they are.
-    """
-    missing = ~np.isfinite(rows)
-    if not missing.any():
-        return rows
-    from scipy.spatial import KDTree  # kept out of `import mbtl`
-
-    out = np.array(rows, dtype=np.float64)
-    for row, gone in zip(out, missing, strict=True):
-        if gone.any() and np.count_nonzero(~gone) >= least:
-            _, nearest = KDTree(steps[~gone]).query(steps[gone])
-            row[gone] = row[~gone][nearest]
-    return out
-
-
 def value(best: Array, weights: Array | None = None, risk: float = 1.0) -> float:
     """V = sum_t w_t best_t (paper, section 3); uniform weights when none are given.
 

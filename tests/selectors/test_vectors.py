@@ -23,6 +23,7 @@ from mbtl.selectors import (
     model_based,
     selector_names,
 )
+from mbtl.selectors.base import served
 from mbtl.selectors.mbtl import ucb_weight
 from mbtl.selectors.mbtl_release import running_own_best
 
@@ -82,14 +83,19 @@ def test_mbtl_starts_in_the_middle_and_warms_up_where_it_is_worst(selector):
 
 
 @pytest.mark.parametrize("selector", ["mbtl", "gp-mbtl", "worst-first"])
-def test_a_target_that_nobody_was_evaluated_on_counts_as_the_nearest(selector):
+def test_a_target_that_nobody_was_evaluated_on_counts_as_the_transfer_model_believes(selector):
     row = np.full(10, np.nan)
     row[[0, 4, 7]] = 0.9, 0.5, 0.1
-    history = History(10).with_row(4, row)
-    assert history.served(np.arange(10.0)[:, None]).tolist() == [0.9] * 3 + [0.5] * 3 + [0.1] * 4
-    problem = SelectionProblem.of(line(10), budget=5)
+    history, problem = History(10).with_row(4, row), SelectionProblem.of(line(10), budget=5)
+    best = served(problem, history)
+    np.testing.assert_array_equal(best[[0, 4, 7]], [0.9, 0.5, 0.1])
+    truth = np.interp(np.arange(10), [0, 4, 7], [0.9, 0.5, 0.1])
+    nearest = np.array([0.9] * 3 + [0.5] * 3 + [0.1] * 4)
+    assert np.abs(best - truth)[:8].mean() < 0.6 * np.abs(nearest - truth)[:8].mean()
     pick = get_selector(selector).propose(problem, history, np.random.default_rng(0))
-    assert pick.source == 6  # neither 1, the first without an entry, nor 7, the lowest entry alone
+    assert pick.source >= 5  # where it is worst, and not 1, the first without an entry
+    whole = History(10).with_row(4, truth)
+    assert served(problem, whole) is whole.best
 
 
 @pytest.mark.parametrize(("n", "first"), [(100, 49), (50, 24), (40, 19)])

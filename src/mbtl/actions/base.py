@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.objective import nearest_filled
 from mbtl.selectors.base import SelectionProblem
 
 
@@ -326,6 +325,27 @@ def filled_rows(rows: Array, steps: Array) -> Array:
     filled = np.empty(rows.shape)
     filled[:, order] = _between(steps[order, 0], rows[:, order], known[:, order])
     return filled
+
+
+def nearest_filled(rows: Array, steps: Array, *, least: int = 1) -> Array:
+    """Rows where a policy that was not evaluated counts as on the nearest target where it was.
+
+    Args:
+        rows: (k, N) performance, NaN where not evaluated.
+        steps: (N, D) grid steps of the targets.
+        least: rows with fewer entries than this stay as they are.
+    """
+    missing = ~np.isfinite(rows)
+    if not missing.any():
+        return rows
+    from scipy.spatial import KDTree  # kept out of `import mbtl`
+
+    out = np.array(rows, dtype=np.float64)
+    for row, gone in zip(out, missing, strict=True):
+        if gone.any() and np.count_nonzero(~gone) >= least:
+            _, nearest = KDTree(steps[~gone]).query(steps[gone])
+            row[gone] = row[~gone][nearest]
+    return out
 
 
 def _between(at: Array, rows: Array, known: NDArray[np.bool_]) -> Array:

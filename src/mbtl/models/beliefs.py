@@ -20,12 +20,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
-from mbtl.contexts import ContextSpace
+from mbtl.contexts import Axis
 from mbtl.models.columns import Columns
 from mbtl.models.priors import PRIORS
 from mbtl.models.transfer_gp import ENOUGH, NOISIER, TransferGP
@@ -41,7 +42,26 @@ _WORK = 1e10
 """Arithmetic that one answer about all entries may cost."""
 
 
-def transfer_places(space: ContextSpace) -> Places:
+class Located(Protocol):
+    """Contexts and where they lie: a `ContextSpace`, or a selection problem."""
+
+    @property
+    def axes(self) -> Sequence[Axis]:
+        """D columns together; none: D linear axes."""
+        ...
+
+    @property
+    def unit(self) -> Array:
+        """(N, D) unit-cube coordinates."""
+        ...
+
+    @property
+    def steps(self) -> Array:
+        """(N, D) grid-step coordinates."""
+        ...
+
+
+def transfer_places(space: Located) -> Places:
     """Where the contexts of a space lie, for the transfer model."""
     return Columns.of(space.axes, space.unit.shape[1]).places(space.unit, space.steps)
 
@@ -60,7 +80,7 @@ class Beliefs:
 
     def __init__(
         self,
-        space: ContextSpace,
+        space: Located,
         sources: Sequence[int],
         rows: Array,
         errors: Array | None = None,

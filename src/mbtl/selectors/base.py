@@ -14,6 +14,8 @@ from mbtl.arrays import Array
 from mbtl.contexts import Axis, ContextSpace
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.history import History
+from mbtl.models.beliefs import Beliefs
+from mbtl.objective import generalisation_performance
 from mbtl.plain import LARGEST, finite, is_finite, short, whole
 
 
@@ -226,6 +228,21 @@ def open_candidates(problem: SelectionProblem, history: History) -> NDArray[np.b
                 f"{problem.cost_budget:g}"
             )
     return mask
+
+
+def served(problem: SelectionProblem, history: History) -> Array:
+    """(N,) performance of the best policy on each target, observed or believed.
+
+    Where a policy was not evaluated the transfer model believes something of it. On the shipped
+    matrices, with 5 to 20 % of the targets evaluated, that has the smallest error of V of three
+    rules (evidence/unevaluated.py). -inf where nothing is known.
+    """
+    seen = np.isfinite(history.rows)
+    if seen.all() or not seen.any():
+        return history.best
+    believed = Beliefs(problem, history.sources, history.rows, history.errors)
+    filled = np.where(seen, history.rows, believed.on(np.arange(problem.n))[0])
+    return generalisation_performance(filled)
 
 
 _USUAL = 0.9

@@ -24,6 +24,7 @@ from mbtl.selectors.base import (
     first_pick,
     likely_candidates,
     open_candidates,
+    served,
 )
 from mbtl.selectors.contract import Traits
 from mbtl.selectors.model_based import (
@@ -176,7 +177,7 @@ def start(
     if told == 0:
         return first_pick(problem, history, mask)
     if begun < 1 + warm_up or not np.isfinite(history.training_performance).any():
-        best = history.served(problem.steps)
+        best = served(problem, history)
         own_performance = history.training_performance[np.isfinite(history.training_performance)]
         if history.pending and own_performance.size:  # others serve the contexts around them
             own = np.full(len(history.pending), own_performance.mean())

@@ -14,7 +14,7 @@ from mbtl.errors import MbtlError
 from mbtl.history import History
 from mbtl.models import FittedGP, GPSettings, fit_gp, predicted_rows
 from mbtl.models.gp import Fitter, squared_distances
-from mbtl.selectors.base import Proposal, SelectionProblem, spread, success_chance
+from mbtl.selectors.base import Proposal, SelectionProblem, served, spread, success_chance
 
 GainOf = Callable[[NDArray[np.intp], NDArray[np.intp], Array], Array]
 MOST = 4000
@@ -66,9 +66,9 @@ def _fallback(points: Array, y: Array, settings: GPSettings, reason: str) -> Fit
 def observed_best(problem: SelectionProblem, history: History) -> Array:
     """(N,) best performance per target in the observed rows.
 
-    A target nobody was evaluated on counts as the nearest where somebody was, else as 0.
+    Of policies not evaluated there, what the transfer model believes; 0 where nothing is known.
     """
-    best = history.served(problem.steps)
+    best = served(problem, history)
     return np.where(np.isfinite(best), best, 0.0)
 
 

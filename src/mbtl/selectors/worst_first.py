@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mbtl.acquisition import TIE
 from mbtl.arrays import Array
 from mbtl.history import History
-from mbtl.selectors.base import Proposal, SelectionProblem, first_pick, open_candidates
+from mbtl.selectors.base import Proposal, SelectionProblem, first_pick, open_candidates, served
 from mbtl.selectors.contract import Traits
 
 
@@ -29,7 +29,7 @@ class WorstFirst:
         mask = open_candidates(problem, history)
         if not history.sources:
             return first_pick(problem, history, mask)
-        return Proposal(worst_context(history.served(problem.steps), mask), "worst context so far")
+        return Proposal(worst_context(served(problem, history), mask), "worst context so far")
 
 
 def worst_context(best: Array, mask: NDArray[np.bool_]) -> int:
