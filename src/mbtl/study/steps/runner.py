@@ -294,7 +294,7 @@ class _Worker:
             asked = {"length": units[mark], "marks": units[first:] if on else ()}
             if "state" in trainer.takes:
                 # where that is lost, it is trained again from where it began
-                asked["state"] = self._file(self._called(claim, held)) if len(marks) > 1 else None
+                asked["state"] = self._file(self._called(claim, held))
             elif held.training is not None and "start" in trainer.takes:
                 latest = state.reached(held.training)
                 begun, asked["done"] = Policy(held.training, latest), units[latest]
