@@ -185,35 +185,16 @@ class SB3Trainer:
                 or `start` has other weights.
         """
         check_asked(self, contexts, start, length)
-        until = None if length is None else round(length * self.whole)
-        one, context = self, contexts[0]
         if len(contexts) > 1:
             last = 1.0 if length is None else [length, *marks][-1]
-            one, context = self._everywhere(contexts, round(last * self.whole)), {}
-        return one._train(context, seed, start, until, round(done * self.whole), state, on_progress)
-
-    def _everywhere(self, contexts: Sequence[Context], whole: int) -> SB3Trainer:
-        """The same in all contexts, for so long; the context that it is given does not matter."""
-        from mbtl.envs.everywhere import Everywhere  # needs Gymnasium
-
-        make_env = Everywhere(self.make_env, tuple(contexts))
-        if self.episodes is None:
-            return replace(self, make_env=make_env, timesteps=whole)
-        return replace(self, make_env=make_env, episodes=whole)
-
-    def _train(
-        self,
-        context: Context,
-        seed: int,
-        start: Any,
-        until: int | None,
-        begun: int,
-        state: Path | None,
-        on_progress: OnProgress | None,
-    ) -> Trained:
-        """To steps or episodes `until`; None: a whole training, of which no state is kept."""
+            to = None if length is None else length / last
+            asked: dict[str, Any] = {"start": start, "state": state, "on_progress": on_progress}
+            one = self._everywhere(contexts, round(last * self.whole))
+            return one.train([{}], seed, length=to, done=done / last, **asked)
+        context, by_episodes = contexts[0], self.episodes is not None
+        until = None if length is None else round(length * self.whole)
+        begun, name = round(done * self.whole), run_name(context, seed)
         algorithm = self._algorithm()  # before torch is needed
-        by_episodes, name = self.episodes is not None, run_name(context, seed)
         with ExitStack() as stack:
             stack.enter_context(isolated(self.threads))
             best = self._best_checkpoint(context, seed, stack) if until is None else None
@@ -221,18 +202,9 @@ class SB3Trainer:
             if until is not None and state is not None:
                 make_envs = partial(self._training_envs, context, stack)
                 found = thawed(state, seed, make_envs, stack)
-            if found is None:
-                model, episodes = self._model(algorithm, context, seed, stack), None
-                if start is not None:
-                    begin_with(model, start)
-                if by_episodes:
-                    episodes = begun
-                else:
-                    model.num_timesteps = begun
-            else:
-                model, episodes = found
-                if self.tensorboard is None:
-                    log_nowhere(model)
+            model, episodes = found or self._begun(algorithm, context, seed, start, begun, stack)
+            if self.tensorboard is None:
+                log_nowhere(model)
 
             def played() -> int:  # of a team the library counts the steps of every place
                 return int(model.num_timesteps) // getattr(model.env, "slots", 1)
@@ -258,6 +230,27 @@ class SB3Trainer:
             steps = played() if by_episodes else watch.done
             unknown = by_episodes and begun > 0 and found is None  # how long those before lasted
             return Trained(lightened(model), None if unknown else steps)
+
+    def _begun(
+        self, algorithm: Any, context: Context, seed: int, start: Any, done: int, stack: ExitStack
+    ) -> tuple[Any, int | None]:
+        """The library's model before it learns, and episodes so far where those are counted."""
+        model = self._model(algorithm, context, seed, stack)
+        if start is not None:
+            begin_with(model, start)
+        if self.episodes is not None:
+            return model, done
+        model.num_timesteps = done
+        return model, None
+
+    def _everywhere(self, contexts: Sequence[Context], whole: int) -> SB3Trainer:
+        """The same in all contexts, for so long; what context it is given does not matter."""
+        from mbtl.envs.everywhere import Everywhere  # needs Gymnasium
+
+        make_env = Everywhere(self.make_env, tuple(contexts))
+        if self.episodes is None:
+            return replace(self, make_env=make_env, timesteps=whole)
+        return replace(self, make_env=make_env, episodes=whole)
 
     def untrained(self, context: Context) -> Any:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`).

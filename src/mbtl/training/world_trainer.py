@@ -264,27 +264,14 @@ class WorldTrainer:
         check_asked(self, contexts, start, length)
         world, params = self._lessons(contexts)
         file = engine.SavedTraining(state if getattr(world, "storable", True) else None)
-        begin = start, round(done * self.whole)
-        if len(contexts) == 1:
-            until = None if length is None else round(length * self.whole)
-            return self._on_one(world, params, seed, begin, until, file, on_progress)
-        stops = None
-        if length is not None:
-            stops = [round(mark * self.whole) for mark in (*(marks or (length,)), length)]
-        return self._on_several(contexts, world, params, seed, begin, stops, file, on_progress)
-
-    def _on_one(
-        self,
-        world: Any,
-        params: Any,
-        seed: int,
-        begin: tuple[Any, int],
-        until: int | None,
-        file: Any,
-        on_progress: OnProgress | None,
-    ) -> Trained:
-        """To steps or episodes `until`; None: a whole training."""
-        (start, done), recipe, whole = begin, self.learner, until is None
+        begun = round(done * self.whole)
+        if len(contexts) > 1:
+            stops = None
+            if length is not None:
+                stops = [round(mark * self.whole) for mark in (*(marks or (length,)), length)]
+            problem = contexts, world, params
+            return self._on_several(problem, seed, start, begun, stops, file, on_progress)
+        recipe, whole = self.learner, length is None
         each = 1 if self.episodes is None else engine.counted.decisions_of(world, params)
         checked = not whole and _may_end(world)
         only_best, every = checked, _check_every(self, world) if checked else None
@@ -294,7 +281,7 @@ class WorldTrainer:
         def fresh() -> Any:
             weights = None if start is None else engine.taught(world, start, recipe.activation)
             training = engine.start(world, recipe, [seed], params, weights)
-            return _advanced(training, -(-done // self.update_length))
+            return _advanced(training, -(-begun // self.update_length))
 
         def on_block(block: Any) -> None:
             at = int(block.training.updates)
@@ -320,7 +307,7 @@ class WorldTrainer:
             only_best=only_best,
             resume=file.load(fresh) or fresh(),
             saved=file,
-            until=until,
+            until=None if length is None else round(length * self.whole),
             judging=whole or checked,
         )
         best = whole and self.checkpoint == "best"
@@ -335,18 +322,17 @@ class WorldTrainer:
 
     def _on_several(
         self,
-        contexts: Sequence[Context],
-        world: Any,
-        params: Any,
+        problem: tuple[Sequence[Context], Any, Any],
         seed: int,
-        begin: tuple[Any, int],
+        start: Any,
+        begun: int,
         stops: Sequence[int] | None,
         file: Any,
         on_progress: OnProgress | None,
     ) -> Trained:
         """To the last of `stops` by way of those before, its marks; None: a whole training."""
+        contexts, world, params = problem
         by_steps, n, whole = self.episodes is None, len(contexts), stops is None
-        start, done = begin
         recipe = recipe_on_many(self, world, n) if by_steps and not whole else self.learner
         unit = int(recipe.update_length)
         *marks, until = (self.length, self.length) if stops is None else stops
@@ -374,9 +360,9 @@ class WorldTrainer:
         total = played(ends[-1])
         training = file.load(fresh)  # its `updates` count from the last mark on
         if training is None:
-            begun = -(-done // unit)
-            stage = file.notes[_STAGE] = max(k for k, end in enumerate(ends) if end <= begun)
-            training = _advanced(fresh(), begun - ends[stage])
+            passed = -(-begun // unit)
+            stage = file.notes[_STAGE] = max(k for k, end in enumerate(ends) if end <= passed)
+            training = _advanced(fresh(), passed - ends[stage])
         stage = file.notes.setdefault(_STAGE, 0)
         judging: dict[str, Any] = {"judging": False}
         if whole:
