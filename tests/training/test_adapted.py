@@ -174,15 +174,25 @@ def test_standardised_dictionaries_and_the_best_checkpoint():
     assert trainer.evaluate(policy, [{}], [0]).shape == (1, 3)
 
 
-def test_a_training_that_goes_on_keeps_its_statistics(tmp_path):
-    trainer = ppo(cartpole, normalize_observations=True)
-    context = {"length": 0.5}
-    whole = trainer.train_steps(context, 0, 128).policy
-    trainer.train_steps(context, 0, 64, saved=tmp_path / "saved")
-    resumed = trainer.train_steps(context, 0, 128, saved=tmp_path / "saved").policy
-    assert np.array_equal(whole.statistics[""].mean, resumed.statistics[""].mean)
+def all_of(policy):
+    """Whatever decides its actions."""
+    statistics = [np.asarray(value) for value in vars(policy.statistics[""]).values()]
+    return [*statistics, *(part.numpy() for part in policy.model.policy.state_dict().values())]
+
+
+def test_a_standardised_training_that_goes_on_is_the_whole_one_and_begins_as_its_parent(tmp_path):
+    trainer = ppo(cartpole, timesteps=192, normalize_observations=True)
+    context, saved = {"length": 0.5}, tmp_path / "saved"
+    whole = trainer.train_steps(context, 0, 192).policy
+    parent = trainer.train_steps(context, 0, 64, saved=saved).policy
+    for steps, same in ((64, parent), (192, whole)):
+        resumed = trainer.train_steps(context, 0, steps, saved=saved).policy
+        assert all(map(np.array_equal, all_of(resumed), all_of(same)))
+    assert not all(map(np.array_equal, all_of(parent), all_of(whole)))
+    begun = trainer.train_steps(context, 1, 0, start=whole).policy
+    assert all(map(np.array_equal, all_of(begun), all_of(whole)))
     tuned = trainer.train_steps(context, 1, 64, start=whole).policy
-    assert tuned.statistics[""].count == pytest.approx(128 + 64, abs=3)
+    assert tuned.statistics[""].count == pytest.approx(192 + 64, abs=4)
     with pytest.raises(InvalidInput, match="use the trainer that made it"):
         ppo(cartpole).train_steps(context, 1, 64, start=whole)
 

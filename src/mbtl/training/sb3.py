@@ -16,7 +16,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.envs.references import reference_rows
+from mbtl.envs.references import measured, reference_rows
 from mbtl.envs.rollout import end, one_instance
 from mbtl.errors import InvalidInput, Notice, missing_extra, unknown_name
 from mbtl.processes import usable_cores
@@ -29,7 +29,7 @@ from mbtl.training.isolation import isolated
 from mbtl.training.sb3_files import load_sb3, save_sb3
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
 from mbtl.training.sb3_steps import SB3Steps
-from mbtl.training.watch import EVALUATION_ENVS, BestCheckpoint, Watch
+from mbtl.training.watch import EVALUATION_ENVS, BestCheckpoint, Watch, actor_for
 
 _COUNTS = ("eval_episodes", "checkpoint_episodes", "n_envs", "threads")
 _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every", "n_eval_envs")
@@ -212,6 +212,27 @@ class SB3Trainer(SB3Steps):
             contexts, min(len(contexts), self.n_eval_envs or EVALUATION_ENVS)
         )
         return reference_rows(open_env, contexts, each, max_envs=envs, score=self._score)
+
+    def beside(
+        self,
+        policies: Sequence[Any],
+        contexts: Sequence[Sequence[Context]],
+        seeds: Sequence[int] | int,
+        names: Sequence[str],
+    ) -> dict[str, dict[str, Array]]:
+        """What `info` tells beside the score of one episode each; see `WorldTrainer.beside`."""
+        every = [context for some in contexts for context in some]
+        each = episode_seeds(seeds, len(every), 1)
+        with isolated(self.threads):
+            acting = [
+                (actor_for(policy, sampled=self.acting == "sampled"), some)
+                for policy, some in zip(policies, contexts, strict=True)
+                if some
+            ]
+            open_env, most = self.opener(
+                every, min(len(every), self.n_eval_envs or EVALUATION_ENVS)
+            )
+            return measured(open_env, acting, each, names, max_envs=most, score=self._score)
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Write the library's zip, and a numpy copy where there is one; no replay buffer."""

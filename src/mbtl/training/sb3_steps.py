@@ -9,6 +9,9 @@ the one of the whole length, with two exceptions:
   begin a new episode where a training goes on, seeded by the training's seed and its steps.
 - Action noise with a memory (Ornstein-Uhlenbeck) forgets it, since the library resets it.
 
+Where observations are standardised, their statistics move from the first step that goes on, before
+any gradient step: so they do at every step of a training of the whole length.
+
 Reading such a file can execute code: only go on with trainings of your own.
 """
 
@@ -157,6 +160,7 @@ class SB3Steps:
             pairs = zip(contexts, each, strict=True)
             jobs = [Job(partial(open_env, one), own, trainer._score) for one, own in pairs]
             returns, lasted = play_counted(jobs, actor, max_envs=most)
+        returns = [rows[:, 0] for rows in returns]
         shape = (len(jobs), trainer.eval_episodes)
         return checked_returns(np.reshape(returns, shape), len(jobs)), np.reshape(lasted, shape)
 
