@@ -1,5 +1,7 @@
 """Films say clock, speed and score, and stand beside unguided traffic."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -47,7 +49,7 @@ def watched(steps=3, **kwargs):
 
 
 def words(take, moment):
-    return caption(take, moment).split("   ")
+    return [word for line in caption(take, moment) for word in line.split("   ") if word]
 
 
 def test_words_say_the_clock_the_speed_and_at_the_end_the_score_with_what_stands_beside_it():
@@ -128,3 +130,23 @@ def test_whoever_waits_for_a_film_is_told_where_it_is():
         take.step(0)
     assert len(take.pictures) == 2  # of the first episode
     assert told == [f"episode {e}, decision {d}" for e in (1, 2) for d in (0, 1)]
+
+
+def test_what_is_played_are_the_episodes_in_which_a_study_evaluates(mbtl_command, tmp_path):
+    pytest.importorskip("stable_baselines3")
+    from mbtl.portfolio import load_portfolio
+
+    few = ("--budget", "1", "--timesteps", "64", "--eval-episodes", "2", "--no-report")
+    run = ("run", "pendulum-length", "--engine", "gymnasium", *few, "--study", "a")
+    assert mbtl_command(*run, "--seed", "3")[0] == 0
+    folder, place = tmp_path / "a" / "portfolio", 7
+    portfolio = load_portfolio(folder, trust=True)
+    at = f"length={portfolio.space.context(place)['length']!r}"
+    play = ("play", folder, "--trust", "--at", at, "--episodes", "2", "--json")
+    worth = {}
+    for seed in ("3", "4"):
+        code, out, _ = mbtl_command(*play, "--seed", seed)
+        assert code == 0
+        worth[seed] = np.mean(json.loads(out)["scores"])
+    assert worth["3"] == pytest.approx(portfolio.returns[0, place], rel=1e-5)
+    assert worth["4"] != pytest.approx(portfolio.returns[0, place], rel=1e-2)

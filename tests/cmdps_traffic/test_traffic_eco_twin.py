@@ -203,3 +203,20 @@ def test_what_stands_beside_the_score_is_of_the_episodes_that_are_scored():
     alone = trainer.reference_rows(contexts, [3, 5, 7])["unguided"]
     np.testing.assert_array_equal(found["unguided"]["score"], alone)
     assert (found["unguided"]["throughput"] > 100.0).all()
+
+
+@pytest.mark.long
+def test_sumo_tells_what_stands_beside_the_score_whoever_trains():
+    contexts, names = [{"green": 16.0}, {"green": 35.0}], ("throughput", "co2", "stops")
+    policy = get_cmdp("eco-green", engine="sumo-jax").trainer_for().untrained(contexts[0])
+    found = {}
+    for how in ("sumo", "sumo-jax"):
+        trainer = get_cmdp("eco-green", engine=how).trainer_for(acting="mean", eval_episodes=1)
+        found[how] = trainer.beside([policy, policy], [contexts[:1], contexts[1:]], [3, 5], names)
+        scores = trainer.evaluate(policy, contexts, [3, 5])
+        np.testing.assert_allclose(found[how]["policies"]["score"], scores, rtol=1e-6)
+    for who in ("policies", "unguided"):
+        for name in names:
+            one, other = (found[how][who][name] for how in ("sumo", "sumo-jax"))
+            np.testing.assert_array_equal(one, other)
+            assert (one > 0.0).all(), name

@@ -9,8 +9,9 @@ import gymnasium
 from gymnasium import spaces
 
 from mbtl.cmdps import get_cmdp
-from mbtl.envs.references import RandomActions, reference_rows
+from mbtl.envs.references import RandomActions, measured, reference_rows
 from mbtl.envs.rollout import Actor, Job, play
+from mbtl.score import Score
 
 
 class Gauge(gymnasium.Env):
@@ -41,6 +42,46 @@ class Guided(Gauge):
 
 
 CONTEXTS = [{"x": 1.0}, {"x": 3.0}]
+
+
+class Crowd(Guided):
+    """Cars at its end: ten times what was earned, and 100 more in crowds, which come one in four.
+
+    The score is known after the second step.
+    """
+
+    strata = (0.75, 0.25)
+
+    def reset(self, *, seed=None, options=None):
+        self.earned, self.more = 0.0, 100.0 * options["stratum"]
+        return super().reset(seed=seed)
+
+    def _gain(self, reward):
+        self.earned += reward
+        seen, _, _, ended, _ = super()._gain(reward)
+        info = {"cars": 10.0 * self.earned + self.more} if ended else {}
+        if self.left <= 2:
+            info |= {"known": self.earned, "score": self.earned}
+        return seen, reward, False, ended, info
+
+
+class Full:
+    def __init__(self, action):
+        self.action = action
+
+    def predict(self, observations, deterministic):
+        return np.full((len(observations), 1), self.action), None
+
+
+def test_measures_are_of_whole_episodes_of_every_kind_by_whom_serves_and_by_none():
+    acting = [(Actor(Full(0.5)), CONTEXTS[1:]), (Actor(Full(1.0)), CONTEXTS[:1])]
+    score = Score("score", foretold="known", strata="strata")
+    found = measured(Crowd, acting, [[1, 2], [3, 4]], ("cars", "absent"), max_envs=2, score=score)
+    assert list(found) == ["policies", "unguided"]
+    assert found["policies"]["score"].tolist() == [[6.0, 6.0], [4.0, 4.0]]
+    assert found["policies"]["cars"].tolist() == [[85.0, 85.0], [65.0, 65.0]]  # and 25 of crowds
+    assert found["unguided"]["cars"].tolist() == [[425.0, 425.0], [425.0, 425.0]]
+    assert np.isnan(found["policies"]["absent"]).all()
 
 
 def test_random_actions_are_any_and_those_of_an_episode_the_same_everywhere():

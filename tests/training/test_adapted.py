@@ -174,16 +174,23 @@ def test_standardised_dictionaries_and_the_best_checkpoint():
     assert trainer.evaluate(policy, [{}], [0]).shape == (1, 3)
 
 
-def test_a_training_that_goes_on_keeps_its_statistics(tmp_path):
-    trainer = ppo(cartpole, normalize_observations=True)
-    context = {"length": 0.5}
-    whole = trainer.train([context], 0, length=128 / trainer.whole).policy
-    state = tmp_path / "state"
-    trainer.train([context], 0, length=64 / trainer.whole, state=state)
-    resumed = trainer.train([context], 0, length=128 / trainer.whole, state=state).policy
-    assert np.array_equal(whole.statistics[""].mean, resumed.statistics[""].mean)
-    tuned = trainer.train([context], 1, length=64 / trainer.whole, start=whole).policy
-    assert tuned.statistics[""].count == pytest.approx(128 + 64, abs=3)
+def all_of(policy):
+    """Whatever decides its actions."""
+    statistics = [np.asarray(value) for value in vars(policy.statistics[""]).values()]
+    return [*statistics, *(part.numpy() for part in policy.model.policy.state_dict().values())]
+
+
+def test_a_standardised_training_that_goes_on_is_the_whole_one_and_begins_as_its_parent(tmp_path):
+    trainer = ppo(cartpole, timesteps=192, normalize_observations=True)
+    context, state = {"length": 0.5}, tmp_path / "state"
+    whole = trainer.train([context], 0, length=1.0).policy
+    parent = trainer.train([context], 0, length=1 / 3, state=state).policy
+    for length, same in ((1 / 3, parent), (1.0, whole)):
+        resumed = trainer.train([context], 0, length=length, state=state).policy
+        assert all(map(np.array_equal, all_of(resumed), all_of(same)))
+    assert not all(map(np.array_equal, all_of(parent), all_of(whole)))
+    tuned = trainer.train([context], 1, length=1 / 3, start=whole).policy
+    assert tuned.statistics[""].count == pytest.approx(192 + 64, abs=4)
     with pytest.raises(InvalidInput, match="use the trainer that made it"):
         ppo(cartpole).train([context], 1, start=whole)
 

@@ -194,6 +194,29 @@ def test_tensorboard_gets_one_run_per_training(tmp_path):
     assert all(list((tmp_path / run).glob("events.out.tfevents.*")) for run in runs)
 
 
+def test_contexts_of_one_physics_are_evaluated_in_episodes_of_their_own():
+    """Else their luck is common, and never averages out in V."""
+
+    class Draw(Guess):
+        def points(self, action):
+            return self.number[0]
+
+    def by_hand(seed):
+        env = Draw(POLE)
+        env.reset(seed=seed)
+        return sum(env.step(0)[1] for _ in range(5))
+
+    seeds = evaluation_seeds(0, 0, range(3))
+    trainer = ppo(Draw, timesteps=64)
+    one, other = (
+        trainer.evaluate(trainer.train(POLE, seed), [{}, {}, {}], seeds) for seed in (0, 1)
+    )
+    expected = [[by_hand(seed) for seed in own] for own in episode_seeds(seeds, 3, 2)]
+    assert one == pytest.approx(np.array(expected))
+    assert len(np.unique(one)) == one.size
+    assert np.array_equal(one, other)  # the same for every policy
+
+
 # ---- best checkpoint -----------------------------------------------------------------------------
 
 

@@ -8,7 +8,6 @@ import pytest
 pytest.importorskip("jax", reason="the jax extra is not installed")
 pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
-from mbtl.set_trainer import SetTrainer
 
 import mbtl.training.jax as engine
 from mbtl.cmdps import get_cmdp

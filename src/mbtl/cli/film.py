@@ -16,7 +16,7 @@ _RATE = 10
 _LONGEST = 30
 """Seconds of a film; longer episodes run faster in it."""
 _MOST = _RATE * _LONGEST
-_BAND, _GAP, _LEGEND = 56, 8, 30
+_BAND, _GAP, _LEGEND = 82, 8, 30
 """Pixels of the words above a picture, between two pictures, and of the legend under all."""
 _COLOURS = 128
 """Of a film."""
@@ -189,11 +189,11 @@ def save_film(
     return length
 
 
-def caption(take: Watched, moment: float) -> str:
-    """What is said of a moment: clock, speed, and the score once the episode has ended."""
+def caption(take: Watched, moment: float) -> tuple[str, str]:
+    """What is said of a moment: clock and speed, and below the score once the episode has ended."""
     picture = _picture(take, moment)
     ended = picture is take.pictures[-1]
-    parts = []
+    parts, worth = [], []
     if take.has_clock:
         parts.append(f"ended at {picture.when:.0f} s" if moment > picture.when and ended
                      else f"{moment:.0f} s")  # fmt: skip
@@ -204,9 +204,9 @@ def caption(take: Watched, moment: float) -> str:
     if ended and take.scores:
         score = f"{take.scores[0]:.2f}"
         named = take.unit == "return"  # it says all
-        parts.append(f"return {score}" if named else f"score {score} {take.unit}")
-        parts += [f"{value:.4g} {unit}" for value, unit in take.measures(0).values()]
-    return "   ".join(parts)
+        worth.append(f"return {score}" if named else f"score {score} {take.unit}")
+        worth += [f"{value:.4g} {unit}" for value, unit in take.measures(0).values()]
+    return "   ".join(parts), "   ".join(worth)
 
 
 def _picture(take: Watched, moment: float) -> Picture:
@@ -224,7 +224,8 @@ def _captioned(name: str, take: Watched, moment: float) -> Any:
     framed.paste(seen, ((width - seen.width) // 2, _BAND))
     pen = ImageDraw.Draw(framed)
     _write(pen, 3, name, (20, 20, 20), width)
-    _write(pen, 29, caption(take, moment), (20, 60, 160), width)
+    for top, words in zip((29, 55), caption(take, moment), strict=True):
+        _write(pen, top, words, (20, 60, 160), width)
     return framed
 
 

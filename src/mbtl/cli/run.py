@@ -260,7 +260,7 @@ def run(
             if not running.state.rows:
                 raise
             ended = error  # the policies that there are serve all the same
-    _finish(running, trainer, folder, cmdp.beside, as_json=as_json)
+    _finish(running, trainer, folder, {} if no_report else cmdp.beside, as_json=as_json)
     if ended is not None:
         raise ended
     check_evaluated(running)
@@ -364,7 +364,7 @@ def _finish(
             files["portfolio"] = str(folder / "portfolio")
         except StorageError as error:
             notes.append(f"no portfolio: {error}")
-        notes += beside.measure(study, trainer, units, folder)
+        notes += beside.measure(study, trainer, units, folder, console.print)
         if (curves := reference_curves(study)) is not None:
             notes.append(curves.said)
         try:

@@ -97,10 +97,12 @@ class Probe:
         yield Check(name, outcome, detail)
 
     @property
-    def _rollouts(self) -> int:
-        """Rollouts of `steps` that the checks after the first one take."""
+    def _work(self) -> tuple[int, int]:
+        """Environments that the checks after the first one open, and steps that they take."""
         acting = sum(len(values) for values in self._ends.values() if len(values) > 1)
-        return len(self._corner_contexts()) + acting + 3 + 7
+        rolled = len(self._corner_contexts()) + acting
+        opened = rolled + len(self._corner_contexts()) + 12 + (0 if self._lives_well else 4)
+        return opened, (rolled + 3 + 7) * self.steps + (self.horizon or self.steps)
 
     def _roll(self, context: Context) -> Rollout:
         with opened(partial(self._make, context)) as (env,):
@@ -138,24 +140,26 @@ class Probe:
         return "warning", apart + " in trainings" * found.silent
 
     def _first_rollout(self) -> tuple[Outcome, str]:
+        begun = time.perf_counter()
         with opened(partial(self._make, self._base)) as (env,):
             actions = draw_actions(env.action_space, self.steps, self.seed)
-            rollout = roll(env, self._timed(actions, time.perf_counter()), self.seed)
+            rollout = roll(env, self._timed(actions, begun), self.seed)
         self._actions, self._first = actions, rollout
         bad = rollout.not_finite()
         return ("failed", bad) if bad else ("passed", f"{self.steps} steps at {self._base}")
 
     def _timed(self, actions: Sequence[Any], begun: float) -> Iterator[Any]:
-        """The actions; after some of them, how long all will take: 200 may take minutes."""
-        reset = time.perf_counter() - begun
+        """The actions; after some of them, how long all checks will take: it may be minutes."""
+        opening = time.perf_counter() - begun
         for k, action in enumerate(actions):
             if k == _TIMED:
-                stepping = time.perf_counter() - begun - reset
-                each = reset + stepping / k * len(actions)
+                each = (time.perf_counter() - begun - opening) / k
+                environments, steps = self._work
+                rest = max(1.0, each * (steps + len(actions) - k) + opening * environments)
+                time_left = f"{rest:.0f} s" if rest < 180.0 else f"{rest / 60.0:.0f} min"
                 self._say(
-                    f"{len(actions)} steps take about {max(1.0, each):.0f} s, and "
-                    f"{self._rollouts} more such rollouts about "
-                    f"{max(1.0, each * self._rollouts):.0f} s"
+                    f"{steps:,} more steps in {environments} more environments: about {time_left}, "
+                    "and less with fewer --steps"
                 )
             yield action
 

@@ -9,7 +9,7 @@ its own names them in `ways`, and takes a step of one with `follow(way)`. Many h
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.envs.rollout import Actor, Job, play
+from mbtl.envs.rollout import Actor, Job, play, play_counted
 from mbtl.score import Score
 
 RANDOM_ACTIONS = "random_actions"
@@ -60,6 +60,50 @@ def reference_rows(
             )
         )
         for name, make in makers.items()
+    }
+
+
+def measured(
+    make_env: Callable[[Context], Any],
+    acting: Sequence[tuple[Actor, Sequence[Context]]],
+    seeds: Sequence[Sequence[int]],
+    names: Sequence[str],
+    *,
+    max_envs: int,
+    score: Score | None = None,
+) -> dict[str, dict[str, Array]]:
+    """What episodes' last steps tell beside the score (`mbtl.training.WorldTrainer.beside`).
+
+    Args:
+        make_env: context -> environment.
+        acting: policies, and where each serves.
+        seeds: of the episodes in each context, policy by policy.
+        names: of the measures, keys of the last step's `info`.
+        max_envs: environments alive at once.
+        score: what an episode is worth. It is played to its end also where that is foretold.
+    """
+    whole = None if score is None else replace(score, foretold=None)
+    every = [context for _, some in acting for context in some]
+    first = make_env(every[0])
+    ways = ways_of(first)[-1:]
+    first.close()
+
+    def jobs(make: Callable[[Context], Any]) -> list[Job]:
+        pairs = zip(every, seeds, strict=True)
+        return [Job(partial(make, one), own, whole, names) for one, own in pairs]
+
+    rows: dict[str, list[Array]] = {"policies": []}
+    waiting = iter(jobs(make_env))
+    for actor, some in acting:
+        own = [next(waiting) for _ in some]
+        rows["policies"] += play_counted(own, actor, max_envs=max_envs)[0]
+    for way in ways:
+        nobody = jobs(partial(_by_itself, make_env, way))
+        rows[way] = play_counted(nobody, acting[0][0], max_envs=max_envs)[0]
+    columns = ("score", *names)
+    return {
+        who: dict(zip(columns, np.moveaxis(np.array(some), -1, 0), strict=True))
+        for who, some in rows.items()
     }
 
 

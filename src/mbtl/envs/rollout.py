@@ -66,11 +66,13 @@ class Job:
         open_env: makes (or hands out) the environment.
         seeds: one per episode, given to `reset`.
         score: what an episode is worth; None: the sum of its rewards.
+        measures: keys of the last step's `info`, of numbers to note beside that.
     """
 
     open_env: Callable[[], Env]
     seeds: Sequence[int]
     score: Score | None = None
+    measures: Sequence[str] = ()
 
 
 @dataclass(eq=False)
@@ -81,12 +83,13 @@ class _Place:
     env: Any
     seeds: Iterator[tuple[int, float, dict[str, Any] | None]]  # and share and options of a stratum
     score: Score | None
+    measures: Sequence[str]
     strata: int  # of an episode
-    returns: list[float]
+    found: list[Array]  # what each episode is worth, and its measures
     lasted: list[int]  # steps of the episodes that are over, all their strata together
     played: int = 0  # steps of the strata of this episode that are over
     share: float = 1.0
-    worth: float = 0.0
+    worth: Array | float = 0.0
     left: int = 0  # strata of this episode that are still to be played
     observations: list[Any] = field(default_factory=list)  # one per decision maker
     total: float = 0.0
@@ -113,12 +116,11 @@ class _Place:
             self.rng = np.random.default_rng(action_seed(seed))
             if self.observations:
                 return True
-            # nobody ever had to decide
-            self._book(0.0 if self.score is None else self.score.read(self.env.summary))
+            self._book({} if self.score is None else self.env.summary)  # nobody had to decide
         return False
 
     @classmethod
-    def of(cls, number: int, job: Job, returns: list[float], lasted: list[int]) -> _Place:
+    def of(cls, number: int, job: Job, found: list[Array], lasted: list[int]) -> _Place:
         """Before its first episode."""
         env = job.open_env()
         shares = () if job.score is None else job.score.shares(env)
@@ -127,15 +129,17 @@ class _Place:
         ] or [(1.0, None)]
         coming = ((seed, share, options) for seed in job.seeds for share, options in parts)
         n = len(parts)
-        return cls(number, env, coming, job.score, n, returns, lasted, left=n)
+        return cls(number, env, coming, job.score, job.measures, n, found, lasted, left=n)
 
-    def _book(self, score: float) -> None:
+    def _book(self, info: Mapping[str, Any]) -> None:
         """What an episode is worth, once all of its strata were played."""
-        self.worth += self.share * score
+        score = self.total if self.score is None else self.score.read(info)
+        told = [float(info.get(name, np.nan)) for name in self.measures]
+        self.worth = self.worth + self.share * np.array([score, *told])
         self.played += self.steps
         self.left -= 1
         if self.left == 0:
-            self.returns.append(self.worth)
+            self.found.append(np.asarray(self.worth))
             self.lasted.append(self.played)
             self.worth, self.played, self.left = 0.0, 0, self.strata
 
@@ -146,7 +150,7 @@ class _Place:
         if self.steps > LONGEST_EPISODE:
             raise endless()
         if ended:
-            self._book(self.total if self.score is None else self.score.read(info))
+            self._book(info)
         return ended
 
     def _step(self, action: Any) -> tuple[bool, Mapping[str, Any]]:
@@ -238,22 +242,26 @@ def play(
     Returns:
         Per job what each episode is worth, in the order of its seeds.
     """
-    return play_counted(jobs, actor, max_envs=max_envs, keep_open=keep_open)[0]
+    played, _ = play_counted(jobs, actor, max_envs=max_envs, keep_open=keep_open)
+    return [found[:, 0] for found in played]
 
 
 def play_counted(
     jobs: Sequence[Job], actor: Actor, *, max_envs: int, keep_open: bool = False
 ) -> tuple[list[Array], list[Array]]:
-    """As `play`, and how many steps each episode had."""
+    """Per job (episodes, 1 + measures), what each is worth first; and how many steps each had.
+
+    A measure that is not told is NaN.
+    """
     waiting = deque(enumerate(jobs))
-    returns: list[list[float]] = [[] for _ in jobs]
+    found: list[list[Array]] = [[] for _ in jobs]
     lasted: list[list[int]] = [[] for _ in jobs]
     places: list[_Place] = []
     try:
         while waiting or places:
             while waiting and len(places) < max_envs:
                 number, job = waiting.popleft()
-                place = _Place.of(number, job, returns[number], lasted[number])
+                place = _Place.of(number, job, found[number], lasted[number])
                 if not keep_open and any(place.env is other.env for other in places):
                     raise one_instance()
                 places.append(place)
@@ -273,7 +281,8 @@ def play_counted(
         if not keep_open:
             for place in places:
                 end(place.env)
-    worth = [np.asarray(r, dtype=np.float64) for r in returns]
+    width = [1 + len(job.measures) for job in jobs]
+    worth = [np.reshape(rows, (-1, n)) for rows, n in zip(found, width, strict=True)]
     return worth, [np.asarray(steps, dtype=np.float64) for steps in lasted]
 
 

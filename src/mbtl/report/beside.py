@@ -7,7 +7,7 @@ and stops in traffic, say, of the policies where they serve, and of what goes wi
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,13 @@ FILE = "beside.json"
 """In the folder of a study."""
 
 
-def measure(study: Study, trainer: Any, units: Mapping[str, str], folder: Path) -> list[str]:
+def measure(
+    study: Study,
+    trainer: Any,
+    units: Mapping[str, str],
+    folder: Path,
+    say: Callable[[str], None] = lambda words: None,
+) -> list[str]:
     """Play the serving policies once more, note what was measured in the folder, and say it.
 
     Nothing is played where it is known already, where nothing is measured, or where policies are
@@ -32,6 +38,7 @@ def measure(study: Study, trainer: Any, units: Mapping[str, str], folder: Path) 
         trainer: as of the study; one with `beside` can measure.
         units: of the measures that people need to see, by name.
         folder: of the study.
+        say: told what is played, before it is.
     """
     told = len(study.state.rows)
     if not (units and told and hasattr(trainer, "beside")):
@@ -43,10 +50,15 @@ def measure(study: Study, trainer: Any, units: Mapping[str, str], folder: Path) 
         policies = [portfolio.policy(k) if some.size else None for k, some in enumerate(served)]
         contexts = [[space.context(int(i)) for i in some] for some in served]
         targets = np.concatenate(served)
+        say(f"Playing {targets.size} contexts for what stands beside the score")
         seeds, weights = study.evaluation_seeds(targets, Purpose.REPORT), space.weights[targets]
         found = {
-            who: {n: float(weights @ rows[n].mean(axis=1)) for n in ("score", *units) if n in rows}
-            for who, rows in trainer.beside(policies, contexts, seeds).items()
+            who: {
+                n: float(weights @ rows[n].mean(axis=1))
+                for n in ("score", *units)
+                if n in rows and np.isfinite(rows[n]).all()  # else it is not told
+            }
+            for who, rows in trainer.beside(policies, contexts, seeds, tuple(units)).items()
         }
         record = {"trainings": told, "units": dict(units), "measures": found}
         (folder / FILE).write_text(json.dumps(record, indent=2), encoding="utf-8")

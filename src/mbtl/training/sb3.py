@@ -16,7 +16,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.envs.references import reference_rows
+from mbtl.envs.references import measured, reference_rows
 from mbtl.envs.rollout import Job, end, one_instance, play_counted
 from mbtl.errors import InvalidInput, Notice, missing_extra, unknown_name
 from mbtl.processes import usable_cores
@@ -296,7 +296,8 @@ class SB3Trainer:
             open_env, most = self.opener(contexts, most)
             pairs = zip(contexts, each, strict=True)
             jobs = [Job(partial(open_env, one), own, self._score) for one, own in pairs]
-            returns, lasted = play_counted(jobs, actor, max_envs=most)
+            found, lasted = play_counted(jobs, actor, max_envs=most)
+        returns = [rows[:, 0] for rows in found]
         shape = (len(jobs), self.eval_episodes)
         return checked_returns(np.reshape(returns, shape), len(jobs)), np.reshape(lasted, shape)
 
@@ -309,6 +310,27 @@ class SB3Trainer:
             contexts, min(len(contexts), self.n_eval_envs or EVALUATION_ENVS)
         )
         return reference_rows(open_env, contexts, each, max_envs=envs, score=self._score)
+
+    def beside(
+        self,
+        policies: Sequence[Any],
+        contexts: Sequence[Sequence[Context]],
+        seeds: Sequence[int] | int,
+        names: Sequence[str],
+    ) -> dict[str, dict[str, Array]]:
+        """What `info` tells beside the score of one episode each; see `WorldTrainer.beside`."""
+        every = [context for some in contexts for context in some]
+        each = episode_seeds(seeds, len(every), 1)
+        with isolated(self.threads):
+            acting = [
+                (actor_for(policy, sampled=self.acting == "sampled"), some)
+                for policy, some in zip(policies, contexts, strict=True)
+                if some
+            ]
+            open_env, most = self.opener(
+                every, min(len(every), self.n_eval_envs or EVALUATION_ENVS)
+            )
+            return measured(open_env, acting, each, names, max_envs=most, score=self._score)
 
     def save(self, policy: Any, folder: Path) -> bool:
         """Write the library's zip, and a numpy copy where there is one; no replay buffer."""

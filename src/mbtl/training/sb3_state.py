@@ -9,6 +9,9 @@ the one of the whole length, with two exceptions:
   begin a new episode where a training goes on, seeded by the training's seed and its steps.
 - Action noise with a memory (Ornstein-Uhlenbeck) forgets it, since the library resets it.
 
+Where observations are standardised, their statistics move from the first step that goes on, before
+any gradient step: so they do at every step of a training of the whole length.
+
 Reading such a file can execute code: only go on with trainings of your own.
 """
 

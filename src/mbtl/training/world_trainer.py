@@ -498,23 +498,36 @@ class WorldTrainer:
         policies: Sequence[MLPPolicy],
         contexts: Sequence[Sequence[Context]],
         seeds: Sequence[int] | int,
+        names: Sequence[str] = (),
     ) -> dict[str, dict[str, Array]]:
-        """What the world measures of episodes beside the score; nothing where it has no measures.
+        """What is measured of episodes beside the score: by the world, or by its simulators.
 
         Args:
             policies: that serve; of one that serves nowhere anything.
             contexts: of each policy, those that it serves; none twice.
             seeds: of the episodes, one per context, policy by policy.
+            names: of the measures, where simulators tell them in the last step's `info`.
 
         Returns:
             By who drives ("policies", and what goes best by itself) and by measure, an array of
-            (contexts, eval_episodes), the contexts policy by policy.
+            (contexts, eval_episodes), the contexts policy by policy; of simulators, which are slow,
+            one episode each.
         """
         every = [context for some in contexts for context in some]
         world, params = self.problem(every)
-        if not hasattr(world, "measures"):
-            return {}
         own, parts, first = episode_seeds(seeds, len(every), self.eval_episodes), [], 0
+        if not hasattr(world, "measures"):
+            from mbtl.envs.references import measured
+            from mbtl.envs.rollout import Actor
+
+            make_env, sampled = getattr(self.problem, "make_env", None), self._how == "sampled"
+            if make_env is None:
+                return {}
+            pairs = zip(policies, contexts, strict=True)
+            acting = [(Actor(policy, sampled), some) for policy, some in pairs if some]
+            score = getattr(self.problem, "score", None)
+            first_ones = [seeds_there[:1] for seeds_there in own]
+            return measured(make_env, acting, first_ones, names, max_envs=1, score=score)
         for policy, some in zip(policies, contexts, strict=True):
             if some:
                 end = first + len(some)
@@ -523,8 +536,7 @@ class WorldTrainer:
                 acts: Any = {"activation": activation, "how": self._how}
                 parts.append(engine.measured(world, actor, part, own[first:end], **acts))
                 first = end
-        names = parts[0]
-        found = {"policies": {n: np.concatenate([part[n] for part in parts]) for n in names}}
+        found = {"policies": {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}}
         for way in (*(("unguided",) if world.drives else ()), *getattr(world, "ways", ()))[-1:]:
             found[way] = engine.measured(world, None, params, own, way=way)
         return found
