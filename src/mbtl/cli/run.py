@@ -133,6 +133,10 @@ def run(
         bool,
         typer.Option("--no-report", help="Skip the fresh episodes at the end; V is estimated."),
     ] = False,
+    report_all: Annotated[
+        bool,
+        typer.Option("--report-all", help="Play them on all contexts, however many these are."),
+    ] = False,
     tensorboard: Annotated[
         Path | None, typer.Option(help="Folder for TensorBoard: V per pick and training scalars.")
     ] = None,
@@ -182,6 +186,7 @@ def run(
             "--eval-targets": eval_targets, "--costs": costs, "--cost-budget": cost_budget,
             "--risk": risk != 1.0, "--stop-on-failure": stop_on_failure,
             "--retry-failed": retry_failed, "--all": whole_budget, "--no-report": no_report,
+            "--report-all": report_all,
         }  # fmt: skip
         check_steps(steps, [k for k, given in meant_for_trainings.items() if given])
         wish = StepWish(problem, steps_of(str(steps)), strategy, preset, seed, engine, score,
@@ -265,7 +270,7 @@ def run(
                 progress=False,
                 callbacks=callbacks,
                 accept_changes=accept_changes,
-                report=not no_report,
+                report="all" if report_all else not no_report,
             )
         except TrainingFailed as error:
             if not running.state.rows:

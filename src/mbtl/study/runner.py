@@ -14,7 +14,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from logging import getLogger
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from mbtl.errors import (
     InvalidInput,
@@ -28,12 +28,12 @@ from mbtl.faults import FAULTS, reason_of
 from mbtl.processes import SeparateWorkers, separate_workers
 from mbtl.study import asking
 from mbtl.study.batch import Batches, failure
-from mbtl.study.callbacks import Callback, shared_words
+from mbtl.study.callbacks import Callback, few_episodes, shared_words
 from mbtl.study.flights import brought_back
-from mbtl.study.fresh import can_report, fresh_value, report_fresh_returns
+from mbtl.study.fresh import ReportPlan, fresh_value, plan_to_do, report_fresh_returns
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
 from mbtl.study.keeper import Keeper
-from mbtl.study.limits import check_limits
+from mbtl.study.limits import check_limits, too_long
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.rehearsal import rehearse as rehearsed
 from mbtl.study.result import RunResult
@@ -61,7 +61,7 @@ def run(
     retry_failed: bool = False,
     rehearse: bool = True,
     callbacks: Sequence[Callback] = (),
-    report: bool = True,
+    report: bool | Literal["all"] = True,
     lease: float = LEASE,
     deterministic: bool = False,
     retries: int = 0,
@@ -88,7 +88,8 @@ def run(
         rehearse: evaluate an untrained policy on two contexts before the first training, where the
             trainer can make one; else the first policy on two contexts before all others.
         callbacks: told what happens.
-        report: evaluate the routed policies on fresh seeds at the end.
+        report: evaluate the routed policies on fresh seeds at the end: on as many contexts as cost
+            no more than the study itself, or on "all". Not of a study with a risk.
         lease: seconds without a sign of life from a run after which others take its trainings
             over. On one machine they do so at once when its process has ended.
         deterministic: with parallel > 1, ask for the next picks only when all of a batch are told,
@@ -96,9 +97,10 @@ def run(
         retries: so often a training that failed is begun again, each time with another seed,
             before it counts as failed. One whose worker process died is begun again once in any
             case, as it was.
-        timeout: seconds that a training and its evaluation may take; longer ones are ended, and
-            count as failed. In this process only Python code and waits can be ended, and native
-            code when it returns (`Callback.on_stuck`); worker processes are killed if need be.
+        timeout: seconds that a training and its evaluation may take, or that of a policy for the
+            report; longer ones are ended, and count as failed. In this process only Python code and
+            waits can be ended, and native code when it returns (`Callback.on_stuck`); worker
+            processes are killed if need be.
         accept_changes: a user's own functions may have changed since the study was begun; the log
             says so then.
         may_begin: asked before each training; once it says no, the run ends.
@@ -124,6 +126,9 @@ def run(
             for failed in list(study.refresh().failures) if retry_failed else []:
                 if not failed.pruned:
                     study.retry(failed.pick)
+            if not study.state.rows and (words := few_episodes(study, trainer)):
+                for callback in callbacks:
+                    callback.on_note(study, words)
             first_policy = rehearse
             if rehearse and isinstance(trainer, RehearsingTrainer):
                 _rehearse(study, partial(rehearsed, trainer, timeout=timeout), pooled)
@@ -143,8 +148,8 @@ def run(
             finally:
                 batches.give_back_held()
         _check_any_success(study)
-        if report and can_report(study):
-            _report(study, trainer, callbacks)
+        if report and (plan := plan_to_do(study, whole=report == "all")):
+            _report(study, trainer, plan, callbacks, timeout)
     finally:
         for callback in callbacks:
             callback.on_end(study)
@@ -280,21 +285,32 @@ def _wait_for_others(
     return True
 
 
-def _report(study: Study, trainer: Trainer, callbacks: Sequence[Callback]) -> None:
+def _report(
+    study: Study,
+    trainer: Trainer,
+    plan: ReportPlan,
+    callbacks: Sequence[Callback],
+    timeout: float | None,
+) -> None:
     """Measure V on fresh episodes; a failure there must not hide what the study found."""
+
+    def failed(reason: str) -> None:
+        for callback in callbacks:
+            callback.on_report_failed(study, reason)
+
     for callback in callbacks:
-        callback.on_report(study)
+        callback.on_report(study, plan)
     told = len(study.state.rows)
+    stuck = partial(failed, f"{too_long(timeout or 0.0)}; end this process, all else is kept")
     try:
-        report_fresh_returns(study, trainer)
+        report_fresh_returns(study, trainer, plan, timeout, stuck)
     except StorageError:
         if len(study.refresh().rows) == told:
             raise
     except StudyError:  # another process told a row meanwhile; it reports when it ends
         return
     except FAULTS as error:
-        for callback in callbacks:
-            callback.on_report_failed(study, reason_of(error))
+        failed(reason_of(error))
 
 
 def _next_batch(study: Study, size: int, ask: Callable[[], Pick | None]) -> list[Pick]:

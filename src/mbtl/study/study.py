@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -271,7 +271,8 @@ class Study(LeasingStudy):
         """Record returns on fresh evaluation seeds.
 
         Args:
-            served: (N, E) of the policies that serve, raw units.
+            served: (N, E) of the policies that serve, raw units; NaN where a context was not
+                played, as `mbtl.study.fresh` draws them.
             alone: (N, E) of the best single policy, on the same episodes.
             best_single: its place among the rows.
             rows: how many rows these are the routes of; None: those there are.
@@ -311,7 +312,7 @@ class Study(LeasingStudy):
         rehearse: bool = True,
         progress: bool = True,
         callbacks: Sequence[Callback] = (),
-        report: bool = True,
+        report: bool | Literal["all"] = True,
         lease: float = 60.0,
         deterministic: bool = False,
         retries: int = 0,
@@ -337,7 +338,7 @@ class Study(LeasingStudy):
             rehearse: try the evaluation before the first training.
             progress: print a line per pick to standard error.
             callbacks: told what happens.
-            report: evaluate the routed policies on fresh seeds at the end.
+            report: evaluate the routed policies on fresh seeds at the end; "all": on all contexts.
             lease: seconds without a sign of life after which others take a training over.
             deterministic: with parallel > 1, wait for a whole batch before the next picks.
             retries: so often a training that failed is begun again before it counts as failed.
