@@ -40,6 +40,15 @@ def test_episodes_of_a_target_follow_from_its_seed_alone():
     assert len({seed for own in several for seed in own}) == 10
 
 
+def test_episodes_are_hashed_once_for_all_policies(monkeypatch):
+    first = episode_seeds([101, 102], 2, 3)
+    assert first == [[derive_seed(s, Purpose.EVALUATION, e) for e in range(3)] for s in (101, 102)]
+    monkeypatch.setattr("mbtl.seeds.derive_seed", lambda *keys: 0)
+    again = episode_seeds([101, 102], 2, 3)
+    again[0].clear()
+    assert episode_seeds([101, 102], 2, 3) == first
+
+
 @pytest.mark.parametrize("seeds", [5.0, None, [5], range(3)])
 def test_an_evaluation_takes_a_seed_per_context(seeds):
     with pytest.raises(InvalidInput, match="one seed per context, here 2, got"):

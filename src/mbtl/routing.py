@@ -298,7 +298,7 @@ class _After:
         predicted = np.flatnonzero(~(measured[route, at] & (alone is None or measured[alone])))
         if alone is not None:
             predicted = predicted[route[predicted] != alone]
-        doubt = self._error(route, alone, weights, weights, predicted) if len(predicted) else 0.0
+        doubt = self._error(route, alone, weights, predicted) if len(predicted) else 0.0
         doubt = float(np.hypot(doubt, spread))
         if not self._noisy:
             return Valuation(float(weights @ (served - rival)), doubt, seen, SURE * doubt)
@@ -360,40 +360,39 @@ class _After:
         found[there] = self._episodes.held(route[there], targets[there])
         return found
 
-    def _error(
-        self, route: Indices, alone: int | None, ours: Array, its: Array, some: Indices
-    ) -> float:
+    def _error(self, route: Indices, alone: int | None, weights: Array, some: Indices) -> float:
         """Standard deviation of V, or of a gain, as far as some of the targets make it unsure."""
-        targets = self.targets[0][some]
+        targets, weights = self.targets[0][some], weights[some]
         if alone is None:
-            return self.beliefs.error(route[some], targets, ours[some])
+            return self.beliefs.error(route[some], targets, weights)
         return self.beliefs.error(
             np.concatenate([route[some], np.full(len(some), alone)]),
             np.tile(targets, 2),
-            np.concatenate([ours[some], -its[some]]),
+            np.concatenate([weights, -weights]),
         )
 
     def _worst_share(
         self, alone: int | None, route: Indices, seen: float, spread: float
     ) -> Valuation:
-        """The mean over the worst share, as believed: which targets are worst is not sure."""
+        """The mean over the worst share, over what may be true: which targets are worst is unsure.
+
+        Of a gain, each of the two V is of its own worst targets.
+        """
         targets, weights = self.targets
-        means = self.beliefs.on(targets)[0]
-        served = means[route, np.arange(len(targets))]
-        ours, value = worst_share_weights(served, weights, self._risk), 0.0
-        its = ours
-        if alone is not None:
-            its = worst_share_weights(means[alone], weights, self._risk)
-            value = -float(its @ means[alone])
-        differs = np.flatnonzero((route != alone) | (ours != its))
-        error = self._error(route, alone, ours, its, differs) if len(differs) else 0.0
-        if error > 0.0:
-            found, scatter = self._drawn_worst(route, served)
-            value, error = value + found, max(error, scatter if alone is None else 0.0)
-        else:
-            value += float(ours @ served)
+        serves = np.array([route] if alone is None else [route, np.full(len(targets), alone)])
+        pairs, place = np.unique(
+            serves * len(targets) + np.arange(len(targets)), return_inverse=True
+        )
+        row, at = np.divmod(pairs, len(targets))
+        drawn = self._drawn(row, at)[:, place.reshape(serves.shape)]
+        values = worst_share_mean(drawn, weights, self._risk)
+        likely = worst_share_weights(drawn.mean(axis=0), weights, self._risk)
+        error = 0.0
+        for one in (values, (drawn * likely).sum(axis=2)):  # the latter of targets that stay
+            error = max(error, float((one[:, 0] - one[:, 1:].sum(axis=1)).std()))
         error = float(np.hypot(error, spread))
-        return Valuation(value, error, seen, SURE * error)
+        found = float(values[:, 0].mean() - values[:, 1:].sum(axis=1).mean())
+        return Valuation(found, error, seen, SURE * error)
 
     @cached_property
     def targets(self) -> tuple[Indices, Array]:
@@ -423,14 +422,17 @@ class _After:
         spread = float(np.sqrt(weights @ np.square(values - weights @ values)))
         return spread * float(np.sqrt((1.0 - some / n) / some))
 
-    def _drawn_worst(self, route: Indices, served: Array) -> tuple[float, float]:
-        """Mean and deviation of the worst share's mean, over what may be true."""
-        targets, weights = self.targets
-        believed, covariance = self.beliefs.joint(route, targets)
+    def _drawn(self, row: Indices, at: Indices) -> Array:
+        """(D, m) performance that may be true, of policies at places among the targets."""
+        targets = self.targets[0]
+        mean = self.beliefs.on(targets)[0][row, at]
+        unsure = np.flatnonzero(self.beliefs.unsure(row, targets[at]))
+        if not len(unsure):
+            return mean[None]
+        believed, covariance = self.beliefs.joint(row[unsure], targets[at[unsure]])
         spread, turn = np.linalg.eigh(covariance)
         root = turn * np.sqrt(np.maximum(spread, 0.0))
+        drawn = np.tile(mean, (_DRAWS, 1))
         normal = np.random.default_rng(0).standard_normal((_DRAWS, len(spread)))
-        unsure = np.diagonal(covariance) > 0
-        drawn = np.where(unsure, believed + normal @ root.T, served)
-        values = worst_share_mean(drawn, weights, self._risk)
-        return float(values.mean()), float(values.std())
+        drawn[:, unsure] = believed + normal @ root.T
+        return drawn

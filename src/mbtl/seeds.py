@@ -12,8 +12,10 @@ Seeds of different purposes are disjoint by construction: the purpose is the top
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -131,7 +133,19 @@ def episode_seeds(evaluations: Sequence[int] | int, targets: int, episodes: int)
             f"an evaluation takes one seed per context, here {targets}, got {evaluations!r}; a "
             "study hands them out (`study.evaluation_seeds()`), elsewhere one number will do"
         )
-    return [[episode_seed(seed, e) for e in range(episodes)] for seed in evaluations]
+    return [list(_episodes_of(seed, episodes)) for seed in evaluations]
+
+
+@lru_cache(maxsize=10_000)  # every policy is evaluated with them again
+def _episodes_of(evaluation: int, episodes: int) -> tuple[int, ...]:
+    return tuple(episode_seed(evaluation, e) for e in range(episodes))
+
+
+def seeds_in(records: Iterable[Mapping[str, Any]]) -> str | None:
+    """What the provenance of a file says of its evaluation seeds; None: nothing is known."""
+    built = [record for record in records if "recipe" in record]
+    kinds = {str(record.get("evaluation_seeds", "common to all targets")) for record in built}
+    return ", or ".join(sorted(kinds)) or None
 
 
 def checkpoint_seeds(training: int, episodes: int) -> list[int]:

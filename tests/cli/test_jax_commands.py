@@ -28,7 +28,10 @@ def test_a_multitask_baseline_becomes_a_file_beside_the_matrices(mbtl_command, t
         "--timesteps 13000 --eval-episodes 1 --seeds 1 --first-seed 0"
     )
     assert (record["version"], record["recipe"]["method"]) == (0, "ppo")
-    assert "there already" in mbtl_command(*command)[2]
+    assert found["evaluation_seeds"] == "per target"
+    said = mbtl_command(*command)[2]
+    assert "there already" in said
+    assert "; evaluation seeds per target" in said
     assert mbtl_command("matrix", "multitask", "cartpole-length", "--factor", 0)[0] == 2
 
 

@@ -191,8 +191,11 @@ def test_callbacks_hear_everything(tmp_path):
         def on_told(self, study, pick):
             heard.append("told")
 
-        def on_report(self, study):
-            heard.append("report")
+        def on_report(self, study, plan):
+            heard.append(plan.evaluations)
+
+        def on_note(self, study, words):
+            heard.append(words)
 
         def on_end(self, study):
             heard.append("end")
@@ -209,8 +212,9 @@ def test_callbacks_hear_everything(tmp_path):
         quick_problem.load,
     )
     trainer = Reporting(*functions)
-    study_at(tmp_path, budget=2).run(trainer=trainer, callbacks=[Ear()])
-    assert heard == ["pick", 7, "evaluation", "told"] * 2 + ["report", "end"]
+    study = study_at(tmp_path, budget=2)
+    study.run(trainer=trainer, callbacks=[Ear()])
+    assert heard == ["pick", 7, "evaluation", "told"] * 2 + [plan_of(study).evaluations, "end"]
 
 
 def test_policies_that_cannot_be_saved_stay_in_memory_and_that_is_said_at_once(tmp_path, caplog):
@@ -240,9 +244,12 @@ def test_a_saved_portfolio_serves_every_context(tmp_path):
 
 
 def test_policies_are_evaluated_afresh_where_they_serve_and_the_best_one_everywhere():
-    plan = ReportPlan(np.array([2, 1, 0, 1]), best_single=1)
+    plan = ReportPlan(np.array([2, 1, 0, 1]), best_single=1, contexts=np.arange(4))
     assert [plan.targets(i).tolist() for i in range(3)] == [[2], [0, 1, 2, 3], [0]]
     assert plan.evaluations == 6
+    some = ReportPlan(plan.route, 1, np.array([0, 3]))
+    assert some.policies == [1, 2]
+    assert [some.targets(i).tolist() for i in range(3)] == [[], [0, 3], [0]]
 
 
 def test_the_report_plays_what_it_announced_and_not_when_it_is_switched_off(tmp_path, capsys):

@@ -44,6 +44,7 @@ from mbtl.contexts import Axis, Categorical, ContextSpace
 from mbtl.errors import InvalidInput
 from mbtl.objective import Bounds, direction_named
 from mbtl.plain import array_of
+from mbtl.seeds import seeds_in
 from mbtl.selectors.base import SelectionProblem, default_theta
 
 _MEANT: Mapping[str, type] = {"problem": str, "recipe": dict, "nominal": dict, "seed": int}
@@ -365,9 +366,7 @@ class TransferMatrix:
 
         Common luck does not average out in V, not even over many targets.
         """
-        built = [record for record in self.records if "recipe" in record]
-        kinds = {str(record.get("evaluation_seeds", "common to all targets")) for record in built}
-        return ", or ".join(sorted(kinds)) or None
+        return seeds_in(self.records)
 
     @property
     def measures_apart(self) -> bool:

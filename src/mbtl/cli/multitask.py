@@ -17,6 +17,7 @@ from mbtl.cmdps import CMDP, get_cmdp
 from mbtl.cmdps.registry import preset_on_all, visibility_on_all
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.provenance import check_made_by, here
+from mbtl.seeds import seeds_in
 from mbtl.training import SB3Trainer, WorldTrainer
 from mbtl.training.multitask_run import InJax, Method
 
@@ -213,6 +214,9 @@ def _one(
 
 def _shown(cmdp: CMDP, file: Path) -> dict[str, Any]:
     assert cmdp.normalisation is not None
-    value = float(cmdp.normalisation.normalise(read_multitask(file).returns).mean())
-    console.print(f"{file}: V = {value:.4f}", markup=False, highlight=False, soft_wrap=True)
-    return {"file": str(file), "performance": value}
+    found = read_multitask(file)
+    value = float(cmdp.normalisation.normalise(found.returns).mean())
+    seeds = seeds_in(found.provenance) or "not known"
+    said = f"{file}: V = {value:.4f}; evaluation seeds {seeds}"
+    console.print(said, markup=False, highlight=False, soft_wrap=True)
+    return {"file": str(file), "performance": value, "evaluation_seeds": seeds}

@@ -13,7 +13,8 @@ from rich.progress import Progress as Bars
 
 from mbtl.cli.common import LongWork
 from mbtl.study import Callback, Pick, Study
-from mbtl.study.callbacks import estimate, few_episodes, report_words, shared_words, waiting_words
+from mbtl.study.callbacks import estimate, shared_words, waiting_words
+from mbtl.study.fresh import ReportPlan
 from mbtl.trainer import Progress
 
 
@@ -56,6 +57,10 @@ class LiveProgress(Callback):
         words = shared_words(others)
         self._console.print(words, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
+    def on_note(self, study: Study, words: str) -> None:
+        """One line that stays."""
+        self._console.print(words, markup=False, highlight=False, soft_wrap=True)
+
     def on_pick(self, study: Study, pick: Pick) -> None:
         """A bar for the new pick."""
         self._begun[pick.number] = time.monotonic()
@@ -90,8 +95,6 @@ class LiveProgress(Callback):
             highlight=False,
             soft_wrap=True,
         )
-        if words := few_episodes(study):
-            self._console.print(words, markup=False, highlight=False, soft_wrap=True)
         self._update(study)
 
     def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
@@ -130,11 +133,11 @@ class LiveProgress(Callback):
         words = waiting_words(study, others)
         self._console.print(words, markup=False, highlight=False, soft_wrap=True)
 
-    def on_report(self, study: Study) -> None:
+    def on_report(self, study: Study, plan: ReportPlan) -> None:
         """One line that stays: how much is evaluated."""
-        self._bars.update(self._study_bar, note="measuring V on fresh episodes")
-        words = report_words(study)
-        self._console.print(words, markup=False, highlight=False, soft_wrap=True)
+        note = "measuring V on fresh episodes"
+        self._bars.update(self._study_bar, note=note)
+        self._console.print(f"{note}: {plan}", markup=False, highlight=False, soft_wrap=True)
 
     def on_report_failed(self, study: Study, reason: str) -> None:
         """One line that stays."""

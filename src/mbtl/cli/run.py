@@ -142,6 +142,10 @@ def run(
         bool,
         typer.Option("--no-report", help="Skip the fresh episodes at the end; V is estimated."),
     ] = False,
+    report_all: Annotated[
+        bool,
+        typer.Option("--report-all", help="Play them on all contexts, however many these are."),
+    ] = False,
     tensorboard: Annotated[
         Path | None, typer.Option(help="Folder for TensorBoard: V per pick and training scalars.")
     ] = None,
@@ -254,7 +258,7 @@ def run(
                 failures=failing,
                 callbacks=callbacks,
                 accept_changes=accept_changes,
-                report=not no_report,
+                report="all" if report_all else not no_report,
             )
         except TrainingFailed as error:
             if not running.state.rows:

@@ -101,10 +101,15 @@ class Beliefs:
         """True where the rows are complete and no noise is known to be in them."""
         return self._true is None and bool(self.measured.all())
 
+    def unsure(self, row: Indices, target: Indices) -> NDArray[np.bool_]:
+        """Where something is to be believed, because nothing or not enough was measured."""
+        noisy = False if self._true is None else self._true[row, target] > 0
+        return np.asarray(~self.measured[row, target] | noisy)
+
     def on(self, targets: Indices) -> tuple[Array, Array]:
         """Mean and standard deviation of every policy on some targets; (k, T) each."""
         mean, std = self._rows[:, targets].copy(), np.zeros((len(self._rows), len(targets)))
-        row, at = np.nonzero(self._unsure(*np.ix_(np.arange(len(mean)), targets)))
+        row, at = np.nonzero(self.unsure(*np.ix_(np.arange(len(mean)), targets)))
         if len(row):
             mean[row, at], std[row, at] = self._believed(row, targets[at])
         return mean, std
@@ -122,7 +127,7 @@ class Beliefs:
         found = told(row[seen], target[seen])
         mean = np.full((len(row), found.shape[1]), np.nan)
         mean[seen] = found
-        unsure = np.flatnonzero(self._unsure(row, target))
+        unsure = np.flatnonzero(self.unsure(row, target))
         if len(unsure):
             row, target = row[unsure], target[unsure]
             model, observed, used = self._model(len(row))
@@ -143,7 +148,7 @@ class Beliefs:
             target: (m,) contexts.
             weights: (m,) of the sum; of any sign.
         """
-        unsure = self._unsure(row, target)
+        unsure = self.unsure(row, target)
         if not unsure.any():
             return 0.0
         weighed, covariance = weights[unsure], self.joint(row[unsure], target[unsure])[1]
@@ -168,11 +173,6 @@ class Beliefs:
         return mean, covariance
 
     # ---- inside ------------------------------------------------------------------------------
-
-    def _unsure(self, row: Indices, target: Indices) -> NDArray[np.bool_]:
-        """Where something is to be believed, because nothing or not enough was measured."""
-        noisy = False if self._true is None else self._true[row, target] > 0
-        return np.asarray(~self.measured[row, target] | noisy)
 
     @cached_property
     def _places(self) -> Places:

@@ -75,9 +75,10 @@ class StudySummary:
         measured: share of the weight whose serving policy was evaluated right there.
         fresh_value: V on fresh episodes; None where not measured.
         fresh_margin: half its 95 % interval; None where unknown.
-        fresh_episodes: how many fresh episodes each context was played; None where unknown.
+        fresh_episodes: how many fresh episodes a context was played; None where not measured.
+        fresh_contexts: how many contexts were played, drawn by chance; None likewise.
         worst_tenth: mean performance of the tenth of the contexts, by weight, served worst;
-            on fresh episodes where there are any.
+            on fresh episodes where there are any, else as believed.
         worst_context: the one served worst of all, on the same episodes.
         worst_context_value: the performance there.
         best_single: source of the best single policy.
@@ -105,6 +106,7 @@ class StudySummary:
     fresh_value: float | None
     fresh_margin: float | None
     fresh_episodes: int | None
+    fresh_contexts: int | None
     worst_tenth: float | None
     worst_context: int | None
     worst_context_value: float | None
@@ -156,7 +158,6 @@ def summarise_study(study: Study) -> StudySummary:
     state = study.refresh()
     history, weights, space = study.history, study.space.weights, study.space
     fresh = fresh_value(study.state)
-    risk = study.spec.risk
     best_and_worst = tuple(float(r) for r in study.bounds.denormalise(np.array([0.0, 1.0])))
     common: dict[str, Any] = {
         "problem": study.spec.problem,
@@ -193,6 +194,7 @@ def summarise_study(study: Study) -> StudySummary:
         fresh_value=None if fresh is None else fresh.value,
         fresh_margin=None if fresh is None else fresh.margin,
         fresh_episodes=None if fresh is None else fresh.episodes,
+        fresh_contexts=None if fresh is None else fresh.contexts,
         worst_tenth=float(worst_share_mean(served, weights, TENTH)),
         worst_context=worst,
         worst_context_value=float(served[worst]),
@@ -200,7 +202,7 @@ def summarise_study(study: Study) -> StudySummary:
         best_single_value=v - gain,
         single_gain=gain,
         single_gain_margin=gain_margin,
-        policies_enough=policies_enough(routing.believed, weights, risk=risk),
+        policies_enough=policies_enough(routing.believed, weights, risk=study.spec.risk),
         serving=tuple(history.sources[i] for i in routing.route),
     )
 

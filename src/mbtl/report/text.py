@@ -111,10 +111,11 @@ def _same(group: tuple[int, ...]) -> str:
 
 
 def _fresh(summary: StudySummary) -> str:
-    if summary.fresh_episodes is None:
-        return "fresh episodes, which chose nothing"
-    count = summary.fresh_episodes
-    return f"{count} fresh episode{'s' * (count > 1)} per context, which chose nothing"
+    count, played = summary.fresh_episodes or 0, summary.fresh_contexts or 0
+    where = "per context"
+    if played < summary.n_contexts:
+        where = f"in each of {played} of the {summary.n_contexts} contexts"
+    return f"{count} fresh episode{'s' * (count > 1)} {where}, which chose nothing"
 
 
 def _with_margin(value: float, margin: float | None) -> str:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
 from mbtl.study.artifacts import Artifact, spools_of
-from mbtl.study.callbacks import Callback, where
+from mbtl.study.callbacks import Callback, few_episodes, where
 from mbtl.study.flights import Flights, brought_back, may_try_again
 from mbtl.study.job import (
     NOT_THE_TRAININGS_FAULT,
@@ -115,7 +115,7 @@ class Batches:
                     in_time = self._tell(pick, outcome)
                     _remove(waiting, pick)
                     if in_time:
-                        self._announce("on_told", pick)
+                        self._announce_told(pick)
                     continue
                 self._keep(pick, outcome.kept)
                 if isinstance(outcome.error, NOT_THE_TRAININGS_FAULT):
@@ -375,10 +375,15 @@ class Batches:
             except StudyError:  # somebody else answered it
                 continue
 
-    def _announce(self, method: str, pick: Pick, *facts: Any) -> None:
+    def _announce_told(self, pick: Pick) -> None:
+        self._announce("on_told", pick)
+        if words := few_episodes(self.study, self.trainer):
+            self._announce("on_note", words)
+
+    def _announce(self, method: str, *facts: Any) -> None:
         for callback in self.callbacks:
             try:
-                getattr(callback, method)(self.study, pick, *facts)
+                getattr(callback, method)(self.study, *facts)
             except TrainingPruned as error:
                 if method != "on_progress":
                     raise _CallbackError(error) from error

@@ -11,11 +11,11 @@ import numpy as np
 
 from mbtl.faults import say
 from mbtl.study.database import shown
-from mbtl.study.fresh import plan_of
 from mbtl.study.places import database_file
-from mbtl.trainer import Progress
+from mbtl.trainer import Progress, Trainer
 
 if TYPE_CHECKING:
+    from mbtl.study.fresh import ReportPlan
     from mbtl.study.pick import Pick
     from mbtl.study.study import Study
 
@@ -34,6 +34,9 @@ class Callback:
 
     def on_shared(self, study: Study, others: Sequence[str]) -> None:
         """The run begins while other processes work on the same study; they share its picks."""
+
+    def on_note(self, study: Study, words: str) -> None:
+        """A sentence that people should read."""
 
     def on_pick(self, study: Study, pick: Pick) -> None:
         """A pick was asked for and its training starts."""
@@ -67,8 +70,8 @@ class Callback:
     def on_waiting(self, study: Study, others: Sequence[str]) -> None:
         """Nothing is left to do but what others are at; the run waits for them, or does it."""
 
-    def on_report(self, study: Study) -> None:
-        """The policies are now evaluated on fresh seeds."""
+    def on_report(self, study: Study, plan: ReportPlan) -> None:
+        """The policies are now evaluated on fresh seeds, as often as the plan says."""
 
     def on_report_failed(self, study: Study, reason: str) -> None:
         """That evaluation failed; V on fresh episodes stays unknown."""
@@ -93,13 +96,15 @@ class PrintProgress(Callback):
         """Who else works here."""
         self._say(shared_words(others))
 
+    def on_note(self, study: Study, words: str) -> None:
+        """The sentence."""
+        self._say(words)
+
     def on_told(self, study: Study, pick: Pick) -> None:
         """V, and what the new policy added to it."""
         curve = study.curve
         gain = f" (gain {curve[-1] - curve[-2]:.4f})" if len(curve) > 1 else ""
         self._say(f"{where(study, pick)}, {estimate(study)}{gain}")
-        if words := few_episodes(study):
-            self._say(words)
 
     def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
         """Why there is no V."""
@@ -124,9 +129,9 @@ class PrintProgress(Callback):
         """Why nothing happens."""
         self._say(waiting_words(study, others))
 
-    def on_report(self, study: Study) -> None:
+    def on_report(self, study: Study, plan: ReportPlan) -> None:
         """How much is evaluated."""
-        self._say(report_words(study))
+        self._say(f"measuring V on fresh episodes: {plan}")
 
     def on_report_failed(self, study: Study, reason: str) -> None:
         """Why V stays an estimate."""
@@ -148,21 +153,23 @@ def estimate(study: Study) -> str:
     return f"V = {now.value:.4f}{bar}, estimated"
 
 
-def few_episodes(study: Study) -> str | None:
-    """After the first row, that few episodes say little of chance; None: they say enough."""
-    rows = study.state.rows
-    known = (rows[0].episodes - 1) * int(np.isfinite(rows[0].returns).sum())
-    if len(rows) > 1 or known >= _LEAST_FREEDOM:
+def few_episodes(study: Study, trainer: Trainer) -> str | None:
+    """That few episodes say little of chance; None: they say enough, or it was said.
+
+    It is said before the first training where the trainer knows how many it plays (its attribute
+    `eval_episodes`), and else after that.
+    """
+    rows, episodes = study.state.rows, getattr(trainer, "eval_episodes", None)
+    contexts = study.spec.eval_targets or study.space.n
+    if len(rows) != (1 if episodes is None else 0):
         return None
-    if known == 0:
+    if episodes is None:
+        episodes, contexts = rows[0].episodes, int(np.isfinite(rows[0].returns).sum())
+    if (episodes - 1) * contexts >= _LEAST_FREEDOM:
+        return None
+    if episodes == 1:
         return "one episode per context says nothing of chance: play 2 or more to know V's error"
-    return f"{rows[0].episodes} episodes of so few contexts say little of chance: play more"
-
-
-def report_words(study: Study) -> str:
-    """What the closing report will play, in a sentence."""
-    count = plan_of(study).evaluations
-    return f"measuring V on fresh episodes: {count} evaluations of a policy on a context"
+    return f"{episodes} episodes of so few contexts say little of chance: play more"
 
 
 def shared_words(others: Sequence[str]) -> str:

@@ -119,7 +119,7 @@ def shown(url: str) -> str:
 
 
 def clock(engine: Engine) -> Any:
-    """The time: an expression for a server; of a file, this machine's.
+    """The time: an expression for a server, whose answer `check_date` is for; of a file, a number.
 
     Raises:
         StorageError: this machine's clock shows no date.
@@ -131,13 +131,21 @@ def clock(engine: Engine) -> Any:
         return extract("epoch", func.clock_timestamp()).cast(Float(53))
     if name in ("mysql", "mariadb"):
         return func.unix_timestamp(func.now(6)).cast(Float(53))
-    now = time.time()
-    if not 0.0 <= now < LATEST:
-        raise StorageError(
-            f"a study notes when things happen, and the clock of this machine says {now:.0f} s "
-            "after the beginning of 1970; set it, then run again"
-        )
-    return literal(now, Float(53))
+    return literal(check_date(time.time(), "this machine"), Float(53))
+
+
+def check_date(now: float, whose: str) -> float:
+    """The time by a clock, if it is a date.
+
+    Raises:
+        StorageError: it is none.
+    """
+    if 0.0 <= now < LATEST:
+        return now
+    raise StorageError(
+        f"a study notes when things happen, and the clock of {whose} says {now:.0f} s after the "
+        "beginning of 1970; set it, then run again"
+    )
 
 
 def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:

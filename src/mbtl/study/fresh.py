@@ -2,9 +2,10 @@
 
 What a study says while it runs is an estimate from the episodes that choose (`mbtl.episodes`). At
 its end the policies that serve are evaluated once more where they serve, and the best single policy
-everywhere, so that what the others add to it is measured episode by episode.
+there, too, so that what the others add to it is measured episode by episode. On many contexts that
+would cost more than the study: a sample of them then says by how much the estimate is wrong.
 
-Notation (shapes): k policies in training order, N contexts, E episodes.
+Notation (shapes): k policies in training order, N contexts, n of them played, E episodes.
 """
 
 from __future__ import annotations
@@ -17,16 +18,23 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.episodes import scatter_of_sum, student
-from mbtl.objective import worst_share_weights
-from mbtl.seeds import Purpose
+from mbtl.seeds import Purpose, derive_seed
+from mbtl.study.limits import at_most
 from mbtl.study.state import StudyState
 from mbtl.trainer import Trainer, checked_returns, completed
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtl.study.study import Study
     from mbtl.study.view import StudyView
 
 Indices = NDArray[np.intp]
+
+CHEAP, SHARE = 200, 0.25
+"""Evaluations that a report may cost where the study cost as many, and the share of the study's
+that it may cost beyond. 100 contexts make V's interval less than half as wide as the running
+estimate's, 50 do not (docs/honest-numbers.md)."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +44,9 @@ class FreshValue:
     Attributes:
         value: V now, performance.
         margin: half its 95 % interval; None: unknown, from one episode each.
-        episodes: fresh episodes of each context.
-        served: (N,) performance of the policies that serve.
+        episodes: fresh episodes of each context that was played.
+        contexts: how many were.
+        served: (N,) performance of the policies that serve; as believed where none was played.
         best_single: place of the best single policy, by the rows that routed.
         gain: V less its own V, on the same episodes.
         gain_margin: half the 95 % interval of that; None likewise.
@@ -46,6 +55,7 @@ class FreshValue:
     value: float
     margin: float | None
     episodes: int
+    contexts: int
     served: Array
     best_single: int
     gain: float
@@ -59,57 +69,103 @@ class ReportPlan:
     Attributes:
         route: (N,) places of the policies that serve.
         best_single: place of the best single policy.
+        contexts: (n,) where both are evaluated.
     """
 
     route: Indices
     best_single: int
+    contexts: Indices
+
+    def __str__(self) -> str:
+        n = len(self.route)
+        where = "all" if len(self.contexts) == n else f"{len(self.contexts)} of the"
+        return f"{self.evaluations} evaluations of a policy on a context, on {where} {n} contexts"
 
     @property
     def evaluations(self) -> int:
         """Of one policy on one context each."""
-        return len(self.route) + int((self.route != self.best_single).sum())
+        return sum(self.targets(policy).size for policy in self.policies)
+
+    @property
+    def policies(self) -> list[int]:
+        """Places of those that are needed."""
+        return sorted({*self.route[self.contexts].tolist(), self.best_single})
 
     def targets(self, policy: int) -> Indices:
         """Contexts on which a policy is evaluated."""
-        everywhere = policy == self.best_single
-        return np.flatnonzero(np.full(len(self.route), everywhere) | (self.route == policy))
+        if policy == self.best_single:
+            return self.contexts
+        return np.asarray(self.contexts[self.route[self.contexts] == policy])
 
 
-def plan_of(study: StudyView) -> ReportPlan:
-    """What the closing report of a study evaluates now: who serves, and the best single policy."""
-    routing = study.state.routing()
-    return ReportPlan(routing.route, routing.best_single)
+def plan_of(study: StudyView, *, whole: bool = False) -> ReportPlan:
+    """What the closing report of a study evaluates now: who serves, and the best single policy.
+
+    Args:
+        study: with a row or more.
+        whole: play all contexts, however many evaluations the study itself has made.
+    """
+    state, spec = study.state, study.spec
+    routing, weights = state.routing(), spec.space.weights
+    every = ReportPlan(routing.route, routing.best_single, np.flatnonzero(weights))
+    played = sum(int(np.isfinite(row.returns).sum()) for row in state.rows)
+    allowed = min(played, max(CHEAP, int(SHARE * played)))
+    if whole or every.evaluations <= allowed:
+        return every
+    each = 1 if len(every.policies) == 1 else 2
+    rng = np.random.default_rng(derive_seed(spec.seed, Purpose.REPORT, spec.trial))
+    some = drawn(chances(weights, max(allowed // each, 2)), rng)
+    return ReportPlan(every.route, every.best_single, some)
 
 
-def can_report(study: Study) -> bool:
-    """True when there is something to report and every policy that it needs is at hand."""
+def plan_to_do(study: Study, *, whole: bool = False) -> ReportPlan | None:
+    """The plan, if it is not done already and every policy that it needs is at hand.
+
+    Nor of a V that is a mean over the worst contexts: by fresh episodes the unlucky ones would be.
+    """
     state = study.state
-    if not state.rows or state.fresh is not None:
-        return False
-    plan = plan_of(study)
-    needed = {*plan.route.tolist(), plan.best_single}
-    return all(state.rows[i].policy or i in study.policies for i in needed)
+    if not state.rows or study.spec.risk < 1.0:
+        return None
+    plan = plan_of(study, whole=whole)
+    if state.fresh is not None and (not whole or _played(state.fresh.served)[plan.contexts].all()):
+        return None
+    at_hand = all(state.rows[i].policy or i in study.policies for i in plan.policies)
+    return plan if at_hand else None
 
 
-def report_fresh_returns(study: Study, trainer: Trainer) -> None:
-    """Evaluate what the plan says on fresh seeds, and record it."""
-    portfolio = study.portfolio(trainer)  # refreshes; what follows is of this moment
-    plan, rows = plan_of(study), len(study.state.rows)
+def report_fresh_returns(
+    study: Study,
+    trainer: Trainer,
+    plan: ReportPlan,
+    timeout: float | None = None,
+    on_stuck: Callable[[], None] | None = None,
+) -> None:
+    """Evaluate what the plan says on fresh seeds, and record it.
+
+    Args:
+        study: that the plan is of.
+        trainer: reads and evaluates the policies.
+        plan: see `plan_of`.
+        timeout: seconds for each policy; None: no limit.
+        on_stuck: see `mbtl.study.limits.at_most`.
+    """
+    rows, portfolio = len(study.state.rows), study.portfolio(trainer)
     found: dict[int, Array] = {}
-    for i in np.unique(np.append(plan.route, plan.best_single)).tolist():
+    for i in plan.policies:
         targets = plan.targets(i)
         contexts = [study.space.context(int(t)) for t in targets]
         seeds = study.evaluation_seeds(targets, Purpose.REPORT)
-        returns = trainer.evaluate(portfolio.policy(i), contexts, seeds)
+        with at_most(timeout, on_stuck):
+            returns = trainer.evaluate(portfolio.policy(i), contexts, seeds)
         named = study.space.named(targets)
         found[i] = completed(checked_returns(returns, targets.size, named))
     episodes = min(returns.shape[1] for returns in found.values())
-    served, alone = np.empty((2, study.space.n, episodes))
+    served, alone = np.full((2, study.space.n, episodes), np.nan)
+    alone[plan.contexts] = found[plan.best_single][:, :episodes]
     for i, returns in found.items():
-        targets, mine = plan.targets(i), plan.route == i
-        served[mine] = returns[mine[targets], :episodes]
-        if i == plan.best_single:
-            alone[:] = returns[:, :episodes]
+        targets = plan.targets(i)
+        mine = plan.route[targets] == i
+        served[targets[mine]] = returns[mine, :episodes]
     study.record_fresh_returns(served, alone, best_single=plan.best_single, rows=rows)
 
 
@@ -125,24 +181,89 @@ def value_of(state: StudyState) -> float:
 def fresh_value(state: StudyState) -> FreshValue | None:
     """V on fresh episodes, as they were played when the study was reported; None: not measured."""
     fresh, bounds, spec = state.fresh, state.bounds(), state.spec
-    if fresh is None:
-        return None
     assert spec is not None
-    weights, risk = spec.space.weights, spec.risk
+    if fresh is None or spec.risk < 1.0:
+        return None
+    routing, weights, best = state.routing(), spec.space.weights, fresh.best_single
     served, alone = (bounds.normalise(r) for r in (fresh.served, fresh.alone))
-    means = bounds.normalise(fresh.served.mean(axis=1))
-    ours = worst_share_weights(means, weights, risk)
-    single = bounds.normalise(fresh.alone.mean(axis=1))
-    its = worst_share_weights(single, weights, risk)
-    value, gain = float(ours @ means), float(ours @ means - its @ single)
-    margin = gain_margin = None
-    if served.shape[1] > 1:
-        margin = _margin(ours[:, None] * served)
-        gain_margin = _margin(ours[:, None] * served - its[:, None] * alone)
-    return FreshValue(value, margin, served.shape[1], means, fresh.best_single, gain, gain_margin)
+    value, margin = estimated(routing.served, served, weights)
+    gain, gain_margin = estimated(routing.served - routing.believed[best], served - alone, weights)
+    there = _played(served)
+    each = routing.served.copy()
+    each[there] = served[there].mean(axis=1)
+    count = int(there.sum())
+    return FreshValue(value, margin, served.shape[1], count, each, best, gain, gain_margin)
 
 
-def _margin(parts: Array) -> float:
-    """Half the 95 % interval of a sum over contexts, of (N, E) episodes of its parts."""
-    variance, freedom = scatter_of_sum(parts)
-    return student(freedom) * float(np.sqrt(variance))
+# ---- a sample of the contexts --------------------------------------------------------------------
+
+
+def chances(weights: Array, count: int) -> Array:
+    """(N,) how probable each context is to be among `count` that are drawn: as its weight, up to 1.
+
+    Those without weight are not drawn, and where there are no more others, all of these are.
+    """
+    if count >= np.count_nonzero(weights):
+        return (weights > 0.0).astype(float)
+    sure = np.zeros(len(weights), dtype=bool)
+    while True:
+        rest = np.where(sure, 0.0, weights)
+        found = np.where(sure, 1.0, (count - sure.sum()) * rest / rest.sum())
+        if not (found > 1.0).any():
+            return np.asarray(found)
+        sure |= found > 1.0
+
+
+def drawn(chance: Array, rng: np.random.Generator) -> Indices:
+    """(n,) contexts, each with its probability: evenly spaced marks along them in random order."""
+    order = rng.permutation(len(chance))
+    ends = np.cumsum(chance[order])
+    marks = rng.random() + np.arange(round(ends[-1]))
+    return np.sort(order[np.searchsorted(ends[:-1], marks, side="right")])
+
+
+def estimated(believed: Array, played: Array, weights: Array) -> tuple[float, float | None]:
+    """A mean over all contexts from a sample of them, and half its 95 % interval.
+
+    The mean of what is believed, and by how much it is wrong in the sample: right whatever is
+    believed, and the surer the better that is. The variance has the spread of those errors between
+    contexts, the less the more of them were played (a whole one has none), and the luck of the
+    episodes.
+
+    Args:
+        believed: (N,) by a model that has not seen these episodes.
+        played: (N, E) single episodes; NaN where a context was not drawn.
+        weights: (N,) sum 1. Contexts were drawn by `chances`.
+
+    Returns:
+        The mean and the margin; None where one episode of all contexts, or one context that was
+        drawn by chance, says nothing of chance.
+    """
+    there = _played(played)
+    chance = chances(weights, int(there.sum()))[there]
+    share = np.divide(weights[there], chance, out=np.zeros(len(chance)), where=chance > 0.0)
+    parts = share[:, None] * (played[there] - believed[there, None])
+    value = float(weights @ believed + parts.mean(axis=1).sum())
+    among, several = chance < 1.0, parts.shape[1] > 1
+    if among.sum() == 1 or not (several or among.any()):
+        return value, None
+    variance, noise, freedom = 0.0, 0.0, np.inf
+    if several:
+        noise, freedom = scatter_of_sum(np.sqrt(chance)[:, None] * parts)
+    if among.any():
+        # of one episode the luck is not known apart: the whole spread counts, which is too much
+        left = 1.0 - chance[among] if several else np.ones(among.sum())
+        each = parts[among].mean(axis=1)
+        off = np.square(each - np.average(each, weights=left))
+        variance = float(left @ off) * among.sum() / (among.sum() - 1.0)
+    total = variance + noise
+    if total == 0.0:
+        return value, 0.0
+    spread = max(int(among.sum()) - 1, 1)
+    together = total**2 / (variance**2 / spread + noise**2 / freedom)
+    return value, student(together) * float(np.sqrt(total))
+
+
+def _played(returns: Array) -> NDArray[np.bool_]:
+    """(N,) which contexts were."""
+    return np.asarray(np.isfinite(returns).all(axis=1))

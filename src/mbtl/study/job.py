@@ -435,8 +435,9 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
         raise
     except FAULTS as error:
         raise StorageError(
-            f"the trained policy could not be saved, save raised {reason_of(error)}; what was told "
-            "before is kept: mend save, then run again"
+            f"the trained policy could not be saved, save raised {reason_of(error)}; it is in the "
+            "memory of this process alone: mend save and run the study again here, since another "
+            "process would train it again"
         ) from error
     for spool in job.spools:
         spool.remove(job.place)

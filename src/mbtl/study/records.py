@@ -196,7 +196,7 @@ class FreshReturns:
     """What policies gave on fresh episodes, which chose nothing.
 
     Attributes:
-        served: (N, E) of the policies that serve, raw units.
+        served: (N, E) of the policies that serve, raw units; NaN where a context was not played.
         alone: (N, E) of the best single policy, on the same episodes.
         best_single: its place among the rows.
     """

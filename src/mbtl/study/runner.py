@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from logging import getLogger
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from mbtl.errors import (
     InvalidInput,
@@ -30,12 +30,12 @@ from mbtl.plain import short, whole
 from mbtl.processes import SeparateWorkers, separate_workers
 from mbtl.study import asking
 from mbtl.study.batch import Batches, failure
-from mbtl.study.callbacks import Callback, shared_words
+from mbtl.study.callbacks import Callback, few_episodes, shared_words
 from mbtl.study.flights import brought_back
-from mbtl.study.fresh import can_report, fresh_value, report_fresh_returns
+from mbtl.study.fresh import ReportPlan, fresh_value, plan_to_do, report_fresh_returns
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
 from mbtl.study.keeper import Keeper
-from mbtl.study.limits import check_limits
+from mbtl.study.limits import check_limits, too_long
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.rehearsal import rehearse as rehearsed
 from mbtl.study.result import RunResult
@@ -120,7 +120,7 @@ def run(
     workers: Workers = Workers(),
     failures: Failures = Failures(),
     callbacks: Sequence[Callback] = (),
-    report: bool = True,
+    report: bool | Literal["all"] = True,
     accept_changes: bool = False,
     may_begin: Callable[[], bool] | None = None,
     wait: bool = True,
@@ -136,7 +136,8 @@ def run(
         workers: where, and how long at most.
         failures: what to do about them.
         callbacks: told what happens.
-        report: evaluate the routed policies on fresh seeds at the end.
+        report: evaluate the routed policies on fresh seeds at the end: on as many contexts as cost
+            no more than the study itself, or on "all". Not of a study with a risk.
         accept_changes: a user's own functions may have changed since the study was begun; the log
             says so then.
         may_begin: asked before each training; once it says no, the run ends.
@@ -162,6 +163,9 @@ def run(
             for failed in list(study.refresh().failures) if again else []:
                 if not failed.pruned:
                     study.retry(failed.pick)
+            if not study.state.rows and (words := few_episodes(study, trainer)):
+                for callback in callbacks:
+                    callback.on_note(study, words)
             first_policy = failures.rehearse
             if first_policy and isinstance(trainer, RehearsingTrainer):
                 _rehearse(study, partial(rehearsed, trainer, timeout=workers.timeout), pooled)
@@ -181,8 +185,8 @@ def run(
             finally:
                 batches.give_back_held()
         _check_any_success(study)
-        if report and can_report(study):
-            _report(study, trainer, callbacks)
+        if report and (plan := plan_to_do(study, whole=report == "all")):
+            _report(study, trainer, plan, callbacks, workers.timeout)
     finally:
         for callback in callbacks:
             callback.on_end(study)
@@ -296,21 +300,32 @@ def _wait_for_others(
     return True
 
 
-def _report(study: Study, trainer: Trainer, callbacks: Sequence[Callback]) -> None:
+def _report(
+    study: Study,
+    trainer: Trainer,
+    plan: ReportPlan,
+    callbacks: Sequence[Callback],
+    timeout: float | None,
+) -> None:
     """Measure V on fresh episodes; a failure there must not hide what the study found."""
+
+    def failed(reason: str) -> None:
+        for callback in callbacks:
+            callback.on_report_failed(study, reason)
+
     for callback in callbacks:
-        callback.on_report(study)
+        callback.on_report(study, plan)
     told = len(study.state.rows)
+    stuck = partial(failed, f"{too_long(timeout or 0.0)}; end this process, all else is kept")
     try:
-        report_fresh_returns(study, trainer)
+        report_fresh_returns(study, trainer, plan, timeout, stuck)
     except StorageError:
         if len(study.refresh().rows) == told:
             raise
     except StudyError:  # another process told a row meanwhile; it reports when it ends
         return
     except FAULTS as error:
-        for callback in callbacks:
-            callback.on_report_failed(study, reason_of(error))
+        failed(reason_of(error))
 
 
 def _next_batch(study: Study, size: int, ask: Callable[[], Pick | None]) -> list[Pick]:

@@ -29,6 +29,7 @@ from mbtl.study.database import (
     LATEST,
     WRITES,
     as_url,
+    check_date,
     check_name,
     clock,
     database_errors,
@@ -169,7 +170,8 @@ class SqlLog:
         values = [literal(row[c.name], c.type) if c is not t.c.time else row["time"] for c in t.c]
         names = [c.name for c in t.c]
         # one statement: the server may be far away, and is asked thousands of times
-        is_last = select(*values).where(self._last() == after)
+        dated = row["time"].between(0.0, LATEST)
+        is_last = select(*values).where((self._last() == after) & dated)
         statement = insert(t).from_select(names, is_last, include_defaults=False)
         statement = statement.execution_options(preserve_rowcount=True)
         taken = Conflict(f"event {after + 1} of study {self.study!r} is taken")
@@ -177,6 +179,7 @@ class SqlLog:
         def write(connection: Connection) -> None:
             try:
                 if connection.execute(statement).rowcount != 1:
+                    self._now(connection)
                     raise taken
             except IntegrityError as error:  # the primary key: another process was faster
                 raise taken from error
@@ -219,11 +222,7 @@ class SqlLog:
 
     def now(self) -> float:
         """The server's clock; of a file, this machine's."""
-        from sqlalchemy import select
-
-        return self._do(
-            lambda connection: float(connection.execute(select(clock(self._engine))).scalar_one())
-        )
+        return self._do(self._now)
 
     def beat(
         self, token: str, seconds: float, *, steps: float | None = None, value: float | None = None
@@ -265,6 +264,12 @@ class SqlLog:
         return self._turns.take()
 
     # ---- inside ------------------------------------------------------------------------------
+
+    def _now(self, connection: Connection) -> float:
+        from sqlalchemy import select
+
+        now = float(connection.execute(select(clock(self._engine))).scalar_one())
+        return check_date(now, "the server")
 
     def _last(self) -> Any:
         """Number of the last event, as a part of a statement."""

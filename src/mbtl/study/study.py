@@ -6,7 +6,7 @@ It decides; it trains nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -308,7 +308,8 @@ class Study(LeasingStudy):
         """Record returns on fresh evaluation seeds.
 
         Args:
-            served: (N, E) of the policies that serve, raw units.
+            served: (N, E) of the policies that serve, raw units; NaN where a context was not
+                played, as `mbtl.study.fresh` draws them.
             alone: (N, E) of the best single policy, on the same episodes.
             best_single: its place among the rows.
             rows: how many rows these are the routes of; None: those there are.
@@ -342,7 +343,7 @@ class Study(LeasingStudy):
         failures: Failures | None = None,
         callbacks: Sequence[Callback] = (),
         progress: bool = True,
-        report: bool = True,
+        report: bool | Literal["all"] = True,
     ) -> RunResult:
         """Train and evaluate until the study is finished; see `mbtl.study.runner.run`.
 
@@ -360,7 +361,7 @@ class Study(LeasingStudy):
             failures: what to do about trainings that fail; None: see `Failures`.
             callbacks: told what happens.
             progress: print a line per pick to standard error.
-            report: evaluate the routed policies on fresh seeds at the end.
+            report: evaluate the routed policies on fresh seeds at the end; "all": on all contexts.
 
         Returns:
             V after each training, all trainings, failures, and why the run ended.

@@ -1,0 +1,156 @@
+"""The closing report: how much it plays, on which contexts, and what a sample says of all."""
+
+import numpy as np
+import pytest
+import scipy.stats
+
+import mbtl
+from mbtl.seeds import Purpose
+from mbtl.study.fresh import chances, drawn, estimated, plan_of
+
+N, TARGETS, EPISODES = 400, 20, 2
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})
+X = SPACE.unit[:, 0]
+
+
+def returns_of(policy, contexts, seeds):
+    luck = [0.1 * np.random.default_rng(seed).standard_normal(EPISODES) for seed in seeds]
+    return [1.0 - abs(policy - c["x"]) + one for c, one in zip(contexts, luck, strict=True)]
+
+
+def study_of(**settings):
+    settings = {"budget": 5, "bounds": (0.0, 1.0), "eval_targets": TARGETS, **settings}
+    return mbtl.create_study(SPACE, **settings)
+
+
+def run(study, **wishes):
+    """The result, and how many contexts each evaluation of the report had."""
+    played = []
+
+    def evaluate(policy, contexts, seeds):
+        if seeds[0] >> 28 == Purpose.REPORT:
+            played.append(len(contexts))
+        return returns_of(policy, contexts, seeds)
+
+    return study.run(lambda context, seed: context["x"], evaluate, **wishes), played
+
+
+def test_a_report_costs_no_more_than_the_study_and_says_before_how_much(capsys):
+    study = study_of()
+    result, played = run(study)
+    evaluations = sum(int(np.isfinite(row.returns).sum()) for row in study.state.rows)
+    plan = plan_of(study)
+    assert sum(played) == plan.evaluations <= evaluations < 5 * (TARGETS + 1) + 1
+    assert result.fresh.contexts == len(plan.contexts) == evaluations // 2
+    assert f"{plan.evaluations} evaluations of a policy on a context" in capsys.readouterr().err
+    truth = 1.0 - np.abs(X - X[list(study.history.sources)][:, None])
+    true = truth[plan.route, np.arange(N)].mean()
+    assert abs(result.value - true) < result.fresh.margin < study.routing.value.margin
+    assert not run(study)[1]  # it is done
+    again, played = run(study, report="all")
+    assert sum(played) == plan_of(study, whole=True).evaluations > evaluations
+    assert again.fresh.contexts == N
+    assert abs(again.value - true) < again.fresh.margin < result.fresh.margin
+    assert not run(study, report="all")[1]
+
+
+def told(n, rows, targets):
+    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): n})
+    study = mbtl.create_study(space, budget=rows, bounds=(0.0, 1.0))
+    for source in np.linspace(0, n - 1, rows).astype(int).tolist():
+        at = np.linspace(0, n - 1, targets).astype(int)
+        study.tell(source, np.abs(at - source)[:, None] / -n * np.ones((1, 2)) + 1.0, targets=at)
+    return plan_of(study)
+
+
+@pytest.mark.parametrize(
+    ("n", "rows", "targets", "contexts"),
+    [
+        (100, 2, 100, 100),  # up to 200 evaluations, if the study has made as many
+        (400, 10, 20, 100),
+        (400, 3, 10, 15),  # no more than the study has made
+        (400, 3, 400, 150),  # a quarter of what it has made
+        (400, 10, 400, 400),
+        (400, 1, 30, 30),  # one policy is the best single one, too
+    ],
+)
+def test_a_report_plays_a_quarter_of_what_the_study_did_or_200(n, rows, targets, contexts):
+    plan = told(n, rows, targets)
+    assert len(plan.contexts) == contexts
+    assert plan.evaluations <= rows * targets
+    assert plan.contexts.tolist() == told(n, rows, targets).contexts.tolist()
+
+
+def test_contexts_are_drawn_as_their_weights_say():
+    weights = np.array([0.0, 0.55, 0.05, 0.1, 0.1, 0.2])
+    chance = chances(weights, 3)
+    assert chance == pytest.approx([0.0, 1.0, 2 / 9, 4 / 9, 4 / 9, 8 / 9])
+    rng = np.random.default_rng(0)
+    count = np.zeros(6)
+    for _ in range(3000):
+        some = drawn(chance, rng)
+        assert len(set(some.tolist())) == 3
+        count[some] += 1
+    assert count / 3000 == pytest.approx(chance, abs=0.03)
+    assert chances(weights, 6).tolist() == [0.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    assert drawn(np.full(7, 1.0), rng).tolist() == list(range(7))
+
+
+def test_a_sample_says_of_all_contexts_what_the_books_say():
+    """By hand: simple random sampling of a finite population, without luck and with it."""
+    rng = np.random.default_rng(0)
+    weights, believed, errors = np.full(50, 0.02), rng.uniform(size=50), rng.standard_normal(50)
+    played, some = np.full((50, 2), np.nan), rng.choice(50, 10, replace=False)
+    played[some] = (believed + errors)[some, None]
+    value, margin = estimated(believed, played, weights)
+    assert value == pytest.approx(believed.mean() + errors[some].mean())
+    variance = (1.0 - 10 / 50) * errors[some].var(ddof=1) / 10
+    assert margin == pytest.approx(scipy.stats.t.ppf(0.975, 9) * np.sqrt(variance))
+    played[some] += [[-0.5, 0.5]]  # 0.25 is the variance of each mean
+    variance += 10 / 50 * 0.25 / 10
+    assert estimated(believed, played, weights)[1] > 1.96 * np.sqrt(variance)
+    assert estimated(believed, played, weights)[1] == pytest.approx(
+        2.2 * np.sqrt(variance), rel=0.03
+    )
+    one = estimated(believed, played[:, :1], weights)[1]  # one episode: the whole spread counts
+    off = scipy.stats.t.ppf(0.975, 9) * errors[some].std(ddof=1) / np.sqrt(10)
+    assert one == pytest.approx(off)
+    everything = np.tile(believed[:, None], 2)
+    assert estimated(0.0 * believed, everything, weights) == (pytest.approx(believed.mean()), 0.0)
+    assert estimated(believed, everything[:, :1], weights)[1] is None
+
+
+def test_a_sample_by_weight_is_unbiased_and_its_intervals_cover():
+    rng = np.random.default_rng(0)
+    weights = rng.exponential(size=60) ** 2
+    weights /= weights.sum()
+    true = rng.standard_normal(60)
+    believed = true + 0.3 * rng.standard_normal(60)
+    chance, errors, inside = chances(weights, 25), [], []
+    for _ in range(600):
+        some, played = drawn(chance, rng), np.full((60, 3), np.nan)
+        played[some] = true[some, None] + 0.2 * rng.standard_normal((25, 3))
+        value, margin = estimated(believed, played, weights)
+        errors.append(value - weights @ true)
+        inside.append(abs(errors[-1]) < margin)
+    assert abs(np.mean(errors)) < 3.0 * np.std(errors) / np.sqrt(600)
+    assert 0.92 < np.mean(inside) < 0.98
+
+
+def test_an_evaluation_of_the_report_has_the_time_limit_of_the_study(capsys):
+    def evaluate(policy, contexts, seeds):
+        while seeds[0] >> 28 == Purpose.REPORT:
+            pass
+        return returns_of(policy, contexts, seeds)
+
+    study = study_of(budget=1)
+    result = study.run(lambda context, seed: 0.5, evaluate, timeout=1.0)
+    assert result.fresh is None
+    assert result.value == study.routing.value.value
+    assert "could not be measured: TookTooLong: it took longer than 1 s" in capsys.readouterr().err
+
+
+def test_the_worst_contexts_are_not_chosen_by_the_bad_luck_of_a_report():
+    result, played = run(study_of(risk=0.1))
+    assert result.fresh is None
+    assert not played
