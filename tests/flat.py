@@ -34,7 +34,7 @@ class Bare:
         return self.given if trainer is None else replace(self.given, trainer=trainer)
 
 
-def created(problem: Any, **given: Any) -> mbtl.Study:
+def created(problem: Any, /, **given: Any) -> mbtl.Study:
     """`mbtl.create_study` where bounds, stopping rules, costs, trainer, ... are keywords."""
     aim = {name: given.pop(name) for name in _AIM if name in given}
     end = {name: given.pop(key) for key, name in _END.items() if key in given}

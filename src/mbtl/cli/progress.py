@@ -13,7 +13,7 @@ from rich.progress import Progress as Bars
 
 from mbtl.cli.common import LongWork
 from mbtl.study import Callback, Pick, Study
-from mbtl.study.callbacks import estimate, shared_words, waiting_words
+from mbtl.study.callbacks import estimate, numbered, said, shared_words, waiting_words
 from mbtl.study.fresh import ReportPlan
 from mbtl.trainer import Progress
 
@@ -31,10 +31,11 @@ class LiveProgress(Callback):
             console=console,
             transient=True,
         )
-        budget = study.spec.budget
+        self._before = _spent(study)
         self._study_bar = self._bars.add_task(
-            "study", total=budget, completed=self._done(study), note=""
+            "study", total=study.spec.steps or study.spec.budget, note=""
         )
+        self._bars.update(self._study_bar, completed=self._before)
         self._pick_bars: dict[int, TaskID] = {}
         self._begun: dict[int, float] = {}
         self._seconds: list[float] = []
@@ -64,7 +65,7 @@ class LiveProgress(Callback):
     def on_pick(self, study: Study, pick: Pick) -> None:
         """A bar for the new pick."""
         self._begun[pick.number] = time.monotonic()
-        label = f"pick {pick.number + 1}: {study.space.describe(pick.context)}"
+        label = f"pick {pick.number + 1}: {said(study, pick)}"
         self._pick_bars[pick.number] = self._bars.add_task(label, total=1.0, note="training")
         self._update(study)
 
@@ -76,8 +77,7 @@ class LiveProgress(Callback):
         note = f"{progress.step:,}/{progress.total:,} {progress.unit} {' '.join(scores)}"
         self._bars.update(self._pick_bars[pick.number], completed=0.97 * share, note=note)
         self._update(study, share)
-        where = study.space.describe(pick.context)
-        self._work.say(f"pick {pick.number + 1}/{study.spec.budget}  {where}  {note}")
+        self._work.say(f"{numbered(study, pick, '/')}  {said(study, pick)}  {note}")
 
     def on_evaluation(self, study: Study, pick: Pick) -> None:
         """Training is done."""
@@ -88,8 +88,7 @@ class LiveProgress(Callback):
         """One line that stays."""
         took = self._end(pick)
         self._console.print(
-            f"pick {pick.number + 1}/{study.spec.budget}  "
-            f"{study.space.describe(pick.context):<24}  "
+            f"{numbered(study, pick, '/')}  {said(study, pick):<24}  "
             f"{estimate(study)}  {took / 60:.1f} min  {pick.reason}",
             markup=False,
             highlight=False,
@@ -101,8 +100,7 @@ class LiveProgress(Callback):
         """One line that stays."""
         self._end(pick)
         self._console.print(
-            f"pick {pick.number + 1}/{study.spec.budget}  {study.space.describe(pick.context)}  "
-            f"failed: {reason}",
+            f"{numbered(study, pick, '/')}  {said(study, pick)}  failed: {reason}",
             style="red",
             markup=False,
             highlight=False,
@@ -113,14 +111,13 @@ class LiveProgress(Callback):
     def on_lost(self, study: Study, pick: Pick) -> None:
         """One line that stays."""
         self._end(pick)
-        words = f"pick {pick.number + 1}/{study.spec.budget} was taken over by somebody else"
+        words = f"{numbered(study, pick, '/')} was taken over by somebody else"
         self._console.print(words, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
     def on_stuck(self, study: Study, pick: Pick, reason: str) -> None:
         """Its failure is recorded, and the process can only be ended: nothing else would be."""
         self._console.print(
-            f"pick {pick.number + 1}/{study.spec.budget}  {study.space.describe(pick.context)}  "
-            f"failed: {reason}. This process ends, since it cannot go on; the same command does",
+            f"{numbered(study, pick, '/')}  {said(study, pick)}  failed: {reason}. This process ends, since it cannot go on; the same command does",
             style="red",
             markup=False,
             highlight=False,
@@ -155,22 +152,29 @@ class LiveProgress(Callback):
         return self._seconds[-1]
 
     def _update(self, study: Study, share: float = 0.0) -> None:
-        done = self._done(study)
+        done = _spent(study)
         note = estimate(study) if study.state.rows else ""
-        mean = self._mean_seconds(share)
-        if mean is not None:
-            left = mean * max(study.spec.budget - done - share, 0.0) / max(len(self._begun), 1)
-            note += f"{', ' if note else ''}about {max(round(left / 60), 1)} min left"
+        seconds, of = sum(self._seconds), done - self._before
+        if of <= 0.0 and share >= 0.05 and self._begun:  # what the first one seems to need
+            number = min(self._begun)
+            seconds = time.monotonic() - self._begun[number]
+            of = share * _price(study, number)
+        if of > 0.0 and seconds:
+            left = (study.spec.steps or study.spec.budget) - done
+            minutes = seconds / of * max(left, 0.0) / max(len(self._begun), 1) / 60
+            note += f"{', ' if note else ''}about {max(round(minutes), 1)} min left"
         self._bars.update(self._study_bar, completed=done, note=note)
 
-    def _mean_seconds(self, share: float) -> float | None:
-        """Seconds per pick: of the finished ones, else what the first one seems to need."""
-        if self._seconds:
-            return sum(self._seconds) / len(self._seconds)
-        if share < 0.05 or not self._begun:
-            return None
-        return (time.monotonic() - min(self._begun.values())) / share
 
-    @staticmethod
-    def _done(study: Study) -> int:
-        return len(study.state.picks) - len(study.state.open_picks)
+def _price(study: Study, number: int) -> float:
+    """What a pick is expected to cost, in what the budget counts."""
+    state = study.state
+    pick = state.picks[number]
+    return pick.price if study.spec.steps is None else state.expected_steps(pick)
+
+
+def _spent(study: Study) -> float:
+    """How much of the budget is spent on what is done or failed."""
+    state = study.state
+    whole = state.paid if study.spec.steps is None else state.bill().total
+    return whole - sum(_price(study, number) for number in state.open_picks)

@@ -38,6 +38,7 @@ from mbtl.study import (
     asking,
     create_study,
 )
+from mbtl.study.budget import counted
 from mbtl.study.runner import run as run_study
 from mbtl.trainer import Trainer
 
@@ -324,14 +325,17 @@ def _numbers(file: Path) -> Array:
 
 
 def _announce(study: Study, folder: Path) -> None:
-    done, budget = len(study.state.rows), study.spec.budget
+    spec = study.spec
+    budget = f"K = {spec.budget}" if spec.steps is None else f"{counted(spec.steps)} steps"
     going_on = (
-        f", going on after {done} of {budget} trainings" if done and not study.is_finished else ""
+        f", going on after {study.state.spent_words()}"
+        if study.state.rows and not study.is_finished
+        else ""
     )
     first = study.state.first_budget
-    raised = "" if first is None else f" (raised from {first})"
+    raised = "" if first is None or spec.steps is not None else f" (raised from {first})"
     console.print(
-        f"{study.spec.problem}: {study.space!r}, K = {budget}{raised}, study in {folder}{going_on}",
+        f"{spec.problem}: {study.space!r}, {budget}{raised}, study in {folder}{going_on}",
         markup=False,
         highlight=False,
         soft_wrap=True,

@@ -71,15 +71,14 @@ def list_studies(
         printer().print(said, markup=False, highlight=False, soft_wrap=True)
         return
     table = Table(box=box.SIMPLE, show_edge=False)
-    for head in ("study", "selector", "told", "failed", "V", "state"):
+    for head in ("study", "strategy", "asked for", "failed", "V", "state"):
         table.add_column(head, overflow="fold" if head == "study" else "ellipsis")
     for row in rows:
         condition = "finished" if row["finished"] else f"{row['open']} open" if row["open"] else ""
         value = "-" if row["value"] is None else f"{row['value']:.4f}"
-        told = f"{row['told']}/{row['budget']}"
         alone = sum(other["study"] == row["study"] for other in rows) == 1
         place = row["study"] if alone else f"{row['study']} --name {shlex.quote(row['name'])}"
-        cells = (place, row["selector"], told, str(row["failed"]), value, condition)
+        cells = (place, row["strategy"], row["spent"], str(row["failed"]), value, condition)
         table.add_row(*map(Text, cells))
     printer().print(table)
 
@@ -142,7 +141,10 @@ def export(
     name: _Name = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Write the rows of a study: one line per (source, target), or the summary and rows as JSON.
+    """Write the rows of a study: one line per policy and target, or the summary and rows as JSON.
+
+    A policy is said by the contexts it was trained on (their numbers), the policy it began with
+    and the units of its training. Policies are numbered from 0 in the order of the lines.
 
     Example: mbtl study export runs/cartpole-length-quick-seed0 rows.csv
     """
@@ -156,18 +158,22 @@ def export(
     opened = open_study(study, name)
     state, space = opened.state, opened.space
     names = [axis.name for axis in space.axes]
+    starts = [None if r.start is None else state.place_of(r.start) for r in state.rows]
     try:
         with out.open("w", encoding="utf-8", newline="") as file:
             if out.suffix == ".json":
                 rows = [
                     {
-                        "source": r.source,
-                        "context": space.context(r.source),
+                        "policy": i,
+                        "sources": r.sources,
+                        "contexts": [space.context(s) for s in r.sources],
+                        "start": starts[i],
+                        "length": r.length,
                         "returns": r.returns,
                         "std": r.std,
                         "episodes": r.episodes,
                     }
-                    for r in state.rows
+                    for i, r in enumerate(state.rows)
                 ]
                 document = {"summary": summarise_study(opened).to_json(), "rows": rows}
                 json.dump(plain(document), file, indent=2)
@@ -175,15 +181,16 @@ def export(
                 writer = csv.writer(file)
                 sources = [f"source_{n}" for n in names]
                 targets = [f"target_{n}" for n in names]
-                writer.writerow(
-                    ["source", "target", *sources, *targets, "return", "std", "episodes"]
-                )
-                for r in state.rows:
-                    home, std = list(space.context(r.source).values()), r.std
+                made = ["policy", "sources", "start", "length"]
+                writer.writerow([*made, *sources, "target", *targets, "return", "std", "episodes"])
+                for i, r in enumerate(state.rows):
+                    how = [i, " ".join(map(str, r.sources)), starts[i], r.length]
+                    one = len(r.sources) == 1  # several have no values of their own
+                    home = list(space.context(r.source).values()) if one else [None for _ in names]
                     for t in range(space.n):
                         there = list(space.context(t).values())
                         writer.writerow(
-                            [r.source, t, *home, *there, r.returns[t], std[t], r.episodes]
+                            [*how, *home, t, *there, r.returns[t], r.std[t], r.episodes]
                         )
     except OSError as error:
         raise cannot_write(out, error) from error
@@ -224,11 +231,15 @@ def _row(database: str | Path, name: str) -> dict[str, Any]:
         "study": _shown_at(database),
         "name": name,
         "problem": study.spec.problem,
-        "selector": study.spec.selector["name"],
+        "strategy": study.spec.selector["name"],
         "told": len(state.rows),
         "failed": len(state.failures),
         "open": len(state.open_picks),
         "budget": study.spec.budget,
+        "units": state.paid,
+        "steps": study.spec.steps,
+        "steps_spent": None if study.spec.steps is None else state.bill().total,
+        "spent": state.spent_words(),
         "value": study.value if state.rows else None,
         "finished": study.is_finished,
     }
@@ -248,8 +259,7 @@ def _view(study: Study) -> Group:
     summary = summarise_study(study)
     said = lines(summary, study.space)
     if summary.finished is None:
-        paid, budget = study.state.paid, study.spec.budget
-        said.append(f"{paid:g} of {budget} trainings asked for; Ctrl-C ends this view only.")
+        said.append(f"{study.state.spent_words()} asked for; Ctrl-C ends this view only.")
     return Group(summary_table(summary, study.space), *map(Text, said))
 
 

@@ -308,8 +308,8 @@ def _report(study: Study, tally: _Tally, why: str, *, as_json: bool) -> None:
         return
     mine = tally.counts["told"]
     console.print(
-        f"{study.worker} ends: {why}; it told {mine} of the {told} rows so far, of "
-        f"{budget} at most",
+        f"{study.worker} ends: {why}; it told {mine} of the {told} rows so far, "
+        f"{study.state.spent_words()} asked for",
         markup=False,
         highlight=False,
         soft_wrap=True,

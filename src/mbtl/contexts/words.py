@@ -10,10 +10,10 @@ from mbtl.arrays import Array
 from mbtl.contexts.space import ContextSpace
 
 
-def describe_set(space: ContextSpace, contexts: Sequence[int]) -> str:
+def describe_set(space: ContextSpace, contexts: Sequence[int], between: str = ", ") -> str:
     """Contexts by index: "all contexts", "12 contexts", or one as `describe` has it."""
     if len(contexts) == 1:
-        return space.describe(space.context(contexts[0]))
+        return space.describe(space.context(contexts[0]), between)
     return "all contexts" if len(contexts) == space.n else f"{len(contexts)} contexts"
 
 

@@ -33,6 +33,8 @@ def curve(
 ) -> Any:
     """V after each training of a study with its 95 % interval, beside named baselines.
 
+    Across are units: a training that is longer stands further to the right.
+
     Args:
         study: whose running estimate of V is drawn; or (K,) values of V.
         baselines: name -> (K,) V of another method, or (S, K) of S seeds: mean, and all in a band.
@@ -49,14 +51,15 @@ def curve(
     ax = axes_for(ax)
     if isinstance(study, Study):
         values, margins, said = _measured(study)
+        k = study.state.units()
         ax.set_title(f"{study.spec.problem or study.name}: {study.space.n} contexts")
     else:
         values, margins, said = np.asarray(study, dtype=np.float64), None, "V"
+        k = np.arange(1.0, len(values) + 1.0)
     for i, (name, level) in enumerate((levels or {}).items()):
         ax.axhline(level, color=GREY, lw=0.9, ls=_DASHES[3 - i % 2], label=name, zorder=1)
     for i, (name, rows) in enumerate((baselines or {}).items()):
         _seeds(ax, np.atleast_2d(np.asarray(rows, dtype=np.float64)), name, i)
-    k = np.arange(1, len(values) + 1)
     ax.plot(k, values, "o-", ms=4, color=_BLUE, label=label or said, zorder=4)
     if margins is not None:
         ax.errorbar(k, values, margins, fmt="none", ecolor=_BLUE, elinewidth=0.8, capsize=2)

@@ -170,7 +170,7 @@ def _patches(result: Study | Portfolio) -> dict[int, Any]:
     """Colour and words of every policy that serves, by its position."""
     from matplotlib.patches import Patch
 
-    space, routing = result.space, result.routing
+    routing = result.routing
     counts = np.bincount(routing.route)
     used = np.flatnonzero(counts)
 
@@ -178,7 +178,7 @@ def _patches(result: Study | Portfolio) -> dict[int, Any]:
         if isinstance(result, Portfolio):
             where = result.trained_on(i)
         else:
-            where = space.describe(space.context(routing.sources[i]))
+            where = result.state.said(result.state.rows[i])
         return f"{i + 1}: {shorten(where, 60)} ({counts[i]})"
 
     pairs = zip(used.tolist(), distinct(len(used)), strict=True)

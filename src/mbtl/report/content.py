@@ -30,7 +30,12 @@ def content(subject: Subject) -> dict[str, Any]:
         "isGrid": space.shape is not None,
         "n": space.n,
         "sources": list(history.sources),
-        "curve": {"values": list(subject.values), "of": subject.values_of},
+        "trained": [pick.trained_on for pick in subject.picks[: len(history)]],
+        "curve": {
+            "values": list(subject.values),
+            "units": list(subject.units),
+            "of": subject.values_of,
+        },
         "baselines": {name: np.asarray(rows) for name, rows in subject.baselines.items()},
         "levels": dict(subject.levels),
         "picks": _picks(subject),
@@ -77,7 +82,7 @@ def _picks(subject: Subject) -> list[dict[str, Any]]:
         out.append(
             {
                 "source": pick.source,
-                "context": subject.space.describe(subject.space.context(pick.source)),
+                "context": pick.trained_on,
                 "reason": pick.reason,
                 "status": pick.status,
                 "value": float(values[i]) if told else None,
@@ -129,6 +134,8 @@ def _steps(subject: Subject) -> dict[str, Any]:
         if found is not None:
             means[j - 1], stds[j - 1], gains[j - 1] = found.mean, found.std, found.gain
             model = found.model
-        gains[j - 1, list(subject.history.sources[:j])] = np.nan  # not proposed again
+        alone = [subject.history.made(i) for i in range(j)]
+        taken = [one.contexts[0] for one in alone if one.is_specialist]
+        gains[j - 1, taken] = np.nan  # not proposed again
     served = np.fmax.accumulate(subject.history.rows, axis=0)
     return {"model": model, "mean": means, "std": stds, "gain": gains, "served": served}

@@ -13,6 +13,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mbtl.errors import InvalidInput, missing_extra
 from mbtl.files import whole_file
 from mbtl.report.content import content
@@ -112,7 +114,11 @@ def _article(i: int, item: dict[str, Any]) -> str:
             _picks(item["picks"]),
             section("policies", "Which policy serves which context", ""),
             details("serving", "Every context: its policy, its performance, the runner-up"),
-            section("model", f"What the model believed ({item['steps']['model']})", _SCORE),
+            *(
+                [section("model", f"What the model believed ({item['steps']['model']})", _SCORE)]
+                if np.isfinite(item["steps"]["mean"]).any()
+                else []
+            ),
             section("heat", "Transfer: every policy on every context", ""),
         ]
         if len(item["axes"]) > 2:

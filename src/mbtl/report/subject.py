@@ -38,9 +38,10 @@ class PickFacts:
     """One training, as the page shows it.
 
     Attributes:
-        source: context index.
-        reason: why the selector chose it.
-        status: "told", "failed: ...", "open".
+        source: context index; of several, the one in their middle.
+        trained_on: which contexts, from what and how long, for people.
+        reason: why the strategy chose it.
+        status: "told", "evaluated", "failed: ...", "open".
         promised: gain in V that the selector expected; None where it says none.
         seconds: wall time; None: unknown.
         cost: in the study's unit; None: unknown.
@@ -48,6 +49,7 @@ class PickFacts:
     """
 
     source: int
+    trained_on: str
     reason: str
     status: str = "told"
     promised: float | None = None
@@ -69,6 +71,7 @@ class Subject:
         history: the k rows, performance, on the episodes that chose.
         routing: of them; None before the first row.
         values: (k,) V after each training.
+        units: (k,) of training by then.
         values_of: which episodes that is of.
         picks: of the k rows in their order, then those failed or open.
         baselines: name -> (S, K) V of other methods.
@@ -88,6 +91,7 @@ class Subject:
     history: History
     routing: Routing | None
     values: Array
+    units: Array
     values_of: str
     picks: tuple[PickFacts, ...]
     baselines: Mapping[str, Array] = field(default_factory=dict)
@@ -115,6 +119,7 @@ def of_study(study: Study) -> Subject:
     picks = tuple(
         PickFacts(
             pick.source,
+            pick.trained_on(space),
             pick.reason,
             pick.status,
             None if pick.number is None else promised[pick.number],
@@ -130,7 +135,7 @@ def of_study(study: Study) -> Subject:
         "selector": dict(spec.selector),
         "seed": spec.seed,
         "trial": spec.trial,
-        "budget": spec.budget,
+        "budget": spec.budget if spec.steps is None else f"{spec.steps} environment steps",
         "mbtl": state.version,
         "created (seconds since 1970)": state.created_at,
         "settings": dict(spec.settings),
@@ -139,12 +144,13 @@ def of_study(study: Study) -> Subject:
     return Subject(
         "study",
         spec.problem or study.name,
-        summary.selector,
+        summary.strategy,
         space,
         study.problem,
         history,
         study.routing if known else None,
         study.curve,
+        state.units(),
         "an estimate while the study ran",
         picks,
         {} if curves is None else curves.baselines,
@@ -167,7 +173,13 @@ def of_matrix(
     rule = get_selector(selector)
     played = replay(rule, problem, lambda i: matrix.rows(seed, [i])[0], trial=seed)
     history = played.history
-    picks = [PickFacts(p.source, p.reason, promised=p.acquisition) for p in played.proposals]
+    space = matrix.space
+    picks = [
+        PickFacts(
+            p.source, space.describe(space.context(p.source)), p.reason, promised=p.acquisition
+        )
+        for p in played.proposals
+    ]
     known = [reference(matrix, s, problem.budget) for s in range(matrix.n_seeds)]
     baselines = {
         "Random": np.array([one.random for one in known]),
@@ -203,6 +215,7 @@ def of_matrix(
         history,
         routing,
         values,
+        np.arange(1.0, len(values) + 1.0),
         "episodes that chose nothing" if matrix.measures_apart else "the episodes that chose",
         tuple(picks),
         baselines,

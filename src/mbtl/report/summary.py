@@ -7,18 +7,19 @@ same.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.contexts import Context
+from mbtl.contexts import Context, ContextSpace
+from mbtl.contexts.words import describe_set
 from mbtl.objective import value, worst_share_mean
 from mbtl.study import Study
 from mbtl.study.fresh import fresh_value
-from mbtl.study.records import ToldRow
+from mbtl.study.records import PickRecord, ToldRow
 
 TENTH = 0.1
 ENOUGH_GAIN = 0.01
@@ -33,13 +34,17 @@ class PickSummary:
 
     Attributes:
         number: 0-based pick; None for a policy the user already had.
-        source: context index.
-        context: the context.
-        reason: why the selector chose it.
-        status: "told", "failed: ...", "open", or "open: ..." for a policy that could not be
-            evaluated.
+        source: context index; of several, the one in their middle.
+        context: that context.
+        reason: why the strategy chose it.
+        status: "told", "evaluated" for a policy that was evaluated further, "failed: ...", "open",
+            or "open: ..." for a policy that could not be evaluated.
         value: the running estimate of V after this row; None unless told.
         seconds: wall time of training and evaluation; None when unknown.
+        sources: indices of all contexts trained on.
+        length: units of the training in all.
+        how: from what and how long, e.g. "1 to 2 units", "tuned from training 1"; empty for a
+            whole training from scratch.
         traceback: of a failure, where it came from; empty where that is not known.
     """
 
@@ -50,7 +55,15 @@ class PickSummary:
     status: str
     value: float | None
     seconds: float | None
+    sources: tuple[int, ...] = ()
+    length: float = 1.0
+    how: str = ""
     traceback: str = ""
+
+    def trained_on(self, space: ContextSpace, between: str = ", ") -> str:
+        """What it is, for people, with `between` between its parts; as `StudyState.said`."""
+        where = describe_set(space, self.sources, between)
+        return f"{where}{between}{self.how}" if self.how else where
 
 
 @dataclass(frozen=True)
@@ -59,8 +72,13 @@ class StudySummary:
 
     Attributes:
         problem: id of the CMDP.
-        selector: name of the selector.
-        budget: trainings K.
+        strategy: its name.
+        budget: trainings K, in units.
+        units: of them that were asked for.
+        steps: environment steps that the study may spend; None: they are not counted.
+        bill: environment steps spent, by what on, and expected of what is under way (`Bill`); None
+            likewise.
+        spent: how much of the budget is asked for, in words.
         n_contexts: N.
         finished: why nothing more is asked; None while something is.
         bounds: (low, high) of the returns that performance 0 and 1 mean (high, low if minimised).
@@ -68,7 +86,7 @@ class StudySummary:
         episodes: fewest and most episodes behind an entry; None before the first row.
         evaluated: fewest and most contexts on which a policy was evaluated; None likewise.
         alike: places of policies that returned the same in every episode, a group each.
-        picks: the sources in order.
+        picks: those told in their order, then the others.
         value: V now, the running estimate; None before the first row.
         value_margin: half its 95 % interval: of noise, of what was predicted, of what was sampled;
             None where all rows are of one episode, which says nothing of chance.
@@ -81,17 +99,21 @@ class StudySummary:
             on fresh episodes where there are any, else as believed.
         worst_context: the one served worst of all, on the same episodes.
         worst_context_value: the performance there.
-        best_single: source of the best single policy.
+        best_single: place of the best single policy among those told.
         best_single_value: its own V.
         single_gain: V less that; both on fresh episodes where there are any.
         single_gain_margin: half its 95 % interval; None where unknown.
         policies_enough: fewest policies that reach 99 % of the way from it to V.
-        serving: (N,) source whose policy serves each context.
+        serving: (N,) place of the policy that serves each context.
     """
 
     problem: str
-    selector: str
+    strategy: str
     budget: int
+    units: float
+    steps: int | None
+    bill: Mapping[str, float] | None
+    spent: str
     n_contexts: int
     finished: str | None
     bounds: tuple[float, float]
@@ -123,7 +145,7 @@ class StudySummary:
 
     @property
     def told(self) -> list[PickSummary]:
-        """The sources whose rows are known."""
+        """Those whose rows are known."""
         return [pick for pick in self.picks if pick.status == "told"]
 
     @property
@@ -161,8 +183,12 @@ def summarise_study(study: Study) -> StudySummary:
     best_and_worst = tuple(float(r) for r in study.bounds.denormalise(np.array([0.0, 1.0])))
     common: dict[str, Any] = {
         "problem": study.spec.problem,
-        "selector": str(study.spec.selector["name"]),
+        "strategy": str(study.spec.selector["name"]),
         "budget": study.spec.budget,
+        "units": state.paid,
+        "steps": study.spec.steps,
+        "bill": None if study.spec.steps is None else asdict(state.bill()),
+        "spent": state.spent_words(),
         "n_contexts": space.n,
         "finished": study.stop_reason if study.is_finished else None,
         "bounds": best_and_worst,
@@ -198,12 +224,12 @@ def summarise_study(study: Study) -> StudySummary:
         worst_tenth=float(worst_share_mean(served, weights, TENTH)),
         worst_context=worst,
         worst_context_value=float(served[worst]),
-        best_single=history.sources[best_single],
+        best_single=int(best_single),
         best_single_value=v - gain,
         single_gain=gain,
         single_gain_margin=gain_margin,
         policies_enough=policies_enough(routing.believed, weights, risk=study.spec.risk),
-        serving=tuple(history.sources[i] for i in routing.route),
+        serving=tuple(routing.route.tolist()),
     )
 
 
@@ -236,38 +262,40 @@ def policies_enough(
 
 def _picks(study: Study, curve: Array) -> tuple[PickSummary, ...]:
     state, space = study.state, study.space
-    reasons = {pick.number: pick.reason for pick in state.picks}
-    told = [
-        PickSummary(
-            row.pick,
-            row.source,
-            space.context(row.source),
-            "told by the user" if row.pick is None else reasons[row.pick],
-            "told",
-            float(curve[i]),
-            row.seconds,
+
+    def line(one: PickRecord | ToldRow, status: str, **more: Any) -> PickSummary:
+        number = one.pick if isinstance(one, ToldRow) else one.number
+        return PickSummary(
+            number,
+            one.source,
+            space.context(one.source),
+            "told by the user" if number is None else state.picks[number].reason,
+            status,
+            more.get("value"),
+            more.get("seconds"),
+            one.sources,
+            one.length,
+            state.how(one),
+            more.get("traceback", ""),
         )
+
+    told = [
+        line(row, "told", value=float(curve[i]), seconds=row.seconds)
         for i, row in enumerate(state.rows)
     ]
-    failed = [
-        PickSummary(
-            f.pick,
-            f.source,
-            space.context(f.source),
-            reasons[f.pick],
-            f"failed: {f.reason}",
-            value=None,
-            seconds=None,
-            traceback=f.traceback,
-        )
-        for f in state.failures
-    ]
-    held = []
-    for n, p in state.open_picks.items():
-        cause = state.deferred.get(n)
-        status, trace = (
-            ("open", "") if cause is None else (f"open: {cause.reason}", cause.traceback)
-        )
-        context = space.context(p.source)
-        held.append(PickSummary(n, p.source, context, p.reason, status, None, None, trace))
-    return (*told, *sorted([*failed, *held], key=lambda pick: pick.number or 0))
+    failed = {failure.pick: failure for failure in state.failures}
+    answered = {row.pick for row in state.rows} | set(state.open_picks)
+    others = []
+    for pick in state.picks:
+        if pick.number in state.open_picks:
+            cause = state.deferred.get(pick.number)
+            status, trace = "open", ""
+            if cause is not None:
+                status, trace = f"open: {cause.reason}", cause.traceback
+            others.append(line(pick, status, traceback=trace))
+        elif pick.number in failed:
+            cause = failed[pick.number]
+            others.append(line(pick, f"failed: {cause.reason}", traceback=cause.traceback))
+        elif pick.number not in answered:
+            others.append(line(pick, "evaluated"))
+    return (*told, *others)

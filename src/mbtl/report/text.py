@@ -9,13 +9,14 @@ from rich.text import Text
 
 from mbtl.contexts import ContextSpace
 from mbtl.report.summary import StudySummary
+from mbtl.study.budget import counted
 
 _NOTHING = 5e-5
 """What prints as 0."""
 
 
 def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) -> None:
-    """Print the summary: the picks, V, the verdict, what one more pick would bring."""
+    """Print the summary: the picks, V, the verdict."""
     screen.print(table(summary, space))
     for line in lines(summary, space):
         screen.print(line, markup=False, highlight=False)
@@ -23,8 +24,9 @@ def show_summary(screen: Console, summary: StudySummary, space: ContextSpace) ->
 
 def table(summary: StudySummary, space: ContextSpace) -> Table:
     """The picks, a row each."""
-    size = f"K = {summary.budget}, N = {summary.n_contexts}"
-    title = f"{summary.problem or 'study'}: {summary.selector}, {size}"
+    budget = f"K = {summary.budget}" if summary.steps is None else f"{counted(summary.steps)} steps"
+    size = f"{budget}, N = {summary.n_contexts}"
+    title = f"{summary.problem or 'study'}: {summary.strategy}, {size}"
     found = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)
     for head in ("pick", "trained on", "V", "min"):
         found.add_column(head, justify="left" if head == "trained on" else "right", no_wrap=True)
@@ -32,10 +34,10 @@ def table(summary: StudySummary, space: ContextSpace) -> Table:
     for pick in summary.picks:
         found.add_row(
             "-" if pick.number is None else str(pick.number + 1),
-            Text(space.describe(pick.context, "\n")),
+            Text(pick.trained_on(space, "\n")),
             _number(pick.value),
             "-" if pick.seconds is None else f"{pick.seconds / 60:.1f}",
-            Text(pick.reason if pick.status == "told" else pick.status),
+            Text(pick.reason if pick.status in ("told", "evaluated") else pick.status),
         )
     return found
 
@@ -45,7 +47,7 @@ def show_causes(screen: Console, summary: StudySummary, space: ContextSpace) -> 
     places: dict[str, list[str]] = {}
     for pick in summary.picks:
         if pick.traceback and pick.number is not None:
-            where = f"pick {pick.number + 1} ({space.describe(pick.context)})"
+            where = f"pick {pick.number + 1} ({pick.trained_on(space)})"
             places.setdefault(pick.traceback, []).append(where)
     for trace, picks in places.items():
         screen.print(f"\n{', '.join(picks)}:", markup=False, highlight=False)
@@ -79,6 +81,19 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
         out.append(f"{sentence}.")
     out.append(summary.verdict)
     out += [_same(group) for group in summary.alike]
+    if summary.bill is not None and summary.steps is not None:
+        parts = {
+            "trainings": summary.bill["training"],
+            "going on": summary.bill["extension"],
+            "checks": summary.bill["checks"],
+            "evaluation": summary.bill["evaluation"],
+            "failed trainings": summary.bill["failed"],
+            "what is under way": summary.bill["under_way"],
+        }
+        said = ", ".join(f"{counted(steps)} on {what}" for what, steps in parts.items() if steps)
+        out.append(f"Spent: {summary.spent}{f': {said}' if said else ''}.")
+    elif summary.units != len([pick for pick in summary.picks if pick.number is not None]):
+        out.append(f"Spent: {summary.spent}.")
     if summary.finished:
         out.append(f"The study is finished: {summary.finished}.")
     return out

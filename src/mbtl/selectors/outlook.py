@@ -30,7 +30,7 @@ def outlook(
 
     Args:
         problem: the contexts.
-        history: the rows.
+        history: the rows; those of specialists count, as no model knows other trainings.
         selector: whose model.
         after: number of trainings; None: all. Picks under way do not count.
 
@@ -46,7 +46,15 @@ def outlook(
     if not np.isfinite(history.rows[:k]).any():
         return None
     errors = None if history.errors is None else history.errors[:k]
-    then = History(history.n_targets, history.sources[:k], history.rows[:k], errors=errors)
+    then = History(
+        history.n_targets,
+        history.sources[:k],
+        history.rows[:k],
+        errors=errors,
+        trainings=history.trainings[:k],
+    ).specialists()
+    if not np.isfinite(then.rows).any():
+        return None
     candidates = _candidates(problem)
     for model in (_known(selector), Auto()):
         if not isinstance(model, OutlookSelector):

@@ -143,7 +143,20 @@ class PrintProgress(Callback):
 
 def where(study: Study, pick: Pick) -> str:
     """A pick for people, who count from 1: "pick 3 of 5: gravity = 7.5 m/s2"."""
-    return f"pick {pick.number + 1} of {study.spec.budget}: {study.space.describe(pick.context)}"
+    return f"{numbered(study, pick)}: {said(study, pick)}"
+
+
+def numbered(study: Study, pick: Pick, of: str = " of ") -> str:
+    """Which pick it is: "pick 3 of 5", or "pick 3, 2.5 of 4 units" where they differ in price."""
+    spec = study.spec
+    if spec.steps is None and not spec.any_training:
+        return f"pick {pick.number + 1}{of}{spec.budget}"
+    return f"pick {pick.number + 1}, {study.state.spent_words()}"
+
+
+def said(study: Study, pick: Pick) -> str:
+    """What is trained, from what and how long; see `StudyState.said`."""
+    return study.state.said(study.state.picks[pick.number])
 
 
 def estimate(study: Study) -> str:

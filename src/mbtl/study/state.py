@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.contexts.words import middle_of
+from mbtl.contexts.words import describe_set, middle_of
 from mbtl.episodes import Episodes
 from mbtl.errors import StorageError, StudyError
 from mbtl.history import History, Training
@@ -17,7 +17,7 @@ from mbtl.objective import Bounds
 from mbtl.routing import Routing
 from mbtl.seeds import training_seed
 from mbtl.selectors.base import SelectionProblem
-from mbtl.study.budget import Bill
+from mbtl.study.budget import Bill, counted
 from mbtl.study.checks import check_event
 from mbtl.study.events import Event
 from mbtl.study.leases import Lease
@@ -302,6 +302,49 @@ class StudyState:
     def _unit(self) -> float:
         assert self.spec is not None
         return float(self.spec.unit or 0)
+
+    def said(self, one: PickRecord | ToldRow) -> str:
+        """A training for people: "all contexts, 1 to 2 units", "x = 7, tuned from training 1"."""
+        assert self.spec is not None
+        how = self.how(one)
+        return describe_set(self.spec.space, one.sources) + (f", {how}" if how else "")
+
+    def how(self, one: PickRecord | ToldRow) -> str:
+        """From what and how long, in words; empty for a whole training from scratch."""
+        if isinstance(one, ToldRow) and one.pick is None:
+            return ""
+        pick = self.picks[one.pick or 0] if isinstance(one, ToldRow) else one
+        units = f"{pick.length:g} units"
+        if not pick.length:
+            return f"{self._named(pick.start)} evaluated further"
+        if pick.done:
+            return f"{pick.done:g} to {units}"
+        tuned = [] if pick.start is None else [f"tuned from {self._named(pick.start)}"]
+        return ", ".join([*tuned, *([] if pick.length == 1.0 else [units])])
+
+    def _named(self, start: int | None) -> str:
+        """The policy that event number `start` told, as tables number it."""
+        parent = self._parent(start)
+        if parent is None or parent.pick is None:
+            return "a policy told unasked"
+        return f"training {parent.pick + 1}"
+
+    def units(self) -> Array:
+        """(k,) units of training of each row and all before it; those told unasked count, too."""
+        done = [self._parent(row.start) if row.goes_on else None for row in self.rows]
+        own = [
+            row.length - (before.length if before else 0.0)
+            for row, before in zip(self.rows, done, strict=True)
+        ]
+        return np.cumsum(own)
+
+    def spent_words(self) -> str:
+        """How much of the budget is asked for: "3 of 15 trainings", "2.5 of 4 units", ..."""
+        assert self.spec is not None
+        if self.spec.steps is not None:
+            return f"{counted(self.bill().total)} of {counted(self.spec.steps)} steps"
+        what = "units" if self.spec.any_training else "trainings"
+        return f"{self.paid:g} of {self.spec.budget} {what}"
 
     def seed_of(self, pick: PickRecord) -> int:
         """Training seed of a pick; of one that goes on, that of the beginning."""

@@ -95,8 +95,12 @@ class StudyView:
         self.refresh()
 
     def __repr__(self) -> str:
-        told, spec = len(self._state.rows), self.spec
-        return f"Study({self.name!r}: {told} of {spec.budget} trainings told, {spec.space!r})"
+        told, state, spec = len(self._state.rows), self._state, self.spec
+        usual = spec.steps is None and not spec.any_training
+        how = f"{told} of {spec.budget} trainings told" if usual else (
+            f"{told} policies told, {state.spent_words()}"
+        )  # fmt: skip
+        return f"Study({self.name!r}: {how}, {spec.space!r})"
 
     def __reduce__(self) -> tuple[Any, ...]:
         if isinstance(self._log, MemoryLog):

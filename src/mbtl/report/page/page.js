@@ -55,7 +55,7 @@
   const mean = (rows) => Array.from(rows[0], (_, j) => rows.reduce((sum, row) => sum + row[j], 0) / rows.length);
   const named = (axis, value) => (axis.choices ? axis.choices[value] : short(value) + (axis.unit ? " " + axis.unit : ""));
   const describe = (item, i) => item.axes.map((axis) => `${axis.name} = ${named(axis, axis.values[i])}`).join(", ");
-  const home = (item, p) => (item.policies ? item.policies[p] : "trained on " + describe(item, item.sources[p]));
+  const home = (item, p) => "trained on " + item.trained[p];
   const contexts = (item) => (item.said ??= Array.from({ length: item.n }, (_, i) => describe(item, i)));
 
   function axisOf(axis, more = {}) {
@@ -215,7 +215,7 @@
 
   const pictures = {
     curve(i, box) {
-      const item = state.items[i], k = item.curve.values.map((_, j) => j + 1), last = Math.max(k.length, 2), traces = [];
+      const item = state.items[i], k = item.curve.units, last = Math.max(k.at(-1) || 0, 2), traces = [];
       Object.entries(item.levels).forEach(([name, v]) => traces.push({
         x: [1, last], y: [v, v], mode: "lines", name, line: { width: 1, dash: "dot", color: css("--soft") }, visible: name === "Independent" || item.kind === "study" ? true : "legendonly",
       }));
@@ -231,43 +231,9 @@
       traces.push({
         x: k, y: item.curve.values, mode: "lines+markers", name: item.selector, line: { width: 3, color: css("--accent") }, marker: { size: 8 },
         text: told.map((p) => `${p.context}<br>${p.gained === null ? "" : "gained " + fixed(p.gained) + "<br>"}${p.reason}`),
-        hovertemplate: "k = %{x}: V = %{y:.4f}<br>%{text}<extra></extra>",
+        hovertemplate: "after %{x}: V = %{y:.4f}<br>%{text}<extra></extra>",
       });
-      return draw(box, traces, { xaxis: plain("trainings k", { dtick: Math.ceil((26 * k.length) / box.clientWidth) }), yaxis: plain("V") });
-    },
-
-    spending(i, box) {
-      const item = state.items[i], seen = item.pieces.filter((p) => p.value !== null), last = item.pieces.at(-1).after;
-      const at = [...seen.map((p) => p.after), last], v = [...seen.map((p) => p.value), seen.at(-1).value];
-      const said = [...seen.map((p) => `training ${p.training + 1} evaluated ${p.said}`), "all that was paid"];
-      const traces = [{
-        x: at, y: v, mode: "lines+markers", line: { shape: "hv", width: 3, color: css("--accent") }, marker: { size: at.map((_, j) => (j < seen.length ? 7 : 0)) },
-        name: "by the episodes that chose", text: said, hovertemplate: "%{x:,.0f} steps: V = %{y:.4f}<br>%{text}<extra></extra>",
-      }];
-      if (item.fresh.value !== null) traces.push({
-        x: [last], y: [item.fresh.value], mode: "markers", name: "on fresh episodes", cliponaxis: false, marker: { size: 11, color: "#d55e00" },
-        error_y: { type: "data", array: [item.fresh.margin || 0], color: "#d55e00", visible: item.fresh.margin !== null }, hovertemplate: "V = %{y:.4f} on fresh episodes<extra></extra>",
-      });
-      return draw(box, traces, { xaxis: plain("environment steps, all in", { range: [0, 1.02 * last], exponentformat: "SI" }), yaxis: plain("V") });
-    },
-
-    courses(i, box) {
-      const item = state.items[i], kinds = { training: "#0072b2", extension: "#56b4e9", evaluation: "#e69f00", failed: "#d55e00" };
-      const words = { training: "new training", extension: "extension", evaluation: "evaluation", failed: "failed" };
-      const row = (p) => (p.training === null ? "failed" : `${p.training + 1}`), of = (p) => (p.training === null ? "" : `training ${p.training + 1}, ${item.trainings[p.training].trained_on}<br>`);
-      const traces = Object.entries(kinds).map(([kind, color]) => {
-        const those = item.pieces.filter((p) => p.kind === kind && p.after > p.before);
-        return {
-          type: "bar", orientation: "h", name: words[kind], y: those.map(row), base: those.map((p) => p.before), x: those.map((p) => p.after - p.before), marker: { color, line: { width: 0 } },
-          text: those.map((p) => `${of(p)}${words[kind]}: ${p.said}`), textposition: "none", hovertemplate: "%{text}<extra></extra>", visible: those.length > 0,
-        };
-      });
-      const names = [...item.trainings.map((t) => `${t.number + 1}`), ...(item.pieces.some((p) => p.training === null) ? ["failed"] : [])];
-      box.style.height = `${Math.max(352, 130 + 22 * names.length)}px`;
-      return draw(box, traces, {
-        barmode: "overlay", bargap: 0.3, xaxis: plain("environment steps, all in", { exponentformat: "SI" }),
-        yaxis: plain("training", { type: "category", categoryorder: "array", categoryarray: names, autorange: "reversed", dtick: Math.ceil(names.length / 30) }),
-      });
+      return draw(box, traces, { xaxis: plain("trainings k", { dtick: Math.ceil((26 * last) / box.clientWidth) }), yaxis: plain("V") });
     },
 
     policies(i, box) {
@@ -303,7 +269,7 @@
       if (!controls(i, "model").querySelector("input")) slider(i, last);
       const j = state.steps[i] - 1, taken = item.sources.slice(0, j + 1), coming = item.sources[j + 1];
       controls(i, "model").querySelector("output").textContent = `after ${j + 1} of ${last}` +
-        (coming === undefined ? "" : `; next pick: ${describe(item, coming)}`);
+        (coming === undefined ? "" : `; next pick: ${item.trained[j + 1]}`);
       if (item.axes.length > 1) {
         const view = mapOf(i), show = view.show.model, label = { mean: "mean", std: "deviation", gain: "score", served: "performance" }[show];
         return draw(box, mapTraces(item, view, steps[show][j], { kind: show, label, range: range(steps[show]), taken }), mapLook(item, view));
