@@ -120,7 +120,7 @@ def test_texts_of_others_are_shown_and_do_nothing(folder, columns):
 
 
 def test_code_that_exits_is_a_failed_training_and_a_failed_check(folder):
-    code, out, err = shell(folder, "MBTL run own.py:exits --all --selector random --json")
+    code, out, err = shell(folder, "MBTL run own.py:exits --all --strategy random --json")
     assert code == 0, err
     assert rows_of(folder) == 2
     assert "sys.exit(0) was called, where it must return or raise" in err
@@ -141,7 +141,7 @@ def test_a_training_that_never_reports_ends_at_its_limit(folder, command):
 
 @pytest.mark.long  # it is given time to clean up
 def test_native_code_that_never_returns_is_recorded_and_ends_the_process(folder):
-    code, _, err = shell(folder, "MBTL run own.py:stuck --selector random --timeout 0.3")
+    code, _, err = shell(folder, "MBTL run own.py:stuck --strategy random --timeout 0.3")
     assert code == 1
     assert "in native code that does not return. This process ends" in err
     (study,) = folder.glob("runs/*")

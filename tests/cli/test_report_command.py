@@ -103,26 +103,38 @@ def test_a_folder_without_a_study_says_what_it_holds(mbtl_command, tmp_path, sto
         assert "matrices is a folder; give one that it holds: m.npz" in " ".join(err.split())
 
 
-def test_a_study_paid_in_steps_has_a_page_and_no_rows_to_export(mbtl_command, tmp_path):
-    created(
-        SPACE, cost="steps", budget=1000, bounds=(0, 1), lengths=[10], episodes=2, horizon=5,
-        storage=tmp_path / "s.db",
+def test_a_study_paid_in_steps_says_what_was_spent_on_what(mbtl_command, tmp_path):
+    study = mbtl.create_study(
+        SPACE, budget=mbtl.Steps(1000, unit=100, horizon=5), strategy="all-first",
+        objective=mbtl.Objective(bounds=(0.0, 1.0)), storage=tmp_path / "s.db",
     )  # fmt: skip
+    study.equip(mbtl.FunctionTrainer(lambda contexts, seed, *, start=None, length=None: 0, max))
+    everyone = study.ask()
+    study.tell(everyone, np.full(12, 0.5), steps=90, checks=30, evaluation_steps=55)
+    study.tell(study.ask(), np.full(12, 0.6), steps=100, evaluation_steps=45)
+    code, out, err = mbtl_command("study", "show", "s.db")
+    assert code == 0, err
+    assert "all-first, 1K steps, N = 12" in out
+    assert re.search(r"1\s+all contexts", out)
+    assert "Spent: 320 of 1K steps: 190 on trainings, 30 on checks, 100 on evaluation." in " ".join(
+        out.split()
+    )
+    (listed,) = json.loads(mbtl_command("study", "list", "s.db", "--json")[1])
+    assert (listed["spent"], listed["steps_spent"]) == ("320 of 1K steps", 320.0)
     code, out, err = mbtl_command("report", "s.db", "--json")
     assert code == 0, err
-    assert json.loads(out)["subjects"] == ["study"]
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "strategy pilot, 0 of 1K steps, 0 trainings, 12 contexts, under way" in page
+    assert "<td>all contexts</td>" in page
     code, _, err = mbtl_command("study", "export", "s.db", "rows.csv")
-    assert code == 1
-    assert "`mbtl report s.db` draws them" in " ".join(err.split())
-    code, out, _ = mbtl_command("watch", "s.db")
-    assert code == 0
-    assert "0 of 1K steps were paid" in out
+    assert code == 0, err
+    lines = (tmp_path / "rows.csv").read_text().splitlines()
+    assert lines[0] == ("policy,sources,start,length,source_x,target,target_x,return,std,episodes")
+    assert lines[1].startswith("0,0 1 2 3 4 5 6 7 8 9 10 11,,1.0,,0,")
+    assert len(lines) == 1 + 2 * 12
 
 
 def test_watching_prints_the_state_once_where_there_is_no_terminal(mbtl_command, stored):
-    code, out, err = mbtl_command("watch", "s")
+    code, out, err = mbtl_command("study", "show", "s", "--live", "2")
     assert code == 0, err
     assert "1 of 2 trainings asked for" in out
     assert re.search(r"1\s+x = 0.\d+ m", out)
@@ -133,12 +145,12 @@ def test_on_a_terminal_watching_goes_on_until_the_study_ends(stored, tmp_path, m
 
     from rich.console import Console
 
-    from mbtl.cli import watch
+    from mbtl.cli import study
 
     screen = Console(file=io.StringIO(), force_terminal=True, width=90)
-    monkeypatch.setattr(watch, "printer", lambda: screen)
-    monkeypatch.setattr(watch.time, "sleep", lambda seconds: tell_one(stored))
-    watch.watch(tmp_path / "s")
+    monkeypatch.setattr(study, "printer", lambda: screen)
+    monkeypatch.setattr(study.time, "sleep", lambda seconds: tell_one(stored))
+    study.show(str(tmp_path / "s"), live=2.0)
     text = screen.file.getvalue()
     assert "1 of 2 trainings asked for" in text
     assert "The study is finished: the budget of 2 trainings is spent." in text

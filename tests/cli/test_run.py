@@ -100,7 +100,7 @@ def test_costs_that_are_no_numbers_of_contexts_are_refused(
     file = tmp_path / "costs.txt"
     if text is not None:
         file.write_text(text)
-    code, _, err = mbtl_command("run", own, "--costs", str(file))
+    code, _, err = mbtl_command("run", own, "--costs", str(file), "--cost-budget", "60")
     assert code != 0
     assert message in err
     assert not (tmp_path / "runs").exists()
@@ -147,11 +147,11 @@ def test_other_settings_are_refused_with_the_way_out(mbtl_command, own, tmp_path
 
 def test_another_seed_is_another_study(mbtl_command, own, tmp_path):
     mbtl_command("run", own)
-    mbtl_command("run", own, "--seed", "1", "--selector", "greedy")
+    mbtl_command("run", own, "--seed", "1", "--strategy", "greedy")
     names = sorted(p.name for p in (tmp_path / "runs").iterdir())
     assert names == ["mass-default-seed0", "mass-default-seed1"]
     _, out, _ = mbtl_command("study", "list", "--json")
-    assert [(s["selector"], s["told"]) for s in json.loads(out)] == [("auto", 4), ("greedy", 4)]
+    assert [(s["strategy"], s["told"]) for s in json.loads(out)] == [("auto", 4), ("greedy", 4)]
 
 
 def test_a_level_ends_the_run_early(mbtl_command, own):
@@ -180,13 +180,13 @@ def test_a_study_is_shown_and_exported(mbtl_command, own, tmp_path):
     ("arguments", "words"),
     [
         (["run", "cartpole-lenght"], "Did you mean 'cartpole-length'? `mbtl cmdps` lists all."),
-        (["run", "OWN", "--selector", "gredy"], "Did you mean 'greedy'"),
+        (["run", "OWN", "--strategy", "gredy"], "Did you mean 'greedy'"),
         (["run", "OWN", "--budget", "0"], "budget must be from 1"),
         (["run", "OWN", "--budget", "16"], "budget must be from 1"),
         (["run", "OWN", "--preset", "quikc"], "preset"),
         (["run", "OWN", "--timesteps", "10"], "timesteps"),
         (["run", "signal-inflow", "--timesteps", "10"], "use --episodes"),
-        (["run", "OWN", "--parallel", "0"], "parallel must be >= 1"),
+        (["run", "OWN", "--parallel", "0"], "parallel of Workers is 1 or more"),
         (["run", "nowhere:problem"], "no module is called 'nowhere'"),
         (["run", "own.py:problm"], "Did you mean 'problem'"),
         (["study", "export", "x", "rows.txt"], "ends in .json or .csv"),
@@ -449,7 +449,7 @@ def simulator(tmp_path):
         importlib.invalidate_caches()
         shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)
         (tmp_path / "sim.py").write_text(SIMULATOR.format(train=train, evaluate=evaluate))
-        return ("run", "sim.py:problem", "--selector", "equidistant")
+        return ("run", "sim.py:problem", "--strategy", "equidistant")
 
     return write
 
@@ -509,7 +509,7 @@ def test_a_selector_of_a_file_goes_on_when_it_is_named_again(mbtl_command, simul
         "    def propose(self, problem, history, rng):\n"
         "        return Proposal(problem.n - 1 - len(history), 'from the end')\n"
     )
-    command = (*simulator()[:2], "--selector", "picks.py:Last", "--json")
+    command = (*simulator()[:2], "--strategy", "picks.py:Last", "--json")
     for budget in ("2", "3"):
         code, out, err = mbtl_command(*command, "--budget", budget)
         assert code == 0, err

@@ -14,7 +14,7 @@ import typer
 from mbtl.cli.bench import bench
 from mbtl.cli.check import check
 from mbtl.cli.cmdps import cmdps
-from mbtl.cli.common import INTERRUPTED, console, interruptible, interrupts, print_origin
+from mbtl.cli.common import INTERRUPTED, Grouped, console, interruptible, interrupts, print_origin
 from mbtl.cli.interrupts import deafen, hear_interrupts, keep_interrupts
 from mbtl.cli.matrix import matrix_app
 from mbtl.cli.play import play
@@ -37,7 +37,7 @@ app = typer.Typer(
 
 
 for command in (run, worker, report, play, cmdps, bench, check):
-    app.command()(interruptible(command))
+    app.command(cls=Grouped)(interruptible(command))
 app.command("reproduce")(interruptible(reproduce_command))
 app.add_typer(study_app, name="study")
 app.add_typer(matrix_app, name="matrix")

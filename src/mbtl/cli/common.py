@@ -23,6 +23,7 @@ import numpy as np
 import typer
 from rich.console import Console, ConsoleOptions
 from rich.segment import Segment
+from typer.core import TyperCommand
 
 from mbtl.errors import Notice, cannot_write
 from mbtl.faults import harmless, traceback_of, writable
@@ -116,6 +117,23 @@ AcceptFlag = Annotated[
 JsonFlag = Annotated[
     bool, typer.Option("--json", help="Print one JSON document on standard output.")
 ]
+
+
+class Grouped(TyperCommand):
+    """A command whose plain help shows options without a panel first, then each panel."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write a section per `rich_help_panel`."""
+        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for one in self.get_params(ctx):
+            if (record := one.get_help_record(ctx)) is not None:
+                panel = getattr(one, "rich_help_panel", None) or "Options"
+                panel = "Arguments" if one.param_type_name == "argument" else panel
+                groups.setdefault(panel, []).append(record)
+        for name, records in groups.items():
+            if records:
+                with formatter.section(name):
+                    formatter.write_dl(records, col_max=32)
 
 
 INTERRUPTED = 130

@@ -117,7 +117,8 @@ class LiveProgress(Callback):
     def on_stuck(self, study: Study, pick: Pick, reason: str) -> None:
         """Its failure is recorded, and the process can only be ended: nothing else would be."""
         self._console.print(
-            f"{numbered(study, pick, '/')}  {said(study, pick)}  failed: {reason}. This process ends, since it cannot go on; the same command does",
+            f"{numbered(study, pick, '/')}  {said(study, pick)}  failed: {reason}. "
+            "This process ends, since it cannot go on; the same command does",
             style="red",
             markup=False,
             highlight=False,

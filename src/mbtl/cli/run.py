@@ -14,7 +14,7 @@ import numpy as np
 import typer
 
 from mbtl.arrays import Array
-from mbtl.cli.common import AcceptFlag, JsonFlag, console, print_json, printer
+from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.cli.folders import check_folder, set_aside, study_in
 from mbtl.cli.master import artifacts_for, check_master, command, follow
 from mbtl.cli.progress import LiveProgress
@@ -46,6 +46,10 @@ NOTHING_LEFT = 0.005
 """Gain in V of all trainings left together that is not worth one of them."""
 
 
+_RECIPE, _STOP = "Recipe and evaluation", "Aim and end"
+_FAIL, _WORK = "Failed trainings", "Workers and files"
+
+
 def run(
     problem: Annotated[
         str,
@@ -54,136 +58,127 @@ def run(
         ),
     ],
     preset: Annotated[
-        str | None, typer.Option(help="Training recipe; `mbtl cmdps CMDP` lists them.")
+        str | None, typer.Option(help="Recipe; `mbtl cmdps CMDP` lists them.")
     ] = None,
     budget: Annotated[
         int | None, typer.Option(help="Number of trainings K; default: the preset's.")
     ] = None,
+    steps: Annotated[
+        str | None, typer.Option(metavar="NUMBER", help="Pay in environment steps, all in: 20M.")
+    ] = None,
     strategy: Annotated[
-        str, typer.Option(help="Rule that picks the next training; the paper's is mbtl.")
+        str, typer.Option(help="What to train next; the paper's rule: mbtl.")
     ] = "auto",
     seed: Annotated[int, typer.Option(help="Root of all randomness.")] = 0,
     study: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the study; default: runs/<cmdp>-<preset>-seed<seed>."),
+        Path | None, typer.Option(help="Folder; default: runs/<cmdp>-<preset>-seed<seed>.")
     ] = None,
-    new: Annotated[
-        bool, typer.Option("--new", help="Set an existing study aside and start afresh.")
-    ] = False,
-    parallel: Annotated[
-        int,
-        typer.Option(
-            help="Trainings at a time; each is chosen before the others' results are known."
-        ),
-    ] = 1,
+    new: Annotated[bool, typer.Option("--new", help="Set an existing study aside.")] = False,
+    parallel: Annotated[int, typer.Option(help="Trainings at a time.")] = 1,
+    as_json: JsonFlag = False,
+    timesteps: Annotated[
+        int | None, typer.Option(help="Steps per training.", rich_help_panel=_RECIPE)
+    ] = None,
+    episodes: Annotated[
+        int | None,
+        typer.Option(help="Episodes per training, if so counted.", rich_help_panel=_RECIPE),
+    ] = None,
+    eval_episodes: Annotated[
+        int | None,
+        typer.Option(help="Episodes per context and policy.", rich_help_panel=_RECIPE),
+    ] = None,
+    eval_targets: Annotated[
+        int | None,
+        typer.Option(help="Evaluate policies on so many contexts.", rich_help_panel=_RECIPE),
+    ] = None,
     engine: Annotated[
-        str | None, typer.Option(help="jax, gymnasium or sumo; default: the fastest there is.")
+        str | None,
+        typer.Option(help="jax, gymnasium, sumo; default: fastest.", rich_help_panel=_RECIPE),
     ] = None,
     score: Annotated[
         str | None,
-        typer.Option(help="What an episode of traffic is worth: paper, or the CMDP's own."),
+        typer.Option(help="Of traffic: paper, or the CMDP's own.", rich_help_panel=_RECIPE),
     ] = None,
-    timesteps: Annotated[int | None, typer.Option(help="Environment steps per training.")] = None,
-    episodes: Annotated[
-        int | None, typer.Option(help="Episodes per training, where those are counted.")
-    ] = None,
-    eval_episodes: Annotated[
-        int | None, typer.Option(help="Episodes per context and policy.")
-    ] = None,
-    stop_value: Annotated[
-        float | None, typer.Option(help="End early when V reaches this performance.")
-    ] = None,
-    stop_gain: Annotated[
+    risk: Annotated[
+        float,
+        typer.Option(help="V: mean of this worst share of contexts.", rich_help_panel=_STOP),
+    ] = 1.0,
+    cost_budget: Annotated[
         float | None,
-        typer.Option(help="End when one more training surely gains less than this in V."),
-    ] = None,
-    stop_confidence: Annotated[
-        float, typer.Option(help="How sure the strategy must be of that.")
-    ] = 0.9,
-    whole_budget: Annotated[
-        bool,
-        typer.Option("--all", help="Spend the whole budget, even if nothing seems left to gain."),
-    ] = False,
-    eval_targets: Annotated[
-        int | None,
-        typer.Option(help="Evaluate each policy on this many contexts, not on all."),
+        typer.Option(help="What all trainings may cost.", rich_help_panel=_STOP),
     ] = None,
     costs: Annotated[
         Path | None,
-        typer.Option(
-            help="Text file: what a training costs on each context; auto then seeks gain per cost."
-        ),
+        typer.Option(help="Text file: cost of each context.", rich_help_panel=_STOP),
     ] = None,
-    cost_budget: Annotated[
+    stop_value: Annotated[
+        float | None, typer.Option(help="End when V reaches this.", rich_help_panel=_STOP)
+    ] = None,
+    stop_gain: Annotated[
         float | None,
-        typer.Option(help="End when the trainings have cost this much in all."),
+        typer.Option(help="End when one more gains less than this.", rich_help_panel=_STOP),
     ] = None,
-    risk: Annotated[
-        float, typer.Option(help="V is the mean of this share of the contexts, the worst of them.")
-    ] = 1.0,
-    stop_on_failure: Annotated[
-        bool, typer.Option("--stop-on-failure", help="End at the first failed training.")
-    ] = False,
-    stop_after_failures: Annotated[
-        int, typer.Option(help="End after this many failed trainings in a row.")
-    ] = 3,
-    retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Train again where trainings failed.")
-    ] = False,
-    timeout: Annotated[
-        float | None,
-        typer.Option(help="Seconds that a training with its evaluation may take."),
-    ] = None,
-    no_rehearsal: Annotated[
+    stop_confidence: Annotated[
+        float, typer.Option(help="How sure of that.", rich_help_panel=_STOP)
+    ] = 0.9,
+    whole_budget: Annotated[
         bool,
-        typer.Option("--no-rehearsal", help="Skip the trial evaluation before the first training."),
+        typer.Option("--all", help="End only when all is spent.", rich_help_panel=_STOP),
     ] = False,
-    accept_changes: AcceptFlag = False,
     no_report: Annotated[
         bool,
-        typer.Option("--no-report", help="Skip the fresh episodes at the end; V is estimated."),
+        typer.Option("--no-report", help="No fresh episodes at the end.", rich_help_panel=_STOP),
     ] = False,
     report_all: Annotated[
         bool,
-        typer.Option("--report-all", help="Play them on all contexts, however many these are."),
+        typer.Option("--report-all", help="Those on all contexts there are.", rich_help_panel=_STOP),
     ] = False,
-    tensorboard: Annotated[
-        Path | None, typer.Option(help="Folder for TensorBoard: V per pick and training scalars.")
+    stop_on_failure: Annotated[
+        bool,
+        typer.Option("--stop-on-failure", help="End at the first one.", rich_help_panel=_FAIL),
+    ] = False,
+    stop_after_failures: Annotated[
+        int, typer.Option(help="End after so many in a row.", rich_help_panel=_FAIL)
+    ] = 3,
+    retry_failed: Annotated[
+        bool,
+        typer.Option("--retry-failed", help="Train those again.", rich_help_panel=_FAIL),
+    ] = False,
+    timeout: Annotated[
+        float | None,
+        typer.Option(help="Seconds of a training at most.", rich_help_panel=_FAIL),
     ] = None,
+    no_rehearsal: Annotated[
+        bool,
+        typer.Option("--no-rehearsal", help="No trial evaluation before.", rich_help_panel=_FAIL),
+    ] = False,
+    accept_changes: Annotated[
+        bool,
+        typer.Option("--accept-changes", help="Your functions changed.", rich_help_panel=_FAIL),
+    ] = False,
     workers: Annotated[
         str | None,
         typer.Option(
-            metavar="URL",
-            help="Train nothing here: make the study in this database, wait while `mbtl worker`s "
-            "train it, and sum up.",
+            metavar="URL", help="Wait here while `mbtl worker`s train.", rich_help_panel=_WORK
         ),
     ] = None,
     artifacts: Annotated[
         str | None,
-        typer.Option(help="Folder or URL of the policies; default: the folder of the study."),
+        typer.Option(help="Folder or URL of the policies.", rich_help_panel=_WORK),
     ] = None,
-    steps: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NUMBER",
-            help="Pay in environment steps, all in, e.g. 20M, and not in trainings.",
-        ),
+    tensorboard: Annotated[
+        Path | None, typer.Option(help="Folder for TensorBoard.", rich_help_panel=_WORK)
     ] = None,
-    as_json: JsonFlag = False,
 ) -> None:
     """Train policies on the contexts that pay most, and serve all contexts with the best of them.
 
     Interrupt it at any time; the same command goes on where it was.
 
-    Example: mbtl run cartpole-length --budget 6 --seed 1
-
-    Paid in steps: mbtl run cartpole-length --steps 2M
-
-    On a cluster: mbtl run cartpole-length --workers postgresql+psycopg://me@db/studies, and as many
-    `mbtl worker` as you like on the hosts.
-
-    The paper's full budget: mbtl run cartpole-length --preset paper (15 policies of 5 million
-    steps each, 100 episodes per context). The paper's rule: --strategy mbtl.
+    \b
+    Example:           mbtl run cartpole-length --budget 6 --seed 1
+    Paid in steps:     mbtl run cartpole-length --steps 2M
+    The paper's run:   mbtl run cartpole-length --preset paper --strategy mbtl
+    On a cluster:      mbtl run cartpole-length --workers postgresql+psycopg://me@db/studies
     """
     pay = budget_of(budget, steps, cost_budget, costs)
     cmdp = resolve_cmdp(problem, engine=engine, score=score)
@@ -203,6 +198,7 @@ def run(
     pay_how = "-steps" if steps is not None else ""
     recipe = cmdp.facts().settings["preset"]
     folder = study or Path("runs") / f"{cmdp.id}-{recipe}{pay_how}-seed{seed}"
+    alone = Workers(parallel, timeout=timeout)
     failing = Failures(1 if stop_on_failure else stop_after_failures,
                        retry_failed=retry_failed and workers is None,
                        rehearse=not no_rehearsal)  # fmt: skip
@@ -255,7 +251,7 @@ def run(
             run_study(
                 running,
                 trainer,
-                workers=Workers(parallel, timeout=timeout),
+                workers=alone,
                 failures=failing,
                 callbacks=callbacks,
                 accept_changes=accept_changes,

@@ -44,6 +44,6 @@ class OnePolicy:
         if not {"start", "length"} <= abilities:
             raise Exhausted("this trainer cannot go on with a policy")
         length = min(2.0 * made.length, made.length + left)
-        reason = f"all contexts, longer: {made.length:g} to {length:g} units"
+        reason = "twice as long" if length == 2.0 * made.length else "as long as the budget goes"
         source = history.sources[last]
         return Proposal(source, reason, start=last, length=length, sources=made.contexts)
