@@ -37,13 +37,12 @@ import numpy as np
 from postgres import Server, missing
 
 import mbtl
-from mbtl.actions import Evaluate, Extend, Start, StartOn, Stop, Wait
 from mbtl.errors import Unreachable
 from mbtl.seeds import training_seed
+from mbtl.selectors import Exhausted, Proposal, Traits
 from mbtl.study import Callback
-from mbtl.study.runner import run
-from mbtl.study.steps.callbacks import StepCallback
-from mbtl.trainer import FunctionTrainer, Trained
+from mbtl.study.runner import Workers, run
+from mbtl.trainer import Trained, Trainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 30})
 BUDGET = 20
@@ -59,52 +58,35 @@ PATIENCE = 300.0
 """Seconds in which a study of twenty quick trainings ends after its last kill."""
 
 
-def train(context, seed):
-    time.sleep(0.01 + 0.03 * (seed % 7) / 7)
-    return np.array([context["x"], seed % 1000], dtype=np.float64)
+UNIT, EPISODE = 1_000, 10
+"""Environment steps of a whole training, and of an episode."""
 
 
-def evaluate(policy, contexts, seeds):
-    return np.array([1.0 - abs(c["x"] - policy[0]) - 1e-6 * policy[1] for c in contexts])
-
-
-def save(policy, folder):
-    np.save(folder / "policy.npy", policy, allow_pickle=False)
-
-
-def load(folder):
-    return np.load(folder / "policy.npy", allow_pickle=False)
-
-
-TRAINER = FunctionTrainer(train, evaluate, save, load)
-
-
-LENGTHS = (1_000, 2_000, 4_000)
-"""Marks of a training that counts steps."""
-
-
-class Stepping:
-    """A trainer whose policies follow from context, seed, length and start, and from nothing else.
+class Stepping(Trainer):
+    """A trainer whose policies follow from contexts, seed, length and start, and nothing else.
 
     A policy is (4,): where it is at home, its seed, how long it trained, what it began with.
     """
 
-    takes = frozenset({"sets", "start", "length", "state"})
-    whole, counts = LENGTHS[-1], "steps"
-    eval_episodes = 1
-    policy_format = "custom"
+    takes = frozenset({"sets", "start", "length", "state", "resume"})
+    whole = UNIT
 
-    def train(self, contexts, seed, *, start=None, length=1.0, state=None, **asked):
+    def train(self, contexts, seed, *, start=None, length=None, done=0.0, state=None, **asked):
         """To so many steps; the file says how many are done. On several as on the middle."""
-        home, steps = float(np.mean([c["x"] for c in contexts])), round(length * self.whole)
-        done = json.loads(state.read_text()) if state is not None and state.exists() else 0
-        while done < steps:  # going on costs what is left
-            done += 500
-            time.sleep(0.02 + 0.04 * (seed % 7) / 7)
+        home = float(np.mean([c["x"] for c in contexts]))
+        steps = round(UNIT * (1.0 if length is None else length))
+        if state is not None and state.exists():
+            had, begun = json.loads(state.read_text())
+        else:
+            had = round(UNIT * done)
+            begun = begun_with(start) if start is not None and not done else 0.0
+            begun = float(start[3]) if done else begun
+        while had < steps:  # going on costs what is left
+            had += UNIT // 2
+            time.sleep(0.01 + 0.02 * (seed % 7) / 7)
             if state is not None:
-                state.with_suffix(".new").write_text(json.dumps(done))
+                state.with_suffix(".new").write_text(json.dumps([had, begun]))
                 os.replace(state.with_suffix(".new"), state)
-        begun = 0.0 if start is None else 1.0 + float(start @ [1.0, 1e-3, 1e-6, 0.1])
         return Trained(np.array([home, seed % 1000, steps, begun]), steps)
 
     def evaluate_steps(self, policy, contexts, seeds):
@@ -113,20 +95,25 @@ class Stepping:
         far = np.array([abs(context["x"] - home) for context in contexts])
         returns = 1.0 - far * (1.0 - steps / 8_000) - 1e-6 * seed + 1e-3 * begun
         time.sleep(0.002)
-        return returns[:, None], np.full((len(contexts), 1), 10)
+        return returns[:, None], np.full((len(contexts), 1), EPISODE)
 
     def evaluate(self, policy, contexts, seeds):
         """Returns alone."""
         return self.evaluate_steps(policy, contexts, seeds)[0]
 
     def save(self, policy, folder):
-        """As the functions do."""
-        save(policy, folder)
+        """As plain numbers."""
+        np.save(folder / "policy.npy", policy, allow_pickle=False)
         return True
 
     def load(self, folder):
-        """As the functions do."""
-        return load(folder)
+        """As `save` left it."""
+        return np.load(folder / "policy.npy", allow_pickle=False)
+
+
+def begun_with(policy):
+    """What a tuned policy remembers of the one that it was begun with."""
+    return 1.0 + float(policy @ [1.0, 1e-3, 1e-6, 0.1])
 
 
 class Everything:
@@ -135,42 +122,34 @@ class Everything:
     Every policy is evaluated on every second context, and later on the others.
     """
 
-    name, in_parallel, trains_on_all, starts_warm = "everything", True, True, True
+    name, traits = "everything", Traits(any_training=True)
 
-    def decide(self, problem, trail, rng):
+    def propose(self, problem, history, rng):
         """The first of these that is due."""
-        if trail.unevaluated is not None:
-            return Evaluate(trail.unevaluated, tuple(range(0, problem.n, 2)))
-        for i, policy in enumerate(trail.policies):
-            if np.isnan(trail.rows[i]).any() and policy.training not in trail.busy:
-                return Evaluate(policy, tuple(range(problem.n)))
-        for number, training in enumerate(trail.trainings):
-            if training.length == 0 and number not in trail.busy:
-                return Extend(number, 1 + number % 2)
-        under_way = sum(isinstance(one, Start | StartOn) for one in trail.under_way)
-        begun = under_way + sum(one.length >= 0 for one in trail.trainings)
-        if begun == 0:
-            return StartOn(tuple(range(problem.n)), 0)
-        if begun < STEP_TRAININGS:
-            free = [c for c in range(problem.n) if c not in trail.begun]
-            tuned = begun % 2 and bool(trail.policies)
-            return Start(free[7 * begun % len(free)], 0, trail.policies[0] if tuned else None)
-        return Wait() if trail.under_way else Stop()
+        here = tuple(range(0, problem.n, 2))
+        for i in range(len(history)):
+            made, source = history.made(i), history.sources[i]
+            like = {"start": i, "sources": made.contexts}
+            missing = np.flatnonzero(np.isnan(history.rows[i])).tolist()
+            busy = [one for one in history.under_way if one.start == i]
+            if missing and not any(one.length == 0.0 for one in busy):
+                return Proposal(source, "further", length=0.0, targets=tuple(missing), **like)
+            longer = [one for one in history.asked if one.start == i and one.goes_on]
+            if not made.goes_on and not longer:
+                return Proposal(source, "longer", length=2.0 + 2.0 * (i % 2), targets=here, **like)
+        begun = [one for one in history.asked if not one.goes_on and one.length]
+        if not begun:
+            return Proposal(15, "all", length=1.0, targets=here, sources=tuple(range(problem.n)))
+        if len(begun) < BEGUN:
+            taken = {one.contexts for one in begun}
+            free = [c for c in range(problem.n) if (c,) not in taken]
+            start = 0 if len(begun) % 2 and len(history) else None
+            source = free[7 * len(begun) % len(free)]
+            return Proposal(source, "begun", start=start, length=1.0, targets=here)
+        raise Exhausted("all that is wanted was asked for")
 
 
-STEP_TRAININGS = 12
-
-
-class StepWitness(StepCallback):
-    """As `Witness`, of studies that count steps."""
-
-    def __init__(self, file: Path) -> None:
-        self.file = file
-
-    def on_evaluated(self, study, policy):
-        """One line, of what is believed to be in the log."""
-        with self.file.open("a") as out:
-            out.write(f"{policy.training} {policy.length}\n")
+BEGUN = 12
 
 
 class Witness(Callback):
@@ -182,7 +161,7 @@ class Witness(Callback):
     def on_told(self, study, pick):
         """One line, of what was answered with True."""
         with self.file.open("a") as out:  # one short line is written at once or not at all
-            out.write(f"{pick.number} {pick.source} {pick.token}\n")
+            out.write(f"{pick.number} {pick.token}\n")
 
 
 @dataclass
@@ -196,37 +175,31 @@ class Place:
 
     def study(self):
         """Made or opened, as soon as the database answers."""
+        budget, strategy = BUDGET, "random"
+        if self.counts == "steps":
+            budget, strategy = mbtl.Steps(10**6, unit=UNIT, horizon=EPISODE), Everything()
         while True:
             try:
-                if self.counts == "steps":
-                    return mbtl.create_study(
-                        SPACE, cost="steps", budget=10**6, bounds=(0.0, 1.0), trainer=Stepping(),
-                        strategy=Everything(), lengths=LENGTHS, horizon=10, episodes=1,
-                        storage=self.url, artifacts=self.folder, name=self.name,
-                        load_if_exists=True,
-                    )  # fmt: skip
                 return mbtl.create_study(
-                    SPACE, budget=BUDGET, bounds=(0.0, 1.0), selector="random", storage=self.url,
-                    artifacts=self.folder, name=self.name, load_if_exists=True,
+                    SPACE, budget=budget, strategy=strategy, storage=self.url, name=self.name,
+                    objective=mbtl.Objective(bounds=(0.0, 1.0)), artifacts=self.folder,
+                    load_if_exists=True,
                 )  # fmt: skip
             except Unreachable:
                 time.sleep(0.05)
 
+    @property
+    def answers(self) -> int:
+        """Of the whole study."""
+        return BUDGET if self.counts != "steps" else 4 * BEGUN
+
 
 def work(place: Place, role: str) -> None:
     """What one process does."""
-    study = place.study()
-    if place.counts == "steps":
-        seen = [StepWitness(place.folder / "told")]
-        study.run(callbacks=seen, report=False, lease=LEASE, progress=False)
-        return
-    witness = [Witness(place.folder / "told")]
-    settings = {"callbacks": witness, "report": False, "lease": LEASE}
-    if role == "run":
-        with ThreadPoolExecutor(2) as pool:
-            run(study, TRAINER, parallel=2, executor=pool, **settings)
-    else:
-        run(study, TRAINER, **settings)
+    study, witness = place.study(), [Witness(place.folder / "told")]
+    with ThreadPoolExecutor(2) as pool:
+        workers = Workers(lease=LEASE, parallel=2 if role == "run" else 1, executor=pool)
+        run(study, Stepping(), workers=workers, callbacks=witness, report=False)
 
 
 def forked(job: Callable[[], Any]) -> int:
@@ -335,39 +308,10 @@ def judge(place: Place, count: Count) -> None:
     """Hold the log against what processes believe, and rows against their trainings."""
     reader, writer = os.pipe()
 
-    def of_steps() -> None:
-        os.write(writer, json.dumps(steps_found(place)).encode())
-
     def looked() -> None:
-        study = place.study()
-        state, events = study.state, study.log.read()
-        told = [event.data for event in events if event.kind == "told"]
-        rows = {row.pick: row for row in state.rows}
-        believed = [line.split() for line in (place.folder / "told").read_text().splitlines()]
-        answers = {(str(one["pick"]), str(one["source"]), one["token"]) for one in told}
-        wrong = 0
-        for row in state.rows:
-            pick = study.pick(row.pick)
-            policy = np.array([pick.context["x"], pick.seed % 1000])
-            kept = load(study.artifacts.read(row.policy, row.sha256))
-            right = np.array_equal(row.returns, evaluate(policy, SPACE.contexts, 0))
-            wrong += not (right and np.array_equal(kept, policy))
-        numbers = collections.Counter(one["pick"] for one in told)
-        numbers_believed = collections.Counter(line[0] for line in believed)
-        found = {
-            "rows": len(rows),
-            "late": len(state.late),
-            "taken_over": sum(max(len(pick.tokens) - 1, 0) for pick in state.picks),
-            "lost": sum(tuple(line) not in answers for line in believed)
-            + (BUDGET - len(rows) if study.is_finished else 0),
-            "twice": sum(n - 1 for n in numbers.values())
-            + sum(n - 1 for n in numbers_believed.values()),
-            "wrong": wrong,
-            "unfinished": int(not study.is_finished),
-        }
-        os.write(writer, json.dumps(found).encode())
+        os.write(writer, json.dumps(found(place)).encode())
 
-    pid = forked(of_steps if place.counts == "steps" else looked)
+    pid = forked(looked)
     os.close(writer)
     with os.fdopen(reader) as pipe:
         said = pipe.read()
@@ -377,52 +321,49 @@ def judge(place: Place, count: Count) -> None:
         setattr(count, name, getattr(count, name) + number)
 
 
-def steps_found(place: Place) -> dict[str, int]:
-    """The same of a study that counts steps: every policy made again, every row by its policy."""
+def found(place: Place) -> dict[str, int]:
+    """What is in the log: every policy made again, every row by it, every step paid once."""
     study, trainer = place.study(), Stepping()
-    state, events = study.state, study.events()
-    made: dict[tuple[int, int], Any] = {}
+    state = study.state
+    told = [event.data for event in study.log.read() if event.kind == "told"]
+    believed = [line.split() for line in (place.folder / "told").read_text().splitlines()]
+    answers = {(str(one["pick"]), one["token"]) for one in told}
+    made: dict[int, Any] = {}
     wrong = 0
-    for number, course in enumerate(state.trainings):
-        lengths = state.lengths_of(number)
-        for mark, kept in course.marks.items():
-            start = (
-                None if course.start is None else made[course.start.training, course.start.length]
-            )
-            key = SPACE.n if course.on else course.source
-            seed = training_seed(study.spec.seed, study.spec.trial, key, course.repeat)
-            middle = {
-                "x": float(np.mean([SPACE.context(i)["x"] for i in course.on or (course.source,)]))
-            }
-            begun = 0.0 if start is None else 1.0 + float(start @ [1.0, 1e-3, 1e-6, 0.1])
-            policy = np.array([middle["x"], seed % 1000, lengths[mark], begun])
-            made[number, mark] = policy
-            wrong += not np.array_equal(load(study.artifacts.read(kept.place, kept.sha256)), policy)
-            wrong += kept.steps != lengths[mark]
-    rows = 0
-    for policy, row in zip(state.policies, state.returns, strict=True):
-        right = trainer.evaluate(made[policy.training, policy.length], SPACE.contexts, None)[:, 0]
-        wrong += not np.array_equal(row, right)
-        rows += 1
-    told = [e.data for e in events if e.kind == "evaluated"]
-    answered = collections.Counter(
-        (d["training"], d["length"], t) for d in told for t in d["targets"]
-    )
-    file = place.folder / "told"
-    believed = [tuple(map(int, line.split())) for line in file.read_text().splitlines()]
-    known = {(d["training"], d["length"]) for d in told}
-    paid = sum(max(m.steps for m in c.marks.values()) for c in state.trainings)
-    wrong += state.prices.training + state.prices.extension != paid
-    wrong += state.prices.evaluation != 10 * SPACE.n * rows
-    finished = study.is_finished
+    for row in state.rows:
+        seed, start = study.pick(row.pick).seed, made.get(row.start)
+        if start is None and len(row.sources) == 1:
+            wrong += seed != training_seed(study.spec.seed, study.spec.trial, row.sources)
+        if row.goes_on:
+            wrong += seed % 1000 != start[1]
+            begun = start[3]
+        else:
+            begun = 0.0 if start is None else begun_with(start)
+        home = float(np.mean([SPACE.context(i)["x"] for i in row.sources]))
+        policy = made[row.event] = np.array([home, seed % 1000, UNIT * row.length, begun])
+        kept = trainer.load(study.artifacts.read(row.policy, row.sha256))
+        right = trainer.evaluate(policy, SPACE.contexts, None)[:, 0]
+        evaluated = np.isfinite(row.returns)
+        wrong += not np.array_equal(kept, policy)
+        wrong += not np.array_equal(row.returns[evaluated], right[evaluated])
+        wrong += study.is_finished and not evaluated.all()
+    bill = state.bill()
+    trained = UNIT * sum(state.picks[row.pick].price for row in state.rows)
+    wrong += bill.training + bill.extension != trained
+    if place.counts == "steps":
+        wrong += bill.evaluation != EPISODE * sum(len(one["targets"]) for one in told)
+    numbers = collections.Counter(one["pick"] for one in told)
+    numbers_believed = collections.Counter(line[0] for line in believed)
     return {
-        "rows": rows,
-        "taken_over": sum(e.kind == "claimed" for e in events),
-        "lost": sum(one not in known for one in believed)
-        + (2 * STEP_TRAININGS - rows if finished else 0),
-        "twice": sum(n - 1 for n in answered.values()),
-        "wrong": wrong,
-        "unfinished": int(not finished),
+        "rows": len(state.rows),
+        "late": len(state.late),
+        "taken_over": sum(max(len(pick.tokens) - 1, 0) for pick in state.picks),
+        "lost": sum(tuple(line) not in answers for line in believed)
+        + (place.answers - len(told) if study.is_finished else 0),
+        "twice": sum(n - 1 for n in numbers.values())
+        + sum(n - 1 for n in numbers_believed.values()),
+        "wrong": int(wrong),
+        "unfinished": int(not study.is_finished),
     }
 
 

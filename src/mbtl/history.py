@@ -99,6 +99,13 @@ class History:
         """How the policy of a row was made."""
         return self.trainings[row] if self.trainings else Training((self.sources[row],))
 
+    @property
+    def asked(self) -> tuple[Training, ...]:
+        """All trainings that were asked for, or told: done, under way or failed."""
+        alone = (Training((source,)) for source in (*self.pending, *self.failed))
+        done = (self.made(row) for row in range(len(self)))
+        return (*done, *self.under_way, *self.given_up, *alone)
+
     def specialists(self) -> History:
         """The same without all other trainings: what a selector may see."""
         kept = [i for i, one in enumerate(self.trainings) if one.is_specialist]

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 import mbtl
-from flat import created, ran
 from mbtl.trainer import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("mass", 0.2, 4.0, unit="kg"): 15})
@@ -56,15 +55,14 @@ TRAINER = FunctionTrainer(train, evaluate, save, load)
 
 
 def play(folder, parallel=1):
-    study = created(
+    study = mbtl.create_study(
         SPACE,
         budget=BUDGET,
-        bounds=None,
         seed=3,
         storage=Path(folder) / "study.db",
         load_if_exists=True,
     )
-    ran(study, trainer=TRAINER, parallel=parallel)
+    study.run(trainer=TRAINER, workers=mbtl.Workers(parallel=parallel), progress=False)
     return study
 
 

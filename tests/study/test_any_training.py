@@ -201,7 +201,7 @@ def test_what_goes_on_is_read_back_by_another_process(tmp_path):
         return simulator.train(contexts, seed, start=start, length=length)
 
     with pytest.raises(KeyboardInterrupt):
-        first.run(until_two, simulator.evaluate, **functions)
+        ran(first, until_two, simulator.evaluate, **functions)
     again = mbtl.load_study(place)
     assert [row.length for row in again.state.rows] == [1.0, 2.0]
     assert len(again.orphans) == 1

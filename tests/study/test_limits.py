@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from mbtl.study.steps.create import create_step_study
 
 import mbtl
 from flat import created, ran
@@ -34,12 +33,6 @@ def evaluate(policy, contexts, seed):
 def study_of(**settings):
     settings = {"budget": 9, "bounds": (0.0, 1.0), "strategy": "random", **settings}
     return created(SPACE, **settings)
-
-
-def step_study():
-    return create_step_study(
-        SPACE, budget=9_000, lengths=(1_000,), horizon=10, bounds=(0.0, 1.0), episodes=1
-    )
 
 
 def spin():
@@ -135,15 +128,6 @@ def test_a_training_that_never_reports_is_ended(where):
     assert failed[0].reason.endswith("it took longer than 0.2 s" if where == "train" else "0.2 s")
 
 
-def test_the_limit_holds_for_steps_too():
-    study = step_study()
-    with pytest.raises(TrainingFailed, match=r"it took longer than 0\.1 s"):
-        ran(study,
-            lambda context, seed: spin(), evaluate, timeout=0.1, progress=False,
-            stop_after_failures=1,
-        )  # fmt: skip
-
-
 @pytest.mark.parametrize("parallel", [1, 2])
 def test_another_try_has_another_seed_and_the_log_says_so(parallel):
     seeds = {}
@@ -159,14 +143,14 @@ def test_another_try_has_another_seed_and_the_log_says_so(parallel):
     with ThreadPoolExecutor(2) as pool:
         ran(study, train, evaluate, parallel=parallel, executor=pool, retries=1, report=False)
     wrong = SPACE.context(WRONG)["x"]
-    assert seeds.pop(wrong) == [first, training_seed(5, 0, WRONG, 0, 1)]
+    assert seeds.pop(wrong) == [first, training_seed(5, 0, WRONG, 1)]
     assert all(len(found) == 1 for found in seeds.values())
     assert not study.state.failures
     assert [e.data["reason"] for e in study.log.read() if e.kind == "retried"] == [
         "FloatingPointError: diverged"
     ]
     (told,) = (one for one in study.trainings if one.source == WRONG)
-    assert told.seed == training_seed(5, 0, WRONG, 0, 1)
+    assert told.seed == training_seed(5, 0, WRONG, 1)
 
 
 def test_tries_survive_the_process(tmp_path):
@@ -209,9 +193,3 @@ def test_an_evaluation_that_exits_keeps_the_policy():
         study.run(lambda c, s: c["x"], lambda p, c, s: sys.exit(0))
     assert not study.state.failures
     assert len(study.state.deferred) == 1
-
-
-def test_a_training_in_steps_that_exits_has_failed():
-    study = step_study()
-    with pytest.raises(TrainingFailed, match=r"sys\.exit\(0\)"):
-        ran(study, lambda c, s: sys.exit(0), evaluate, progress=False, stop_after_failures=1)

@@ -178,8 +178,8 @@ class Proposal:
 
     @property
     def contexts(self) -> tuple[int, ...]:
-        """Indices of all that is trained on."""
-        return tuple(int(i) for i in self.sources or (self.source,))
+        """Indices of all that is trained on, rising: their order does not matter."""
+        return tuple(sorted(int(i) for i in self.sources or (self.source,)))
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from mbtl.study.records import PickRecord
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
 from mbtl.threads import threads_for
+from mbtl.trainer import checked_targets
 
 _LONGEST = 5.0
 """Seconds after which no more is proposed ahead: others wait for what is."""
@@ -105,7 +106,7 @@ def _spent(state: StudyState) -> str | None:
     if spec.steps is None:
         over = state.paid > spec.budget - LEAST_UNIT
         return f"the budget of {spec.budget} trainings is spent" if over else None
-    left = spec.steps - state.bill().total
+    left = _steps_left(state)
     least = 0.0 if spec.any_training else float(spec.unit or 0)
     if left >= least + state.target_steps * min(LEAST_TARGETS, spec.space.n):
         return None
@@ -152,8 +153,16 @@ def _is_affordable(state: StudyState, facts: Mapping[str, Any]) -> bool:
     pick, most = state.planned(facts), state.spec.cost_budget
     if pick.price > state.units_left + LEAST_UNIT or not is_open(state, facts):
         return False
+    if state.spec.steps is not None and state.expected_steps(pick) > _steps_left(state):
+        return False
     left = np.inf if most is None else most * (1.0 + 1e-9) - state.committed
     return state.spec.costs is None or state.usual_cost(pick) <= left
+
+
+def _steps_left(state: StudyState) -> float:
+    """Environment steps that are left of the budget; infinite where they are not counted."""
+    assert state.spec is not None
+    return np.inf if state.spec.steps is None else state.spec.steps - state.bill().total
 
 
 def ahead(state: StudyState, watch: Watch, worker: str) -> int:
@@ -248,6 +257,11 @@ class Moment:
     steps: Callable[[PickRecord], float]
     steps_left: float
 
+    def training(self, pick: PickRecord) -> Training:
+        """What is asked for, as a strategy sees it."""
+        start = None if pick.start is None else self.told.index(pick.start)
+        return Training(pick.sources, start, pick.length, pick.done > 0.0)
+
     @classmethod
     def of(cls, state: StudyState) -> Moment:
         """Now."""
@@ -262,13 +276,13 @@ class Moment:
             state.planned,
             state.usual_cost,
             state.expected_steps,
-            np.inf if state.spec.steps is None else state.spec.steps - state.bill().total,
+            _steps_left(state),
         )
 
-    def after(self, facts: Mapping[str, Any], proposal: Proposal) -> Moment:
+    def after(self, facts: Mapping[str, Any]) -> Moment:
         """When that was asked for and is under way."""
-        pick = self.planned({"pick": self.number, **facts})
-        training = Training(pick.sources, proposal.start, pick.length, pick.done > 0.0)
+        pick = self.planned(facts)
+        training = self.training(pick)
         known = replace(
             self.known.with_asked(training),
             spent=self.known.spent + (0.0 if self.spec.costs is None else self.cost(pick)),
@@ -290,39 +304,47 @@ def propose(moment: Moment, strategy: Selector, more: int = 0) -> dict[str, Any]
         StudyFinished: nothing is left to propose.
         InvalidInput: the strategy breaks its contract.
     """
-    try:
-        proposal = _proposed(moment, strategy)
-    except Exhausted as error:
-        raise StudyFinished(f"the study is finished: {error}") from error
-    if isinstance(proposal, str):
-        return proposal
-    number, first = moment.number, _facts(moment, proposal)
+    number, first = moment.number, _proposed(moment, strategy)
+    if isinstance(first, str):
+        return first
     facts, following, began = first, list[dict[str, Any]](), time.monotonic()
     for _ in range(more):
         if time.monotonic() - began > _LONGEST:
             break
-        moment = moment.after(facts, proposal)
+        moment = moment.after(facts)
         try:
-            proposal = _proposed(moment, strategy)
-            if isinstance(proposal, str):
-                break
-            facts = _facts(moment, proposal)
-        except (Exhausted, StudyFinished):
+            found = _proposed(moment, strategy)
+        except StudyFinished:
             break
+        if isinstance(found, str):
+            break
+        facts = found
         following.append(facts)
     return {"pick": number, **first, **({"ahead": following} if following else {})}
 
 
-def _proposed(moment: Moment, strategy: Selector) -> Proposal | str:
-    """One proposal, or why it is not worth a training."""
+def _proposed(moment: Moment, strategy: Selector) -> dict[str, Any] | str:
+    """The facts of one pick, but for the number; or why there is none until something is told.
+
+    Raises:
+        StudyFinished: no context is left.
+    """
     spec, problem, known = moment.spec, moment.problem, moment.known
     rng = selection_rng(spec.seed, spec.trial, moment.trained)
     seen = known if spec.any_training else known.specialists()
-    with threads_for(problem.n):
-        proposal = strategy.propose(problem, seen, rng)
+    try:
+        with threads_for(problem.n):
+            proposal = strategy.propose(problem, seen, rng)
+    except Exhausted as error:
+        if spec.any_training:  # for the moment: what is under way may be gone on with
+            return str(error)
+        raise StudyFinished(f"the study is finished: {error}") from error
     _check_proposal(moment, seen, strategy, proposal)
     enough = _enough(spec, proposal)
-    return enough if enough is not None and len(known) >= LEAST_ROWS else proposal
+    if enough is not None and len(known) >= LEAST_ROWS:
+        return enough
+    facts = _facts(moment, proposal)
+    return facts if moment.steps_left == np.inf else _within(moment, facts)
 
 
 def _facts(moment: Moment, proposal: Proposal) -> dict[str, Any]:
@@ -342,16 +364,12 @@ def _facts(moment: Moment, proposal: Proposal) -> dict[str, Any]:
         targets = spread_targets(moment.problem, middle, spec.eval_targets)
     if targets is not None:
         facts["targets"] = sorted(int(target) for target in targets)
-    return facts if moment.steps_left == np.inf else _within(moment, facts)
+    return facts
 
 
-def _within(moment: Moment, facts: dict[str, Any]) -> dict[str, Any]:
-    """The facts of a pick, on as few targets as there are steps for.
-
-    Raises:
-        StudyFinished: not even on a few.
-    """
-    pick = moment.planned({"pick": moment.number, **facts})
+def _within(moment: Moment, facts: dict[str, Any]) -> dict[str, Any] | str:
+    """The facts of a pick, on as few targets as there are steps for; or that these are too few."""
+    pick = moment.planned(facts)
     alone = replace(pick, targets=())
     n = moment.spec.space.n
     count = n if pick.targets is None else len(pick.targets)
@@ -360,9 +378,9 @@ def _within(moment: Moment, facts: dict[str, Any]) -> dict[str, Any]:
     if moment.steps_left >= moment.steps(alone) and affordable >= count:
         return facts
     if moment.steps_left < moment.steps(alone) or affordable < min(LEAST_TARGETS, n):
-        raise StudyFinished(
-            f"the study is finished: the budget of {moment.spec.steps:,} steps has "
-            f"{max(moment.steps_left, 0.0):,.0f} left, less than what is wanted next costs"
+        return (
+            f"of the budget of {moment.spec.steps:,} steps {max(moment.steps_left, 0.0):,.0f} are "
+            "left, and what is wanted next costs more"
         )
     targets = spread_targets(moment.problem, pick.source, affordable)
     if pick.targets is not None:
@@ -385,6 +403,8 @@ def _check_proposal(moment: Moment, seen: History, strategy: Selector, proposal:
             f"a strategy proposes a context index from 0 to {n - 1}, or different ones of several "
             f"with `source` among them, got {proposal.source!r:.60} from {name!r}"
         )
+    if proposal.targets is not None:
+        checked_targets(proposal.targets, n)
     if moment.spec.any_training:
         _check_training(moment, name, proposal)
         return
@@ -403,7 +423,7 @@ def _check_proposal(moment: Moment, seen: History, strategy: Selector, proposal:
 def _check_training(moment: Moment, name: str, proposal: Proposal) -> None:
     """Whether there is such a policy to begin with, and the trainer can do what is asked."""
     spec, seen, start, length = moment.spec, moment.known, proposal.start, proposal.length
-    if start is not None and not 0 <= start < len(seen):
+    if start is not None and not (isinstance(start, (int, np.integer)) and 0 <= start < len(seen)):
         raise InvalidInput(
             f"a training begins with the policy of a row, 0 to {len(seen) - 1}, got "
             f"start={start!r} from {name!r}; None is from scratch"
@@ -433,7 +453,13 @@ def _check_training(moment: Moment, name: str, proposal: Proposal) -> None:
                 f"the trainer of this study cannot do what {name!r} asks for, {_WORDS[ability]}; "
                 "give another trainer, or a strategy that heeds `problem.abilities`"
             )
-    price = moment.planned({"pick": moment.number, **_facts(moment, proposal)}).price
+    pick = moment.planned(_facts(moment, proposal))
+    if length != 0.0 and moment.training(pick) in seen.asked:
+        raise InvalidInput(
+            f"a training is asked for once, got one that is done, under way or failed from "
+            f"{name!r}: {proposal}; `history.asked` has them"
+        )
+    price = pick.price
     if spec.steps is None and seen.paid + price > spec.budget + LEAST_UNIT:
         raise InvalidInput(
             f"a training costs no more than is left of the budget of {spec.budget}, got {price:g} "

@@ -219,14 +219,18 @@ class Batches:
             if not may_try_again(outcome) or tries > self.retries:
                 return pick, outcome
             assert isinstance(outcome, Trouble)
-            again = self.study.begin_again(pick, outcome.reason, traceback=outcome.traceback)
+            again = self.study.begin_again(
+                pick, outcome.reason, traceback=outcome.traceback, steps=outcome.steps
+            )
             if again is None:
                 return pick, None
             pick = again
 
     def _again(self, pick: Pick, trouble: Trouble) -> tuple[Pick, Job] | None:
         """Another try of a training that failed, with another seed."""
-        again = self.study.begin_again(pick, trouble.reason, traceback=trouble.traceback)
+        again = self.study.begin_again(
+            pick, trouble.reason, traceback=trouble.traceback, steps=trouble.steps
+        )
         return None if again is None else (again, self._job(again))
 
     def _give_up(self, pick: Pick) -> None:
@@ -285,7 +289,8 @@ class Batches:
         state = None
         if pick.done and row.state:
             state = Artifact(row.state, row.state_sha256 or "")
-        return Kept(self.study.policies.get(place), kept), state
+        policy = self.study.policies.get(place)
+        return Kept(policy, kept, row.steps, checks=row.checks), state
 
     def _keep(self, pick: Pick, kept: Kept | None) -> None:
         """Hold on to a policy that is nowhere else."""

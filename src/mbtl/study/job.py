@@ -11,6 +11,7 @@ import contextlib
 import shutil
 import tempfile
 import time
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -27,9 +28,9 @@ from mbtl.study.artifacts import RECEIPT, Artifact, ArtifactStore, FolderStore
 from mbtl.study.limits import at_most
 from mbtl.trainer import (
     CountingTrainer,
+    FunctionTrainer,
     OnProgress,
     Progress,
-    Trained,
     Trainer,
     checked_returns,
     equipment_of,
@@ -171,7 +172,7 @@ def perform(
         on_stuck: called from another thread where the job does not end at its time limit.
     """
     started = time.perf_counter()
-    kept, steps = job.kept, _Steps(on_progress)
+    kept, steps = job.kept, _Steps(on_progress, _steps_before(job))
     stage: Stage = "training" if kept is None else "saving"
     try:
         with at_most(job.timeout, on_stuck):
@@ -182,9 +183,7 @@ def perform(
                 stage, kept = "loading", Kept(None, found)
                 kept = _found(job, found)
             if kept is None:
-                trained = _trained(job, steps)
-                done = trained.steps or steps.done
-                kept = Kept(trained.policy, None, done, trained.ended, checks=trained.checks)
+                kept = _trained(job, steps)
                 on_kept(kept)
             if kept.artifact is None:
                 stage = "saving"
@@ -212,15 +211,20 @@ def perform(
 
 
 class _Steps:
-    """Passes reports of a training on, and keeps the number of environment steps."""
+    """Passes reports of a training on, and keeps the number of environment steps.
 
-    def __init__(self, on_progress: OnProgress | None) -> None:
-        self._tell = on_progress
+    Args:
+        on_progress: told them.
+        before: steps that are in no report, though the training has had them; None: unknown.
+    """
+
+    def __init__(self, on_progress: OnProgress | None, before: float | None) -> None:
+        self._tell, self._before = on_progress, before
         self.done: float | None = None
 
     def __call__(self, progress: Progress) -> None:
-        if progress.unit == "steps":
-            self.done = float(progress.step)
+        if progress.unit == "steps" and self._before is not None:
+            self.done = self._before + float(progress.step)
         if self._tell is not None:
             self._tell(progress)
 
@@ -344,20 +348,27 @@ def _begun_with(job: Job) -> Any:
     return job.trainer.load(_folder(job, job.start.artifact))
 
 
-def _trained(job: Job, on_progress: OnProgress) -> Trained:
+def _steps_before(job: Job) -> float | None:
+    """What reports of a training leave out: a function counts from where it goes on."""
+    goes_on = job.done and job.start is not None and isinstance(job.trainer, FunctionTrainer)
+    return job.start.steps if goes_on and job.start is not None else 0.0
+
+
+def _trained(job: Job, on_progress: _Steps) -> Kept:
     """From the beginning, from a policy or its training's state, or where another worker left it.
 
-    A state that cannot be read is as none: then it begins with the weights.
+    A state that is not there, or not as it was told, is as none: then it begins with the weights.
     """
     own, *others = (*_partials(job), None)
     left = next((file for file in others if file is not None and file.exists()), None)
     if left is None and job.state is not None and "state" in job.trainer.takes:
-        left = next(iter(_folder(job, job.state).glob(f"{_STATE}*")), None)
+        with contextlib.suppress(StorageError):
+            left = next(iter(_folder(job, job.state).glob(_STATE)), None)
     if own is not None and left is not None and not own.exists():
         with contextlib.suppress(OSError):
-            copy = shutil.copytree if left.is_dir() else shutil.copyfile
-            copy(left, own)
-    return job.trainer.train(
+            _copy_whole(left, own)
+    exact = own is not None and own.exists()
+    trained = job.trainer.train(
         [dict(context) for context in job.contexts],
         job.seed,
         start=_begun_with(job),
@@ -366,6 +377,24 @@ def _trained(job: Job, on_progress: OnProgress) -> Trained:
         state=own,
         on_progress=on_progress,
     )
+    checks = float(trained.checks)
+    if job.done and job.start is not None and not exact:  # those before are not known to it
+        checks += job.start.checks
+    steps = None if trained.steps is None else float(trained.steps)
+    if steps is None and (not job.done or isinstance(job.trainer, FunctionTrainer)):
+        steps = on_progress.done
+    return Kept(trained.policy, None, steps, trained.ended, checks=checks)
+
+
+def _copy_whole(source: Path, target: Path) -> None:
+    """Copy a file or folder; whoever is ended meanwhile leaves nothing at `target`."""
+    unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex[:8]}")
+    try:
+        (shutil.copytree if source.is_dir() else shutil.copyfile)(source, unfinished)
+        unfinished.rename(target)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        unfinished.unlink(missing_ok=True)
 
 
 _STATE = "state"

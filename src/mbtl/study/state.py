@@ -60,8 +60,12 @@ class StudyState:
     _routing_seq: int = field(default=-1, repr=False)
     _rows_seq: int = field(default=0, repr=False)
     """Number of the last event that changed the rows, or how they count."""
-    further_steps: float = 0.0
-    """Environment steps of policies that were evaluated further."""
+    lost_steps: float = 0.0
+    """Environment steps of trainings that gave nothing, each try of them."""
+    evaluation_steps: float = 0.0
+    """Environment steps of all evaluations that were asked for."""
+    _counted: tuple[float, int] = field(default=(0.0, 0), repr=False)
+    """Environment steps of the evaluations whose steps are known, and on how many targets."""
     _told_by: dict[int, ToldRow] = field(default_factory=dict, repr=False)
     """Number of the event -> the row that it told, also where that was taken back."""
     _ahead_age: int = field(default=0, repr=False)
@@ -248,11 +252,8 @@ class StudyState:
         At first as many as it can be.
         """
         assert self.spec is not None
-        known = [row for row in self.rows if row.evaluation_steps is not None]
-        if not known:
-            return float(self.spec.target_steps or 0)
-        entries = sum(int(np.isfinite(row.each).any(axis=1).sum()) for row in known)
-        return sum(row.evaluation_steps or 0.0 for row in known) / max(entries, 1)
+        steps, targets = self._counted
+        return steps / targets if targets else float(self.spec.target_steps or 0)
 
     @property
     def abilities(self) -> frozenset[str]:
@@ -265,32 +266,38 @@ class StudyState:
 
         Rows that nobody asked for are free.
         """
-        training, extension, checks, evaluation = 0.0, 0.0, 0.0, self.further_steps
-        for row in (row for row in self._told_by.values() if row.pick is not None):
-            before = self._parent(row.start) if row.goes_on else None
-            price = self.picks[row.pick].price if row.pick is not None else 0.0
-            own = self._unit * price if row.steps is None else row.steps
-            if before is not None and before.steps is not None and own >= before.steps:
-                own -= before.steps  # what a training reports is counted from its beginning
-            if before is not None:
+        training, extension, checks = 0.0, 0.0, 0.0
+        for row in self._told_by.values():
+            if row.pick is None:
+                continue
+            own, before = self._own_steps(self.picks[row.pick], row.steps), self._before(row)
+            if row.goes_on:
                 extension += own
             else:
                 training += own
-            checks += row.checks - (before.checks if before is not None else 0.0)
-            evaluated = int(np.isfinite(row.each).any(axis=1).sum())
-            evaluation += self.evaluation_price(evaluated, row.evaluation_steps)
-        failed = sum(
-            self._unit * self.picks[one.pick].price if one.steps is None else one.steps
-            for one in self.failures
-            if one.pick not in {row.pick for row in self._told_by.values()}
-        )
+            checks += max(row.checks - (0.0 if before is None else before.checks), 0.0)
         open_ = sum(self.expected_steps(pick) for pick in self.open_picks.values())
-        return Bill(training, extension, checks, evaluation, failed, open_)
+        return Bill(training, extension, checks, self.evaluation_steps, self.lost_steps, open_)
 
-    def evaluation_price(self, targets: int, steps: float | None = None) -> float:
-        """Environment steps of an evaluation, at most where they are not known."""
+    def _before(self, row: ToldRow) -> ToldRow | None:
+        """The row that a training went on from; None: it did not."""
+        return self._parent(row.start) if row.goes_on else None
+
+    def _own_steps(self, pick: PickRecord, steps: float | None) -> float:
+        """Environment steps that a pick cost, of those that its training has had in all."""
+        before = self._parent(pick.start) if pick.done else None
+        had = 0.0 if before is None else before.steps
+        if steps is None or had is None:
+            return self._unit * pick.price
+        return max(steps - had, 0.0)
+
+    def _pay_evaluation(self, targets: int, steps: float | None) -> None:
+        """At most, where its environment steps are not known."""
         assert self.spec is not None
-        return float(targets * (self.spec.target_steps or 0)) if steps is None else steps
+        if steps is not None:
+            self._counted = self._counted[0] + steps, self._counted[1] + targets
+        most = float(targets * (self.spec.target_steps or 0))
+        self.evaluation_steps += most if steps is None else steps
 
     def expected_steps(self, pick: PickRecord) -> float:
         """Environment steps that a pick is expected to cost, all in."""
@@ -350,21 +357,24 @@ class StudyState:
         """Training seed of a pick; of one that goes on, that of the beginning."""
         assert self.spec is not None
         spec, parent = self.spec, self._parent(pick.start)
-        if pick.done and not pick.retries and parent is not None and parent.pick is not None:
-            return self.seed_of(self.picks[parent.pick])
-        lineage = () if pick.start is None else self._lineage(parent)
-        return training_seed(spec.seed, spec.trial, pick.sources, pick.retries, lineage)
+        while pick.done and not pick.retries and parent is not None and parent.pick is not None:
+            pick = self.picks[parent.pick]
+            parent = self._parent(pick.start)
+        return training_seed(
+            spec.seed, spec.trial, pick.sources, pick.retries, self._lineage(parent)
+        )
 
     def _parent(self, start: int | None) -> ToldRow | None:
         return None if start is None else self._told_by.get(start)
 
     def _lineage(self, row: ToldRow | None) -> tuple[int, ...]:
         """What a policy was made of: contexts, length, try, and its parent's likewise."""
-        if row is None:
-            return ()
-        tries = 0 if row.pick is None else self.picks[row.pick].retries
-        own = (len(row.sources), *row.sources, round(1000 * row.length), tries)
-        return (*own, *self._lineage(self._parent(row.start)))
+        found: list[int] = []
+        while row is not None:
+            tries = 0 if row.pick is None else self.picks[row.pick].retries
+            found += [len(row.sources), *row.sources, round(1000 * row.length), tries]
+            row = self._parent(row.start)
+        return tuple(found)
 
     @property
     def cost(self) -> float:
@@ -384,6 +394,7 @@ class StudyState:
 
     def _equipped(self, event: Event) -> None:
         self.equipment = {name: one for name, one in event.data.items() if name != "accepted"}
+        self.stopped = None  # another trainer may be able to do more
 
     def _extended(self, event: Event) -> None:
         assert self.spec is not None
@@ -406,14 +417,14 @@ class StudyState:
         self.open_picks[pick.number] = pick
 
     def planned(self, facts: Mapping[str, Any], time: float = 0.0) -> PickRecord:
-        """A pick as its facts say it, which nobody holds."""
+        """A pick as its facts say it, which nobody holds; without a number it is the next one."""
         assert self.spec is not None
         sources, start, length = tuple(facts["sources"]), facts.get("start"), facts.get("length")
         parent = self._parent(start)
         goes_on = parent is not None and parent.sources == sources and length != 0.0
         done = parent.length if parent is not None and goes_on else 0.0
         return PickRecord(
-            facts["pick"],
+            facts.get("pick", len(self.picks)),
             middle_of(sources, self.spec.space.steps),
             facts["reason"],
             facts["acquisition"],
@@ -454,8 +465,10 @@ class StudyState:
         each = np.full((self.spec.space.n, returns.shape[1]), np.nan)
         each[targets] = returns
         pick = None if data["pick"] is None else self.picks[data["pick"]]
+        if pick is not None:
+            self._pay_evaluation(len(returns), data.get("evaluation_steps"))
         if pick is not None and not pick.length:
-            self._evaluated(pick, each, data.get("evaluation_steps"))
+            self._evaluated(pick, each)
             return
         if pick is None:
             facts = {"pick": -1, "sources": data["sources"], "reason": "", "acquisition": None}
@@ -485,9 +498,8 @@ class StudyState:
         self.rows.append(row)
         self._told_by[event.seq] = row
 
-    def _evaluated(self, pick: PickRecord, each: Array, steps: float | None) -> None:
+    def _evaluated(self, pick: PickRecord, each: Array) -> None:
         """Further entries of a row; those that it had stay."""
-        self.further_steps += self.evaluation_price(np.isfinite(each).any(axis=1).sum(), steps)
         place = self.place_of(pick.start)
         if place < 0:  # it was taken back meanwhile
             return
@@ -518,8 +530,15 @@ class StudyState:
 
     def _failed(self, event: Event) -> None:
         self._close(event.data["pick"], event.data.get("token") or "")
-        self.failures.append(Failure.of(event.data, self.picks[event.data["pick"]].source))
+        self.failures.append(self._lost(event))
         self.stopped = None  # the prediction believed that this pick would give something
+
+    def _lost(self, event: Event) -> Failure:
+        """What became of a try that gave nothing; its steps are spent."""
+        pick = self.picks[event.data["pick"]]
+        failure = Failure.of(event.data, pick.source)
+        self.lost_steps += self._own_steps(pick, failure.steps)
+        return failure
 
     def _deferred(self, event: Event) -> None:
         number = event.data["pick"]
@@ -532,6 +551,7 @@ class StudyState:
         self._give(number, None)
 
     def _retried(self, event: Event) -> None:
+        self._lost(event)
         self._begin_again(event.data["pick"])
         self.open_picks[event.data["pick"]] = self.picks[event.data["pick"]]
 

@@ -72,7 +72,7 @@ class Study(LeasingStudy):
             cost: cost of the training, in the unit of the cost budget; None: what `costs` says of
                 the source, or 1; 0 for a row that nobody asked for.
             seconds: wall time of training and evaluation.
-            steps: environment steps of the training.
+            steps: environment steps of the training; of one that goes on those before it, too.
             policy: folder of the saved policy, relative to the study's folder; as an `Artifact`
                 with its hash, which is then checked whenever it is read.
             policy_object: the policy itself, kept in this process only.
@@ -210,14 +210,22 @@ class Study(LeasingStudy):
         """Record that a policy is trained and could not be evaluated; the pick stays open."""
         return self._answer("deferred", pick, reason, traceback)
 
-    def begin_again(self, pick: Pick, reason: str, *, traceback: str = "") -> Pick | None:
+    def begin_again(
+        self, pick: Pick, reason: str, *, traceback: str = "", steps: float | None = None
+    ) -> Pick | None:
         """Record that a training failed and is tried once more, at once and by the same worker.
+
+        Args:
+            pick: what `ask` gave.
+            reason: why it failed, in one line.
+            traceback: where that came from, for people.
+            steps: environment steps that it had; None: not known.
 
         Returns:
             The pick with another seed, since with its own it might fail again; None: too late, as
             in `tell`.
         """
-        in_time = self._answer("retried", pick, reason, traceback)
+        in_time = self._answer("retried", pick, reason, traceback, steps=steps)
         return self._pick(self.state.picks[pick.number]) if in_time else None
 
     def retry(self, pick: Pick | int) -> None:
@@ -278,27 +286,30 @@ class Study(LeasingStudy):
             InvalidInput: it is not larger than now, or asks a selector for more trainings than
                 there are contexts.
         """
-        steps, unit = None, self.spec.unit
-        if isinstance(budget, Steps):
-            steps, budget = budget.total, budget.total // (unit or budget.total)
-            budget = budget if self.spec.any_training else min(budget, self.space.n)
-        budget = whole("budget", budget)
-        if (steps is None) != (self.spec.steps is None) or (steps or 1) <= (self.spec.steps or 0):
-            raise InvalidInput(
-                "a budget can only be raised, and counts what it counted before, got "
-                f"{steps or budget} where it was {self.spec.steps or self.spec.budget} "
-                f"{'trainings' if unit is None else 'steps'}"
-            )
+        steps = budget.total if isinstance(budget, Steps) else None
+        units = None if isinstance(budget, Steps) else whole("budget", budget)
 
         def extended(state: StudyState) -> Event:
+            spec = state.spec
+            assert spec is not None
+            n, now = spec.space.n, spec.budget if spec.steps is None else spec.steps
+            if (steps is None) != (spec.steps is None) or (steps or units or 0) <= now:
+                raise InvalidInput(
+                    "a budget can only be raised, and counts what it counted before, got "
+                    f"{'Steps' if steps else 'trainings'} {steps or units} where it was {now} "
+                    f"{'trainings' if spec.steps is None else 'steps'}"
+                )
             if steps is not None:
-                more = max(budget, self.spec.budget)
+                more = max(steps // (spec.unit or steps), spec.budget)
+                more = more if spec.any_training else min(more, n)
                 return Event("extended", {"budget": more, "steps": steps})
-            now, n = self.spec.budget, self.space.n
-            if not now < budget or (budget > n and not self.spec.any_training):
-                most = "" if self.spec.any_training else f" up to {n} trainings of {n} contexts"
-                raise InvalidInput(f"a budget can only be raised, from {now}{most}, got {budget}")
-            return Event("extended", {"budget": int(budget)})
+            assert units is not None
+            if units > n and not spec.any_training:
+                raise InvalidInput(
+                    f"a budget can only be raised, from {now} up to {n} trainings of {n} contexts, "
+                    f"got {units}"
+                )
+            return Event("extended", {"budget": units})
 
         self._commit(extended)
 

@@ -107,7 +107,10 @@ def sources_of(space: ContextSpace, pick: Told) -> tuple[int, ...]:
     if isinstance(pick, Pick):
         return pick.sources
     if isinstance(pick, Sequence) and not isinstance(pick, str) and len(pick):
-        return tuple(_source_of(space, one) for one in pick)
+        sources = [_source_of(space, one) for one in pick]
+        if len(set(sources)) < len(sources):
+            raise InvalidInput(f"a policy is trained on different contexts, got {sources}")
+        return tuple(sorted(sources))
     return (_source_of(space, pick),)
 
 
@@ -139,7 +142,8 @@ def reopening(state: StudyState, pick: Pick | int) -> Event:
             f"only a failed pick can be tried again, got pick {number + 1}, which did not fail"
         )
     record = state.picks[number]
-    if any(r.sources == record.sources and r.start == record.start for r in state.rows):
+    same = record.sources, record.start, record.length
+    if any((row.sources, row.start, row.length) == same for row in state.rows):
         where = _where(state, record.sources)
         raise StudyError(f"{where} was told since pick {number + 1} failed there")
     return Event("reopened", {"pick": number})

@@ -127,6 +127,8 @@ def _of_pick(
         condition: State = "done"
     elif failure is not None:
         condition = "pruned" if failure.pruned else "failed"
+    elif pick.number not in state.open_picks:  # a policy was evaluated further
+        condition = "done"
     elif pick.lease is None:
         condition = "waiting"
     else:
