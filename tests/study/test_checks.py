@@ -17,6 +17,7 @@ from damage import damaged, damaged_bytes, refusals
 from flat import created
 from mbtl.errors import InvalidInput, StorageError, StudyError
 from mbtl.report import summarise_study
+from mbtl.seeds import training_seed
 from mbtl.selectors import Proposal, Traits
 from mbtl.strategies import get_strategy
 from mbtl.study import MemoryLog, Study
@@ -352,22 +353,25 @@ def test_a_budget_is_never_lowered(any_training):
             Study(memory, Scripted(), folder=None)
 
 
-def test_a_long_chain_of_trainings_is_read():
+def test_a_long_chain_of_trainings_is_read(any_training):
     """Of each that goes on it is known what it began with; Python's stack is 1,000 deep."""
-
-    class Longer:
-        name, traits = "longer", Traits(any_training=True)
-
-        def propose(self, problem, history, rng):
-            last = len(history) - 1 if len(history) else None
-            return Proposal(2, "longer", start=last, length=1e-3 * (len(history) + 1))
-
-    study = created(SPACE, budget=10, bounds=(0.0, 1.0), strategy=Longer())
-    seeds = set()
-    for _ in range(1_100):
-        seeds.add((pick := study.ask()).seed)
-        study.tell(pick, np.ones(6))
-    assert len(seeds) == 1
+    created_, asked, answer = events(any_training)[0], *(
+        next(e for e in events(any_training) if e["kind"] == kind) for kind in ("asked", "told")
+    )  # fmt: skip
+    memory, seq = MemoryLog(), 1
+    memory.append(Event("created", created_["data"]), after=0)
+    for i in range(1_100):
+        start = None if not i else seq
+        facts = {"pick": i, "start": start, "length": 1.0 + i, "token": f"t{i}"}
+        memory.append(Event("asked", {**asked["data"], **facts}), after=seq)
+        told_ = {**answer["data"], "pick": i, "token": f"t{i}"}
+        memory.append(Event("told", told_, answer["arrays"]), after=seq + 1)
+        seq += 2
+    study = Study(memory, Scripted(), folder=None)
+    assert study.pick(1_099).seed == study.pick(0).seed
+    assert study.pick(1_099).done == 1_099.0
+    seeds = [training_seed(0, 0, range(6), lineage=lineage) for lineage in ((), (1, 2, 3))]
+    assert study.pick(0).seed == seeds[0] != seeds[1]
 
 
 # ---- picks and numbers ------------------------------------------------------------------------
