@@ -231,15 +231,14 @@ def test_names_of_own_objects(name):
 
 
 SETTINGS = (
-    "budget", "preset", "trainer", "selector", "bounds", "direction", "objective", "stopping",
-    "theta", "seed", "trial", "stop_value", "cost_budget", "costs", "risk",
-    "eval_targets", "stop_gain", "stop_confidence", "stop_left", "best_return", "problem",
-    "settings",
+    "budget", "strategy", "bounds", "direction", "objective", "evaluation", "stopping", "seed",
+    "stop_value", "cost_budget", "costs", "risk", "eval_targets", "stop_gain", "stop_confidence",
+    "stop_left", "best_return", "theta", "trial",
 )  # fmt: skip
 LIKELY = {
     "budget": st.integers(1, 5),
     "bounds": st.sampled_from([(0.0, 1.0), (1, 0), (0, np.inf), mbtl.Bounds(0, 1, floor=0.5)]),
-    "strategy": st.sampled_from(["random", "greedy", "auto"]),
+    "strategy": st.sampled_from(["random", "greedy", "auto", "all-first", "one-policy"]),
 }
 
 
@@ -249,11 +248,22 @@ def test_settings_of_a_study(data):
     chosen = data.draw(st.lists(st.sampled_from(SETTINGS), max_size=3, unique=True))
     wishes = {"budget": 3, "strategy": "random"}
     wishes |= {name: data.draw(LIKELY.get(name, ANY) | ANY) for name in chosen}
-    if callable(wishes.get("costs")) or isinstance(wishes.get("trainer"), str):
+    if callable(wishes.get("costs")):
         wishes.pop("costs", None)  # a user's own function may raise what it likes
     with ours():
         study = created(SPACE, **wishes)
         study.tell(study.ask(), np.linspace(0.0, 1.0, 5), targets=None)
+        study.ask()
+
+
+@generated
+@given(total=ANY | st.integers(1, 10**6), unit=ANY | st.integers(1, 1000), horizon=ANY)
+def test_budgets_in_steps(total, unit, horizon):
+    with ours():
+        budget = mbtl.Steps(total, unit, horizon)
+        study = mbtl.create_study(SPACE, budget=budget, strategy="all-first")
+        study.tell(study.ask(), np.linspace(0.0, 1.0, 5))
+        study.extend(mbtl.Steps(2 * total))
         study.ask()
 
 
@@ -319,7 +329,7 @@ OPTIONS = (
 COMMANDS = (
     ("study", "list"), ("study", "show"), ("study", "export"), ("cmdps",), ("matrix", "show"),
     ("bench",), ("report",), ("run", "no-such-cmdp"), ("check", "nope.py:x"), ("play",),
-    ("matrix",), (), ("study",), ("watch",), ("matrix", "import"),
+    ("matrix",), (), ("study",), ("matrix", "import"),
 )  # fmt: skip
 WORDS = st.one_of(
     st.sampled_from(OPTIONS),

@@ -100,7 +100,7 @@ def test_a_pick_ahead_that_does_not_hold_any_more_is_proposed_anew(busy, change)
     if change == "void":
         crowd.void(0, "wrong")
     elif change == "tell":
-        source = one.state.ahead[0]["source"]
+        (source,) = one.state.ahead[0]["sources"]
         crowd.tell(source, row(source))
     else:
         another.proposes_ahead = False
@@ -162,7 +162,7 @@ def test_picks_ahead_spend_neither_more_trainings_nor_more_cost_than_there_is(tm
         another.ask(lease=600.0)
 
 
-@pytest.mark.parametrize("change", [{"source": N}, {"notes": "text"}, {"reason": None}])
+@pytest.mark.parametrize("change", [{"sources": [N]}, {"notes": "text"}, {"reason": None}])
 def test_a_damaged_pick_ahead_is_refused_in_a_sentence(busy, change):
     _, one, another = busy
     append = one.log.append

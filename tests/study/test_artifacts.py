@@ -230,10 +230,10 @@ def test_a_place_that_cannot_be_written_is_found_before_the_first_training(tmp_p
     TRAINED.clear()
     (tmp_path / "file").write_text("no folder")
     if steps:
+        budget = mbtl.Steps(20_000, unit=1_000, horizon=10)
         study = created(
-            SPACE, cost="steps", budget=2_000, lengths=[1000], horizon=10, episodes=1,
-            strategy="fixed", bounds=(0.0, 1.0), artifacts=tmp_path / "file" / "kept",
-        )  # fmt: skip
+            SPACE, budget=budget, bounds=(0.0, 1.0), artifacts=tmp_path / "file" / "kept"
+        )
     else:
         study = created(SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s.db",
                                   artifacts=tmp_path / "file" / "kept")  # fmt: skip

@@ -17,8 +17,11 @@ from damage import damaged, damaged_bytes, refusals
 from flat import created
 from mbtl.errors import InvalidInput, StorageError, StudyError
 from mbtl.report import summarise_study
-from mbtl.selectors import get_selector
+from mbtl.seeds import training_seed
+from mbtl.selectors import Proposal, Traits
+from mbtl.strategies import get_strategy
 from mbtl.study import MemoryLog, Study
+from mbtl.study.artifacts import Artifact
 from mbtl.study.events import Event
 from mbtl.study.storage import checksum_of
 from mbtl.trainer import Trainer
@@ -45,6 +48,47 @@ def study(tmp_path):
     made.extend(4)
     made.tell(4, np.zeros(6))
     made.void(2, "told by mistake")
+    return made
+
+
+class Scripted:
+    """All contexts, longer, a copy tuned from that, the second one evaluated further."""
+
+    name, traits = "scripted", Traits(any_training=True)
+    script = (
+        Proposal(2, "all", length=1.0, sources=tuple(range(6)), targets=(0, 3)),
+        Proposal(2, "longer", start=0, length=2.5, sources=tuple(range(6))),
+        Proposal(4, "tuned", start=1, length=0.5, targets=(1, 4)),
+        Proposal(2, "further", start=0, length=0.0, sources=tuple(range(6)), targets=(1, 2)),
+        Proposal(1, "alone"),
+    )
+
+    def propose(self, problem, history, rng):
+        under_way = len(history.under_way) + len(history.pending) + len(history.failed)
+        further = len(history) == 3 and np.isfinite(history.rows[0]).sum() > 2
+        return self.script[len(history) + under_way + further]
+
+
+@pytest.fixture
+def any_training(tmp_path):
+    """One that counts steps, with all kinds of picks."""
+    made = created(
+        SPACE, budget=mbtl.Steps(60_000, unit=1_000, horizon=100), bounds=(0.0, 9.0),
+        strategy=Scripted(), storage=tmp_path / "any.db",
+    )  # fmt: skip
+    state = Artifact("policies/all.state", "0" * 64)
+    made.tell(made.ask(), np.ones((2, 3)), policy="policies/all", steps=1_000, checks=50,
+              training_state=state, evaluation_steps=300)  # fmt: skip
+    longer = made.begin_again(made.ask(), "diverged", steps=1_200)
+    made.defer(longer, "no display")
+    made.tell(longer, np.full((6, 3), 2.0), steps=2_500, checks=90)
+    made.tell(made.ask(), np.full((2, 3), 3.0), ended=True)
+    made.tell(made.ask(), np.full((2, 3), 4.0), evaluation_steps=250)
+    alone = made.ask()
+    made.release(alone)
+    mine = made.ask()
+    made.tell(alone, np.zeros(6))  # late
+    made.fail(mine, "diverged", steps=400)
     return made
 
 
@@ -86,7 +130,9 @@ def used(study):
     study.value, study.curve, study.is_finished, study.orphans, repr(study)
     summarise_study(study).to_json()
     study.portfolio().explain({"mass": 1.5, "n": 1})
-    study.extend(5)
+    study.state.bill()
+    study.extend(5 if study.spec.steps is None else mbtl.Steps(10**6))
+    study.open_picks()
     study.ask()
 
 
@@ -164,7 +210,9 @@ def test_a_zip_of_the_study_needs_trust_or_its_trainer(study, tmp_path, monkeypa
 # ---- damage -----------------------------------------------------------------------------------
 
 
-def test_any_damage_to_the_facts_gets_a_sentence(study):
+@pytest.mark.parametrize("which", ["study", "any_training"])
+def test_any_damage_to_the_facts_gets_a_sentence(which, request):
+    study = request.getfixturevalue(which)
     whole, refused = events(study), {}
 
     def attempt(seed):
@@ -174,7 +222,7 @@ def test_any_damage_to_the_facts_gets_a_sentence(study):
         for i, e in enumerate(log):
             memory.append(Event(e["kind"], json.loads(json.dumps(e["data"])), e["arrays"]), after=i)
         try:
-            opened = Study(memory, get_selector("random"), folder=study.folder)
+            opened = Study(memory, get_strategy("all-first"), folder=study.folder)
         except StorageError as error:
             refused[entry["kind"]] = str(error)
             raise
@@ -262,6 +310,70 @@ def test_any_damage_to_the_database_gets_a_sentence(study, tmp_path):
     assert refusals(attempt, 40) > 20
 
 
+@pytest.mark.parametrize(
+    ("kind", "which", "change", "words"),
+    [
+        ("asked", 0, {"sources": []}, "`sources` must be different context indices"),
+        ("asked", 0, {"sources": [2, 2]}, "`sources` must be different context indices"),
+        ("asked", 0, {"start": 1}, "`start` must be the number of the event that told a row"),
+        ("asked", 0, {"length": -1.0}, "`length` must be a number of units"),
+        ("asked", 0, {"length": 1e300}, "`length` must be a number of units"),
+        ("asked", 0, {"length": 0.0}, "only evaluates a policy has a start and targets"),
+        ("asked", 0, {"targets": [1, 1]}, "`targets` must be different context indices"),
+        ("asked", 1, {"length": 1.0}, "goes on beyond what it had"),
+        ("asked", 3, {"targets": None}, "only evaluates a policy has a start and targets"),
+        ("told", 0, {"sources": [1]}, "the contexts of its pick"),
+        ("told", 0, {"targets": [3, 0]}, "`targets` must be different .* rising"),
+        ("told", 0, {"state": "../.ssh"}, "`state` must be a folder inside"),
+        ("told", 0, {"steps": -1.0}, "`steps` must be a finite number >= 0"),
+        ("told", 0, {"checks": float("nan")}, "`checks` must be a finite number >= 0"),
+        ("told", 3, {"evaluation_steps": "few"}, "`evaluation_steps` must be a finite"),
+        ("late", 0, {"episodes": None}, "`episodes` must be a whole number"),
+        ("late", 0, {"targets": 3}, "`targets` must be"),
+        ("retried", 0, {"steps": True}, "`steps` must be a finite number >= 0"),
+        ("failed", 0, {"pick": 0}, "`pick` must be the number of an open pick"),
+    ],
+)
+def test_a_training_that_cannot_be_is_refused(any_training, kind, which, change, words):
+    log, memory = events(any_training), MemoryLog()
+    [entry for entry in log if entry["kind"] == kind][which]["data"].update(change)
+    for i, e in enumerate(log):
+        memory.append(Event(e["kind"], e["data"], e["arrays"]), after=i)
+    with pytest.raises(StorageError, match=words):
+        Study(memory, Scripted(), folder=None)
+
+
+def test_a_budget_is_never_lowered(any_training):
+    log = events(any_training)
+    for facts in ({"budget": 1, "steps": 10}, {"budget": 10**6, "steps": None}):
+        memory = MemoryLog()
+        for i, e in enumerate([*log, {"kind": "extended", "data": facts, "arrays": {}}]):
+            memory.append(Event(e["kind"], e["data"], e["arrays"]), after=i)
+        with pytest.raises(StorageError, match="can only be raised"):
+            Study(memory, Scripted(), folder=None)
+
+
+def test_a_long_chain_of_trainings_is_read(any_training):
+    """Of each that goes on it is known what it began with; Python's stack is 1,000 deep."""
+    created_, asked, answer = events(any_training)[0], *(
+        next(e for e in events(any_training) if e["kind"] == kind) for kind in ("asked", "told")
+    )  # fmt: skip
+    memory, seq = MemoryLog(), 1
+    memory.append(Event("created", created_["data"]), after=0)
+    for i in range(1_100):
+        start = None if not i else seq
+        facts = {"pick": i, "start": start, "length": 1.0 + i, "token": f"t{i}"}
+        memory.append(Event("asked", {**asked["data"], **facts}), after=seq)
+        told_ = {**answer["data"], "pick": i, "token": f"t{i}"}
+        memory.append(Event("told", told_, answer["arrays"]), after=seq + 1)
+        seq += 2
+    study = Study(memory, Scripted(), folder=None)
+    assert study.pick(1_099).seed == study.pick(0).seed
+    assert study.pick(1_099).done == 1_099.0
+    seeds = [training_seed(0, 0, range(6), lineage=lineage) for lineage in ((), (1, 2, 3))]
+    assert study.pick(0).seed == seeds[0] != seeds[1]
+
+
 # ---- picks and numbers ------------------------------------------------------------------------
 
 
@@ -299,7 +411,7 @@ def test_numbers_of_numpy_are_recorded_and_no_numbers_are_not(tmp_path):
     [
         ({"theta": np.nan}, "theta must be finite, from"),
         ({"theta": "steep"}, "theta must be a number"),
-        ({"stop_value": np.nan, "bounds": (0, 1)}, "stop_value must be finite, from"),
+        ({"stop_value": np.nan, "bounds": (0, 1)}, "value of Stopping must be finite, from"),
         ({"stop_value": 1.5, "bounds": (0, 1)}, r"at most 1 \(the better bound\), got 1.5"),
         ({"bounds": 5}, "two numbers"),
         ({"bounds": (0, 1, 2)}, "two numbers"),

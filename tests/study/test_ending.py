@@ -78,5 +78,5 @@ def test_a_lucky_mean_does_not_reach_a_level():
 
 @pytest.mark.parametrize("wrong", [{"stop_left": 0.01, "bounds": None}, {"stop_left": -1.0}])
 def test_wishes_that_mean_nothing_are_refused(wrong):
-    with pytest.raises(InvalidInput, match="stop_left"):
+    with pytest.raises(InvalidInput, match="left of Stopping"):
         study_of(**wrong)

@@ -248,7 +248,7 @@ def test_only_a_failed_pick_is_opened_again_once():
     study.retry(0)
     assert not study.state.failures
     again = study.ask()
-    assert again == replace(pick, seed=training_seed(0, 0, pick.source, 0, 1))
+    assert again == replace(pick, seed=training_seed(0, 0, pick.source, 1))
     with pytest.raises(StudyError, match="pick 1, which did not fail"):
         study.retry(pick)
     study.fail(again, "diverged again")
@@ -276,5 +276,5 @@ def test_a_batch_is_told_before_one_of_its_failures_ends_the_run(tmp_path):
 
 @pytest.mark.parametrize("change", [{"stop_after_failures": 0}, {"parallel": 0}])
 def test_limits_below_one_are_refused(change):
-    with pytest.raises(InvalidInput, match="must be >= 1, got 0"):
-        study_in(None).run(trainer=Bench(), **change)
+    with pytest.raises(InvalidInput, match="is 1 or more, got 0"):
+        ran(study_in(None), trainer=Bench(), **change)

@@ -195,5 +195,5 @@ def test_an_interrupt_gives_back_what_is_under_way(tmp_path):
 
 @pytest.mark.parametrize("wrong", [{"retries": -1}, {"timeout": 0.0}, {"lease": 0.0}])
 def test_limits_that_make_no_sense_are_refused(wrong):
-    with pytest.raises(InvalidInput, match=r"must be >= 0|seconds > 0"):
-        study_of().run(lambda c, s: c["x"], evaluate, **wrong)
+    with pytest.raises(InvalidInput, match=r"is 0 or more|seconds > 0"):
+        ran(study_of(), lambda c, s: c["x"], evaluate, **wrong)

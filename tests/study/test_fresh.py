@@ -5,6 +5,7 @@ import pytest
 import scipy.stats
 
 import mbtl
+from flat import created, ran
 from mbtl.seeds import Purpose
 from mbtl.study.fresh import chances, drawn, estimated, plan_of
 
@@ -20,7 +21,7 @@ def returns_of(policy, contexts, seeds):
 
 def study_of(**settings):
     settings = {"budget": 5, "bounds": (0.0, 1.0), "eval_targets": TARGETS, **settings}
-    return mbtl.create_study(SPACE, **settings)
+    return created(SPACE, **settings)
 
 
 def run(study, **wishes):
@@ -56,7 +57,7 @@ def test_a_report_costs_no_more_than_the_study_and_says_before_how_much(capsys):
 
 def told(n, rows, targets):
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): n})
-    study = mbtl.create_study(space, budget=rows, bounds=(0.0, 1.0))
+    study = created(space, budget=rows, bounds=(0.0, 1.0))
     for source in np.linspace(0, n - 1, rows).astype(int).tolist():
         at = np.linspace(0, n - 1, targets).astype(int)
         study.tell(source, np.abs(at - source)[:, None] / -n * np.ones((1, 2)) + 1.0, targets=at)
@@ -144,7 +145,7 @@ def test_an_evaluation_of_the_report_has_the_time_limit_of_the_study(capsys):
         return returns_of(policy, contexts, seeds)
 
     study = study_of(budget=1)
-    result = study.run(lambda context, seed: 0.5, evaluate, timeout=1.0)
+    result = ran(study, lambda context, seed: 0.5, evaluate, timeout=1.0, progress=True)
     assert result.fresh is None
     assert result.value == study.routing.value.value
     assert "could not be measured: TookTooLong: it took longer than 1 s" in capsys.readouterr().err

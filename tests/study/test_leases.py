@@ -354,9 +354,3 @@ def test_events_of_leases_are_plain_records(place):
     assert json.loads(json.dumps(dict(claimed.data)))["worker"] == study.worker
     assert asked.data["seconds"] == 60.0
     assert "pid" not in json.dumps([dict(claimed.data), dict(asked.data)])
-
-
-def test_take_over_is_refused_by_strict_programs_and_ignored_by_others():
-    study = created(SPACE, budget=2, bounds=(0.0, 1.0))
-    with pytest.warns(DeprecationWarning, match=r"take_over=.* 0\.3"):
-        assert study.ask(take_over=True).number == study.ask().number - 1

@@ -149,6 +149,7 @@ def test_the_recipe_enters_the_log_and_another_one_is_refused(tmp_path):
     assert again.state.equipment == {
         "recipe": {"net": [64, 64], "steps": 10},
         "policy_format": "mlp",
+        "abilities": [],
     }
     assert again.portfolio().policy_format == "mlp"
     again.extend(3)

@@ -12,7 +12,6 @@ from mbtl.cmdps import CMDP, Preset
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.study import Callback
 from mbtl.study.callbacks import PrintProgress
-from mbtl.study.storage import SqlLog
 from mbtl.trainer import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("gravity", 1.0, 9.0, unit="m/s2"): 9})
@@ -40,7 +39,7 @@ def problem(**record):
 @pytest.mark.parametrize("make", [lambda p, **s: p.study(**s), mbtl.create_study])
 def test_a_study_of_a_problem_needs_nothing_said_twice(tmp_path, make):
     cmdp = problem()
-    study = make(cmdp, selector="random", storage=tmp_path / "s.db").run(report=False).study
+    study = make(cmdp, strategy="random", storage=tmp_path / "s.db").run(report=False).study
     assert study.space == SPACE
     spec = study.spec
     assert (spec.budget, spec.bounds, spec.direction) == (3, (0.0, 4.0), "minimize")
@@ -50,23 +49,20 @@ def test_a_study_of_a_problem_needs_nothing_said_twice(tmp_path, make):
     assert study.portfolio().policy(0) == SPACE.context(study.history.sources[0])["gravity"]
     again = mbtl.load_study(tmp_path / "s.db", problem=cmdp)
     assert again.portfolio().policy_for({"gravity": 9.0}) in SPACE.values("gravity")
-    assert make(cmdp, selector="random", storage=tmp_path / "s.db", load_if_exists=True).is_finished
+    assert make(cmdp, strategy="random", storage=tmp_path / "s.db", load_if_exists=True).is_finished
 
 
 def test_what_is_given_counts_more_than_the_problem():
     trainer = Toy(steps=20)
-    study = created(
-        problem(), preset="long", budget=2, bounds=(0.0, 8.0), trainer=trainer, settings={"note": 1}
-    )
+    given = problem(settings={"note": 1})
+    study = created(given, preset="long", budget=2, bounds=(0.0, 8.0), trainer=trainer)
     assert (study.spec.budget, study.spec.bounds, study.trainer) == (2, (0.0, 8.0), trainer)
     assert study.spec.settings["recipe"] == {"steps": 20}
-    assert (study.spec.settings["preset"], study.spec.settings["note"]) == ("long", 1)
+    assert (study.spec.settings["preset"], study.spec.settings["switches"]) == ("long", {"note": 1})
     with pytest.raises(UnknownName, match="preset"):
         created(problem(), preset="lon")
     with pytest.raises(InvalidInput, match="ContextSpace or a CMDP, got dict"):
         mbtl.create_study({"gravity": 1.0}, budget=3)
-    with pytest.raises(InvalidInput, match="presets belong to a CMDP"):
-        created(SPACE, budget=3, preset="quick")
     with pytest.raises(InvalidInput, match="needs budget="):
         mbtl.create_study(SPACE)
     with pytest.raises(InvalidInput, match="or a trainer"):
@@ -100,23 +96,6 @@ def test_a_preset_that_is_gone_still_loads_and_another_recipe_does_not_train(tmp
         study.run()
 
 
-def test_settings_that_came_later_do_not_close_older_studies(tmp_path, monkeypatch):
-    append = SqlLog.append
-
-    def as_then(log, event, *, after):
-        for name in ("stop_left", "best_return", "floor"):
-            event.data.get("spec", {}).pop(name, None)
-        return append(log, event, after=after)
-
-    with monkeypatch.context() as older:
-        older.setattr(SqlLog, "append", as_then)
-        problem().study(storage=tmp_path / "s.db")
-    again = created(problem(), storage=tmp_path / "s.db", stop_left=0.1, load_if_exists=True)
-    assert again.spec.stop_left is None
-    with pytest.raises(StudyMismatch, match="seed was 0, got 1"):
-        problem().study(storage=tmp_path / "s.db", seed=1, load_if_exists=True)
-
-
 OWN = """
 from dataclasses import dataclass
 from mbtl.selectors import Proposal
@@ -136,7 +115,7 @@ def test_a_selector_in_a_file_is_named_in_the_log_and_never_run_from_it(tmp_path
     reference = "own_selector.py:Last"
     study = problem().study(strategy=reference, storage="s.db").run(report=False).study
     assert study.history.sources == (8, 7, 6)
-    with pytest.raises(StudyError, match=r"'last'; give it as selector='own_selector\.py:Last'"):
+    with pytest.raises(StudyError, match=r"'last'; give it as strategy='own_selector\.py:Last'"):
         mbtl.load_study("s.db")
     assert mbtl.load_study("s.db", strategy=reference).is_finished
     elsewhere = f"{tmp_path}/own_selector.py:Last"  # the same, by another path

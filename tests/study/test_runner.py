@@ -271,12 +271,6 @@ def test_the_report_plays_what_it_announced_and_not_when_it_is_switched_off(tmp_
     assert result.value == study.value == result.fresh.value
 
 
-@pytest.mark.parametrize("change", [{"on_failure": "shrug"}, {"parallel": 0}])
-def test_bad_options_are_refused(tmp_path, change):
-    with pytest.raises(InvalidInput):
-        study_at(tmp_path).run(trainer=quick_problem.TRAINER, **change)
-
-
 def test_run_needs_something_to_train_with(tmp_path):
     with pytest.raises(InvalidInput, match="train and evaluate"):
         study_at(tmp_path).run()

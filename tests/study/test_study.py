@@ -268,7 +268,7 @@ class Last:
 def test_a_users_own_selector_runs_and_is_asked_for_when_loading(tmp_path):
     study = told(new(tmp_path, strategy=Last()), 3)
     assert [p.source for p in study.state.picks] == [19, 18, 17]
-    with pytest.raises(StudyError, match="give it as selector="):
+    with pytest.raises(StudyError, match="give it as strategy="):
         mbtl.load_study(tmp_path)
     assert told(mbtl.load_study(tmp_path, strategy=Last()), 1).state.picks[-1].source == 16
 
@@ -290,7 +290,7 @@ def test_settings_of_a_selector_are_part_of_the_study(tmp_path):
         ({"direction": "up"}, "'maximize' or 'minimize'"),
         ({"theta": -1.0}, "theta"),
         ({"bounds": None, "stop_value": 0.5}, "needs bounds"),
-        ({"cost_budget": 0.0}, "cost_budget"),
+        ({"cost_budget": 0.0}, "total of Cost"),
         ({"seed": -1}, ">= 0"),
     ],
 )
@@ -351,9 +351,9 @@ def test_costs_known_before_keep_the_study_within_its_budget():
     with pytest.raises(StudyFinished, match=r"costs more than the 3 that remain of 13"):
         study.ask()
     with pytest.raises(InvalidInput, match="one per context, got"):
-        new(costs=[1.0, 2.0])
+        new(costs=[1.0, 2.0], cost_budget=9.0)
     with pytest.raises(InvalidInput, match="20 numbers from 1e-30"):
-        new(costs=np.zeros(N))
+        new(costs=np.zeros(N), cost_budget=9.0)
 
 
 def test_policies_evaluated_on_a_few_targets_only():
@@ -374,7 +374,7 @@ def test_policies_evaluated_on_a_few_targets_only():
     for wrong in ([], [3, 3], [20], [-1]):
         with pytest.raises(InvalidInput, match="distinct context indices from 0 to 19"):
             study.tell(1, [0.5] * len(wrong), targets=wrong)
-    with pytest.raises(InvalidInput, match="eval_targets must be from 1 to 20, got 0"):
+    with pytest.raises(InvalidInput, match="targets of Evaluation must be from 1 to 20, got 0"):
         new(eval_targets=0)
 
 
@@ -401,7 +401,7 @@ def test_the_study_ends_when_one_more_training_is_predicted_to_gain_little(tmp_p
     assert "gains less than" in again.stop_reason
     again.tell(0, row(0))  # news: it asks the selector once more
     assert again.stop_reason is None
-    with pytest.raises(InvalidInput, match="needs a selector that predicts chances"):
+    with pytest.raises(InvalidInput, match="needs a strategy that predicts chances"):
         new(strategy="mbtl", stop_gain=0.02)
     with pytest.raises(InvalidInput, match="needs bounds"):
         new(strategy="auto", bounds=None, stop_gain=0.02)
@@ -475,10 +475,10 @@ def told_partly(study, picks):
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"stop_gain": float("inf")}, "stop_gain must be finite and > 0"),
-        ({"cost_budget": float("inf")}, "cost_budget must be finite and > 0"),
+        ({"stop_gain": float("inf")}, "gain of Stopping must be finite and > 0"),
+        ({"cost_budget": float("inf")}, "total of Cost is a finite number > 0"),
         ({"risk": "x"}, "risk must be a number"),
-        ({"costs": -np.ones(N)}, "from -1 to -1"),
+        ({"costs": -np.ones(N), "cost_budget": 9.0}, "from -1 to -1"),
     ],
 )
 def test_wishes_that_make_no_sense_leave_nothing_behind(tmp_path, settings, words):

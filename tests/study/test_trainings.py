@@ -166,5 +166,5 @@ def test_a_training_may_end_itself_early_also_elsewhere_and_none_is_needed_to_su
     result = study.run(trainer=trainer, progress=False)
     assert [line.state for line in result.trainings] == ["pruned"] * 4
     assert result.value == -np.inf
-    job = Job(trainer, {"mass": 1.0}, 0, [{"mass": 1.0}], [0], None)
+    job = Job(trainer, [{"mass": 1.0}], 0, [{"mass": 1.0}], [0], None)
     assert perform_elsewhere(job).pruned

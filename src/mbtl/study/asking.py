@@ -107,7 +107,7 @@ def _spent(state: StudyState) -> str | None:
         over = state.paid > spec.budget - LEAST_UNIT
         return f"the budget of {spec.budget} trainings is spent" if over else None
     left = _steps_left(state)
-    least = 0.0 if spec.any_training else float(spec.unit or 0)
+    least = 0.0 if spec.any_training else state.unit_steps
     if left >= least + state.target_steps * min(LEAST_TARGETS, spec.space.n):
         return None
     return (
@@ -344,6 +344,12 @@ def _proposed(moment: Moment, strategy: Selector) -> dict[str, Any] | str:
     if enough is not None and len(known) >= LEAST_ROWS:
         return enough
     facts = _facts(moment, proposal)
+    left = np.inf if spec.cost_budget is None else spec.cost_budget * (1.0 + 1e-9) - known.spent
+    if spec.costs is not None and moment.cost(moment.planned(facts)) > left:
+        return (
+            f"of the cost budget of {spec.cost_budget:g} {max(left, 0.0):g} are left, and what is "
+            "wanted next costs more"
+        )
     return facts if moment.steps_left == np.inf else _within(moment, facts)
 
 

@@ -38,7 +38,7 @@ def check_event(event: Event, state: StudyState) -> None:
     Raises:
         InvalidInput: a fact or an array is missing, of the wrong form, or out of place.
     """
-    for name, (holds, words) in _facts(event.kind, state).items():
+    for name, (holds, words) in _facts(event, state).items():
         fact = event.data.get(name)
         if not holds(fact):
             raise InvalidInput(f"`{name}` must be {words}, got {_short(fact)}")
@@ -57,8 +57,28 @@ def check_event(event: Event, state: StudyState) -> None:
                 f"array `{name}` must hold numbers of shape {shape}, from {least:g} to {most:g} or "
                 f"NaN, got {array.dtype} of shape {array.shape}"
             )
+    if event.kind in ("asked", "told"):
+        _check_training(event, state)
     if event.kind == "told" and np.isnan(event.arrays["returns"]).all():
         raise InvalidInput("array `returns` must hold one number or more, got none")
+
+
+def _check_training(event: Event, state: StudyState) -> None:
+    """Refuse a training that cannot be, and a row that is not of its pick."""
+    data = event.data
+    if event.kind == "told":
+        pick = None if data["pick"] is None else state.picks[data["pick"]]
+        if pick is not None and tuple(data["sources"]) != pick.sources:
+            raise InvalidInput(f"`sources` must be the contexts of its pick, got {data['sources']}")
+        return
+    for facts in (data, *(data.get("ahead") or ())):
+        asked = state.planned(facts)
+        if not asked.length and None in (asked.start, asked.targets):
+            raise InvalidInput("a pick that only evaluates a policy has a start and targets")
+        if asked.length and asked.length <= asked.done:
+            raise InvalidInput(
+                f"a training goes on beyond what it had, {asked.done:g} units, got {asked.length:g}"
+            )
 
 
 def check_spec(spec: StudySpec) -> None:
@@ -186,11 +206,13 @@ _SPEC: dict[str, Rule] = {
 }
 
 
-def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
+def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
     """The facts that an event of this kind must hold now."""
     if state.spec is None:
         return {"version": _TEXT, "uid": _UID, "spec": (_is_record, "a record")}
-    n, asked = state.spec.space.n, len(state.picks)
+    n, asked, least, now = (
+        state.spec.space.n, len(state.picks), state.spec.budget, state.spec.steps
+    )  # fmt: skip
     index: Callable[[Any], bool] = lambda i: _is_whole(i) and i < n  # noqa: E731
     sources: Rule = (
         lambda some: _each(index)(some) and 0 < len(some) == len(set(some)),
@@ -207,7 +229,7 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
         "reason": _TEXT,
         "acquisition": _NUMBER,
         "notes": (_each(_is_text), "a list of texts"),
-        "targets": (_maybe(_each(index)), f"context indices from 0 to {n - 1}, or null"),
+        "targets": (_maybe(sources[0]), f"{sources[1]}, or null"),
     }
     one_open: Rule = (
         lambda i: _is_whole(i) and i in state.open_picks,
@@ -225,8 +247,24 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
         "pruned": (_maybe(lambda value: isinstance(value, bool)), "true, false or null"),
         "steps": _SECONDS,
     }
+    returns: dict[str, Rule] = {
+        "targets": (
+            lambda some: some is None or (sources[0](some) and list(some) == sorted(some)),
+            f"{sources[1]}, rising, or null",
+        ),
+        "episodes": _COUNT,
+    }
     table: dict[Kind, dict[str, Rule]] = {
-        "extended": {"budget": _COUNT, "steps": (_maybe(_COUNT[0]), f"{_COUNT[1]}, or null")},
+        "extended": {
+            "budget": (
+                lambda k: _is_whole(k) and k >= least,
+                f"{least} trainings or more: a budget can only be raised",
+            ),
+            "steps": (
+                lambda k: k is None if now is None else _is_whole(k) and k > now,
+                "null" if now is None else f"more than {now} steps: a budget can only be raised",
+            ),
+        },
         "asked": {
             "pick": (lambda i: _is_whole(i) and i == asked, f"the number {asked} of the next pick"),
             **proposed,
@@ -250,15 +288,12 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
             "pick": (lambda i: _is_whole(i) and i < asked, f"a number of the {asked} picks"),
             "outcome": (lambda o: o in ("told", "failed", "retried", "deferred"), "what came"),
             "token": (_is_text, "text"),
+            **(returns if event.data.get("outcome") == "told" else {}),
         },
         "told": {
             "pick": (_maybe(one_open[0]), f"{one_open[1]}, or null"),
             "sources": sources,
-            "targets": (
-                lambda some: some is None or (sources[0](some) and list(some) == sorted(some)),
-                f"{sources[1]}, rising, or null",
-            ),
-            "episodes": _COUNT,
+            **returns,
             "cost": (_at_least(0.0), "a finite number >= 0"),
             "seconds": _SECONDS,
             "steps": _SECONDS,
@@ -290,7 +325,7 @@ def _facts(kind: Kind, state: StudyState) -> dict[str, Rule]:
             ),
         },
     }
-    return table.get(kind, {})
+    return table.get(event.kind, {})
 
 
 def _shapes(event: Event, state: StudyState) -> dict[str, tuple[int, ...]]:

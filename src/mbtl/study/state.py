@@ -243,7 +243,13 @@ class StudyState:
         if self.spec.steps is None:
             return self.spec.budget - self.paid
         evaluation = self.target_steps * (self.spec.eval_targets or self.spec.space.n)
-        return (self.spec.steps - self.bill().total - evaluation) / self._unit
+        return (self.spec.steps - self.bill().total - evaluation) / self.unit_steps
+
+    @property
+    def unit_steps(self) -> float:
+        """Environment steps that a unit is expected to cost, with its checks of itself so far."""
+        training, extension, checks = self._trained()
+        return self._unit * (1.0 + checks / max(training + extension, 1.0))
 
     @property
     def target_steps(self) -> float:
@@ -266,6 +272,12 @@ class StudyState:
 
         Rows that nobody asked for are free.
         """
+        training, extension, checks = self._trained()
+        open_ = sum(self.expected_steps(pick) for pick in self.open_picks.values())
+        return Bill(training, extension, checks, self.evaluation_steps, self.lost_steps, open_)
+
+    def _trained(self) -> tuple[float, float, float]:
+        """Environment steps of new trainings, of those that went on, and of their checks."""
         training, extension, checks = 0.0, 0.0, 0.0
         for row in self._told_by.values():
             if row.pick is None:
@@ -276,8 +288,7 @@ class StudyState:
             else:
                 training += own
             checks += max(row.checks - (0.0 if before is None else before.checks), 0.0)
-        open_ = sum(self.expected_steps(pick) for pick in self.open_picks.values())
-        return Bill(training, extension, checks, self.evaluation_steps, self.lost_steps, open_)
+        return training, extension, checks
 
     def _before(self, row: ToldRow) -> ToldRow | None:
         """The row that a training went on from; None: it did not."""
@@ -303,7 +314,7 @@ class StudyState:
         """Environment steps that a pick is expected to cost, all in."""
         assert self.spec is not None
         count = self.spec.space.n if pick.targets is None else len(pick.targets)
-        return self._unit * pick.price + self.target_steps * count
+        return self.unit_steps * pick.price + self.target_steps * count
 
     @property
     def _unit(self) -> float:
