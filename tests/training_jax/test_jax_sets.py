@@ -42,6 +42,16 @@ def test_a_training_extended_twice_is_the_whole_one(marks, tmp_path):
     assert not same(reached[1].policy, whole.policy)
 
 
+def test_without_marks_each_length_asked_for_is_one(tmp_path):
+    file, marks = tmp_path / "training.npz", (UNIT, 2 * UNIT, 4 * UNIT)
+    reached = [to(length, (), file) for length in marks]
+    assert [r.steps for r in reached] == list(marks)
+    for r, length in zip(reached, marks, strict=True):
+        assert same(r.policy, to(length, marks).policy)
+    lost = {"start": reached[0].policy, "done": UNIT / TRAINER.whole}
+    assert same(to(2 * UNIT, (), **lost).policy, to(2 * UNIT, marks, **lost).policy)
+
+
 def test_of_one_stage_it_is_the_multi_task_baseline():
     world, params = TRAINER.problem(CONTEXTS)
     recipe = engine.multitask_recipe("ppo", "CartPole")

@@ -131,7 +131,9 @@ def run(
     ] = False,
     report_all: Annotated[
         bool,
-        typer.Option("--report-all", help="Those on all contexts there are.", rich_help_panel=_STOP),
+        typer.Option(
+            "--report-all", help="Those on all contexts there are.", rich_help_panel=_STOP
+        ),
     ] = False,
     stop_on_failure: Annotated[
         bool,
@@ -170,7 +172,7 @@ def run(
         Path | None, typer.Option(help="Folder for TensorBoard.", rich_help_panel=_WORK)
     ] = None,
 ) -> None:
-    """Train policies on the contexts that pay most, and serve all contexts with the best of them.
+    r"""Train policies on the contexts that pay most, and serve all contexts with the best of them.
 
     Interrupt it at any time; the same command goes on where it was.
 

@@ -51,7 +51,7 @@ _CPU_LANES = 25
 _CHECKPOINTS, _EACH = 20, 2
 """Evaluations of a policy for all contexts, and episodes of each on every context."""
 _CHECK_TIMES, _CHECK_SHARE = 50, 20
-_CHECKS, _CHECKED_AT, _STAGE = "checks", "checked_at", "stage"
+_CHECKS, _CHECKED_AT, _REACHED = "checks", "checked_at", "reached"
 """Numbers that are kept with the state of a training."""
 
 Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
@@ -268,7 +268,7 @@ class WorldTrainer:
         if len(contexts) > 1:
             stops = None
             if length is not None:
-                stops = [round(mark * self.whole) for mark in (*(marks or (length,)), length)]
+                stops = [round(mark * self.whole) for mark in (*(marks or (done, length)), length)]
             problem = contexts, world, params
             return self._on_several(problem, seed, start, begun, stops, file, on_progress)
         recipe, whole = self.learner, length is None
@@ -336,8 +336,9 @@ class WorldTrainer:
         recipe = recipe_on_many(self, world, n) if by_steps and not whole else self.learner
         unit = int(recipe.update_length)
         *marks, until = (self.length, self.length) if stops is None else stops
-        ends = [0, *(-(-mark // unit) for mark in (marks if by_steps else marks[-1:]))]
-        last = min(-(-until // unit), ends[-1])  # each end that of a stage, from mark to mark
+        # from mark to mark are the stages; `reached` is where the present one began
+        ends = [-(-mark // unit) for mark in (marks if by_steps else marks[-1:])]
+        last = min(-(-until // unit), ends[-1])
         each = () if by_steps else engine.counted.each_of(self.problem, contexts)
         tell = self._on_block(on_progress) if whole else None
 
@@ -353,7 +354,7 @@ class WorldTrainer:
             if tell is not None:
                 tell(block)
             elif on_progress is not None:
-                on_progress(Progress(played(ends[stage] + block.steps // unit), total))
+                on_progress(Progress(played(reached + block.steps // unit), total))
             if block.steps < block.total:  # the end of a stage is the beginning of the next one
                 file.save(block.training)
 
@@ -361,35 +362,34 @@ class WorldTrainer:
         training = file.load(fresh)  # its `updates` count from the last mark on
         if training is None:
             passed = -(-begun // unit)
-            stage = file.notes[_STAGE] = max(k for k, end in enumerate(ends) if end <= passed)
-            training = _advanced(fresh(), passed - ends[stage])
-        stage = file.notes.setdefault(_STAGE, 0)
+            file.notes[_REACHED] = max((end for end in ends if end <= passed), default=0)
+            training = _advanced(fresh(), passed - file.notes[_REACHED])
+        reached = file.notes.setdefault(_REACHED, 0)
         judging: dict[str, Any] = {"judging": False}
         if whole:
             every = math.ceil(self.length / _CHECKPOINTS)
             judging = {"checkpoint_every": every, "checkpoint_episodes": _EACH, "acting": self._how}
-        while ends[stage] + int(training.updates) < last:
-            length = ends[stage + 1] - ends[stage]
-            if length:
-                training = engine.train_multitask(
-                    world,
-                    recipe,
-                    [seed],
-                    params,
-                    length * unit,
-                    on_block=on_block,
-                    resume=training,
-                    until=(last - ends[stage]) * unit,
-                    **judging,
-                )
+        while reached + int(training.updates) < last:
+            length = min(end for end in ends if end > reached) - reached
+            training = engine.train_multitask(
+                world,
+                recipe,
+                [seed],
+                params,
+                length * unit,
+                on_block=on_block,
+                resume=training,
+                until=(last - reached) * unit,
+                **judging,
+            )
             if int(training.updates) == length:
                 training = _advanced(training, -length)
-                stage = file.notes[_STAGE] = stage + 1
+                reached = file.notes[_REACHED] = reached + length
         file.save(training, done=True)
         best = whole and self.checkpoint == "best"
         weights = training.best if best else training.state.weights
         policy = engine.export_policies(world, weights, recipe.activation)[0]
-        return Trained(policy, played(ends[stage] + int(training.updates)))
+        return Trained(policy, played(reached + int(training.updates)))
 
     def train_many(
         self,
