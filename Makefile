@@ -6,7 +6,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := tools/install
 PROBLEM ?= cartpole-length
-PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal --durations 25
+PYTEST = $(BIN)/python -m pytest --numprocesses logical --dist worksteal --durations 25
 
 .PHONY: run test test-long lint format docs bench release-check pictures films clean
 

@@ -24,6 +24,9 @@ SUMO = {
     "signal-length": {**HERE, "hyperparameters": {"gradient_steps": 2}},
     "eco-inflow": {**HERE, "hyperparameters": {"n_epochs": 1, **SMALL}},
 }
+LONG_RING, LONG_RAMP = (pytest.param(id, marks=pytest.mark.long) for id in ("ring-acc", "ramp-vel"))
+"""One of the two with holds is enough for what takes long."""
+OTHERS = ("ramp-vel", "signal-length", "eco-inflow")
 
 
 class TestTraffic(CMDPContract):
@@ -34,9 +37,14 @@ class TestTraffic(CMDPContract):
         self.smoke = SUMO[request.param]
         return get_cmdp(request.param, engine="sumo")
 
+    @pytest.mark.parametrize("cmdp", [LONG_RING, *OTHERS], indirect=True)
     def test_passes_the_check(self, cmdp):
         holds = cmdp.space.axes[0].name == "hold"  # where a step is up to 40 s of simulation
         check_cmdp(cmdp, steps=2 if holds else 8).raise_if_failed()
+
+    @pytest.mark.parametrize("cmdp", ["ring-acc", LONG_RAMP, *OTHERS[1:]], indirect=True)
+    def test_trains_and_transfers(self, cmdp):
+        super().test_trains_and_transfers(cmdp)
 
 
 @pytest.mark.long

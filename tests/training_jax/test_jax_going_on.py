@@ -31,14 +31,19 @@ SMALL = {
 }
 SMALL_Q = {"gradient_steps": 2, "batch_size": 8, "buffer_size": 64, "hidden": (8,)}
 PPO = engine.PPORecipe(**BY_STEPS)
+KINDS = {
+    "steps": (engine.RECIPES, ("PPO fast", "A2C fast", "DQN fast")),
+    "episodes": (TWIN_RECIPES, ("TRPO paper", "PPO glide", "DQN fast")),
+}
+"""A recipe of each learner: others of it differ in numbers only."""
 RECIPES = {
-    f"{algorithm} {name} by {unit}": replace(recipe, **SMALL.get(type(recipe), SMALL_Q))
-    for unit, kinds in (("steps", engine.RECIPES), ("episodes", TWIN_RECIPES))
-    for algorithm, named in kinds.items()
-    for name, recipe in named.items()
+    f"{name} by {unit}": replace(recipe, **SMALL.get(type(recipe), SMALL_Q))
+    for unit, (kinds, names) in KINDS.items()
+    for name in names
+    for recipe in [kinds[name.split()[0]][name.split()[1]]]
 }
 RECIPES["PPO standardised"] = replace(PPO, standardize=True)
-for method in ("ppo", "paco", "moore"):
+for method in ("paco", "moore"):
     RECIPES[method] = engine.MultiTaskRecipe(method, PPO, 2)
 RECIPES["ppo standardised"] = engine.MultiTaskRecipe("ppo", replace(PPO, standardize=True))
 

@@ -34,14 +34,15 @@ def apart(one, other):
     return max(abs(a - b).max() for a, b in zip(one.weights, other.weights, strict=True))
 
 
-@pytest.mark.parametrize("algorithm", ["PPO", "DQN"])
-@pytest.mark.parametrize("trainer", [CARTPOLE, PENDULUM], ids=["checked", "unchecked"])
-def test_a_training_extended_twice_is_the_whole_one(trainer, algorithm, tmp_path):
-    if algorithm == "DQN":
-        if trainer is PENDULUM:
-            return  # its actions are continuous
-        own = {"n_envs": 2, "buffer_size": 512, "batch_size": 16, "learning_starts": 64}
-        trainer = replace(trainer, algorithm="DQN", hyperparameters=own)
+OFF_POLICY = {"n_envs": 2, "buffer_size": 512, "batch_size": 16, "learning_starts": 64}
+
+
+@pytest.mark.parametrize(
+    "trainer",
+    [replace(CARTPOLE, algorithm="DQN", hyperparameters=OFF_POLICY), PENDULUM],
+    ids=["checked-DQN", "unchecked-PPO"],
+)
+def test_a_training_extended_twice_is_the_whole_one(trainer, tmp_path):
     assert isinstance(trainer, CountingTrainer)
     whole = replace(trainer, checkpoint="final").train([POLE], seed=3).policy
     file = tmp_path / "training.npz"
@@ -186,12 +187,9 @@ HOLD = {"hold": 40.0}
 """Ten decisions in an episode of 400 s."""
 
 
-@pytest.mark.parametrize("algorithm", ["TRPO", "PPO"])
-def test_a_training_of_episodes_extended_twice_is_the_whole_one(algorithm, tmp_path):
-    trainer = RING
-    if algorithm == "PPO":
-        own = {"hidden": (8,), "rows": 16, "minibatches": 4, "n_episodes": 2}
-        trainer = replace(RING, algorithm="PPO", recipe_name="fast", hyperparameters=own)
+def test_a_training_of_episodes_extended_twice_is_the_whole_one(tmp_path):
+    own = {"hidden": (8,), "rows": 16, "minibatches": 4, "n_episodes": 2}
+    trainer = replace(RING, algorithm="PPO", recipe_name="fast", hyperparameters=own)
     assert (trainer.whole, trainer.counts) == (12, "episodes")
     whole = replace(trainer, checkpoint="final").train([HOLD], seed=3).policy
     file, told = tmp_path / "training.npz", []
