@@ -8,9 +8,9 @@ than what is to be seen.
 
     python benchmarks/kills.py --kills 1000 --databases sqlite,postgresql
 
-Two kinds of study are killed, one after the other: one counts trainings of one context; the other
-counts steps, and has one policy for all contexts, copies tuned from it, trainings that go on, and
-policies that are evaluated once more on further contexts.
+Three kinds of study are killed, one after the other. One trains specialists by plain functions. The
+others have one policy for all contexts, copies tuned from it, trainings that go on, and policies
+that are evaluated on further contexts; their budgets are units and environment steps.
 """
 
 from __future__ import annotations
@@ -31,18 +31,16 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from postgres import Server, missing
 
 import mbtl
-from mbtl.actions import Evaluate, Extend, Start, StartOn, Stop, Wait
 from mbtl.errors import Unreachable
-from mbtl.seeds import training_seed
+from mbtl.selectors import Exhausted, Proposal, Traits
 from mbtl.study import Callback
 from mbtl.study.runner import run
-from mbtl.study.steps.callbacks import StepCallback
 from mbtl.trainer import FunctionTrainer, Trained
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 30})
@@ -79,39 +77,45 @@ def load(folder):
 TRAINER = FunctionTrainer(train, evaluate, save, load)
 
 
-LENGTHS = (1_000, 2_000, 4_000)
-"""Marks of a training that counts steps."""
+WHOLE = 4_000
+"""Environment steps of a unit."""
+TRAININGS = 12
+"""Of every kind; each goes on once, to twice its length."""
 
 
 class Stepping:
     """A trainer whose policies follow from context, seed, length and start, and from nothing else.
 
-    A policy is (4,): where it is at home, its seed, how long it trained, what it began with.
+    A policy is (4,): where it is at home, its seed, steps in all, and what it began with.
     """
 
     takes = frozenset({"sets", "start", "length", "state"})
-    whole, counts = LENGTHS[-1], "steps"
+    whole, counts = WHOLE, "steps"
     eval_episodes = 1
     policy_format = "custom"
 
-    def train(self, contexts, seed, *, start=None, length=1.0, state=None, **asked):
+    def train(self, contexts, seed, *, start=None, length=1.0, done=0.0, state=None, **asked):
         """To so many steps; the file says how many are done. On several as on the middle."""
-        home, steps = float(np.mean([c["x"] for c in contexts])), round(length * self.whole)
-        done = json.loads(state.read_text()) if state is not None and state.exists() else 0
-        while done < steps:  # going on costs what is left
-            done += 500
-            time.sleep(0.02 + 0.04 * (seed % 7) / 7)
+        home = float(np.mean([c["x"] for c in contexts]))
+        steps, played = round(length * self.whole), round(done * self.whole)
+        if state is not None and state.exists():
+            played = json.loads(state.read_text())
+        while played < steps:  # going on costs what is left
+            played += 1_000
+            time.sleep(0.005 + 0.01 * (seed % 7) / 7)
             if state is not None:
-                state.with_suffix(".new").write_text(json.dumps(done))
+                state.with_suffix(".new").write_text(json.dumps(played))
                 os.replace(state.with_suffix(".new"), state)
-        begun = 0.0 if start is None else 1.0 + float(start @ [1.0, 1e-3, 1e-6, 0.1])
+        begun = 0.0 if start is None or done else signature(start)
+        if start is not None and done:
+            begun = start[3]
         return Trained(np.array([home, seed % 1000, steps, begun]), steps)
 
     def evaluate_steps(self, policy, contexts, seeds):
         """Returns and steps, without luck."""
         home, seed, steps, begun = policy
         far = np.array([abs(context["x"] - home) for context in contexts])
-        returns = 1.0 - far * (1.0 - steps / 8_000) - 1e-6 * seed + 1e-3 * begun
+        returns = 1.0 - far * (1.0 - steps / 20_000) - 1e-6 * seed + 1e-3 * begun
         time.sleep(0.002)
         return returns[:, None], np.full((len(contexts), 1), 10)
 
@@ -129,48 +133,51 @@ class Stepping:
         return load(folder)
 
 
+def signature(policy):
+    """What a copy that is tuned from a policy remembers of it."""
+    return 1.0 + float(policy @ [1.0, 1e-3, 1e-6, 0.1])
+
+
+@dataclass(frozen=True)
 class Everything:
     """One policy for all, then in turns a copy tuned from it and a fresh one; each goes on once.
 
-    Every policy is evaluated on every second context, and later on the others.
+    The first half is evaluated on every second context at first, and later on the others.
     """
 
-    name, in_parallel, trains_on_all, starts_warm = "everything", True, True, True
+    name: str = "everything"
+    traits: ClassVar[Traits] = Traits(any_training=True)
 
-    def decide(self, problem, trail, rng):
+    def propose(self, problem, history, rng):
         """The first of these that is due."""
-        if trail.unevaluated is not None:
-            return Evaluate(trail.unevaluated, tuple(range(0, problem.n, 2)))
-        for i, policy in enumerate(trail.policies):
-            if np.isnan(trail.rows[i]).any() and policy.training not in trail.busy:
-                return Evaluate(policy, tuple(range(problem.n)))
-        for number, training in enumerate(trail.trainings):
-            if training.length == 0 and number not in trail.busy:
-                return Extend(number, 1 + number % 2)
-        under_way = sum(isinstance(one, Start | StartOn) for one in trail.under_way)
-        begun = under_way + sum(one.length >= 0 for one in trail.trainings)
-        if begun == 0:
-            return StartOn(tuple(range(problem.n)), 0)
-        if begun < STEP_TRAININGS:
-            free = [c for c in range(problem.n) if c not in trail.begun]
-            tuned = begun % 2 and bool(trail.policies)
-            return Start(free[7 * begun % len(free)], 0, trail.policies[0] if tuned else None)
-        return Wait() if trail.under_way else Stop()
-
-
-STEP_TRAININGS = 12
-
-
-class StepWitness(StepCallback):
-    """As `Witness`, of studies that count steps."""
-
-    def __init__(self, file: Path) -> None:
-        self.file = file
-
-    def on_evaluated(self, study, policy):
-        """One line, of what is believed to be in the log."""
-        with self.file.open("a") as out:
-            out.write(f"{policy.training} {policy.length}\n")
+        everyone = tuple(range(problem.n))
+        made = [history.made(i) for i in range(len(history))]
+        away = (*history.under_way, *history.given_up)
+        for i, one in enumerate(made):
+            missing = tuple(np.flatnonzero(np.isnan(history.rows[i])).tolist())
+            busy = any(other.start == i and other.length == 0.0 for other in away)
+            if missing and not busy:
+                where = one.contexts, history.sources[i]
+                return Proposal(where[1], "further", start=i, length=0.0, targets=missing,
+                                sources=where[0])  # fmt: skip
+        left = problem.budget - history.paid
+        for i, one in enumerate(made):
+            longer = any(o.start == i and o.goes_on for o in (*made, *away))
+            if one.length == 1.0 and not longer and left >= 1.0:
+                return Proposal(history.sources[i], "longer", start=i, length=2.0,
+                                sources=one.contexts)  # fmt: skip
+        new = [one for one in (*made, *away) if not one.goes_on and one.length != 0.0]
+        begun = len(new) + len(history.pending)
+        if begun >= TRAININGS or left < 1.0:
+            raise Exhausted("all is trained")
+        some = everyone[::2] if begun < TRAININGS // 2 else None
+        if not begun:
+            return Proposal(problem.n // 2, "all", length=1.0, sources=everyone, targets=some)
+        taken = {one.contexts[0] for one in new if len(one.contexts) == 1}
+        free = [c for c in range(problem.n) if c not in {*taken, *history.pending}]
+        start = 0 if begun % 2 and len(history) else None
+        return Proposal(free[7 * begun % len(free)], "one more", start=start, length=1.0,
+                        targets=some)  # fmt: skip
 
 
 class Witness(Callback):
@@ -198,16 +205,20 @@ class Place:
         """Made or opened, as soon as the database answers."""
         while True:
             try:
-                if self.counts == "steps":
+                if self.counts != "trainings":
+                    units = 2 * TRAININGS
+                    steps = units * (WHOLE + 10 * SPACE.n)
+                    budget = mbtl.Steps(steps, unit=WHOLE, horizon=10)
                     return mbtl.create_study(
-                        SPACE, cost="steps", budget=10**6, bounds=(0.0, 1.0), trainer=Stepping(),
-                        strategy=Everything(), lengths=LENGTHS, horizon=10, episodes=1,
+                        SPACE, budget=budget if self.counts == "steps" else units,
+                        objective=mbtl.Objective(bounds=(0.0, 2.0)), strategy=Everything(),
                         storage=self.url, artifacts=self.folder, name=self.name,
                         load_if_exists=True,
                     )  # fmt: skip
                 return mbtl.create_study(
-                    SPACE, budget=BUDGET, bounds=(0.0, 1.0), selector="random", storage=self.url,
-                    artifacts=self.folder, name=self.name, load_if_exists=True,
+                    SPACE, budget=BUDGET, objective=mbtl.Objective(bounds=(0.0, 1.0)),
+                    strategy="random", storage=self.url, artifacts=self.folder, name=self.name,
+                    load_if_exists=True,
                 )  # fmt: skip
             except Unreachable:
                 time.sleep(0.05)
@@ -216,17 +227,14 @@ class Place:
 def work(place: Place, role: str) -> None:
     """What one process does."""
     study = place.study()
-    if place.counts == "steps":
-        seen = [StepWitness(place.folder / "told")]
-        study.run(callbacks=seen, report=False, lease=LEASE, progress=False)
-        return
-    witness = [Witness(place.folder / "told")]
-    settings = {"callbacks": witness, "report": False, "lease": LEASE}
+    trainer = TRAINER if place.counts == "trainings" else Stepping()
+    settings = {"callbacks": [Witness(place.folder / "told")], "report": False}
     if role == "run":
         with ThreadPoolExecutor(2) as pool:
-            run(study, TRAINER, parallel=2, executor=pool, **settings)
+            workers = mbtl.Workers(2, executor=pool, lease=LEASE)
+            run(study, trainer, workers=workers, **settings)
     else:
-        run(study, TRAINER, **settings)
+        run(study, trainer, workers=mbtl.Workers(lease=LEASE), **settings)
 
 
 def forked(job: Callable[[], Any]) -> int:
@@ -335,31 +343,31 @@ def judge(place: Place, count: Count) -> None:
     """Hold the log against what processes believe, and rows against their trainings."""
     reader, writer = os.pipe()
 
-    def of_steps() -> None:
-        os.write(writer, json.dumps(steps_found(place)).encode())
-
     def looked() -> None:
         study = place.study()
         state, events = study.state, study.log.read()
         told = [event.data for event in events if event.kind == "told"]
         rows = {row.pick: row for row in state.rows}
         believed = [line.split() for line in (place.folder / "told").read_text().splitlines()]
-        answers = {(str(one["pick"]), str(one["source"]), one["token"]) for one in told}
-        wrong = 0
-        for row in state.rows:
-            pick = study.pick(row.pick)
-            policy = np.array([pick.context["x"], pick.seed % 1000])
-            kept = load(study.artifacts.read(row.policy, row.sha256))
-            right = np.array_equal(row.returns, evaluate(policy, SPACE.contexts, 0))
-            wrong += not (right and np.array_equal(kept, policy))
+        answers = {(str(one["pick"]), one["token"]) for one in told}
+        wrong, every = 0, place.counts == "trainings"
+        if every:
+            for row in state.rows:
+                pick = study.pick(row.pick)
+                policy = np.array([pick.context["x"], pick.seed % 1000])
+                kept = load(study.artifacts.read(row.policy, row.sha256))
+                right = np.array_equal(row.returns, evaluate(policy, SPACE.contexts, 0))
+                wrong += not (right and np.array_equal(kept, policy))
+        else:
+            wrong = wrongs(study)
         numbers = collections.Counter(one["pick"] for one in told)
         numbers_believed = collections.Counter(line[0] for line in believed)
         found = {
             "rows": len(rows),
             "late": len(state.late),
             "taken_over": sum(max(len(pick.tokens) - 1, 0) for pick in state.picks),
-            "lost": sum(tuple(line) not in answers for line in believed)
-            + (BUDGET - len(rows) if study.is_finished else 0),
+            "lost": sum((line[0], line[2]) not in answers for line in believed)
+            + (BUDGET - len(rows) if study.is_finished and every else 0),
             "twice": sum(n - 1 for n in numbers.values())
             + sum(n - 1 for n in numbers_believed.values()),
             "wrong": wrong,
@@ -367,7 +375,7 @@ def judge(place: Place, count: Count) -> None:
         }
         os.write(writer, json.dumps(found).encode())
 
-    pid = forked(of_steps if place.counts == "steps" else looked)
+    pid = forked(looked)
     os.close(writer)
     with os.fdopen(reader) as pipe:
         said = pipe.read()
@@ -377,53 +385,37 @@ def judge(place: Place, count: Count) -> None:
         setattr(count, name, getattr(count, name) + number)
 
 
-def steps_found(place: Place) -> dict[str, int]:
-    """The same of a study that counts steps: every policy made again, every row by its policy."""
-    study, trainer = place.study(), Stepping()
-    state, events = study.state, study.events()
-    made: dict[tuple[int, int], Any] = {}
-    wrong = 0
-    for number, course in enumerate(state.trainings):
-        lengths = state.lengths_of(number)
-        for mark, kept in course.marks.items():
-            start = (
-                None if course.start is None else made[course.start.training, course.start.length]
-            )
-            key = SPACE.n if course.on else course.source
-            seed = training_seed(study.spec.seed, study.spec.trial, key, course.repeat)
-            middle = {
-                "x": float(np.mean([SPACE.context(i)["x"] for i in course.on or (course.source,)]))
-            }
-            begun = 0.0 if start is None else 1.0 + float(start @ [1.0, 1e-3, 1e-6, 0.1])
-            policy = np.array([middle["x"], seed % 1000, lengths[mark], begun])
-            made[number, mark] = policy
-            wrong += not np.array_equal(load(study.artifacts.read(kept.place, kept.sha256)), policy)
-            wrong += kept.steps != lengths[mark]
-    rows = 0
-    for policy, row in zip(state.policies, state.returns, strict=True):
-        right = trainer.evaluate(made[policy.training, policy.length], SPACE.contexts, None)[:, 0]
-        wrong += not np.array_equal(row, right)
-        rows += 1
-    told = [e.data for e in events if e.kind == "evaluated"]
-    answered = collections.Counter(
-        (d["training"], d["length"], t) for d in told for t in d["targets"]
-    )
-    file = place.folder / "told"
-    believed = [tuple(map(int, line.split())) for line in file.read_text().splitlines()]
-    known = {(d["training"], d["length"]) for d in told}
-    paid = sum(max(m.steps for m in c.marks.values()) for c in state.trainings)
-    wrong += state.prices.training + state.prices.extension != paid
-    wrong += state.prices.evaluation != 10 * SPACE.n * rows
-    finished = study.is_finished
-    return {
-        "rows": rows,
-        "taken_over": sum(e.kind == "claimed" for e in events),
-        "lost": sum(one not in known for one in believed)
-        + (2 * STEP_TRAININGS - rows if finished else 0),
-        "twice": sum(n - 1 for n in answered.values()),
-        "wrong": wrong,
-        "unfinished": int(not finished),
-    }
+def wrongs(study) -> int:
+    """Every policy made again from what its pick says, every row by its policy, and the bill."""
+    state, trainer, wrong = study.state, Stepping(), 0
+    made: dict[int, Any] = {}
+    for row in state.rows:
+        pick = study.pick(row.pick)
+        home = float(np.mean([context["x"] for context in pick.contexts]))
+        begun = 0.0
+        if row.start is not None:
+            begun = made[row.start][3] if row.goes_on else signature(made[row.start])
+        steps = round(row.length * WHOLE)
+        policy = made[row.event] = np.array([home, pick.seed % 1000, steps, begun])
+        known = np.isfinite(row.returns)
+        right = trainer.evaluate(policy, SPACE.contexts, None)[:, 0]
+        wrong += not np.array_equal(row.returns[known], right[known])
+        wrong += not np.array_equal(load(study.artifacts.read(row.policy, row.sha256)), policy)
+        wrong += row.steps != steps
+        wrong += bool(row.goes_on) != (row.length == 2.0)
+    kinds = collections.Counter(
+        "further" if not pick.length else "longer" if pick.done
+        else "tuned" if pick.start is not None else "all" if len(pick.sources) > 1 else "alone"
+        for pick in state.picks
+    )  # fmt: skip
+    wrong += not {"further", "longer", "tuned", "all", "alone"} <= set(kinds)
+    if study.spec.steps is not None:
+        bill = state.bill()
+        entries = sum(int(np.isfinite(row.returns).sum()) for row in state.rows)
+        wrong += bill.training + bill.extension != sum(pick.price for pick in state.picks) * WHOLE
+        wrong += bill.evaluation != 10 * entries
+        wrong += bill.total > study.spec.steps
+    return wrong
 
 
 @contextlib.contextmanager
@@ -452,7 +444,7 @@ def campaign(kind: str, counts: str, kills: int, seed: int) -> Count:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=1000, help="for each database and kind")
-    parser.add_argument("--studies", default="trainings,steps", help="what they count")
+    parser.add_argument("--studies", default="trainings,units,steps", help="of these kinds")
     parser.add_argument("--databases", default="sqlite,postgresql")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
@@ -466,7 +458,7 @@ def main() -> None:
         for counts in arguments.studies.split(","):
             count = campaign(kind, counts, arguments.kills, arguments.seed)
             good &= count.is_good
-            print(f"{kind}, studies that count {counts}: {count}", flush=True)
+            print(f"{kind}, studies of {counts}: {count}", flush=True)
     sys.exit(0 if good else 1)
 
 
