@@ -23,7 +23,7 @@ def study_of(n: int, rows: int, picks: int) -> mbtl.Study:
     """So many rows told, on contexts in a random order."""
     world = linear_gap_world(n, level=0.75, slope=0.5 / (n - 1), noise=0.02, n_seeds=1)
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): n})
-    study = mbtl.create_study(space, budget=rows + picks, bounds=(0.0, 1.0))
+    study = mbtl.create_study(space, budget=rows + picks, objective=mbtl.Objective((0.0, 1.0)))
     for source in np.random.default_rng(1).permutation(n)[:rows]:
         study.tell(int(source), world.rows(0, [int(source)])[0])
     return study

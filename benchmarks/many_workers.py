@@ -144,12 +144,14 @@ def _share(space, slots, trainings, seconds, spread, deterministic):
     def evaluate(policy, contexts, seeds):
         return [1.0 - abs(policy - context["x"]) for context in contexts]
 
-    study = mbtl.create_study(space, budget=trainings, bounds=(0.0, 1.0), selector="random")
+    study = mbtl.create_study(
+        space, budget=trainings, objective=mbtl.Objective((0.0, 1.0)), strategy="random"
+    )
     with ThreadPoolExecutor(slots) as pool:
         began = time.perf_counter()
         study.run(
-            train, evaluate, parallel=slots, executor=pool, deterministic=deterministic,
-            progress=False, report=False, rehearse=False,
+            train, evaluate, workers=mbtl.Workers(slots, pool, deterministic),
+            progress=False, report=False, failures=mbtl.Failures(rehearse=False),
         )  # fmt: skip
         return busy[0] / (slots * (time.perf_counter() - began))
 
@@ -169,7 +171,7 @@ def load(contexts: int, rows: int, episodes: int) -> None:
 
         def write():
             study = mbtl.create_study(
-                space, budget=rows, bounds=(0.0, 1.0), selector="random", storage=file
+                space, budget=rows, objective=mbtl.Objective((0.0, 1.0)), strategy="random", storage=file
             )
             rng, start = np.random.default_rng(0), time.process_time()
             told = min(rows, TOLD)

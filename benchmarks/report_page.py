@@ -42,7 +42,9 @@ document.documentElement.dataset.ready = performance.now());</script>"""
 def study(picks: int = 15) -> mbtl.Study:
     """The paper's rule on the rows of a shipped matrix of 100 contexts."""
     matrix = mbtl.load_matrix(STUDY)
-    made = mbtl.create_study(matrix.space, budget=picks, selector="mbtl", bounds=matrix.bounds)
+    made = mbtl.create_study(
+        matrix.space, budget=picks, strategy="mbtl", objective=mbtl.Objective(matrix.bounds)
+    )
     for _ in range(picks):
         pick = made.ask()
         made.tell(pick, matrix.returns[0, pick.source])

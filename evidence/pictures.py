@@ -31,7 +31,7 @@ def replayed(budget: int, name: str = NAME) -> mbtl.Study:
     """The study that the paper's rule makes when trainings are rows of the matrix."""
     matrix = mbtl.load_matrix(name)
     study = mbtl.create_study(
-        matrix.space, budget=budget, selector="mbtl", bounds=matrix.bounds, problem=name
+        matrix.space, budget=budget, strategy="mbtl", objective=mbtl.Objective(matrix.bounds)
     )
     for _ in range(budget):
         pick = study.ask()

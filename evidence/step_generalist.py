@@ -27,7 +27,7 @@ from mbtl.benchmark.steps import ONE_PER_STEP, OnAll, StepRun, StepWorld
 
 FILE = Path(__file__).parents[1] / "docs/data/one-policy.json"
 ROWS = Path(__file__).parents[1] / "docs/data/one-policy-rows.npz"
-"""Of `step_wide.py`."""
+"""Policies for all contexts, recorded when a live strategy trained them."""
 LEAST = 0.001
 """Of V: less is no lead."""
 SHIPPED = {"ppo": 1.0, "ppo-x10": 10.0, "trpo": 1.0, "trpo-x10": 10.0}

@@ -96,7 +96,7 @@ def conclusion(sets: Sets, plays: Plays) -> list[str]:
         f"paper's protocol. A rival wins in places: one policy for all contexts, shown the context "
         f"in CartPole and Pendulum, is ahead at equal steps within {EARLY:g} units (of a whole "
         f"training and its evaluation) on {_names(first)}, and within {BUDGET:.0f} on "
-        f"{_names(last)}. `--strategy committee` tries both, and says where one is enough "
+        f"{_names(last)}. The committee tries both, and says where one is enough "
         "([how often it is right](#the-committee-finds-out-by-itself-whether-one-policy-is-enough))"
         ".**",
         "",

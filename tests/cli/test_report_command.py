@@ -7,6 +7,7 @@ import pytest
 import mbtl
 from flat import created
 from mbtl.benchmark import TransferMatrix
+from mbtl.trainer import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0, unit="m"): 12})
 
@@ -108,7 +109,7 @@ def test_a_study_paid_in_steps_says_what_was_spent_on_what(mbtl_command, tmp_pat
         SPACE, budget=mbtl.Steps(1000, unit=100, horizon=5), strategy="all-first",
         objective=mbtl.Objective(bounds=(0.0, 1.0)), storage=tmp_path / "s.db",
     )  # fmt: skip
-    study.equip(mbtl.FunctionTrainer(lambda contexts, seed, *, start=None, length=None: 0, max))
+    study.equip(FunctionTrainer(lambda contexts, seed, *, start=None, length=None: 0, max))
     everyone = study.ask()
     study.tell(everyone, np.full(12, 0.5), steps=90, checks=30, evaluation_steps=55)
     study.tell(study.ask(), np.full(12, 0.6), steps=100, evaluation_steps=45)
