@@ -37,6 +37,21 @@ def train(context, seed):
     return candidates[int(np.argmax(scores))]
 
 
+def train_any(contexts, seed, *, start=None, length=None):
+    """On several contexts as on their mean; from a policy near it, as much longer as is said."""
+    rng = np.random.default_rng(seed)
+    starts = rng.uniform(-1, 1, (8, 2))
+    count = round(200 * (1.0 if length is None else length))
+    candidates = rng.uniform(0, 4, (count, 2))
+    if start is not None:
+        candidates = np.vstack([start, start + rng.normal(0.0, 0.3, (count, 2))])
+    scores = [
+        np.mean([rollout(gains, context["mass"], starts).mean() for context in contexts])
+        for gains in candidates
+    ]
+    return candidates[int(np.argmax(scores))]
+
+
 def evaluate(policy, contexts, seeds):
     starts = [np.random.default_rng(seed).uniform(-1, 1, (5, 2)) for seed in seeds]
     pairs = zip(contexts, starts, strict=True)
@@ -52,6 +67,7 @@ def load(folder):
 
 
 TRAINER = FunctionTrainer(train, evaluate, save, load)
+ANY_TRAINER = FunctionTrainer(train_any, evaluate, save, load)
 
 
 def play(folder, parallel=1):

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+import quick_problem
 
 import mbtl
 from flat import created, ran
@@ -294,6 +295,22 @@ def test_the_strategies_say_when_nothing_is_left():
     with pytest.raises(StudyFinished, match="the one policy is in training"):
         study.ask()
     assert AllFirst().traits.any_training
+
+
+@pytest.mark.parametrize("strategy", ["all-first", "one-policy"])
+def test_sets_and_what_goes_on_are_trained_in_other_processes(tmp_path, strategy):
+    found = []
+    for parallel in (1, 2):
+        study = mbtl.create_study(
+            quick_problem.SPACE, budget=4, strategy=strategy, storage=tmp_path / f"{parallel}.db"
+        )
+        workers = mbtl.Workers(parallel=parallel)
+        study.run(trainer=quick_problem.ANY_TRAINER, workers=workers, progress=False)
+        rows = sorted(study.state.rows, key=lambda row: (len(row.sources), row.source, row.length))
+        found.append([(row.sources, row.length, row.returns.tolist()) for row in rows])
+        assert study.is_finished
+        assert len(study.portfolio().sets) == (1 if strategy == "all-first" else 3)
+    assert found[0] == found[1]
 
 
 class _Threads:

@@ -112,9 +112,9 @@ def test_a_server_whose_clock_shows_no_date_is_refused_before_anything_is_writte
 
     says(-86400)
     with pytest.raises(StorageError, match=r"the clock of the server says -86400 s after .*set it"):
-        mbtl.create_study(SPACE, **settings)
+        created(SPACE, **settings)
     says(1e9)
-    study = mbtl.create_study(SPACE, **settings)
+    study = created(SPACE, **settings)
     pick = study.ask(lease=60.0)
     assert study.state.created_at == 1e9
     says(-1)

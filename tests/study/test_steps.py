@@ -10,7 +10,7 @@ import pytest
 
 import mbtl
 from flat import created, ran
-from mbtl.errors import InvalidInput
+from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.selectors import Exhausted, Proposal, Traits
 from mbtl.study.create import EPISODES
 from mbtl.trainer import FunctionTrainer, Progress, Trained, Trainer
@@ -31,6 +31,7 @@ class Walker(Trainer):
     made: dict = field(default_factory=lambda: dict.fromkeys(("train", "check", "play"), 0))
     begun: list = field(default_factory=list)
     breaks: object = None
+    looks: object = None
     lock: object = field(default_factory=threading.Lock)
 
     takes = frozenset({"sets", "start", "length", "state"})
@@ -69,6 +70,8 @@ class Walker(Trainer):
         return Trained(policy, until * UNIT // 10, known * CHECK)
 
     def evaluate_steps(self, policy, contexts, seeds):
+        if self.looks is not None:
+            self.looks()
         returns = [1.0 - 0.1 * abs(c["x"] - policy["home"]) / policy["wide"] for c in contexts]
         self.note("play", 2 * EPISODE * len(contexts))
         return np.tile(np.array(returns)[:, None], 2), np.full((len(contexts), 2), EPISODE)
@@ -320,6 +323,31 @@ def test_an_interrupted_extension_is_begun_again_from_the_state_before_it(tmp_pa
     assert trainer.begun == ["scratch", "state"]
     whole = trainer.train(SPACE.contexts, again.pick(0).seed, length=2.0).policy["weight"]
     assert weights_of(again, trainer, 2.0) == whole
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_a_policy_that_was_not_evaluated_keeps_its_bill_and_its_state(tmp_path, error):
+    trainer = Walker()
+    run(created(SPACE, budget=1, strategy="one-policy", storage=tmp_path / "s.db"), trainer)
+
+    def fails():
+        raise error("no display")
+
+    study = mbtl.load_study(tmp_path / "s.db")
+    study.extend(2)
+    with pytest.raises((KeyboardInterrupt, TrainingFailed)):
+        run(study, Walker(looks=fails), stop_after_failures=1)
+    assert len(study.refresh().deferred) == (error is RuntimeError)
+    again = mbtl.load_study(tmp_path / "s.db")
+    run(again, trainer)
+    row = again.state.rows[1]
+    assert (row.length, row.steps, row.checks) == (2.0, 2 * UNIT, 20 * CHECK)
+    assert not again.state.deferred
+    again.extend(4)
+    run(again, trainer)
+    assert trainer.begun == ["scratch", "state"]  # and not trained again meanwhile
+    whole = trainer.train(SPACE.contexts, again.pick(0).seed, length=4.0).policy["weight"]
+    assert weights_of(again, trainer, 4.0) == whole
 
 
 # ---- costs --------------------------------------------------------------------------------------
