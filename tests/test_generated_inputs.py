@@ -250,6 +250,8 @@ def test_settings_of_a_study(data):
     wishes |= {name: data.draw(LIKELY.get(name, ANY) | ANY) for name in chosen}
     if callable(wishes.get("costs")):
         wishes.pop("costs", None)  # a user's own function may raise what it likes
+    if "costs" in wishes:
+        wishes.setdefault("cost_budget", 9.0)
     with ours():
         study = created(SPACE, **wishes)
         study.tell(study.ask(), np.linspace(0.0, 1.0, 5), targets=None)

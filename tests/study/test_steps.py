@@ -175,6 +175,17 @@ def test_the_last_steps_are_for_a_few_targets(parallel):
     assert study.state.bill().total <= study.spec.steps
 
 
+@pytest.mark.parametrize("strategy", ["all-first", "one-policy", "random"])
+def test_whatever_is_left_at_the_end_a_study_ends(strategy):
+    for total in range(1_150, 4_500, 67):
+        study, trainer = in_steps(total, strategy), Walker()
+        run(study, trainer)
+        assert study.is_finished, total
+        assert study.state.bill().total == sum(trainer.made.values())
+        unknown = 10 * CHECK + UNIT // 10  # checks of the first one, and a length rounded up
+        assert study.state.bill().total <= total + unknown
+
+
 def test_a_budget_in_steps_is_raised_in_steps_and_only_raised():
     study = in_steps(5_000, "random")
     for wrong in (mbtl.Steps(5_000), 9, mbtl.Steps(10)):

@@ -12,6 +12,9 @@ from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem
 from mbtl.selectors.contract import Traits
 from mbtl.strategies.all_first import on_all
 
+_LEAST = 1e-3
+"""Units that are worth going on for."""
+
 
 @dataclass(frozen=True)
 class OnePolicy:
@@ -43,6 +46,8 @@ class OnePolicy:
         made, left = history.made(last), problem.budget - history.paid
         if not {"start", "length"} <= abilities:
             raise Exhausted("this trainer cannot go on with a policy")
+        if left < _LEAST:
+            raise Exhausted("of the budget there is nothing left to go on with")
         length = min(2.0 * made.length, made.length + left)
         reason = "twice as long" if length == 2.0 * made.length else "as long as the budget goes"
         source = history.sources[last]
