@@ -11,8 +11,8 @@ pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
 import mbtl
 from flat import created, ran
-from mbtl.selectors import Exhausted, Proposal, Traits
 from mbtl.cmdps import get_cmdp
+from mbtl.selectors import Exhausted, Proposal, Traits
 
 SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
 PROBLEM = get_cmdp("pendulum-length", engine="jax", visibility="hidden")
