@@ -8,9 +8,9 @@ than what is to be seen.
 
     python benchmarks/kills.py --kills 1000 --databases sqlite,postgresql
 
-Two kinds of study are killed, one after the other: one counts trainings of one context; the other
-counts steps, and has one policy for all contexts, copies tuned from it, trainings that go on, and
-policies that are evaluated once more on further contexts.
+Three kinds of study are killed, one after the other: one counts trainings of one context; the
+others count units and steps, and have one policy for all contexts, copies tuned from it, trainings
+that go on, and policies that are evaluated once more on further contexts.
 """
 
 from __future__ import annotations
@@ -176,8 +176,10 @@ class Place:
     def study(self):
         """Made or opened, as soon as the database answers."""
         budget, strategy = BUDGET, "random"
+        if self.counts != "trainings":
+            budget, strategy = 1_000, Everything()  # ends when all that it wants is done
         if self.counts == "steps":
-            budget, strategy = mbtl.Steps(10**6, unit=UNIT, horizon=EPISODE), Everything()
+            budget = mbtl.Steps(10**6, unit=UNIT, horizon=EPISODE)
         while True:
             try:
                 return mbtl.create_study(
@@ -191,7 +193,7 @@ class Place:
     @property
     def answers(self) -> int:
         """Of the whole study."""
-        return BUDGET if self.counts != "steps" else 4 * BEGUN
+        return BUDGET if self.counts == "trainings" else 4 * BEGUN
 
 
 def work(place: Place, role: str) -> None:
@@ -393,7 +395,7 @@ def campaign(kind: str, counts: str, kills: int, seed: int) -> Count:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=1000, help="for each database and kind")
-    parser.add_argument("--studies", default="trainings,steps", help="what they count")
+    parser.add_argument("--studies", default="trainings,units,steps", help="what they count")
     parser.add_argument("--databases", default="sqlite,postgresql")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()

@@ -171,7 +171,11 @@ def load(contexts: int, rows: int, episodes: int) -> None:
 
         def write():
             study = mbtl.create_study(
-                space, budget=rows, objective=mbtl.Objective((0.0, 1.0)), strategy="random", storage=file
+                space,
+                budget=rows,
+                objective=mbtl.Objective((0.0, 1.0)),
+                strategy="random",
+                storage=file,
             )
             rng, start = np.random.default_rng(0), time.process_time()
             told = min(rows, TOLD)

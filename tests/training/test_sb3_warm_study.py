@@ -1,50 +1,70 @@
-"""Studies with warm starts in Stable-Baselines3: what is interrupted ends as what is not."""
+"""Studies with tuned copies in Stable-Baselines3: what is interrupted ends as what is not."""
+
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
-import pytest
-from mbtl.study.steps.callbacks import StepCallback
 from training_envs import cartpole
-from warm_strategy import Warm
 
 import mbtl
-from flat import created
-from mbtl.actions import Policy
-from mbtl.seeds import training_seed
+from flat import created, ran
+from mbtl.selectors import Exhausted, Proposal, Traits
 from mbtl.training import SB3Trainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("length", 0.3, 1.0): 5})
 PPO = {"n_steps": 64, "batch_size": 32, "n_epochs": 2, "learning_rate": lambda left: 1e-3 * left}
 
 
-WARM = Warm()
+@dataclass(frozen=True)
+class Warm:
+    """A specialist, a copy of it tuned elsewhere, and that one for longer."""
+
+    name: str = "warm"
+    traits: ClassVar[Traits] = Traits(any_training=True)
+
+    def propose(self, problem, history, rng):
+        script = (
+            Proposal(2, "first", length=1.0),
+            Proposal(0, "tuned", start=0, length=0.5),
+            Proposal(0, "longer", start=1, length=1.0),
+        )
+        if len(history) == len(script):
+            raise Exhausted("all is trained")
+        return script[len(history)]
 
 
-def opened(folder=None, strategy=WARM):
+class Stops(mbtl.Callback):
+    """Before the tuned copy is trained, and within it where the trainer tells of it."""
+
+    def __init__(self):
+        self.left = 2
+
+    def on_pick(self, study, pick):
+        if pick.number == 1 and self.left == 2:
+            self.left = 1
+            raise KeyboardInterrupt
+
+    def on_progress(self, study, pick, progress):
+        if pick.number == 1 and self.left == 1:
+            self.left = 0
+            raise KeyboardInterrupt
+
+
+def opened(folder=None):
     trainer = SB3Trainer(cartpole, timesteps=512, hyperparameters=PPO, eval_episodes=1)
     return created(
-        SPACE, cost="steps", budget=2_600, trainer=trainer, lengths=(128, 256, 512), episodes=1,
-        horizon=200, bounds=(0.0, 200.0), strategy=strategy, seed=4,
+        SPACE, budget=8, trainer=trainer, bounds=(0.0, 200.0), strategy=Warm(), seed=4,
         load_if_exists=True, storage=None if folder is None else folder / "study.db",
     )  # fmt: skip
 
 
-class Interrupt(KeyboardInterrupt):
-    pass
-
-
-class Stops(StepCallback):
-    """After the first mark of a warm-started training."""
-
-    def on_trained(self, study, training):
-        if training == 1 and len(study.state.trainings[1].marks) == 1:
-            raise Interrupt
-
-
-def model_of(study, training, mark):
-    place = study.state.trainings[training].marks[mark].place
-    if place is None:
-        return study.policies[training, mark]
-    return study.trainer.load(study.artifacts.read(place))
+def policies(study):
+    return [
+        study.policies[i] if row.policy is None else study.trainer.load(
+            study.artifacts.read(row.policy, row.sha256)
+        )
+        for i, row in enumerate(study.state.rows)
+    ]  # fmt: skip
 
 
 def same(one, other):
@@ -52,25 +72,23 @@ def same(one, other):
     return all(bool((a == b).all()) for a, b in pairs)
 
 
-def test_interrupted_a_warm_started_training_is_bit_for_bit_the_undisturbed_one(tmp_path):
-    calm = opened()
-    calm.run(progress=False, report=False)
-    with pytest.raises(Interrupt):
-        opened(tmp_path).run(progress=False, report=False, callbacks=[Stops()])
-    study = opened(tmp_path)
-    assert list(study.state.trainings[1].marks) == [0]
-    study.run(progress=False, report=False)
-    starts = [t.start for t in study.state.trainings]
-    assert starts[:2] == [None, Policy(0, 2)]
-    assert len(starts) == len(calm.state.trainings) > 2
-    for policy in calm.state.policies:
-        one, other = (model_of(s, policy.training, policy.length) for s in (calm, study))
-        assert same(one, other)
-    np.testing.assert_array_equal(calm.state.returns, study.state.returns)
-    second = calm.state.trainings[1]
-    seed = training_seed(4, 0, second.source, 0)
-    context = SPACE.context(second.source)
-    parent = model_of(calm, 0, 2)
-    alone = calm.trainer.train([context], seed, length=0.5, start=parent).policy
-    assert same(alone, model_of(calm, 1, 1))
-    assert not same(calm.trainer.train([context], seed, length=0.5).policy, alone)
+def test_interrupted_a_tuned_copy_is_bit_for_bit_the_undisturbed_one(tmp_path):
+    calm, stops, interrupts = opened(), Stops(), 0
+    ran(calm, report=False)
+    while not (study := opened(tmp_path)).is_finished:
+        try:
+            ran(study, report=False, callbacks=[stops])
+            break
+        except KeyboardInterrupt:
+            interrupts += 1
+    assert interrupts == 2
+    assert [row.goes_on for row in study.state.rows] == [False, False, True]
+    undisturbed, disturbed = policies(calm), policies(study)
+    assert all(same(a, b) for a, b in zip(undisturbed, disturbed, strict=True))
+    for one, other in zip(calm.state.rows, study.state.rows, strict=True):
+        np.testing.assert_array_equal(one.returns, other.returns)
+    tuned, context = study.pick(1), [study.space.context(0)]
+    start = undisturbed[0]
+    alone = calm.trainer.train(context, tuned.seed, length=0.5, start=start).policy
+    assert same(alone, disturbed[1])
+    assert not same(calm.trainer.train(context, tuned.seed, length=0.5).policy, alone)

@@ -1,99 +1,96 @@
-"""Studies with warm starts in the jax engine: what is interrupted ends as what is not."""
+"""Studies with tuned copies in the jax engine: what is interrupted ends as what is not."""
+
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
-from warm_strategy import Warm
-
-from flat import created
 
 pytest.importorskip("jax", reason="the jax extra is not installed")
 pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
-from mbtl.study.steps.callbacks import StepCallback
-
-from mbtl.actions import Policy
+import mbtl
+from flat import created, ran
 from mbtl.cmdps import get_cmdp
-from mbtl.seeds import training_seed
+from mbtl.selectors import Exhausted, Proposal, Traits
 
 SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
 PROBLEM = get_cmdp("pendulum-length", engine="jax", visibility="hidden")
-LENGTHS = (256, 512, 1_024)
 
 
-class Interrupt(KeyboardInterrupt):
-    pass
+@dataclass(frozen=True)
+class Warm:
+    """A specialist, a copy of it tuned elsewhere, and that one for longer."""
+
+    name: str = "warm"
+    traits: ClassVar[Traits] = Traits(any_training=True)
+
+    def propose(self, problem, history, rng):
+        script = (
+            Proposal(2, "first", length=1.0),
+            Proposal(0, "tuned", start=0, length=0.5),
+            Proposal(0, "longer", start=1, length=1.0),
+        )
+        if len(history) == len(script):
+            raise Exhausted("all is trained")
+        return script[len(history)]
 
 
-class Stops(StepCallback):
-    """After the first mark of a warm-started training, and before another one begins."""
+class Stops(mbtl.Callback):
+    """Before the tuned copy is trained, and within it where the trainer tells of it."""
 
     def __init__(self):
         self.left = 2
 
-    def on_training(self, study, training, source, to):
-        if training == 2 and self.left == 1:
-            self.left = 0
-            raise Interrupt
-
-    def on_trained(self, study, training):
-        if training == 1 and self.left == 2:
+    def on_pick(self, study, pick):
+        if pick.number == 1 and self.left == 2:
             self.left = 1
-            raise Interrupt
+            raise KeyboardInterrupt
+
+    def on_progress(self, study, pick, progress):
+        if pick.number == 1 and self.left == 1:
+            self.left = 0
+            raise KeyboardInterrupt
 
 
-WARM = Warm()
-
-
-def opened(folder=None, strategy=WARM):
+def opened(folder=None):
     trainer = PROBLEM.trainer_for("quick", timesteps=1_024, hyperparameters=SMALL)
     return created(
-        PROBLEM, cost="steps", budget=16_000, trainer=trainer, lengths=LENGTHS, episodes=1,
-        strategy=strategy, seed=4, load_if_exists=True,
+        PROBLEM, budget=8, trainer=trainer, strategy=Warm(), seed=4, load_if_exists=True,
         storage=None if folder is None else folder / "study.db",
     )  # fmt: skip
 
 
-def weights(study, policy):
-    trainer = study.trainer
-    place = study.state.trainings[policy.training].marks[policy.length].place
-    if place is None:
-        return study.policies[policy.training, policy.length].weights
-    return trainer.load(study.artifacts.read(place)).weights
+def policies(study):
+    return [
+        study.policies[i] if row.policy is None else study.trainer.load(
+            study.artifacts.read(row.policy, row.sha256)
+        )
+        for i, row in enumerate(study.state.rows)
+    ]  # fmt: skip
 
 
-def same(ones, others):
-    return all(np.array_equal(a, b) for a, b in zip(ones, others, strict=True))
+def same(one, other):
+    return all(np.array_equal(a, b) for a, b in zip(one.weights, other.weights, strict=True))
 
 
-def test_interrupted_a_warm_started_training_is_bit_for_bit_the_undisturbed_one(tmp_path):
-    calm = opened()
-    calm.run(progress=False, report=False)
-    stops, interrupts = Stops(), 0
-    while True:
-        study = opened(tmp_path)
+def test_interrupted_a_tuned_copy_is_bit_for_bit_the_undisturbed_one(tmp_path):
+    calm, stops, interrupts = opened(), Stops(), 0
+    ran(calm, report=False)
+    while not (study := opened(tmp_path)).is_finished:
         try:
-            study.run(progress=False, report=False, callbacks=[stops])
+            ran(study, report=False, callbacks=[stops])
             break
-        except Interrupt:
+        except KeyboardInterrupt:
             interrupts += 1
     assert interrupts == 2
-    starts = [t.start for t in study.state.trainings]
-    assert starts[:2] == [None, Policy(0, 2)]
-    assert starts == [t.start for t in calm.state.trainings]
-    for policy in calm.state.policies:
-        assert same(weights(calm, policy), weights(study, policy))
-    np.testing.assert_array_equal(calm.state.returns, study.state.returns)
-    assert calm.state.spent == study.state.spent
-
-
-def test_it_is_what_the_trainer_makes_of_that_start():
-    study = opened()
-    study.run(progress=False, report=False)
-    second = study.state.trainings[1]
-    parent = study.policies[0, 2]
-    context = study.space.context(second.source)
-    seed = training_seed(4, 0, second.source, 0)
-    expected = study.trainer.train([context], seed, length=0.5, start=parent).policy
-    scratch = study.trainer.train([context], seed, length=0.5).policy
-    assert same(study.policies[1, 1].weights, expected.weights)
-    assert not same(scratch.weights, expected.weights)
+    assert [row.goes_on for row in study.state.rows] == [False, False, True]
+    undisturbed, disturbed = policies(calm), policies(study)
+    assert all(same(a, b) for a, b in zip(undisturbed, disturbed, strict=True))
+    for one, other in zip(calm.state.rows, study.state.rows, strict=True):
+        np.testing.assert_array_equal(one.returns, other.returns)
+    tuned, context = study.pick(1), [study.space.context(0)]
+    start = undisturbed[0]
+    alone = calm.trainer.train(context, tuned.seed, length=0.5, start=start).policy
+    assert same(alone, disturbed[1])
+    assert not same(calm.trainer.train(context, tuned.seed, length=0.5).policy, alone)

@@ -363,11 +363,11 @@ class Study(LeasingStudy):
         Args:
             train: `train(context, seed) -> policy`; or `train(contexts, seed, *, start=None,
                 length=None) -> policy`, which lets a strategy train on several contexts, from a
-                policy, for any length; see `mbtl.FunctionTrainer`.
+                policy, for any length; see `mbtl.trainer.FunctionTrainer`.
             evaluate: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes);
                 one seed per context.
-            trainer: instead of these functions; None: the one that the study was made with. Give
-                `mbtl.FunctionTrainer(train, evaluate, save, load)` to keep policies of functions.
+            trainer: instead of these functions; None: the one that the study was made with. To
+                keep policies of functions: `FunctionTrainer(train, evaluate, save, load)`.
             workers: how many trainings at a time, where, how long; None: one after another, here.
             failures: what to do about trainings that fail; None: see `Failures`.
             callbacks: told what happens.
