@@ -104,7 +104,7 @@ def test_a_tensor_that_gradients_flow_through_is_told_by_its_values():
 @pytest.mark.parametrize("costs", [[1e-200, 1e200], [1.0, 1e-31], [1e31, 1.0], [0.0, 1.0]])
 def test_costs_whose_ratio_is_no_number_are_refused(costs):
     with pytest.raises(InvalidInput, match="costs must be 5 numbers from 1e-30 to 1e\\+30"):
-        created(SPACE, budget=2, costs=[*costs, 1.0, 1.0, 1.0])
+        created(SPACE, budget=2, costs=[*costs, 1.0, 1.0, 1.0], cost_budget=9.0)
 
 
 @pytest.mark.parametrize("fact", ["seconds", "steps", "cost"])
