@@ -9,13 +9,14 @@ from mbtl.benchmark.replay import replay
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.models import transfer_gp
 from mbtl.selectors.base import Proposal, SelectionProblem
-from mbtl.threads import MANY, threads_for
+from mbtl.threads import MANY, _controller, threads_for
 
 
 def most_threads():
-    return max(
-        (pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"), default=1
-    )
+    """Of the libraries of numpy and scipy; a simulator may have brought others meanwhile."""
+    ours = {pool["filepath"] for pool in _controller().info()}
+    pools = [pool for pool in threadpool_info() if pool["filepath"] in ours]
+    return max((pool["num_threads"] for pool in pools if pool["user_api"] == "blas"), default=1)
 
 
 class Asked:
