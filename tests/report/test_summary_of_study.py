@@ -1,3 +1,4 @@
+import io
 from dataclasses import replace
 
 import numpy as np
@@ -6,9 +7,12 @@ import scipy.stats
 
 import mbtl
 from flat import created
-from mbtl.report import reference_curves, summarise_study
+from mbtl.report import of_study, page, reference_curves, summarise_study
+from mbtl.report.content import content
 from mbtl.report.summary import policies_enough
 from mbtl.report.text import lines
+from mbtl.selectors import Proposal, Traits
+from mbtl.study.callbacks import PrintProgress
 from mbtl.study.fresh import plan_of
 
 N = 20
@@ -197,3 +201,53 @@ def test_report_portfolio_and_fresh_episodes_follow_the_same_routes_also_where_p
     assert summarise_study(study).serving == tuple(nearest)
     for k in (1, 2):  # and so for every prefix
         assert study.routing.routes[k - 1].max() < k
+
+
+class Scripted:
+    """Asks for these trainings, one after the other."""
+
+    name, traits = "scripted", Traits(any_training=True)
+
+    def __init__(self, *script):
+        self.script = list(script)
+
+    def propose(self, problem, history, rng):
+        return self.script.pop(0)
+
+
+def test_a_training_is_said_by_its_contexts_what_it_began_with_and_how_long_it_was():
+    everyone = tuple(range(N))
+    script = Scripted(
+        Proposal(9, "all", length=1.0, sources=everyone, targets=(0, 9, 19)),
+        Proposal(9, "longer", start=0, length=2.0, sources=everyone),
+        Proposal(5, "tuned", start=1, length=0.5),
+        Proposal(9, "further", start=0, length=0.0, sources=everyone, targets=(4, 5)),
+        Proposal(7, "some", sources=(6, 7, 8)),
+        Proposal(0, "alone"),
+    )
+    study = created(SPACE, budget=6, bounds=(0.0, 1.0), strategy=script)
+    for level in (0.3, 0.5, 0.6, 0.3, 0.4):
+        pick = study.ask()
+        study.tell(pick, np.full(N if pick.targets is None else len(pick.targets), level))
+    study.fail(study.ask(), "diverged")
+    summary = summarise_study(study)
+    assert [(pick.trained_on(SPACE), pick.status) for pick in summary.picks] == [
+        ("all contexts", "told"),
+        ("all contexts, 1 to 2 units", "told"),
+        ("x = 0.2632 m, tuned from training 2, 0.5 units", "told"),
+        ("3 contexts", "told"),
+        ("all contexts, training 1 evaluated further", "evaluated"),
+        ("x = 0 m", "failed: diverged"),
+    ]
+    assert study.state.units().tolist() == [1.0, 2.0, 2.5, 3.5]
+    assert summary.spent == "4.5 of 6 units"
+    assert "Spent: 4.5 of 6 units." in lines(summary, SPACE)
+    assert (summary.best_single, set(summary.serving)) == (2, {2})
+    subject = of_study(study)
+    shown = content(subject)
+    assert shown["trained"][1] == "all contexts, 1 to 2 units"
+    assert shown["curve"]["units"] == [1.0, 2.0, 2.5, 3.5]
+    assert "<td>x = 0.2632 m, tuned from training 2, 0.5 units</td>" in page([subject])
+    said = io.StringIO()
+    PrintProgress(said).on_told(study, study.pick(1))
+    assert said.getvalue().startswith("pick 2, 4.5 of 6 units: all contexts, 1 to 2 units, V = ")
