@@ -30,7 +30,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.objective import Bounds, worst_share_mean
 from mbtl.portfolio import Portfolio
-from mbtl.study.fresh import drawn, estimated
+from mbtl.study.closing_report import drawn, estimated
 
 N, FEW, SCATTER, SHARED = 40, 10, 0.2, 0.5
 WHAT = ("V, running", "V, fresh", "V, sampled", "a route", "gain", "gain, sampled")

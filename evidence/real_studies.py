@@ -44,7 +44,7 @@ from mbtl.objective import value
 from mbtl.routing import Indices, Routing, last_route
 from mbtl.selectors import Auto, SelectionProblem
 from mbtl.selectors.targets import spread_targets
-from mbtl.study.asking import LEAST_ROWS
+from mbtl.study.ask import LEAST_ROWS
 
 SETS = (
     "cartpole-length,cartpole-length-dqn,pendulum-length-hidden,pendulum-timestep,ring-acc,ring-vel"

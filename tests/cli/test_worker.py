@@ -12,7 +12,7 @@ import pytest
 
 import mbtl
 from mbtl.cli import worker
-from mbtl.study.walltime import WallTime
+from mbtl.study.wall_time import WallTime
 
 PROGRAM = """
 import signal

@@ -13,7 +13,7 @@ from mbtl.report.summary import policies_enough
 from mbtl.report.text import lines
 from mbtl.selectors import Proposal, Traits
 from mbtl.study.callbacks import PrintProgress
-from mbtl.study.fresh import plan_of
+from mbtl.study.closing_report import plan_of
 
 N = 20
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0, unit="m"): N})

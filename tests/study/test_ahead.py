@@ -7,7 +7,7 @@ import mbtl
 from flat import created, ran
 from mbtl.errors import StorageError
 from mbtl.selectors import MBTL
-from mbtl.study import StudyFinished, asking, leasing
+from mbtl.study import StudyFinished, ask, leasing
 from mbtl.study.leases import asker
 from mbtl.trainer import FunctionTrainer
 
@@ -112,7 +112,7 @@ def test_a_pick_ahead_that_does_not_hold_any_more_is_proposed_anew(busy, change)
 def test_who_waits_says_so_and_is_proposed_for(tmp_path, monkeypatch):
     study = created(SPACE, strategy="mbtl", **settings_of(tmp_path))
     waiting = mbtl.load_study(tmp_path / "study.db")
-    claim = asking.claim(study.state, study.watch(), 60.0, study.worker)
+    claim = ask.claim(study.state, study.watch(), 60.0, study.worker)
     study._commit(lambda state: claim)
 
     def ended(self):

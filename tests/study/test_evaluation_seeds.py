@@ -7,7 +7,7 @@ import mbtl
 from flat import created
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.seeds import Purpose, evaluation_seeds
-from mbtl.study.fresh import fresh_value
+from mbtl.study.closing_report import fresh_value
 from mbtl.trainer import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 64})

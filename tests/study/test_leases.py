@@ -14,7 +14,7 @@ from mbtl.errors import InvalidInput, StudyError
 from mbtl.selectors import Proposal
 from mbtl.study import Callback, StudyFinished, database
 from mbtl.study.callbacks import PrintProgress
-from mbtl.study.keeper import Keeper
+from mbtl.study.heartbeat import Keeper
 from mbtl.trainer import FunctionTrainer, Progress
 
 N = 12
@@ -103,8 +103,8 @@ def test_a_proposal_that_fails_leaves_the_next_asker_nothing_to_wait_for(place, 
 
 def test_a_proposer_that_died_is_succeeded_when_its_time_is_over(place, clock):
     dead, other = mbtl.load_study(place), mbtl.load_study(place)
-    dead._commit(lambda state: mbtl.study.asking.claim(state, dead.watch(), 9.0, "dead"))
-    assert mbtl.study.asking.claim(other.refresh(), other.watch(), 9.0, "other") is None
+    dead._commit(lambda state: mbtl.study.ask.claim(state, dead.watch(), 9.0, "dead"))
+    assert mbtl.study.ask.claim(other.refresh(), other.watch(), 9.0, "other") is None
     clock.now += 100.0
     assert other.ask().number == 0
     assert not dead._propose("0", None)

@@ -9,7 +9,7 @@ import mbtl
 from flat import created, ran
 from mbtl.errors import InvalidInput, TrainingFailed, UnsavedPolicies
 from mbtl.study import Callback
-from mbtl.study.fresh import ReportPlan, fresh_value, plan_of
+from mbtl.study.closing_report import ReportPlan, fresh_value, plan_of
 from mbtl.trainer import FunctionTrainer, Progress
 
 SPACE = quick_problem.SPACE

@@ -9,7 +9,7 @@ from pathlib import Path
 from mbtl.cli.common import console
 from mbtl.cli.progress import LiveProgress
 from mbtl.errors import InvalidInput
-from mbtl.study import Callback, Study, asking
+from mbtl.study import Callback, Study, ask
 from mbtl.study.database import as_url
 from mbtl.study.places import database_file
 from mbtl.trainer import Progress
@@ -73,7 +73,7 @@ def follow(study: Study, start: str, *, retry_failed: bool = False) -> None:
         news, pause, idle, said = _News(study, live), _LOOK, 0.0, False
         while not study.is_finished:
             pause = _LOOK if news.tell() else min(1.5 * pause, _LONGEST_LOOK)
-            held = asking.others(study.state, study.watch(), study.worker)
+            held = ask.others(study.state, study.watch(), study.worker)
             idle = 0.0 if held or study.state.proposing else idle + pause
             said = said and idle > 0.0
             if idle > _IDLE and not said and study.state.picks:

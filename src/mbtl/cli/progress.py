@@ -14,7 +14,7 @@ from rich.progress import Progress as Bars
 from mbtl.cli.common import LongWork
 from mbtl.study import Callback, Pick, Study
 from mbtl.study.callbacks import estimate, numbered, said, shared_words, waiting_words
-from mbtl.study.fresh import ReportPlan
+from mbtl.study.closing_report import ReportPlan
 from mbtl.trainer import Progress
 
 

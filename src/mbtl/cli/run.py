@@ -35,7 +35,7 @@ from mbtl.study import (
     Stopping,
     Study,
     Workers,
-    asking,
+    ask,
     create_study,
 )
 from mbtl.study.budget import counted
@@ -347,7 +347,7 @@ def _finish(
     summary = summarise_study(study)
     files: dict[str, str] = {}
     notes: list[str] = []
-    if under_way := len(asking.others(study.state, study.watch(), study.worker)):
+    if under_way := len(ask.others(study.state, study.watch(), study.worker)):
         notes.append(
             f"{under_way} other {'process works' if under_way == 1 else 'processes work'} on this "
             "study, so more may come; the same command shows it later"

@@ -26,9 +26,9 @@ from mbtl.cli.progress import LiveProgress
 from mbtl.cmdps import CMDP, resolve_cmdp
 from mbtl.errors import InvalidInput, StudyError, TrainingFailed, Unreachable
 from mbtl.study import Callback, Pick, Study, load_study
-from mbtl.study.patience import PATIENCE, Patience
+from mbtl.study.reconnect import PATIENCE, Patience
 from mbtl.study.runner import LEASE, Failures, Workers, run
-from mbtl.study.walltime import WallTime
+from mbtl.study.wall_time import WallTime
 from mbtl.trainer import Trainer, recipe_of
 
 T = TypeVar("T")
@@ -247,7 +247,7 @@ def _spoken() -> Iterator[None]:
     handler.emit = lambda record: console.print(  # type: ignore[method-assign]
         record.getMessage(), style="yellow", markup=False, highlight=False, soft_wrap=True
     )
-    logger = logging.getLogger("mbtl.study.patience")
+    logger = logging.getLogger("mbtl.study.reconnect")
     logger.addHandler(handler)
     try:
         yield

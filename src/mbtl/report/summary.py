@@ -18,7 +18,7 @@ from mbtl.contexts import Context, ContextSpace
 from mbtl.contexts.words import describe_set
 from mbtl.objective import value, worst_share_mean
 from mbtl.study import Study
-from mbtl.study.fresh import fresh_value
+from mbtl.study.closing_report import fresh_value
 from mbtl.study.records import PickRecord, ToldRow
 
 TENTH = 0.1

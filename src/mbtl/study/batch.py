@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
 from mbtl.study.artifacts import Artifact, spools_of
 from mbtl.study.callbacks import Callback, few_episodes, where
-from mbtl.study.flights import Flights, brought_back, may_try_again
+from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import (
     NOT_THE_TRAININGS_FAULT,
     Job,
@@ -26,9 +26,9 @@ from mbtl.study.job import (
     perform,
     perform_elsewhere,
 )
-from mbtl.study.keeper import Keeper
-from mbtl.study.limits import too_long
 from mbtl.study.pick import Pick
+from mbtl.study.running_jobs import Flights, brought_back, may_try_again
+from mbtl.study.time_limits import too_long
 from mbtl.trainer import Progress, Trainer
 
 if TYPE_CHECKING:

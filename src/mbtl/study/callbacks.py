@@ -15,7 +15,7 @@ from mbtl.study.places import database_file
 from mbtl.trainer import Progress, Trainer
 
 if TYPE_CHECKING:
-    from mbtl.study.fresh import ReportPlan
+    from mbtl.study.closing_report import ReportPlan
     from mbtl.study.pick import Pick
     from mbtl.study.study import Study
 

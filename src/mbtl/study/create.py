@@ -15,15 +15,15 @@ from mbtl.selectors import Selector
 from mbtl.selectors.contract import traits_of
 from mbtl.settings import described, first_difference
 from mbtl.strategies import get_strategy, strategy_names
+from mbtl.study.arguments import check_axes, check_stopping, costs_of, pair_of, target_count
 from mbtl.study.budget import Cost, Steps
 from mbtl.study.checks import check_spec
 from mbtl.study.database import exists_already, shown
-from mbtl.study.described import FROM, describe_selector, without_origin
 from mbtl.study.events import Event
-from mbtl.study.given import check_axes, check_stopping, costs_of, pair_of, target_count
 from mbtl.study.listing import chosen_name, database_at
 from mbtl.study.places import fixed_url, policy_store
 from mbtl.study.problem import Problem, ProblemFacts, check_problem, facts_of
+from mbtl.study.serialisation import FROM, describe_selector, without_origin
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState, replay
 from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog

@@ -25,7 +25,7 @@ from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingPruned
 from mbtl.faults import FAULTS, REASON, TookTooLong, harmless, reason_of, traceback_of
 from mbtl.study.artifacts import RECEIPT, Artifact, ArtifactStore, FolderStore
-from mbtl.study.limits import at_most
+from mbtl.study.time_limits import at_most
 from mbtl.trainer import (
     CountingTrainer,
     FunctionTrainer,

@@ -8,7 +8,8 @@ from pathlib import Path
 from mbtl.errors import StudyError, unknown_name
 from mbtl.files import from_home
 from mbtl.study.artifacts import FolderStore
-from mbtl.study.asking import stop_reason
+from mbtl.study.ask import stop_reason
+from mbtl.study.closing_report import value_of
 from mbtl.study.database import (
     WRITES,
     as_url,
@@ -17,10 +18,9 @@ from mbtl.study.database import (
     open_database,
     shown,
 )
-from mbtl.study.fresh import value_of
 from mbtl.study.leases import Watch
+from mbtl.study.liveness import Presence
 from mbtl.study.places import database_file, fixed_url, policy_store
-from mbtl.study.presence import Presence
 from mbtl.study.state import StudyState, replay
 from mbtl.study.storage import SqlLog, study_names
 

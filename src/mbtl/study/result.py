@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from mbtl.arrays import Array
-from mbtl.study.fresh import FreshValue
+from mbtl.study.closing_report import FreshValue
+from mbtl.study.lines import Trainings
 from mbtl.study.records import Failure
-from mbtl.study.trainings import Trainings
 
 if TYPE_CHECKING:
     from mbtl.portfolio import Portfolio

@@ -28,17 +28,17 @@ from mbtl.errors import (
 from mbtl.faults import FAULTS, reason_of
 from mbtl.plain import short, whole
 from mbtl.processes import SeparateWorkers, separate_workers
-from mbtl.study import asking
+from mbtl.study import ask
 from mbtl.study.batch import Batches, failure
 from mbtl.study.callbacks import Callback, few_episodes, shared_words
-from mbtl.study.flights import brought_back
-from mbtl.study.fresh import ReportPlan, fresh_value, plan_to_do, report_fresh_returns
+from mbtl.study.closing_report import ReportPlan, fresh_value, plan_to_do, report_fresh_returns
+from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
-from mbtl.study.keeper import Keeper
-from mbtl.study.limits import check_limits, too_long
 from mbtl.study.pick import Pick, StudyFinished
 from mbtl.study.rehearsal import rehearse as rehearsed
 from mbtl.study.result import RunResult
+from mbtl.study.running_jobs import brought_back
+from mbtl.study.time_limits import check_limits, too_long
 from mbtl.trainer import RehearsingTrainer, Trainer
 
 if TYPE_CHECKING:
@@ -288,7 +288,7 @@ def _wait_for_others(
     seq, left, announced = study.refresh().seq, study.orphans, False
     pause = _LOOK
     while seq == study.refresh().seq and study.orphans == left:
-        theirs = asking.others(study.state, study.watch(), study.worker, for_ever=False)
+        theirs = ask.others(study.state, study.watch(), study.worker, for_ever=False)
         if not theirs or study.stopping is not None or not may_begin():
             return False
         if not announced:
@@ -371,7 +371,7 @@ def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:
 
 def _announce_others(study: Study, callbacks: Sequence[Callback]) -> None:
     """A second process joins on purpose or by mistake; people should know which."""
-    others = asking.others(study.refresh(), study.watch(), study.worker)
+    others = ask.others(study.refresh(), study.watch(), study.worker)
     if not others:
         return
     _logger.warning("%s", shared_words(others))

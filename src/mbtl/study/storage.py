@@ -38,8 +38,8 @@ from mbtl.study.database import (
 )
 from mbtl.study.events import KINDS, Event, Kind
 from mbtl.study.leases import Beat
-from mbtl.study.patience import Patience
-from mbtl.study.turns import Turns
+from mbtl.study.reconnect import Patience
+from mbtl.study.write_queue import Turns
 from mbtl.untrusted import read_arrays, read_json
 
 if TYPE_CHECKING:

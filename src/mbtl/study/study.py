@@ -1,29 +1,49 @@
-"""The study: ask for the next source, tell its transfer row, repeat.
+"""The study: ask for the next training, tell its transfer row, repeat.
 
-It decides; it trains nothing.
+It decides; it trains nothing. Its log of events is the study, its state a replay of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+import contextlib
+import random
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial, wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mbtl.errors import InvalidInput, StudyError, StudyMismatch
-from mbtl.plain import finite, whole
+from mbtl.arrays import Array
+from mbtl.contexts import ContextSpace
+from mbtl.errors import InvalidInput, StorageError, StudyError, StudyMismatch
+from mbtl.history import History
+from mbtl.objective import Bounds
+from mbtl.plain import finite, is_finite, short, whole
+from mbtl.routing import Routing
 from mbtl.seeds import Purpose, evaluation_seeds
+from mbtl.selectors import SelectionProblem, Selector
 from mbtl.settings import first_difference
-from mbtl.study import telling
-from mbtl.study.artifacts import Artifact
+from mbtl.study import ask, tell
+from mbtl.study.artifacts import Artifact, ArtifactStore, FolderStore
 from mbtl.study.budget import Steps
-from mbtl.study.described import changed_code, code_mismatch
+from mbtl.study.checks import check_event
+from mbtl.study.closing_report import value_of
 from mbtl.study.events import Event, Kind
-from mbtl.study.leasing import LeasingStudy
-from mbtl.study.pick import Pick
-from mbtl.study.records import ToldRow
+from mbtl.study.job import Kept
+from mbtl.study.leases import Lease, Watch, asker, check_holds, new_worker
+from mbtl.study.lines import Trainings, trainings_of
+from mbtl.study.liveness import Presence
+from mbtl.study.pick import Pick, StudyFinished
+from mbtl.study.places import database_file
+from mbtl.study.records import PickRecord, ToldRow
+from mbtl.study.serialisation import changed_code, code_mismatch
+from mbtl.study.spec import StudySpec
 from mbtl.study.state import ABILITIES, StudyState
+from mbtl.study.storage import Conflict, EventLog, MemoryLog
 from mbtl.trainer import (
     FunctionTrainer,
     Trainer,
@@ -35,17 +55,413 @@ from mbtl.trainer import (
 )
 
 if TYPE_CHECKING:
+    from mbtl.portfolio import Portfolio
     from mbtl.study.callbacks import Callback
     from mbtl.study.result import RunResult
     from mbtl.study.runner import Failures, Workers
 
 
-class Study(LeasingStudy):
-    """One selection run over an event log. Make one with `create_study` or `load_study`."""
+P = ParamSpec("P")
+
+T = TypeVar("T")
+
+
+def _alone(
+    method: Callable[Concatenate[Study, P], T],
+) -> Callable[Concatenate[Study, P], T]:
+    """What reads the state, while no other thread of this process changes it."""
+
+    @wraps(method)
+    def locked(self: Study, /, *args: P.args, **named: P.kwargs) -> T:
+        with self._lock:
+            return method(self, *args, **named)
+
+    return locked
+
+
+_PAUSE, _LONGEST_PAUSE, _LONGEST_COMMIT = 0.01, 1.0, 0.1
+
+"""Seconds between looks while somebody else proposes, or writes: few at first, since most wait for
+a moment, then ever more, since many who look at once only disturb each other."""
+
+_QUEUED = 50
+
+"""Writes that take turns after one that came too late: where nobody disturbs, that costs time."""
+
+_WATCH = 1.0
+
+"""Seconds for which an asker believes what it knows of heartbeats: many wait at the same time."""
+
+
+class Study:
+    """One selection run over an event log. Make one with `create_study` or `load_study`.
+
+    Threads may share one. Sent to another process (pickled), it is opened there anew, as another
+    worker; policies that are in memory only stay here.
+
+    Attributes:
+        name: within its storage.
+        artifacts: keeps the policies; None: they cannot be kept.
+        database: its file; None: it is on a server, or in memory.
+        trainer: trains and reads policies where no other is given.
+        worker: name by which this object holds picks.
+        presence: who surely is gone, where that can be known.
+        policies: number of the row -> policy, for policies of this process that were not saved.
+        untold: number of the pick -> what is trained, not saved, and not evaluated so far.
+        stopping: why the run that goes on is to end (`Study.stop`); None: it is not.
+        selector: the strategy, which proposes trainings.
+        proposes_ahead: propose picks for other workers that wait, too; False: each pick knows all
+            rows that were told before it.
+    """
+
+    def __init__(
+        self,
+        log: EventLog,
+        selector: Selector,
+        *,
+        folder: Path | ArtifactStore | None,
+        name: str = "study",
+        trainer: Trainer | None = None,
+        state: StudyState | None = None,
+    ) -> None:
+        """Use `create_study` or `load_study`; the log must hold a `created` event.
+
+        `state` is what was read of it before.
+        """
+        self.name = name
+        self.artifacts = FolderStore(folder.absolute()) if isinstance(folder, Path) else folder
+        self.trainer = trainer
+        self.policies: dict[int, Any] = {}
+        self.untold: dict[int, Kept] = {}
+        self.stopping: str | None = None
+        self._made: str | None = None  # digest of what this object's policies are made with
+        self.worker = new_worker()
+        self.database = database_file(getattr(log, "url", ""))
+        self.presence = Presence(self.database)
+        self._log = log
+        self._lock = threading.RLock()
+        self._state = StudyState() if state is None else state
+        self.selector = selector
+        self.proposes_ahead = True
+        self._queued = 0
+        self.refresh()
+
+    def __repr__(self) -> str:
+        told, state, spec = len(self._state.rows), self._state, self.spec
+        usual = spec.steps is None and not spec.any_training
+        how = f"{told} of {spec.budget} trainings told" if usual else (
+            f"{told} policies told, {state.spent_words()}"
+        )  # fmt: skip
+        return f"Study({self.name!r}: {how}, {spec.space!r})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if isinstance(self._log, MemoryLog):
+            raise StudyError(
+                f"a study in memory lives in one process, so {self.name!r} cannot be sent to "
+                "another or copied; make it with storage=<path or URL>"
+            )
+        given: dict[str, Any] = {
+            "folder": self.artifacts,
+            "name": self.name,
+            "trainer": self.trainer,
+        }
+        return partial(type(self), **given), (self._log, self.selector)
+
+    # ---- reading ------------------------------------------------------------------------------
+
+    @_alone
+    def refresh(self) -> StudyState:
+        """Apply what other processes appended, and return the state."""
+        for event in self._log.read(self._state.seq):
+            gone = self._state.place_of(event.data.get("told")) if event.kind == "voided" else None
+            self._state.apply(event)
+            if gone is not None:  # policies are kept by the place of their row
+                kept = {i: p for i, p in self.policies.items() if i != gone}
+                self.policies = {i - (i > gone): policy for i, policy in kept.items()}
+        if self._state.spec is None:
+            raise StudyError(f"there is no study {self.name!r} in this storage; create it first")
+        return self._state
+
+    @property
+    def folder(self) -> Path | None:
+        """Policies are saved below it; None where they are elsewhere, or nowhere."""
+        return self.artifacts.root if isinstance(self.artifacts, FolderStore) else None
+
+    @property
+    def log(self) -> EventLog:
+        """Where the events are."""
+        return self._log
+
+    @property
+    def spec(self) -> StudySpec:
+        """What the study was created with."""
+        assert self._state.spec is not None
+        return self._state.spec
+
+    @property
+    def state(self) -> StudyState:
+        """Everything recorded, as of the last `refresh`."""
+        return self._state
+
+    @property
+    def space(self) -> ContextSpace:
+        """The contexts."""
+        return self.spec.space
+
+    @property
+    def problem(self) -> SelectionProblem:
+        """What the strategy may know before any training."""
+        return self._state.problem()
+
+    @property
+    @_alone
+    def history(self) -> History:
+        """The rows told so far, as performance."""
+        return self._state.history()
+
+    @property
+    @_alone
+    def bounds(self) -> Bounds:
+        """Normalisation in force: given, or the range of the returns told so far."""
+        return self._state.bounds()
+
+    @property
+    @_alone
+    def value(self) -> float:
+        """V, performance: on fresh episodes once they were played, else the running estimate.
+
+        -inf before the first row. How sure the running estimate is: `study.routing.value`.
+        """
+        return value_of(self._state)
+
+    @property
+    @_alone
+    def routing(self) -> Routing:
+        """Who serves which context after every training, what that is worth, and how sure.
+
+        Raises:
+            StudyError: no row was told.
+        """
+        return self._state.routing()
+
+    @property
+    @_alone
+    def curve(self) -> Array:
+        """(k,) the running estimate of V after each row, performance."""
+        return self._state.curve()
+
+    @property
+    def is_durable(self) -> bool:
+        """True when the study outlives this process."""
+        return not isinstance(self._log, MemoryLog)
+
+    @property
+    @_alone
+    def stop_reason(self) -> str | None:
+        """Why nothing more can be asked; None while something can."""
+        return ask.stop_reason(self._state)
+
+    @property
+    @_alone
+    def is_finished(self) -> bool:
+        """True when nothing can be asked and nobody works on a pick."""
+        return ask.is_finished(self._state)
+
+    @property
+    @_alone
+    def has_succeeded(self) -> bool:
+        """True when a pick was told; rows that nobody asked for show no training at work."""
+        return any(row.pick is not None for row in self._state.rows)
+
+    @property
+    @_alone
+    def trainings(self) -> Trainings:
+        """What became of each pick, and of rows that nobody asked for, one typed line each."""
+        return trainings_of(self.refresh(), self.watch())
+
+    def to_frame(self) -> Any:
+        """A pandas table of the trainings, a line each.
+
+        Raises:
+            MissingExtra: pandas is not installed.
+        """
+        return self.trainings.to_frame()
+
+    def _repr_html_(self) -> str:
+        return self.trainings.html(repr(self))
+
+    @property
+    @_alone
+    def orphans(self) -> list[int]:
+        """Numbers of open picks that nobody works on: given back, or their lease is stale."""
+        return ask.left_alone(self._state, self.watch())
+
+    @property
+    def leases(self) -> list[Lease]:
+        """Those in force, as of the last `refresh`: of open picks, and of the one to come."""
+        held = [pick.lease for pick in self._state.open_picks.values()]
+        return [lease for lease in (*held, self._state.proposing) if lease is not None]
+
+    def watch(self) -> Watch:
+        """Which leases are stale now."""
+        return Watch(self._log, self.presence.is_gone)
+
+    @_alone
+    def portfolio(self, trainer: Trainer | None = None, *, trust: bool = False) -> Portfolio:
+        """The trained policies with their router.
+
+        Args:
+            trainer: reads the saved policies, all of them: give the one that wrote them. None: the
+                study's own, if they are of a format of its own ("custom").
+            trust: without a trainer, also read files that can execute code; set it if the study
+                is your own, or of somebody you trust.
+
+        Raises:
+            StorageError: a policy's folder is not inside the study's, or is reached by a link, or
+                a policy is not the one that was told.
+        """
+        from mbtl.portfolio import Portfolio
+
+        rows, spec = self.refresh().rows, self.spec
+        folders = [
+            self.artifacts.read(r.policy, r.sha256) if self.artifacts and r.policy else None
+            for r in rows
+        ]
+        made = {"selector": dict(spec.selector), "settings": dict(spec.settings)}
+        policy_format = str((self.state.equipment or {}).get("policy_format", "custom"))
+        if trainer is None and policy_format == "custom":
+            trainer = self.trainer
+        return Portfolio(
+            self.space,
+            tuple(row.source for row in rows),
+            np.array([row.returns for row in rows]).reshape(-1, self.space.n),
+            self.bounds,
+            self.problem.theta,
+            episodes=tuple(row.each for row in rows),
+            risk=spec.risk,
+            policy_folders=folders,
+            policy_format=policy_format,
+            load=trainer.load if trainer is not None else None,
+            in_memory=dict(self.policies),
+            sets={i: row.sources for i, row in enumerate(rows) if len(row.sources) > 1},
+            cmdp=spec.problem or None,
+            metadata={"study": self.name, **made},
+            trust=trust,
+        )
+
+    # ---- asking -------------------------------------------------------------------------------
+
+    @overload
+    def ask(self, n: None = None, *, lease: float | None = None) -> Pick: ...
+
+    @overload
+    def ask(self, n: int, *, lease: float | None = None) -> list[Pick]: ...
+
+    def ask(self, n: int | None = None, *, lease: float | None = None) -> Pick | list[Pick]:
+        """Propose the next training, or the next `n`, and lease them to this worker.
+
+        Each of several is proposed as if those before it had given what is expected of them. A pick
+        that somebody gave back, or whose lease has ended, is handed out again before a new one is
+        proposed.
+
+        Args:
+            n: number of picks, for as many parallel trainings; fewer where fewer are left. None:
+                one pick, not in a list.
+            lease: seconds after which others may take the pick over, unless `heartbeat` is called
+                meanwhile; None: never, until it is told, failed or given back (`release`).
+
+        Raises:
+            StudyFinished: the budget is spent, a stopping rule is met, or no context is left.
+            InvalidInput: n < 1, or a lease that is not > 0.
+        """
+        if lease is not None and not (is_finite(lease) and lease > 0):
+            raise InvalidInput(
+                f"a lease lasts a number of seconds > 0, or None, got {short(lease)}"
+            )
+        if n is None:
+            return self._ask(lease)
+        if whole("the number n of picks", n) < 1:
+            raise InvalidInput(f"ask gives a whole number of picks, 1 or more, got n = {n!r}")
+        picks = [self._ask(lease)]
+        while len(picks) < n:
+            try:
+                picks.append(self._ask(lease))
+            except StudyFinished:
+                break
+        return picks
+
+    def heartbeat(
+        self, pick: Pick, *, steps: float | None = None, value: float | None = None
+    ) -> bool:
+        """Say that a training goes on, and hear whether it should.
+
+        Args:
+            pick: what `ask` gave.
+            steps: environment steps done so far, for people.
+            value: a return on the way, for people.
+
+        Returns:
+            True: go on; the lease begins anew. False: stop, because the pick was given back,
+            answered, or taken over.
+        """
+        held = self.refresh().open_picks.get(pick.number)
+        if held is None or held.lease is None or held.lease.token != pick.token:
+            return False
+        self._log.beat(pick.token, held.lease.seconds or 0.0, steps=steps, value=value)
+        return True
+
+    def pick(self, number: int) -> Pick:
+        """A pick by its 0-based number, as whoever holds it has it: to answer it elsewhere.
+
+        Raises:
+            StudyError: so many were not asked for.
+        """
+        picks, number = self.refresh().picks, whole("the number of a pick", number)
+        if not 0 <= number < len(picks):
+            raise StudyError(f"pick numbers run from 0 to {len(picks) - 1} so far, got {number}")
+        return self._pick(picks[number])
+
+    def open_picks(self) -> list[Pick]:
+        """The picks that wait for an answer, in order; `state.open_picks` says who holds them."""
+        with self._lock:
+            return [self._pick(record) for _, record in sorted(self.refresh().open_picks.items())]
+
+    def release(self, pick: Pick | int) -> None:
+        """Give a pick back untrained; the next `ask` hands it out again.
+
+        Args:
+            pick: what `ask` gave; or the number of any open pick, whoever holds it: its training
+                is told to stop by its next heartbeat.
+
+        Raises:
+            StudyError: it is not open, or somebody took it over.
+        """
+        if not isinstance(pick, Pick):
+            pick = whole("the number of a pick", pick)
+        self._commit(lambda state: Event("released", {"pick": tell.held_number(state, pick)}))
+
+    def release_all(self, worker: str) -> int:
+        """Give back all that a worker holds, if it is known to have ended; how many picks.
+
+        One that has not ended is told to stop by its next heartbeat.
+
+        Raises:
+            StudyError: it holds nothing.
+        """
+        state = self.refresh()
+        check_holds(worker, self.leases)
+        numbers = [n for n, pick in state.open_picks.items() if pick.worker == worker]
+        for number in numbers:
+            self.release(number)
+        if self.state.proposing is not None and self.state.proposing.worker == worker:
+            self._stop_proposing(self.state.proposing.token)
+        return len(numbers)
+
+    # ---- telling ------------------------------------------------------------------------------
 
     def tell(
         self,
-        pick: telling.Told,
+        pick: tell.Told,
         returns: ArrayLike,
         *,
         targets: Sequence[int] | None = None,
@@ -92,13 +508,13 @@ class Study(LeasingStudy):
                 should be. Nothing is recorded.
             StudyError: the pick was answered before, or is another study's.
         """
-        sources = telling.sources_of(self.space, pick)
+        sources = tell.sources_of(self.space, pick)
         price = finite("cost", cost, 0.0)
         if targets is None and isinstance(pick, Pick):
             targets = pick.targets
         elif targets is None:
             with self._lock:
-                targets = telling.asked_targets(self.refresh(), sources)
+                targets = tell.asked_targets(self.refresh(), sources)
         evaluated = checked_targets(targets, self.space.n)
         rows = checked_returns(returns, len(evaluated), self.space.named(evaluated))
         order = np.argsort(evaluated)
@@ -123,10 +539,10 @@ class Study(LeasingStudy):
 
         def told(state: StudyState) -> Event:
             nonlocal place
-            if isinstance(pick, Pick) and telling.is_late(state, pick):
+            if isinstance(pick, Pick) and tell.is_late(state, pick):
                 return Event("late", {**data, "pick": pick.number, "outcome": "told"}, arrays)
             place = len(state.rows)
-            number = telling.answered(state, pick, sources)
+            number = tell.answered(state, pick, sources)
             expected = 0.0 if number is None else state.usual_cost(state.picks[number])
             spent = expected if price is None else price
             made = self._made
@@ -241,7 +657,7 @@ class Study(LeasingStudy):
         """
         if not isinstance(pick, Pick):
             pick = whole("the number of a pick", pick)
-        self._commit(lambda state: telling.reopening(state, pick))
+        self._commit(lambda state: tell.reopening(state, pick))
 
     def equip(self, trainer: Trainer, *, accept_changes: bool = False) -> None:
         """Record what the policies of this study are made with, or check that it is the same.
@@ -320,7 +736,7 @@ class Study(LeasingStudy):
 
         Args:
             served: (N, E) of the policies that serve, raw units; NaN where a context was not
-                played, as `mbtl.study.fresh` draws them.
+                played, as `mbtl.study.closing_report` draws them.
             alone: (N, E) of the best single policy, on the same episodes.
             best_single: its place among the rows.
             rows: how many rows these are the routes of; None: those there are.
@@ -411,7 +827,169 @@ class Study(LeasingStudy):
         """
         self.stopping = reason
 
-    # ---- inside ------------------------------------------------------------------------------
+    # ---- inside -------------------------------------------------------------------------------
+
+    def _ask(self, lease: float | None) -> Pick:
+        turn, retry = _Turn(_LONGEST_PAUSE), _Turn(_LONGEST_COMMIT)
+        watch, watched, heard = self.watch(), time.monotonic(), 0.0
+
+        def wanted(state: StudyState) -> Event | None:
+            return ask.claim(state, watch, lease, self.worker, proposed=self.proposes_ahead)
+
+        while True:
+            if time.monotonic() - watched > _WATCH:
+                watch, watched = self.watch(), time.monotonic()
+            try:
+                with self._lock:
+                    claim = self._attempt(wanted)
+                    following = len(self._state.picks)
+            except Conflict:
+                retry.wait()
+                continue
+            if claim is None:  # somebody proposes just now, and the next one for us, too
+                if self.proposes_ahead and time.monotonic() > heard:
+                    self._log.beat(asker(self.worker), 3.0 * _WATCH)
+                    heard = time.monotonic() + _WATCH
+                turn.wait()
+                continue
+            if claim.kind == "released":
+                continue
+            number = claim.data["pick"]
+            is_next = claim.kind == "claimed" and number == following
+            if is_next and not self._propose(claim.data["token"], lease):
+                continue
+            given = self._pick(self._state.picks[number])
+            if given.token == claim.data["token"]:
+                return given
+
+    def _propose(self, token: str, lease: float | None) -> bool:
+        """Find and record the source of the next pick; False where somebody else has done so.
+
+        Raises:
+            StudyFinished: there is none, or it would not be worth it.
+        """
+        done = False
+        try:
+            while not done:
+                with self._lock:
+                    state = self.refresh()
+                    if state.proposing is None or state.proposing.token != token:
+                        return False
+                    known = len(state.rows), len(state.failures)
+                    moment = ask.Moment.of(state)
+                    ahead = self.proposes_ahead
+                    more = ask.ahead(state, self.watch(), self.worker) if ahead else 0
+                found = ask.propose(moment, self.selector, more)  # others may tell meanwhile
+                holder = {"worker": self.worker, "token": token, "seconds": lease}
+
+                def settled(
+                    now: StudyState, found: Any = found, known: Any = known, holder: Any = holder
+                ) -> Event:
+                    if now.proposing is None or now.proposing.token != token:
+                        raise _Superseded
+                    news = known != (len(now.rows), len(now.failures))
+                    if isinstance(found, str):
+                        if news:  # the prediction did not know of it
+                            raise _Superseded
+                        return Event("stopped", {"reason": found})
+                    if news and not ask.is_open(now, found):
+                        raise _Superseded
+                    return Event("asked", {**found, **holder})
+
+                try:
+                    self._commit(settled)
+                    done = True
+                except _Superseded:
+                    continue
+                if isinstance(found, str):
+                    raise StudyFinished(f"the study is finished: {found}")
+        finally:
+            if not done:
+                self._stop_proposing(token)
+        return True
+
+    def _stop_proposing(self, token: str) -> None:
+        """Let the next asker propose at once, whatever has happened here."""
+
+        def released(state: StudyState) -> Event:
+            if state.proposing is None or state.proposing.token != token:
+                raise _Superseded
+            return Event("released", {"pick": len(state.picks)})
+
+        with contextlib.suppress(StorageError, _Superseded):  # it ends by the clock, too
+            self._commit(released)
+
+    def _pick(self, record: PickRecord) -> Pick:
+        return Pick(
+            record.number,
+            record.source,
+            self.space.context(record.source),
+            self._state.seed_of(record),
+            record.reason,
+            record.targets,
+            record.sources,
+            tuple(self.space.context(source) for source in record.sources),
+            record.start,
+            record.done,
+            None if record.whole else record.length,
+            record.tokens[-1] if record.tokens else "",
+        )
+
+    def _commit(self, decide: Callable[[StudyState], Event]) -> Event:
+        """Append what `decide` makes of the newest state; decide anew if somebody was faster."""
+        turn = _Turn(_LONGEST_COMMIT)
+        while True:
+            try:
+                event = self._attempt(decide)
+            except Conflict:
+                turn.wait()
+                continue
+            assert event is not None
+            return event
+
+    def _attempt(self, decide: Callable[[StudyState], Event | None]) -> Event | None:
+        """Append what `decide` makes of the newest state, which no other thread changes meanwhile.
+
+        Returns:
+            The event; None where there is nothing to append.
+
+        Raises:
+            Conflict: another process was faster.
+        """
+        with self._lock:
+            event = decide(self.refresh())
+            if event is None:
+                return None
+            with self._turn() as queued:
+                if queued and (event := decide(self.refresh())) is None:
+                    return None
+                check_event(event, self._state)
+                before = self._holder(event)
+                self._log.append(event, after=self._state.seq)
+                self.refresh()
+            if before is not None:
+                self.presence.succeed(before, self.leases)
+            return event
+
+    @contextlib.contextmanager
+    def _turn(self) -> Iterator[bool]:
+        """True where others were faster lately, so that this one waits for its turn to write."""
+        queued = self._queued > 0
+        self._queued -= queued
+        try:
+            with self._log.turn() if queued else contextlib.nullcontext():
+                yield queued
+        except Conflict:
+            self._queued = _QUEUED
+            raise
+
+    def _holder(self, event: Event) -> str | None:
+        """Name of the worker whose pick an event gives to somebody else; None: nobody's."""
+        if event.kind not in ("claimed", "released"):
+            return None
+        held = self._state.open_picks.get(event.data["pick"])
+        lease = self._state.proposing if held is None else held.lease
+        return None if lease is None else lease.worker
 
     def _answer(
         self,
@@ -430,8 +1008,23 @@ class Study(LeasingStudy):
             data["token"] = pick.token
 
         def answered(state: StudyState) -> Event:
-            if telling.is_late(state, pick):
+            if tell.is_late(state, pick):
                 return Event("late", {**data, "pick": pick.number, "outcome": kind})
-            return Event(kind, {**data, "pick": telling.open_number(state, pick)})
+            return Event(kind, {**data, "pick": tell.open_number(state, pick)})
 
         return self._commit(answered).kind == kind
+
+
+class _Turn:
+    """Waits for a moment, and for longer each time."""
+
+    def __init__(self, longest: float) -> None:
+        self._pause, self._longest = _PAUSE, longest
+
+    def wait(self) -> None:
+        time.sleep(self._pause * random.random())
+        self._pause = min(2 * self._pause, self._longest)
+
+
+class _Superseded(Exception):
+    """What was to be recorded does not follow from the newest state."""

@@ -19,15 +19,14 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.episodes import scatter_of_sum, student
 from mbtl.seeds import Purpose, derive_seed
-from mbtl.study.limits import at_most
 from mbtl.study.state import StudyState
+from mbtl.study.time_limits import at_most
 from mbtl.trainer import Trainer, checked_returns, completed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mbtl.study.study import Study
-    from mbtl.study.view import StudyView
 
 Indices = NDArray[np.intp]
 
@@ -98,7 +97,7 @@ class ReportPlan:
         return np.asarray(self.contexts[self.route[self.contexts] == policy])
 
 
-def plan_of(study: StudyView, *, whole: bool = False) -> ReportPlan:
+def plan_of(study: Study, *, whole: bool = False) -> ReportPlan:
     """What the closing report of a study evaluates now: who serves, and the best single policy.
 
     Args:
@@ -147,7 +146,7 @@ def report_fresh_returns(
         trainer: reads and evaluates the policies.
         plan: see `plan_of`.
         timeout: seconds for each policy; None: no limit.
-        on_stuck: see `mbtl.study.limits.at_most`.
+        on_stuck: see `mbtl.study.time_limits.at_most`.
     """
     rows, portfolio = len(study.state.rows), study.portfolio(trainer)
     found: dict[int, Array] = {}

@@ -7,7 +7,7 @@ import scipy.stats
 import mbtl
 from flat import created, ran
 from mbtl.seeds import Purpose
-from mbtl.study.fresh import chances, drawn, estimated, plan_of
+from mbtl.study.closing_report import chances, drawn, estimated, plan_of
 
 N, TARGETS, EPISODES = 400, 20, 2
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})

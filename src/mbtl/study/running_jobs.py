@@ -19,8 +19,8 @@ from mbtl.study.job import (
     Trouble,
     perform_elsewhere,
 )
-from mbtl.study.limits import too_long
 from mbtl.study.pick import Pick
+from mbtl.study.time_limits import too_long
 
 _DIED = (
     "a worker process died (a script without `if __name__ == '__main__':`, killed, or out of "

@@ -16,7 +16,7 @@ from flat import created, ran
 from mbtl.errors import TrainingFailed
 from mbtl.faults import TookTooLong
 from mbtl.seeds import training_seed
-from mbtl.study.limits import at_most
+from mbtl.study.time_limits import at_most
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies"),
@@ -96,7 +96,7 @@ def test_what_ends_in_time_hears_nothing_of_its_limit():
 def test_native_code_that_never_returns_is_told_of():
     """A mutex that is locked twice waits for ever, whatever signals come."""
     script = """
-import ctypes, os, mbtl.study.limits as limits
+import ctypes, os, mbtl.study.time_limits as limits
 limits.GRACE = 0.05
 libc, mutex = ctypes.CDLL(None), ctypes.create_string_buffer(64)
 with limits.at_most(0.05, lambda: os._exit(7)):
