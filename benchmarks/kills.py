@@ -43,7 +43,7 @@ from mbtl.seeds import training_seed
 from mbtl.study import Callback
 from mbtl.study.runner import run
 from mbtl.study.steps.callbacks import StepCallback
-from mbtl.trainer import FunctionTrainer, Reached
+from mbtl.trainer import FunctionTrainer, Trained
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 30})
 BUDGET = 20
@@ -89,33 +89,23 @@ class Stepping:
     A policy is (4,): where it is at home, its seed, how long it trained, what it began with.
     """
 
-    whole_steps = LENGTHS[-1]
+    takes = frozenset({"sets", "start", "length", "state"})
+    whole, counts = LENGTHS[-1], "steps"
     eval_episodes = 1
     policy_format = "custom"
 
-    def train(self, context, seed, on_progress=None):
-        """A whole training."""
-        return self.train_steps(context, seed, self.whole_steps).policy
-
-    def train_steps(self, context, seed, steps, *, start=None, saved=None, on_progress=None):
-        """To so many steps; the file says how many are done."""
-        done = json.loads(saved.read_text()) if saved is not None and saved.exists() else 0
+    def train(self, contexts, seed, *, start=None, length=1.0, state=None, **asked):
+        """To so many steps; the file says how many are done. On several as on the middle."""
+        home, steps = float(np.mean([c["x"] for c in contexts])), round(length * self.whole)
+        done = json.loads(state.read_text()) if state is not None and state.exists() else 0
         while done < steps:  # going on costs what is left
             done += 500
             time.sleep(0.02 + 0.04 * (seed % 7) / 7)
-            if saved is not None:
-                saved.with_suffix(".new").write_text(json.dumps(done))
-                os.replace(saved.with_suffix(".new"), saved)
+            if state is not None:
+                state.with_suffix(".new").write_text(json.dumps(done))
+                os.replace(state.with_suffix(".new"), state)
         begun = 0.0 if start is None else 1.0 + float(start @ [1.0, 1e-3, 1e-6, 0.1])
-        return Reached(np.array([context["x"], seed % 1000, steps, begun]), steps)
-
-    def check_on_set(self):
-        """It can."""
-
-    def train_on_steps(self, contexts, seed, steps, *, marks, saved=None, on_progress=None):
-        """As on the middle of the contexts."""
-        middle = float(np.mean([context["x"] for context in contexts]))
-        return self.train_steps({"x": middle}, seed, steps, saved=saved)
+        return Trained(np.array([home, seed % 1000, steps, begun]), steps)
 
     def evaluate_steps(self, policy, contexts, seeds):
         """Returns and steps, without luck."""

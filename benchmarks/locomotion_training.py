@@ -31,7 +31,7 @@ def ours(steps: int, seed: int) -> tuple[Any, Cost]:
 
     trainer = get_cmdp("cheetah-gravity", visibility="hidden").trainer_for(timesteps=steps)
     found: list[Any] = []
-    cost = cost_of(lambda: found.append(trainer.train(CONTEXT, seed)))
+    cost = cost_of(lambda: found.append(trainer.train([CONTEXT], seed).policy))
     return found[0], cost
 
 

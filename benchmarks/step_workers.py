@@ -25,7 +25,7 @@ from many_workers import forked, said
 from postgres import Server, missing
 
 import mbtl
-from mbtl.trainer import Progress, Reached
+from mbtl.trainer import Progress, Trained
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 100})
 WHOLE, UNIT, HORIZON, EPISODES = 64_000, 1_000, 500, 2
@@ -48,17 +48,13 @@ class Sleeps:
     evaluation: int = 0
     slept: dict[str, float] = field(default_factory=lambda: {"training": 0.0, "evaluation": 0.0})
     policy_format = "custom"
-    whole_steps = WHOLE
+    takes, whole, counts = frozenset({"length", "state"}), WHOLE, "steps"
 
-    def train(self, context, seed, on_progress=None):
-        """A whole training."""
-        return self.train_steps(context, seed, WHOLE).policy
-
-    def train_steps(self, context, seed, steps, *, start=None, saved=None, on_progress=None):
+    def train(self, contexts, seed, *, length=1.0, state=None, on_progress=None, **asked):
         """Unit by unit; simulators differ in speed."""
-        done = 0
-        if saved is not None and saved.exists():
-            done = json.loads(saved.read_text())
+        (context,), steps, done = contexts, round(length * WHOLE), 0
+        if state is not None and state.exists():
+            done = json.loads(state.read_text())
         slow = np.random.default_rng(seed).uniform(0.75, 1.25)
         while done < steps:
             done += UNIT
@@ -66,10 +62,10 @@ class Sleeps:
             self._sleep("training", UNIT * slow)
             if on_progress is not None:
                 on_progress(Progress(done, WHOLE))
-        if saved is not None:
-            saved.with_suffix(".new").write_text(json.dumps(done))
-            os.replace(saved.with_suffix(".new"), saved)
-        return Reached(np.array([context["x"], 1.0 - np.exp(-done / 8_000)]), done)
+        if state is not None:
+            state.with_suffix(".new").write_text(json.dumps(done))
+            os.replace(state.with_suffix(".new"), state)
+        return Trained(np.array([context["x"], 1.0 - np.exp(-done / 8_000)]), done)
 
     def evaluate_steps(self, policy, contexts, seeds):
         """Returns, and as long as the policy is good."""

@@ -35,7 +35,7 @@ def in_sumo(id: str, context: dict[str, float], episodes: int) -> tuple[Any, Cos
 
     trainer: Any = get_cmdp(id, engine="sumo").trainer
     trainer = replace(trainer, processes=False, checkpoint="final")
-    replace(trainer, episodes=1).train(context, 0)  # what is loaded only once
+    replace(trainer, episodes=1).train([context], 0)  # what is loaded only once
     real, clock = libsumo.simulationStep, [0.0]
 
     def step(*until: float) -> None:
@@ -43,9 +43,9 @@ def in_sumo(id: str, context: dict[str, float], episodes: int) -> tuple[Any, Cos
         clock[0] = max(clock[0], libsumo.simulation.getTime())  # another episode begins at once
 
     with patch.object(libsumo, "simulationStep", step):
-        replace(trainer, episodes=1).train(context, 1)
+        replace(trainer, episodes=1).train([context], 1)
     trainer = replace(trainer, episodes=episodes)
-    cost = cost_of(lambda: trainer.train(context, 2))
+    cost = cost_of(lambda: trainer.train([context], 2).policy)
     return trainer, cost / episodes, clock[0]
 
 

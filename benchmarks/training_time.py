@@ -49,7 +49,7 @@ def division(id: str, value: float, episodes: int) -> dict[str, Any]:
     trainer = replace(trainer, episodes=episodes, processes=False, checkpoint="final")
     context = dict.fromkeys(cmdp.space.contexts[0], value)
     env, algorithm = type(trainer.make_env(context)), algorithm_class(trainer.algorithm)
-    replace(trainer, episodes=1).train(context, 0)  # what is loaded and compiled only once
+    replace(trainer, episodes=1).train([context], 0)  # what is loaded and compiled only once
 
     watch = Stopwatch()
     places = [
@@ -62,7 +62,7 @@ def division(id: str, value: float, episodes: int) -> dict[str, Any]:
         for owner, name, part in places:
             timer = timed(watch, part, getattr(owner, name))
             stack.enter_context(patch.object(owner, name, timer))
-        whole = cost_of(lambda: trainer.train(context, 0))
+        whole = cost_of(lambda: trainer.train([context], 0).policy)
     parts = {part: watch.parts.get(part, Cost()) for part in ("simulator", "learning")}
     parts["environment"] = watch.parts["environment"] - parts["simulator"]
     rest = whole - parts["simulator"] - parts["environment"] - parts["learning"]

@@ -259,9 +259,9 @@ def standard(asked: Namespace) -> tuple[list[str], Any]:
     policies = trainer.train_many(
         contexts,
         range(len(contexts)),
-        lambda done: note(f"{done.step:,} of {done.total:,} {done.unit}"),
+        on_progress=lambda done: note(f"{done.step:,} of {done.total:,} {done.unit}"),
         keep=(*(f"last@{share}" for share in asked.shares), trainer.checkpoint),
-        partial=asked.partial,
+        state=asked.partial,
     )
     minutes = (time.process_time() - start) / 60.0
     ways = {

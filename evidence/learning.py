@@ -25,7 +25,7 @@ def trainings(name: str, trainer: Any, contexts: Sequence[Any], seeds: int) -> I
         for seed in range(seeds):
             place = ", ".join(f"{axis} {value:g}" for axis, value in context.items())
             note(f"{name}, {place}, seed {seed} ...")
-            policy = trainer.train(context, seed)
+            policy = trainer.train([context], seed).policy
             scores = trainer.evaluate(policy, contexts, range(len(contexts))).mean(axis=1)
             others = (scores.sum() - scores[k]) / (len(scores) - 1)
             yield Trained(policy, context, float(scores[k]), float(others))

@@ -29,7 +29,7 @@ from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.registry import visibility_on_all
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds, training_seed
 from mbtl.study.steps.create import lengths_of
-from mbtl.study.steps.prices import units_on_many, whole_length
+from mbtl.study.steps.prices import whole_length
 from mbtl.study.steps.spec import lengths_on_all
 
 FILE = Path(__file__).parents[1] / "docs/data/one-policy-rows.npz"
@@ -52,11 +52,12 @@ def row(cmdp_id: str, seed: int, number: int, length: int) -> tuple[int, np.ndar
     """Steps, and (H, N) raw returns, of try `number` in a study of this seed."""
     contexts, trainer = trainer_of(cmdp_id)
     begin = training_seed(seed, MATRIX_TRIAL, len(contexts), number)
-    units = units_on_many(length, trainer, _horizon(cmdp_id))
-    reached = trainer.train_on_steps(contexts, begin, units, marks=(units,))
+    by_steps = trainer.counts == "steps"
+    many = length if by_steps else -(-length // _horizon(cmdp_id))
+    reached = trainer.train(contexts, begin, length=many / trainer.whole)
     play = evaluation_seeds(seed, MATRIX_TRIAL, range(len(contexts)))
     played = trainer.evaluate(reached.policy, contexts, play)
-    steps = reached.steps if trainer.episodes is None else units * _horizon(cmdp_id)
+    steps = reached.steps if by_steps else many * _horizon(cmdp_id)
     return steps, np.stack(halves(played)[0])
 
 

@@ -89,7 +89,7 @@ def policies(family: str) -> dict[str, tuple[Policy | None, Policy | None]]:
     cmdp = get_cmdp(cmdp_id, engine="jax", visibility="hidden")
     note(f"{family}: training at {context or 'the nominal context'} ...")
     trainer = cmdp.trainer_for(preset)
-    learnt = trainer.train({**cmdp.nominal, **context}, 0)
+    learnt = trainer.train([{**cmdp.nominal, **context}], 0).policy
     network = jax.tree.map(lambda x: x[0], import_actor([learnt]).network)
     box = trainer.problem([{}])[0].action
 

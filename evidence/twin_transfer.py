@@ -68,7 +68,9 @@ def main() -> None:
         policies = trainer.train_many(lessons, seeds, keep=(kept,))[kept]
     else:
         school = native.trainer_for("quick", **length)
-        policies = [school.train(one, seed) for one, seed in zip(lessons, seeds, strict=True)]
+        policies = [
+            school.train([one], seed).policy for one, seed in zip(lessons, seeds, strict=True)
+        ]
     where = args.policies or args.train_in
     print(f"{len(policies)} policies of {where}: {time.perf_counter() - begin:.0f} s", flush=True)
     if args.train_in == "sumo":

@@ -33,7 +33,6 @@ CORE = [
     "episodes",
     "checkpoints",
     "trainer",
-    "set_trainer",
     "models",
     "routing",
     "acquisition",

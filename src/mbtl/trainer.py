@@ -12,9 +12,11 @@ import inspect
 import json
 import operator
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from tempfile import TemporaryDirectory
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -46,16 +48,105 @@ class Progress:
 OnProgress = Callable[[Progress], None]
 
 
+Ability = Literal["sets", "start", "length", "state", "resume"]
+"""What a trainer may be able to do.
+
+- "sets": train one policy on several contexts.
+- "start": begin with the weights of a policy.
+- "length": train for any length.
+- "state": hand out the state of a training of a given length, and go on from it exactly.
+- "resume": keep that state now and then in a whole training, too, so that another worker can go on.
+"""
+
+_DEEDS: Mapping[Ability, str] = {
+    "sets": "train one policy on several contexts",
+    "start": "begin with the weights of a policy",
+    "length": "train for a length that is chosen",
+    "state": "go on from the state of a training",
+    "resume": "go on with a training that was interrupted",
+}
+
+
+@dataclass(frozen=True)
+class Trained:
+    """Where a training has come to.
+
+    Attributes:
+        policy: with its latest weights; of a whole training those that the recipe says, which may
+            be the best.
+        steps: environment steps of the training so far, its parents' not counted; None: unknown.
+        checks: environment steps of the evaluations that it made of itself so far, where a length
+            was asked for.
+        ended: nothing is left to gain on its own contexts; longer would be the same policy.
+    """
+
+    policy: Any
+    steps: int | None = None
+    checks: int = 0
+    ended: bool = False
+
+
 class Trainer(Protocol):
-    """Trains, evaluates, saves and loads policies of one CMDP."""
+    """Trains, evaluates, saves and loads policies of one CMDP.
+
+    A length is a number of *units*: 1.0 is one whole training, as long as the recipe says. A class
+    that derives from this one can do nothing beyond whole trainings on one context from scratch,
+    unless it says so.
+    """
 
     @property
     def policy_format(self) -> str:
         """How saved policies are read: "sb3", "mlp", or "custom" (needs this trainer's `load`)."""
-        ...
+        return "custom"
 
-    def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
-        """Train one policy on `context`; the same seed gives the same policy."""
+    @property
+    def takes(self) -> frozenset[Ability]:
+        """What it can do; it may say `why_not(ability) -> str`, a clause that ends in the fix."""
+        return frozenset()
+
+    @property
+    def whole(self) -> int | None:
+        """Environment steps, or episodes, of one unit; None: unknown."""
+        return None
+
+    @property
+    def counts(self) -> Literal["steps", "episodes"]:
+        """What `whole` counts."""
+        return "steps"
+
+    def train(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        *,
+        start: Any = None,
+        length: float | None = None,
+        done: float = 0.0,
+        marks: Sequence[float] = (),
+        state: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Trained:
+        """Train one policy; the same seed and arguments give the same policy.
+
+        Args:
+            contexts: to train on; of several each episode may be in another one.
+            seed: of the training.
+            start: a policy of this trainer to begin with (its weights only); None: from scratch.
+            length: units of the training in all when this returns, rounded up to what the algorithm
+                learns from; schedules (learning rate, exploration) follow the whole training. None:
+                a whole training.
+            done: units that this training has had already, where it goes on with its own latest
+                policy as `start`; 0 where the policy is another training's.
+            marks: units at which a training on several contexts may pause, rising, the last of
+                which is the longest it may become; schedules follow them. None given: `length`.
+            state: file or folder of the training's state. Where it is there, the training goes on
+                from it, and `start` and `done` do not matter. With "state" it is there when a
+                training of a given `length` returns; with "resume" it is saved now and then.
+            on_progress: told now and then.
+
+        Raises:
+            InvalidInput: it is asked for what it does not take.
+        """
         ...
 
     def evaluate(self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]) -> Array:
@@ -78,6 +169,34 @@ class Trainer(Protocol):
         ...
 
 
+def refusal(trainer: Trainer, ability: Ability) -> str | None:
+    """Why a trainer cannot do something, as the clause of a message; None: it can."""
+    if ability in trainer.takes:
+        return None
+    why = getattr(trainer, "why_not", "its `takes` does not name {!r}".format)(ability)
+    return f"{type(trainer).__name__} cannot {_DEEDS[ability]}: {why}"
+
+
+def check_asked(
+    trainer: Trainer, contexts: Sequence[Context], start: Any = None, length: float | None = None
+) -> None:
+    """Refuse to train as it is asked for.
+
+    Raises:
+        InvalidInput: there are no contexts, or the trainer does not take this.
+    """
+    if not contexts:
+        raise InvalidInput("a training takes at least one context, got none")
+    asked: dict[Ability, bool] = {
+        "sets": len(contexts) > 1,
+        "start": start is not None,
+        "length": length is not None,
+    }
+    for ability, wanted in asked.items():
+        if wanted and (why := refusal(trainer, ability)):
+            raise InvalidInput(why)
+
+
 @runtime_checkable
 class RehearsingTrainer(Trainer, Protocol):
     """A trainer that can show, before anything is trained, that evaluation works."""
@@ -88,87 +207,13 @@ class RehearsingTrainer(Trainer, Protocol):
 
 
 @runtime_checkable
-class ResumingTrainer(Trainer, Protocol):
-    """A trainer that saves a training now and then, so that another worker can go on with it."""
-
-    @property
-    def resumes(self) -> bool:
-        """True; what tells it from others."""
-        ...
-
-    def train(
-        self,
-        context: Context,
-        seed: int,
-        on_progress: OnProgress | None = None,
-        *,
-        partial: Path | None = None,
-    ) -> Any:
-        """As `Trainer.train`; `partial` is a file to save the training in, and to go on from."""
-        ...
-
-
-@dataclass(frozen=True)
-class Reached:
-    """Where a training has come to.
-
-    Attributes:
-        policy: its latest weights.
-        steps: environment steps of the training so far.
-        checks: environment steps of the evaluations that it made of itself so far.
-        ended: nothing is left to gain on its own context; longer would be the same policy.
-    """
-
-    policy: Any
-    steps: int
-    checks: int = 0
-    ended: bool = False
-
-
-@runtime_checkable
-class SteppingTrainer(Trainer, Protocol):
-    """A trainer whose trainings pause at any number of steps, and go on later from there.
-
-    One that counts episodes has no `whole_steps`, and an attribute `episodes`: those of a whole
-    training. It pauses at a number of those, and says how many steps they were.
-
-    Extending is exact where the trainer says so: a training that was extended is then the same as
-    one of the whole length. So schedules (learning rate, exploration) follow `whole_steps`, never
-    the length that a training happens to have so far.
-    """
-
-    @property
-    def whole_steps(self) -> int | None:
-        """Environment steps of a whole training; None: this one does not count steps."""
-        ...
-
-    def train_steps(
-        self,
-        context: Context,
-        seed: int,
-        steps: int,
-        *,
-        start: Any = None,
-        saved: Path | None = None,
-        on_progress: OnProgress | None = None,
-    ) -> Reached:
-        """Train until `steps` are done in all, rounded up to what the algorithm learns from.
-
-        Args:
-            context: to train on.
-            seed: of the training.
-            steps: in all, 1..`whole_steps`; or episodes, 1..`episodes`, where those are counted.
-            start: a policy of this trainer to begin from; None: from scratch.
-            saved: file of the training's state. Where it is there, the training goes on from it;
-                when this returns it holds the new one. None: the training cannot go on later.
-            on_progress: told now and then.
-        """
-        ...
+class CountingTrainer(Trainer, Protocol):
+    """A trainer that knows how many steps the episodes of an evaluation had."""
 
     def evaluate_steps(
         self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]
     ) -> tuple[Array, Array]:
-        """As `evaluate`, and how many steps each episode had, both (n_targets, n_episodes)."""
+        """As `evaluate`, and the steps of each episode, both (n_targets, n_episodes)."""
         ...
 
 
@@ -185,14 +230,14 @@ class ManyTrainer(Protocol):
         self,
         contexts: Sequence[Context],
         seeds: Sequence[int],
-        on_progress: OnProgress | None = None,
         *,
         keep: Sequence[str] = ...,
-        partial: Path | None = None,
+        state: Path | None = None,
+        on_progress: OnProgress | None = None,
     ) -> dict[str, list[Any]]:
         """One policy per (context, seed), for each name of `keep` (`mbtl.checkpoints`).
 
-        `partial` is a file for the state of an interrupted training, to go on from; the caller
+        `state` is a file for the state of an interrupted training, to go on from; the caller
         removes it once the policies are safe.
         """
         ...
@@ -210,27 +255,6 @@ def even_groups(count: int, most: int) -> list[int]:
 
 
 @runtime_checkable
-class WideTrainer(Trainer, Protocol):
-    """A trainer that can train one policy for all contexts."""
-
-    @property
-    def recipe_on_all(self) -> dict[str, Any]:
-        """What decides that policy and its returns, JSON-able."""
-        ...
-
-    def train_on_all(
-        self,
-        contexts: Sequence[Context],
-        seed: int,
-        on_progress: OnProgress | None = None,
-        *,
-        partial: Path | None = None,
-    ) -> Any:
-        """One policy; `partial` as in `ManyTrainer.train_many`, where the trainer uses it."""
-        ...
-
-
-@runtime_checkable
 class ReferenceTrainer(Protocol):
     """A trainer that knows what its system gives without any policy of ours."""
 
@@ -245,24 +269,36 @@ class ReferenceTrainer(Protocol):
 
 @dataclass(frozen=True)
 class FunctionTrainer:
-    """A trainer from plain functions: `train(context, seed)`, `evaluate(policy, contexts, seeds)`.
+    """A trainer from plain functions, each of which is given what its signature takes.
+
+        train(context, seed) -> policy                                 # specialists, whole
+        train(contexts, seed, *, start=None, length=None) -> policy    # everything
+        evaluate(policy, contexts, seeds) -> returns
+
+    `contexts` is a list of one or more, `start` a copy of a policy to begin with, `length` how much
+    more to train, in units of a whole training (None: a whole one), and `on_progress` is told a
+    `Progress` now and then. Going on begins with the latest policy, so it is as exact as what that
+    holds.
 
     Every context has a seed of its own, the same for every policy: luck that all contexts share
     would not average out in V. Where `evaluate` names its third argument `seed` it is called once
     per context, `evaluate(policy, [context], seed)`; where it takes no seed it is given none.
 
     Attributes:
-        train_fn: context, seed -> policy.
+        train_fn: as above.
         evaluate_fn: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes).
         save_fn: policy, folder -> None; without it policies are kept in memory only.
         load_fn: folder -> policy.
     """
 
-    train_fn: Callable[[Context, int], Any]
+    train_fn: Callable[..., Any]
     evaluate_fn: Callable[..., Any]
     save_fn: Callable[[Any, Path], None] | None = None
     load_fn: Callable[[Path], Any] | None = None
     policy_format: str = "custom"
+
+    whole: ClassVar[int | None] = None
+    counts: ClassVar[Literal["steps", "episodes"]] = "steps"
 
     def __post_init__(self) -> None:
         if (self.save_fn is None) != (self.load_fn is None):
@@ -280,9 +316,56 @@ class FunctionTrainer:
         """Where a user's own code is (`code_of`)."""
         return {"train": self.train_fn, "evaluate": self.evaluate_fn}
 
-    def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
-        """Call `train_fn`; plain functions report no progress."""
-        return self.train_fn(context, seed)
+    @property
+    def takes(self) -> frozenset[Ability]:
+        """By the names of what `train_fn` takes."""
+        named = _parameters(self.train_fn)
+        able: dict[Ability, bool] = {
+            "sets": named[:1] == ["contexts"],
+            "start": "start" in named,
+            "length": "length" in named,
+        }
+        return frozenset(ability for ability, can in able.items() if can)
+
+    def why_not(self, ability: Ability) -> str:
+        """What the function would have to take."""
+        if ability in ("state", "resume"):
+            return "a function goes on from its latest policy; give a trainer with a state"
+        given = f"({', '.join(_parameters(self.train_fn))})"
+        return f"its function is train{given}; give {_ANYTHING}"
+
+    def train(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        *,
+        start: Any = None,
+        length: float | None = None,
+        done: float = 0.0,
+        marks: Sequence[float] = (),
+        state: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Trained:
+        """Call `train_fn` with what it takes, for what is missing of `length`."""
+        check_asked(self, contexts, start, length)
+        if length is not None and start is not None and length <= done:
+            return Trained(start)
+        given = {
+            "start": None if start is None else self._copied(start),
+            "length": None if length is None else length - done,
+            "on_progress": on_progress,
+        }
+        named = {name: given[name] for name in _parameters(self.train_fn) if name in given}
+        on = list(contexts) if "sets" in self.takes else contexts[0]
+        return Trained(self.train_fn(on, seed, **named))
+
+    def _copied(self, policy: Any) -> Any:
+        """What a function may go on training in its place: as it would be read back, if it can."""
+        if self.save_fn is None:
+            return deepcopy(policy)
+        with TemporaryDirectory() as folder:
+            self.save(policy, Path(folder))
+            return self.load(Path(folder))
 
     def evaluate(self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]) -> Array:
         """Call `evaluate_fn` with what it takes.
@@ -324,6 +407,18 @@ class FunctionTrainer:
                 "these policies were kept in memory only; give the problem save and load functions"
             )
         return self.load_fn(folder)
+
+
+_ANYTHING = "train(contexts, seed, *, start=None, length=None)"
+"""The function that can do all that a function can."""
+
+
+def _parameters(function: Callable[..., Any]) -> list[str]:
+    """Names of what a function takes; none of what is written in C."""
+    try:
+        return list(inspect.signature(function).parameters)
+    except (TypeError, ValueError):
+        return []
 
 
 _SEEDS = inspect.Parameter("seeds", inspect.Parameter.POSITIONAL_ONLY)

@@ -42,9 +42,9 @@ class Several:
     def __init__(self):
         self.calls = []
 
-    def train_many(self, contexts, seeds, on_progress=None, *, keep=(), partial=None):
+    def train_many(self, contexts, seeds, *, keep=(), state=None, on_progress=None):
         self.calls.append(len(contexts))
-        partial.write_bytes(b"half of the training")
+        state.write_bytes(b"half of the training")
         shift = {"best": 0.0, "final": -10.0}
         return {
             k: [(c["x"] + shift[k], s) for c, s in zip(contexts, seeds, strict=True)] for k in keep
@@ -63,7 +63,7 @@ class OnTheWay:
     update_length = 10
     played: ClassVar[list[int]] = []
 
-    def train_many(self, contexts, seeds, on_progress=None, *, keep=(), partial=None):
+    def train_many(self, contexts, seeds, *, keep=(), state=None, on_progress=None):
         on_progress(Progress(300 if contexts[0]["x"] > 1 else 800, 800))
         shares = [float(Checkpoint.named(name).share) for name in keep]
         early = 300 / 800 if contexts[0]["x"] > 1 else 1.0

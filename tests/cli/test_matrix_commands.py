@@ -139,6 +139,7 @@ import json
 from dataclasses import dataclass
 import numpy as np
 from mbtl.cmdps import CMDP, Preset
+from mbtl.trainer import Trained
 from own import mine, train
 
 @dataclass(frozen=True)
@@ -151,8 +152,10 @@ class Kept:
     def recipe(self):
         return {"timesteps": self.timesteps, "eval_episodes": self.eval_episodes}
 
-    def train(self, context, seed, on_progress=None):
-        return train(context, seed)
+    takes, whole, counts = frozenset(), None, "steps"
+
+    def train(self, contexts, seed, **asked):
+        return Trained(train(contexts[0], seed))
 
     def evaluate(self, policy, contexts, seeds):
         return np.zeros((len(contexts), self.eval_episodes))
@@ -181,7 +184,7 @@ class Both:
     policy_format = "custom"
     recipe = {"trainer": "both", "checkpoint": "best"}
 
-    def train_many(self, contexts, seeds, on_progress=None, *, keep=(), partial=None):
+    def train_many(self, contexts, seeds, *, keep=(), state=None, on_progress=None):
         return {k: [c["length"] for c in contexts] for k in keep}
 
     def evaluate_many(self, policies, contexts, seeds):

@@ -163,8 +163,8 @@ def test_a_training_that_goes_on_from_its_checkpoint_is_begun_in_any_case(place)
     study.tell(study.ask(), [1.0] * 5, seconds=3600.0)
 
     class Resuming:
-        resumes = True
         policy_format = "custom"
+        takes = frozenset({"resume"})
 
         def train(self):
             raise AssertionError

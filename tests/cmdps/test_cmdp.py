@@ -31,7 +31,7 @@ def test_two_functions_are_a_problem():
     cmdp = own(bounds=(0.0, 2.0), direction="minimize", description="toy")
     assert own(bounds=cmdp.normalisation).direction == "minimize"
     assert own(bounds=cmdp.normalisation).bounds == (0.0, 2.0)
-    policy = cmdp.trainer.train(SPACE.context(1), 3)
+    policy = cmdp.trainer.train([SPACE.context(1)], 3).policy
     np.testing.assert_allclose(
         cmdp.trainer.evaluate(policy, SPACE.contexts, range(SPACE.n)),
         3.25 - np.linspace(0.0, 1.0, 5),

@@ -27,7 +27,7 @@ def trainer(id, engine, **options):
 def taught():
     """What two episodes in SUMO taught, to agents that come and go."""
     school = trainer("ramp-vel", "sumo-jax", **SHORT, hyperparameters={"n_episodes": 2})
-    return school.train(HOLD, seed=0)
+    return school.train([HOLD], seed=0).policy
 
 
 def test_a_policy_and_traffic_without_one_score_as_in_the_environments(taught):
@@ -59,7 +59,7 @@ def test_a_simulator_that_dies_fails_its_training_and_the_next_one_runs():
         pytest.warns(RuntimeWarning, match="a simulation failed"),
         pytest.raises(TrainingFailed, match="finite"),
     ):
-        school.train(HOLD, 0, kill)
+        school.train([HOLD], 0, on_progress=kill)
     assert np.isfinite(school.evaluate(school.untrained(HOLD), [HOLD], [0])).all()
 
 
@@ -75,7 +75,7 @@ def test_more_episodes_than_processes_are_refused():
     many = {"n_episodes": processes.MOST + 1}
     school = trainer("ring-vel", "sumo-jax", **SHORT, hyperparameters=many)
     with pytest.raises(InvalidInput, match=f"at most {processes.MOST} times at once"):
-        school.train(HOLD, 0)
+        school.train([HOLD], 0)
 
 
 def test_environments_that_cannot_be_sent_are_refused():

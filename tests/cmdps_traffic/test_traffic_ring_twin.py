@@ -114,7 +114,7 @@ def test_unguided_traffic_flows_as_in_sumo():
 
 def test_a_policy_of_the_twin_drives_in_sumo():
     twin = get_cmdp("ring-vel", engine="jax")
-    policy = twin.trainer_for("quick", episodes=2).train({"hold": 40.0}, seed=0)
+    policy = twin.trainer_for("quick", episodes=2).train([{"hold": 40.0}], seed=0).policy
     env = twin.make_env({"hold": 40.0})
     observation, _ = env.reset(seed=0)
     rng = np.random.default_rng(0)

@@ -268,7 +268,7 @@ def test_the_trainer_credits_the_team_where_it_is_told_to():
     team = SB3Trainer(make_team, **options, credit="team")
     assert "credit" not in own.recipe  # as it was before there was another
     assert team.recipe["credit"] == "team"
-    weights = [trainer.train({}, seed=0).policy.state_dict() for trainer in (own, team)]
+    weights = [trainer.train([{}], seed=0).policy.policy.state_dict() for trainer in (own, team)]
     assert any((weights[0][name] != weights[1][name]).any() for name in weights[0])
 
 
@@ -282,7 +282,7 @@ def test_the_trainer_credits_the_team_where_it_is_told_to():
 def test_team_rewards_need_a_team_and_an_algorithm_that_can_credit_them(make_env, algorithm, got):
     trainer = SB3Trainer(make_env, timesteps=10, algorithm=algorithm, credit="team")
     with pytest.raises(InvalidInput, match=got):
-        trainer.train({}, seed=0)
+        trainer.train([{}], seed=0)
     with pytest.raises(UnknownName, match="own, team"):
         SB3Trainer(make_env, timesteps=10, credit="others")
 

@@ -15,7 +15,7 @@ import numpy as np
 from warm_strategy import NAMED
 
 import mbtl
-from mbtl.trainer import Progress, Reached
+from mbtl.trainer import Progress, Trained
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 11})
 WHOLE, HORIZON, UNIT = 64_000, 20, 1_000
@@ -37,7 +37,7 @@ class OfNumbers:
 
 @dataclass
 class Slow(OfNumbers):
-    """A stepping trainer that counts all it really does, unit by unit."""
+    """A trainer that can do everything, and counts all it really does, unit by unit."""
 
     eval_episodes: int = 2
     dies_after: int | None = None
@@ -45,17 +45,23 @@ class Slow(OfNumbers):
     level: float = 0.98
     ran: dict = field(default_factory=lambda: {"steps": 0, "checks": 0, "evaluation": 0})
     policy_format = "custom"
-    whole_steps = WHOLE
+    takes = frozenset({"sets", "start", "length", "state"})
+    whole, counts = WHOLE, "steps"
 
-    def train(self, context, seed, on_progress=None):
-        return self.train_steps(context, seed, WHOLE).policy
+    def train(self, contexts, seed, *, length=1.0, done=0.0, marks=(), **given):
+        assert done == 0.0  # its state is kept
+        steps = round(length * self.whole)
+        if len(contexts) == 1:
+            return self.on_one(contexts[0], seed, steps, **given)
+        marks = [round(mark * self.whole) for mark in marks]
+        return self.on_several(contexts, seed, steps, marks, **given)
 
-    def train_steps(self, context, seed, steps, *, start=None, saved=None, on_progress=None):
+    def on_one(self, context, seed, steps, *, start=None, state=None, on_progress=None):
         done, checks, skill = 0, 0, 0.0
         if start is not None:  # what its weights are worth here
             skill = max(float(start[1]) - abs(context["x"] - float(start[0])), 0.0)
-        if saved is not None and saved.exists():
-            done, checks, skill = json.loads(saved.read_text())
+        if state is not None and state.exists():
+            done, checks, skill = json.loads(state.read_text())
         rng = np.random.default_rng(seed)
         speed = rng.uniform(0.5, 1.0)
         while done < steps and skill < 0.99:
@@ -69,25 +75,22 @@ class Slow(OfNumbers):
                 raise RuntimeError("the simulator fell over")
             if on_progress is not None:
                 on_progress(Progress(done, WHOLE))
-        if saved is not None:
-            saved.with_suffix(".new").write_text(json.dumps([done, checks, skill]))
-            os.replace(saved.with_suffix(".new"), saved)
-        return Reached(np.array([context["x"], skill]), done, checks, ended=bool(skill >= 0.99))
+        if state is not None:
+            state.with_suffix(".new").write_text(json.dumps([done, checks, skill]))
+            os.replace(state.with_suffix(".new"), state)
+        return Trained(np.array([context["x"], skill]), done, checks, ended=bool(skill >= 0.99))
 
-    def check_on_set(self):
-        pass
-
-    def train_on_steps(self, contexts, seed, steps, *, marks, saved=None, on_progress=None):
+    def on_several(self, contexts, seed, steps, marks, *, start=None, state=None, on_progress=None):
         """Worth `level` everywhere after 8,000 steps; 0.0 before."""
-        done = json.loads(saved.read_text()) if saved is not None and saved.exists() else 0
+        done = json.loads(state.read_text()) if state is not None and state.exists() else 0
         while done < steps:
             done += UNIT
             self.ran["steps"] += UNIT
             self.work()
-        if saved is not None:
-            saved.with_suffix(".new").write_text(json.dumps(done))
-            os.replace(saved.with_suffix(".new"), saved)
-        return Reached(np.array([np.nan, self.level if done >= 8_000 else 0.0]), done)
+        if state is not None:
+            state.with_suffix(".new").write_text(json.dumps(done))
+            os.replace(state.with_suffix(".new"), state)
+        return Trained(np.array([np.nan, self.level if done >= 8_000 else 0.0]), done)
 
     def work(self):
         if self.dies_after is not None:

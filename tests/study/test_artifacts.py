@@ -17,7 +17,7 @@ import mbtl
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.study.artifacts import FolderStore, RemoteStore, store_at
 from mbtl.testing.artifacts import ArtifactStoreContract
-from mbtl.trainer import FunctionTrainer, recipe_digest
+from mbtl.trainer import FunctionTrainer, Trained, recipe_digest
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
 
@@ -156,9 +156,9 @@ def test_a_saved_policy_of_a_dead_worker_is_evaluated_and_not_trained_again(tmp_
 
 
 class Resuming(FunctionTrainer):
-    """Counts to ten, and notes in `partial` how far it is."""
+    """Counts to ten, and notes in `state` how far it is."""
 
-    resumes = True
+    takes = frozenset({"resume"})
 
     def __init__(self, stop_at=None, **recipe):
         super().__init__(train, evaluate, TRAINER.save_fn, TRAINER.load_fn)
@@ -166,14 +166,14 @@ class Resuming(FunctionTrainer):
         object.__setattr__(self, "recipe", recipe)
         object.__setattr__(self, "began_at", [])
 
-    def train(self, context, seed, on_progress=None, *, partial=None):
-        begin = int(partial.read_text()) if partial.is_file() else 0
+    def train(self, contexts, seed, *, state=None, **asked):
+        begin = int(state.read_text()) if state.is_file() else 0
         self.began_at.append(begin)
         for step in range(begin, 10):
-            partial.write_text(str(step))
+            state.write_text(str(step))
             if step == self.stop_at:
                 raise KeyboardInterrupt
-        return train(context, seed)
+        return Trained(train(contexts[0], seed))
 
 
 def test_a_training_goes_on_from_the_checkpoint_of_a_dead_worker(tmp_path):

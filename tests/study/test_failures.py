@@ -12,6 +12,7 @@ import mbtl
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
 from mbtl.seeds import training_seed
 from mbtl.study import Callback
+from mbtl.trainer import Trained
 
 pytestmark = pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
 N = 9
@@ -23,6 +24,7 @@ class Bench:
 
     policy_format = "custom"
     recipe = {"trainer": "bench"}  # noqa: RUF012
+    takes, whole, counts = frozenset(), None, "steps"
 
     def __init__(self, train=None, evaluate=None, load=None, save=None, saves=True):
         self.trained, self.evaluated, self.loaded = [], [], []
@@ -34,10 +36,10 @@ class Bench:
             return self.breaks[name](*facts)
         return None
 
-    def train(self, context, seed, on_progress=None):
-        self.trained.append(context["x"])
+    def train(self, contexts, seed, **asked):
+        self.trained.append(contexts[0]["x"])
         self._break("train", len(self.trained))
-        return context["x"]
+        return Trained(contexts[0]["x"])
 
     def evaluate(self, policy, contexts, seeds):
         self.evaluated.append((policy, len(contexts)))

@@ -14,7 +14,7 @@ import mbtl
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.processes import SeparateWorkers
 from mbtl.study import Callback
-from mbtl.trainer import FunctionTrainer, Progress
+from mbtl.trainer import FunctionTrainer, Progress, Trained
 
 pytestmark = pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 9})
@@ -64,12 +64,12 @@ class Mortal(FunctionTrainer):
             (folder / f"life-{life}").touch()
         object.__setattr__(self, "folder", folder)
 
-    def train(self, context, seed, on_progress=None):
-        if context["mass"] == quick_problem.SPACE.context(7)["mass"]:
+    def train(self, contexts, seed, **asked):
+        if contexts[0]["mass"] == quick_problem.SPACE.context(7)["mass"]:
             for life in sorted(Path(self.folder).glob("life-*")):
                 life.unlink()
                 os.kill(os.getpid(), signal.SIGKILL)
-        return super().train(context, seed)
+        return super().train(contexts, seed)
 
 
 @pytest.mark.parametrize(("lives", "failed"), [(1, 0), (2, 1)])
@@ -112,12 +112,12 @@ def test_a_training_that_takes_too_long_is_given_up(parallel):
     free = threading.Event()
 
     class Endless(FunctionTrainer):
-        def train(self, context, seed, on_progress=None):
-            if context["x"] == endless:
+        def train(self, contexts, seed, *, on_progress=None, **asked):
+            if contexts[0]["x"] == endless:
                 while not free.wait(0.01):
                     if on_progress is not None:
                         on_progress(Progress(1, 2))
-            return context["x"]
+            return Trained(contexts[0]["x"])
 
     endless = study_of().ask(2)[1].context["x"]
     study = study_of()

@@ -255,12 +255,12 @@ class Reporting(FunctionTrainer):
         object.__setattr__(self, "between", between)
         object.__setattr__(self, "trained", [])
 
-    def train(self, context, seed, on_progress=None):
-        self.trained.append(context["x"])
+    def train(self, contexts, seed, *, on_progress=None, **asked):
+        self.trained.append(contexts[0]["x"])
         on_progress(Progress(1, 2, {"episode_return": 0.5}))
         self.between(len(self.trained))
         on_progress(Progress(2, 2))
-        return super().train(context, seed)
+        return super().train(contexts, seed)
 
 
 @pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")

@@ -160,7 +160,7 @@ def test_the_recipe_enters_the_log_and_another_one_is_refused(tmp_path):
 
 def test_a_recipe_can_be_mended_until_it_has_made_a_policy(tmp_path):
     class Typo(Recipe):
-        def train(self, context, seed, on_progress=None):
+        def train(self, contexts, seed, **asked):
             raise InvalidInput("no such hyperparameter")
 
     study = study_at(tmp_path / "s.db")
@@ -182,9 +182,9 @@ def test_a_policy_left_by_a_killed_run_counts_only_with_its_own_recipe(tmp_path)
     trained = []
 
     class Counting(Recipe):
-        def train(self, context, seed, on_progress=None):
+        def train(self, contexts, seed, **asked):
             trained.append(seed)
-            return train(context, seed)
+            return super().train(contexts, seed)
 
     study.run(trainer=Counting(steps=20))
     assert len(trained) == 2

@@ -201,9 +201,9 @@ def test_callbacks_hear_everything(tmp_path):
             heard.append("end")
 
     class Reporting(FunctionTrainer):
-        def train(self, context, seed, on_progress=None):
+        def train(self, contexts, seed, *, on_progress=None, **asked):
             on_progress(Progress(7, 10))
-            return super().train(context, seed)
+            return super().train(contexts, seed)
 
     functions = (
         quick_problem.train,

@@ -12,7 +12,7 @@ from mbtl.actions import Evaluate, Extend, Policy, Start, Stop
 from mbtl.errors import InvalidInput
 from mbtl.study.steps.callbacks import StepCallback
 from mbtl.study.steps.prices import share_of
-from mbtl.trainer import Progress, Reached
+from mbtl.trainer import Progress, Trained
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 11})
 HORIZON, EPISODES = 1_000, 32
@@ -28,14 +28,17 @@ class Episodic(OfNumbers):
     asked: list = field(default_factory=list)
     ran: int = 0
     policy_format = "custom"
-    whole_steps = None
+    takes = frozenset({"start", "length", "state"})
+    counts = "episodes"
 
-    def train(self, context, seed, on_progress=None):
-        return self.train_steps(context, seed, self.episodes).policy
+    @property
+    def whole(self):
+        return self.episodes
 
-    def train_steps(self, context, seed, steps, *, start=None, saved=None, on_progress=None):
+    def train(self, contexts, seed, *, length=1.0, state=None, on_progress=None, **given):
+        (context,), steps = contexts, round(length * self.episodes)
         self.asked.append(steps)
-        done = json.loads(saved.read_text()) if saved is not None and saved.exists() else 0
+        done = json.loads(state.read_text()) if state is not None and state.exists() else 0
         each = length_at(context)
         while done < steps:
             done += 1
@@ -44,9 +47,9 @@ class Episodic(OfNumbers):
                 on_progress(Progress(done * each, self.episodes * each))
             if self.fails and done == 20:
                 raise RuntimeError("the simulator fell over")
-        if saved is not None:
-            saved.write_text(json.dumps(done))
-        return Reached(np.array([context["x"], done / self.episodes]), done * each)
+        if state is not None:
+            state.write_text(json.dumps(done))
+        return Trained(np.array([context["x"], done / self.episodes]), done * each)
 
     def evaluate_steps(self, policy, contexts, seeds):
         x, skill = policy
@@ -153,17 +156,3 @@ def test_a_trainer_that_says_no_length_is_refused():
     trainer = Episodic(episodes=None)
     with pytest.raises(InvalidInput, match="Episodic does not say"):
         opened(trainer)
-    with pytest.raises(InvalidInput, match="neither whole_steps nor episodes"):
-        opened(trainer, lengths=[1_000, 2_000]).run(progress=False)
-
-
-def test_a_trainer_that_cannot_pause_is_refused_before_anything_is_spent():
-    class Elsewhere(Episodic):
-        def check_pausing(self, contexts):
-            raise InvalidInput("its simulator lives in one process; choose another --engine")
-
-    study = opened(Elsewhere())
-    with pytest.raises(InvalidInput, match="lives in one process"):
-        study.run(progress=False)
-    assert [event.kind for event in study.events()] == ["opened"]
-    opened(Elsewhere(), lengths=[32_000]).run(progress=False)  # it need not pause

@@ -23,14 +23,14 @@ from step_problem import HORIZON, SPACE, Slow
 class Seen(Slow):
     '''Writes down, outside of the study, every unit of training that is really run.'''
 
-    def train_steps(self, context, seed, steps, *, start=None, saved=None, on_progress=None):
+    def on_one(self, context, seed, steps, *, start=None, state=None, on_progress=None):
         def told(progress):
             with open("units", "a") as out:
                 out.write(f"{{context['x']}} {{progress.step}} {{os.getpid()}}\\n")
             time.sleep(0.03)
             on_progress(progress)
 
-        return super().train_steps(context, seed, steps, start=start, saved=saved, on_progress=told)
+        return super().on_one(context, seed, steps, start=start, state=state, on_progress=told)
 
 problem = mbtl.CMDP("slow", SPACE, Seen(), bounds=(0.0, 1.0), horizon=HORIZON)
 """

@@ -8,7 +8,7 @@ import mbtl
 from mbtl.actions import Committee, Evaluate, Extend, FixedLength, Policy, Start, StartOn, Stop
 from mbtl.errors import InvalidInput
 from mbtl.study.steps.callbacks import PrintSteps, StepCallback
-from mbtl.trainer import Reached
+from mbtl.trainer import Trained
 
 EVERY = tuple(range(SPACE.n))
 
@@ -58,9 +58,9 @@ def test_it_goes_to_its_first_mark_at_once_and_can_be_extended_from_mark_to_mark
     given = []
 
     class Tells(Slow):
-        def train_on_steps(self, contexts, seed, steps, *, marks, **more):
+        def on_several(self, contexts, seed, steps, marks, **more):
             given.append((steps, tuple(marks), seed))
-            return super().train_on_steps(contexts, seed, steps, marks=marks, **more)
+            return super().on_several(contexts, seed, steps, marks, **more)
 
     trainer = Tells()
     script = Script(StartOn(EVERY, 1), Extend(0, 3), StartOn(EVERY, 0))
@@ -83,12 +83,11 @@ def test_a_recipe_of_episodes_is_given_episodes_and_reserves_what_they_lasted_be
     given = []
 
     class Played(Slow):
-        whole_steps = None
-        episodes = WHOLE // HORIZON
+        whole, counts = WHOLE // HORIZON, "episodes"
 
-        def train_on_steps(self, contexts, seed, steps, *, marks, **more):
+        def on_several(self, contexts, seed, steps, marks, **more):
             given.append((steps, tuple(marks)))
-            return Reached(np.array([np.nan, self.level]), 2 * steps)  # a tenth of the longest
+            return Trained(np.array([np.nan, self.level]), 2 * steps)  # a tenth of the longest
 
     script = Script(StartOn(EVERY, 1), StartOn(EVERY, 3))
     study = opened(Played(), strategy=script, budget=17_000)
@@ -118,7 +117,7 @@ def test_a_committee_finds_out_who_is_ahead_and_says_so(level, said, tmp_path):
 
 def test_a_committee_lives_with_a_set_that_cannot_be_trained():
     class Never(Slow):
-        def train_on_steps(self, *given, **named):
+        def on_several(self, *given, **named):
             raise RuntimeError("too many contexts")
 
     study = opened(Never(), strategy="committee", budget=200_000)
@@ -148,8 +147,8 @@ def evaluate(policy, contexts, seeds):
     return [policy[1] - (0.0 if np.isnan(policy[0]) else abs(c["x"] - policy[0])) for c in contexts]
 
 
-def train(context, seed, steps, start=None):
-    return np.array([context["x"], (0.0 if start is None else start[1]) + steps / 80_000])
+def train(context, seed, *, start=None, length=None):
+    return np.array([context["x"], (0.0 if start is None else start[1]) + length / 2])
 
 
 def load(folder):
@@ -167,23 +166,26 @@ def plain():
     )  # fmt: skip
 
 
-def test_plain_functions_train_on_a_set_with_train_on():
+def test_a_plain_function_that_takes_contexts_trains_on_a_set():
     calls = []
 
-    def train_on(contexts, seed, steps, start=None):
-        calls.append((len(contexts), steps))
+    def on_any(contexts, seed, *, start=None, length=None):
+        if len(contexts) == 1:
+            return train(contexts[0], seed, start=start, length=length)
+        calls.append((len(contexts), length))
         return np.array([np.nan, 1.0])
 
     study = plain()
-    study.run(train, evaluate, save=save, load=load, train_on=train_on, progress=False)
-    assert calls[:2] == [(SPACE.n, 1_250), (SPACE.n, 2_500)]
+    study.run(on_any, evaluate, save=save, load=load, progress=False)
+    assert calls[:2] == [(SPACE.n, 1 / 32), (SPACE.n, 1 / 16)]
     assert study.value == pytest.approx(1.0)
 
 
 def test_a_trainer_of_single_contexts_is_refused_before_anything_is_spent():
     study = plain()
     with pytest.raises(
-        InvalidInput, match=r"committee.*SteppedFunctions.*give a function train_on"
+        InvalidInput,
+        match=r"committee.*several contexts: its function is train\(context, seed, start",
     ):
         study.run(train, evaluate, save=save, load=load, progress=False)
     assert study.state.spent == 0

@@ -172,7 +172,7 @@ def test_a_failed_training_is_not_begun_again_and_its_steps_are_charged():
 
 def test_many_failures_end_the_run():
     class Never(Slow):
-        def train_steps(self, *given, **named):
+        def train(self, *given, **named):
             raise RuntimeError("no licence")
 
     with pytest.raises(TrainingFailed, match=r"3 trainings .* in a row failed.*licence"):
@@ -204,20 +204,20 @@ def test_a_plain_function_trains_at_its_fixed_length():
     assert study.state.prices.evaluation % 10 == 0  # the longest that an episode can be
 
 
-def test_a_function_that_takes_steps_goes_on_from_its_policy(tmp_path):
+def test_a_function_that_takes_a_length_goes_on_from_its_policy(tmp_path):
     calls = []
 
-    def train(context, seed, steps, start=None):
-        calls.append((steps, start is not None))
+    def train(contexts, seed, *, start=None, length=None):
+        calls.append((length, start is not None))
         done = 0.0 if start is None else start[1]
-        return np.array([context["x"], done + steps / 80_000])
+        return np.array([contexts[0]["x"], done + length / 2])
 
     study = mbtl.create_study(
         SPACE, cost="steps", budget=60_000, lengths=[10_000, 20_000, 40_000], horizon=10,
         bounds=(0.0, 1.0), storage=tmp_path / "study.db",
     )  # fmt: skip
     study.run(train, evaluate, save=save, load=load, progress=False)
-    assert calls[:3] == [(10_000, False), (10_000, True), (20_000, True)]
+    assert calls[:3] == [(0.25, False), (0.25, True), (0.5, True)]
     first = study.portfolio(None).policy_folders[0]
     assert load(first)[1] == pytest.approx(0.5)
 
@@ -226,7 +226,10 @@ def test_lengths_of_a_function_that_knows_none_are_refused():
     study = mbtl.create_study(
         SPACE, cost="steps", budget=40_000, lengths=[5_000, 10_000], horizon=10
     )
-    with pytest.raises(InvalidInput, match="cannot be chosen with FunctionTrainer, got 2 lengths"):
+    with pytest.raises(
+        InvalidInput,
+        match=r"cannot train for a length .* train\(context, seed\); give train\(contexts",
+    ):
         study.run(lambda context, seed: 0, evaluate, progress=False)
 
 

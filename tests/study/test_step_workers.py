@@ -160,8 +160,8 @@ def test_an_answer_under_an_old_lease_is_refused(tmp_path):
 
         taken = False
 
-        def train_steps(self, context, seed, steps, **given):
-            reached = super().train_steps(context, seed, steps, saved=given["saved"])
+        def on_one(self, context, seed, steps, **given):
+            reached = super().on_one(context, seed, steps, state=given["state"])
             if not self.taken:
                 self.taken = True
                 (number,) = other.refresh().under_way

@@ -3,15 +3,15 @@ import pytest
 
 import mbtl
 from mbtl.study.tensorboard import TensorBoardCallback
-from mbtl.trainer import FunctionTrainer, Progress
+from mbtl.trainer import FunctionTrainer, Progress, Trained
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 9})
 
 
 class Reporting(FunctionTrainer):
-    def train(self, context, seed, on_progress=None):
+    def train(self, contexts, seed, *, on_progress=None, **asked):
         on_progress(Progress(50, 100, {"episode_return": 7.5}))
-        return context["x"]
+        return Trained(contexts[0]["x"])
 
 
 def test_v_and_training_scalars_reach_tensorboard(tmp_path):

@@ -46,9 +46,9 @@ def test_a_training_begins_with_the_weights_that_it_is_given():
     assert (cold.start, warm.start) == (None, Policy(0, 2))
     policy = study.policies[0, 2]
     seed = mbtl.seeds.training_seed(3, 0, 8, 0)
-    alone = Slow().train_steps({"x": 0.8}, seed, 8_000, start=policy)
+    alone = Slow().train([{"x": 0.8}], seed, length=1 / 8, start=policy)
     assert np.array_equal(study.policies[1, 0], alone.policy)
-    scratch = Slow().train_steps({"x": 0.8}, seed, 8_000)
+    scratch = Slow().train([{"x": 0.8}], seed, length=1 / 8)
     assert alone.policy[1] > scratch.policy[1]
     assert study.trail.trainings[1].start == Policy(0, 2)
     assert study.summary().trainings[1].trained_on == "x = 0.8, from training 1 at 32K"
@@ -120,10 +120,10 @@ def read(folder):
 def test_a_plain_function_begins_from_its_start():
     begun = []
 
-    def train(context, seed, steps, start=None):
+    def train(context, seed, start=None, length=None):
         begun.append(None if start is None else start[0])
         skill = 0.0 if start is None else start[1]
-        return np.array([context["x"], skill + steps / 80_000])
+        return np.array([context["x"], skill + length / 4])
 
     study = functions_study(Warm())
     study.run(train, evaluate, save=keep, load=read, progress=False)
@@ -137,10 +137,12 @@ def test_a_plain_function_begins_from_its_start():
 @pytest.mark.parametrize("strategy", [Warm(), STORY])
 def test_functions_that_take_no_start_are_refused_before_anything_is_spent(strategy):
     study = functions_study(strategy, [10_000])
-    with pytest.raises(InvalidInput, match="give it the arguments `steps` and `start`"):
+    with pytest.raises(
+        InvalidInput, match=r"begins trainings with .* train\(context, seed\); give train\(contexts"
+    ):
         study.run(lambda context, seed: (context["x"], 1.0), evaluate, progress=False)
-    with pytest.raises(InvalidInput, match="this train function takes none"):
-        study.run(lambda context, seed, steps: (context["x"], 1.0), evaluate, progress=False)
+    with pytest.raises(InvalidInput, match=r"its function is train\(context, seed, length\)"):
+        study.run(lambda context, seed, length: (context["x"], 1.0), evaluate, progress=False)
     assert study.state.spent == 0
 
 

@@ -100,7 +100,7 @@ def by_hand(policy, env, seed):
 def test_actions_and_observations_lie_in_their_spaces_wherever_a_policy_acts(make_env, tmp_path):
     trainer = ppo(make_env)
     make_env.heard.clear()
-    policy = trainer.train({}, 0)
+    policy = trainer.train([{}], 0).policy
     if make_env is Lane:
         assert set(make_env.heard) == {-1, 0, 1}  # those that it has, in training
     returns = trainer.evaluate(policy, [{}], [1])
@@ -126,7 +126,7 @@ def test_a_buffer_that_is_changed_in_place_changes_nothing():
     one, other = (
         ppo(make, checkpoint="best", checkpoint_episodes=2, n_envs=2) for make in (Lane, InPlace)
     )
-    a, b = one.train({}, 3), other.train({}, 3)
+    a, b = one.train([{}], 3).policy, other.train([{}], 3).policy
     seeds = [0, 1]
     same = np.array_equal(one.evaluate(a, [{}] * 2, seeds), other.evaluate(b, [{}] * 2, seeds))
     assert same
@@ -147,7 +147,7 @@ def test_what_is_reported_of_standardised_observations_is_what_the_policy_return
         pendulum, timesteps=192, algorithm=algorithm, hyperparameters=settings,
         normalize_observations=True, eval_episodes=1,
     )  # fmt: skip
-    policy = trainer.train(MASS, 0)
+    policy = trainer.train([MASS], 0).policy
     learnt = policy.statistics[""]
     assert learnt.count > 190
     assert learnt.var[2] > 1.0  # of the angular velocity, in rad^2/s^2
@@ -169,7 +169,7 @@ def test_standardised_dictionaries_and_the_best_checkpoint():
         GuessDict, policy="MultiInputPolicy", normalize_observations=True, checkpoint="best",
         checkpoint_every=64, checkpoint_episodes=2,
     )  # fmt: skip
-    policy = trainer.train({}, 0)
+    policy = trainer.train([{}], 0).policy
     assert set(policy.statistics) == {"number", "two"}
     assert trainer.evaluate(policy, [{}], [0]).shape == (1, 3)
 
@@ -177,29 +177,30 @@ def test_standardised_dictionaries_and_the_best_checkpoint():
 def test_a_training_that_goes_on_keeps_its_statistics(tmp_path):
     trainer = ppo(cartpole, normalize_observations=True)
     context = {"length": 0.5}
-    whole = trainer.train_steps(context, 0, 128).policy
-    trainer.train_steps(context, 0, 64, saved=tmp_path / "saved")
-    resumed = trainer.train_steps(context, 0, 128, saved=tmp_path / "saved").policy
+    whole = trainer.train([context], 0, length=128 / trainer.whole).policy
+    state = tmp_path / "state"
+    trainer.train([context], 0, length=64 / trainer.whole, state=state)
+    resumed = trainer.train([context], 0, length=128 / trainer.whole, state=state).policy
     assert np.array_equal(whole.statistics[""].mean, resumed.statistics[""].mean)
-    tuned = trainer.train_steps(context, 1, 64, start=whole).policy
+    tuned = trainer.train([context], 1, length=64 / trainer.whole, start=whole).policy
     assert tuned.statistics[""].count == pytest.approx(128 + 64, abs=3)
     with pytest.raises(InvalidInput, match="use the trainer that made it"):
-        ppo(cartpole).train_steps(context, 1, 64, start=whole)
+        ppo(cartpole).train([context], 1, start=whole)
 
 
 def test_running_statistics_of_an_environment_are_refused_with_the_way_to_do_it():
     trainer = ppo(lambda context: NormalizeObservation(cartpole(context)))
     with pytest.raises(InvalidInput, match="normalize_observations=True"):
-        trainer.train({"length": 0.5}, 0)
+        trainer.train([{"length": 0.5}], 0)
 
 
 def test_only_boxes_of_real_numbers_are_standardised():
     with pytest.raises(InvalidInput, match="boxes of real numbers"):
-        ppo(Shelf, normalize_observations=True).train({}, 0)
+        ppo(Shelf, normalize_observations=True).train([{}], 0)
 
 
 def test_a_policy_that_needs_nothing_is_the_librarys_own():
-    assert not isinstance(ppo(cartpole).train({"length": 0.5}, 0), AdaptedPolicy)
+    assert not isinstance(ppo(cartpole).train([{"length": 0.5}], 0).policy, AdaptedPolicy)
 
 
 def test_an_episode_without_an_end_is_refused_before_any_training(monkeypatch):

@@ -44,7 +44,7 @@ def test_choices_are_as_they_were():
 def trained(**settings):
     few = {"n_steps": 64, "batch_size": 64, "n_epochs": 1}
     trainer = SB3Trainer(pendulum, timesteps=64, hyperparameters=few, **settings)
-    return trainer.train({"mass": 1.0}, 0)
+    return trainer.train([{"mass": 1.0}], 0).policy
 
 
 def test_the_trainer_uses_it_where_actions_are_learnt_by_their_probability():
@@ -54,7 +54,7 @@ def test_the_trainer_uses_it_where_actions_are_learnt_by_their_probability():
     trainer = SB3Trainer(
         pendulum, timesteps=8, algorithm="SAC", hyperparameters=few, clip_actions=True
     )
-    assert type(trainer.train({"mass": 1.0}, 0).policy) is not AppliedMlpPolicy
+    assert type(trainer.train([{"mass": 1.0}], 0).policy.policy) is not AppliedMlpPolicy
 
 
 def test_a_policy_of_ones_own_is_not_replaced():

@@ -16,7 +16,7 @@ def test_one_policy_serves_all_contexts_that_it_is_told():
         hyperparameters={"n_steps": 200, "batch_size": 50, "learning_rate": 3e-3, "gamma": 0.0,
                          "n_epochs": 4, "ent_coef": 0.1},  # eight of eight seeds find 0
     )  # fmt: skip
-    policy = trainer.train_on_all(CONTEXTS, seed=0)
+    policy = trainer.train(CONTEXTS, seed=0).policy
     assert (
         trainer.evaluate(policy, CONTEXTS, range(len(CONTEXTS))).mean() > -0.8
     )  # untold: -1 at best

@@ -7,6 +7,7 @@ import random
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -62,7 +63,7 @@ def same(one, other):
 
 @pytest.fixture(scope="module")
 def trained():
-    return ppo().train(POLE, 0)
+    return ppo().train([POLE], 0).policy
 
 
 # ---- training ------------------------------------------------------------------------------------
@@ -83,19 +84,19 @@ def test_exploration_does_not_draw_the_numbers_of_the_environment():
 
     settings = {"learning_starts": 100, "buffer_size": 100}  # nothing but exploration
     trainer = SB3Trainer(Coins, timesteps=40, algorithm="DQN", hyperparameters=settings)
-    trainer.train({"length": 100}, seed=3)
+    trainer.train([{"length": 100}], seed=3)
     assert 5 < (np.array(shown[:-1]) == chosen).sum() < 35
 
 
 def test_training_learns():
     trainer = ppo(Guess, timesteps=3000, hyperparameters={**SHORT, "learning_rate": 0.003})
-    returns = trainer.evaluate(trainer.train({"length": 20}, 0), [{"length": 20}], [1])
+    returns = trainer.evaluate(trainer.train([{"length": 20}], 0).policy, [{"length": 20}], [1])
     assert returns.mean() >= 18  # always right: 20, blind guessing: 10
 
 
 def test_same_seed_same_weights_other_seed_other_weights(trained):
-    assert same(weights(ppo().train(POLE, 0)), weights(trained))
-    assert not same(weights(ppo().train(POLE, 1)), weights(trained))
+    assert same(weights(ppo().train([POLE], 0).policy), weights(trained))
+    assert not same(weights(ppo().train([POLE], 1).policy), weights(trained))
 
 
 def test_training_reseeds_nothing_outside():
@@ -112,7 +113,7 @@ def test_training_reseeds_nothing_outside():
     expected = draw()
     reseed()
     trainer = ppo()
-    model = trainer.train(POLE, 0)
+    model = trainer.train([POLE], 0).policy
     trainer.evaluate(model, POLES[:1], [0])
     assert draw() == expected
     assert torch.get_num_threads() == threads
@@ -120,7 +121,7 @@ def test_training_reseeds_nothing_outside():
 
 def test_settings_are_not_changed_by_training():
     settings = {**SHORT, "policy_kwargs": {"net_arch": [8]}}
-    ppo(hyperparameters=settings).train(POLE, 0)
+    ppo(hyperparameters=settings).train([POLE], 0)
     assert settings == {**SHORT, "policy_kwargs": {"net_arch": [8]}}
 
 
@@ -128,13 +129,13 @@ def test_spawned_process_trains_the_same_policy(trained):
     trainer = pickle.loads(pickle.dumps(ppo()))
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as pool:
-        model = pool.submit(trainer.train, POLE, 0).result()
+        model = pool.submit(trainer.train, [POLE], 0).result().policy
     assert same(weights(model), weights(trained))
 
 
 def test_progress_is_reported_to_the_end():
     reports = []
-    ppo(timesteps=1000).train(POLE, 0, reports.append)
+    ppo(timesteps=1000).train([POLE], 0, on_progress=reports.append)
     steps = [report.step for report in reports]
     assert 50 <= len(steps) <= 110
     assert steps == sorted(steps)
@@ -155,18 +156,18 @@ def test_progress_tells_the_score_where_policies_are_judged_by_one():
     trainer = SB3Trainer(
         lambda c: Judged(cartpole(c)), timesteps=500, hyperparameters=SHORT, score="score"
     )
-    trainer.train(POLE, 0, reports.append)
+    trainer.train([POLE], 0, on_progress=reports.append)
     assert reports[-1].metrics == {"score": -7.0}
 
 
 def test_policy_carries_no_environment_or_buffer():
-    model = ppo(algorithm="DQN", hyperparameters={"learning_starts": 10}).train(POLE, 0)
+    model = ppo(algorithm="DQN", hyperparameters={"learning_starts": 10}).train([POLE], 0).policy
     assert (model.env, model.replay_buffer) == (None, None)
     assert len(pickle.dumps(model)) < 1_000_000
 
 
 def test_several_training_environments(trained):
-    model = ppo(n_envs=3, hyperparameters={**SHORT, "n_steps": 32}).train(POLE, 0)
+    model = ppo(n_envs=3, hyperparameters={**SHORT, "n_steps": 32}).train([POLE], 0).policy
     assert not same(weights(model), weights(trained))
 
 
@@ -179,15 +180,15 @@ def test_training_environments_are_closed_also_after_an_error():
             made.append(self)
 
     with pytest.raises(RuntimeError, match="lost its connection"):
-        ppo(Tracked, checkpoint="best", apart=False).train({}, 0)
+        ppo(Tracked, checkpoint="best", apart=False).train([{}], 0)
     assert [env.closed for env in made] == [True] * len(made)
     assert len(made) == 1 + 5
 
 
 def test_tensorboard_gets_one_run_per_training(tmp_path):
     trainer = ppo(timesteps=128, tensorboard=tmp_path)
-    trainer.train(POLE, 0)
-    trainer.train(POLE, 1)
+    trainer.train([POLE], 0)
+    trainer.train([POLE], 1)
     runs = sorted(path.name for path in tmp_path.iterdir())
     assert runs == ["length=0.5,seed=0_1", "length=0.5,seed=1_1"]
     assert all(list((tmp_path / run).glob("events.out.tfevents.*")) for run in runs)
@@ -198,8 +199,9 @@ def test_tensorboard_gets_one_run_per_training(tmp_path):
 
 def test_best_checkpoint_leaves_the_training_alone_and_gives_the_best_weights():
     plain, watched = [], []
-    final = ppo(timesteps=1500).train(POLE, 2, plain.append)
-    best = ppo(timesteps=1500, checkpoint="best").train(POLE, 2, watched.append)
+    final = ppo(timesteps=1500).train([POLE], 2, on_progress=plain.append).policy
+    chosen = ppo(timesteps=1500, checkpoint="best")
+    best = chosen.train([POLE], 2, on_progress=watched.append).policy
     returns = [report.metrics["episode_return"] for report in plain if report.metrics]
     assert returns == [
         r.metrics["episode_return"] for r in watched if "episode_return" in r.metrics
@@ -214,8 +216,10 @@ def test_best_checkpoint_returns_what_it_was_chosen_for():
     from mbtl.seeds import derive_seed
 
     reports = []
-    best = ppo(timesteps=1500, checkpoint="best", checkpoint_episodes=3).train(
-        POLE, 5, reports.append
+    best = (
+        ppo(timesteps=1500, checkpoint="best", checkpoint_episodes=3)
+        .train([POLE], 5, on_progress=reports.append)
+        .policy
     )
     seeds = [derive_seed(5, Purpose.CHECKPOINT, episode) for episode in range(3)]
     jobs = [Job(lambda seed=seed: cartpole(POLE), [seed]) for seed in seeds]
@@ -229,16 +233,17 @@ def test_checkpoints_come_as_often_as_asked_and_not_for_unchanged_weights(monkey
     visits = []
     real = watch.play
     monkeypatch.setattr(watch, "play", lambda *a, **k: visits.append(1) or real(*a, **k))
-    ppo(timesteps=640, checkpoint="best", checkpoint_every=64).train(POLE, 0)
+    ppo(timesteps=640, checkpoint="best", checkpoint_every=64).train([POLE], 0)
     assert len(visits) == 11  # before each of 10 updates, and the final weights
     visits.clear()
-    ppo(timesteps=640, checkpoint="best", checkpoint_every=1).train(POLE, 0)
+    ppo(timesteps=640, checkpoint="best", checkpoint_every=1).train([POLE], 0)
     assert len(visits) == 11
 
 
 def test_few_checkpoint_environments_give_the_same_choice():
-    one = ppo(timesteps=600, checkpoint="best", n_eval_envs=1).train(POLE, 0)
-    assert same(weights(one), weights(ppo(timesteps=600, checkpoint="best").train(POLE, 0)))
+    many = ppo(timesteps=600, checkpoint="best")
+    one, other = (each.train([POLE], 0).policy for each in (replace(many, n_eval_envs=1), many))
+    assert same(weights(one), weights(other))
 
 
 # ---- evaluation ----------------------------------------------------------------------------------
@@ -254,7 +259,7 @@ def test_few_checkpoint_environments_give_the_same_choice():
 )
 def test_returns_do_not_depend_on_the_other_targets(make_env, algorithm, contexts, settings):
     trainer = ppo(make_env, timesteps=64, algorithm=algorithm, hyperparameters=settings)
-    model = trainer.train(contexts[0], 0)
+    model = trainer.train([contexts[0]], 0).policy
     together = trainer.evaluate(model, contexts, range(5))
     assert together.shape == (5, 2)
     alone = [trainer.evaluate(model, [c], [seed]) for seed, c in enumerate(contexts)]
@@ -271,7 +276,7 @@ def test_torch_fallback_does_not_depend_on_the_other_targets_either():
     masses = [{"mass": 0.5 + 0.2 * i} for i in range(40)]
     elu = {**SHORT, "policy_kwargs": {"activation_fn": torch.nn.ELU}}
     trainer = ppo(pendulum, timesteps=64, hyperparameters=elu, eval_episodes=1)
-    model = trainer.train(masses[0], 0)
+    model = trainer.train([masses[0]], 0).policy
     together = trainer.evaluate(model, masses, range(40))
     assert np.array_equal(together[37:], trainer.evaluate(model, masses[37:], range(37, 40)))
 
@@ -294,7 +299,7 @@ def test_episodes_are_the_same_for_every_policy_and_others_for_every_target():
             return super().reset(seed=seed)
 
     trainer = ppo(Listening, timesteps=64, eval_episodes=3)
-    models = [ppo(Guess, timesteps=64).train({}, seed) for seed in (0, 1)]
+    models = [ppo(Guess, timesteps=64).train([{}], seed).policy for seed in (0, 1)]
     play = evaluation_seeds(0, 0, range(2), Purpose.REPORT)
     for model in models:
         for length, seed in enumerate(play):
@@ -322,23 +327,23 @@ def test_no_targets_no_rows(trained):
 
 def test_nan_in_training_is_a_failed_training_with_its_reason():
     with pytest.raises(TrainingFailed, match="NaN by step"):
-        ppo(NanAfter).train({}, 0)
+        ppo(NanAfter).train([{}], 0)
 
 
 def test_weights_that_diverge_silently_are_noticed():
     with pytest.raises(TrainingFailed, match="finite weights"):
-        ppo(NanReward, algorithm="DQN", hyperparameters={"learning_starts": 10}).train({}, 0)
+        ppo(NanReward, algorithm="DQN", hyperparameters={"learning_starts": 10}).train([{}], 0)
 
 
 def test_nan_return_is_a_failed_evaluation():
-    model = ppo(Guess, timesteps=64).train({}, 0)
+    model = ppo(Guess, timesteps=64).train([{}], 0).policy
     with pytest.raises(TrainingFailed, match="finite and within"):
         ppo(NanReward).evaluate(model, [{}], [0])
 
 
 def test_errors_of_the_environment_pass_through():
     with pytest.raises(RuntimeError, match="lost its connection"):
-        ppo(Broken).train({}, 0)
+        ppo(Broken).train([{}], 0)
 
 
 @pytest.mark.parametrize(
@@ -371,7 +376,7 @@ def test_wrong_settings_are_refused_at_once(changes, error, message):
 )
 def test_wrong_hyperparameters_are_refused_before_training(settings, message):
     with pytest.raises(InvalidInput, match=message):
-        ppo(hyperparameters=settings).train(POLE, 0)
+        ppo(hyperparameters=settings).train([POLE], 0)
 
 
 def test_a_number_that_falls_and_a_class_are_given_by_name():
@@ -380,7 +385,7 @@ def test_a_number_that_falls_and_a_class_are_given_by_name():
     trainer = SB3Trainer(
         cartpole, timesteps=200, algorithm="DQN", hyperparameters={**given, "learning_starts": 50}
     )
-    model = trainer.train(POLE, 0)
+    model = trainer.train([POLE], 0).policy
     assert model.replay_buffer_class.__name__ == "NStepReplayBuffer"
     assert [model.lr_schedule(left) for left in (1.0, 0.25, 0.0)] == [2e-3, 5e-4, 0.0]
     assert trainer.recipe["hyperparameters"] == {**given, "learning_starts": 50}
@@ -389,7 +394,7 @@ def test_a_number_that_falls_and_a_class_are_given_by_name():
 def test_missing_library_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     with pytest.raises(MissingExtra, match=r"pip install 'mbtl\[train\]'"):
-        ppo().train(POLE, 0)
+        ppo().train([POLE], 0)
 
 
 # ---- other algorithms and spaces -----------------------------------------------------------------
@@ -416,7 +421,7 @@ def test_algorithms_train_evaluate_save_and_load(algorithm, make_env, policy, se
         make_env, timesteps=200, algorithm=algorithm, policy=policy, hyperparameters=settings,
         checkpoint="best", checkpoint_every=100, checkpoint_episodes=2,
     )  # fmt: skip
-    model = trainer.train(context, 0)
+    model = trainer.train([context], 0).policy
     returns = trainer.evaluate(model, [context], [1])
     assert returns.shape == (1, 2)
     assert trainer.save(model, tmp_path)
@@ -428,7 +433,7 @@ def test_algorithms_train_evaluate_save_and_load(algorithm, make_env, policy, se
 def test_a_class_may_be_given_instead_of_a_name():
     from stable_baselines3 import PPO
 
-    assert isinstance(ppo(algorithm=PPO, timesteps=64).train(POLE, 0), PPO)
+    assert isinstance(ppo(algorithm=PPO, timesteps=64).train([POLE], 0).policy, PPO)
 
 
 # ---- files ---------------------------------------------------------------------------------------
@@ -502,7 +507,7 @@ def test_portfolio_without_a_numpy_copy_reads_the_zip_or_names_the_extra(tmp_pat
     from mbtl.portfolio.archive import load_policy
 
     trainer = ppo(GuessBits, timesteps=64)
-    trainer.save(trainer.train({}, 0), tmp_path)
+    trainer.save(trainer.train([{}], 0).policy, tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.zip", "sb3.json"]
     loaded = load_policy(tmp_path, "sb3", None, trust=True)
     assert loaded.predict(np.zeros(1))[0].shape == (2,)
@@ -526,12 +531,12 @@ def test_the_end_of_a_simulators_process_is_a_failed_training():
         Dies, timesteps=64, processes=True, hyperparameters={"n_steps": 64, "batch_size": 64}
     )
     with pytest.raises(SimulationFailed, match="end of a process"):
-        trainer.train({}, seed=0)
+        trainer.train([{}], seed=0)
 
 
 def test_an_untrained_policy_shows_that_evaluation_works_and_leaves_the_training_alone(trained):
     trainer = ppo()
     assert rehearse(trainer, POLES[:2], [5, 6]) is None
-    assert same(weights(trainer.train(POLE, 0)), weights(trained))
+    assert same(weights(trainer.train([POLE], 0).policy), weights(trained))
     trouble = rehearse(ppo(hyperparameters={"learning_rat": 1.0}), POLES[:2], [5, 6])
     assert isinstance(trouble.error, InvalidInput)

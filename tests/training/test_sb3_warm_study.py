@@ -70,6 +70,6 @@ def test_interrupted_a_warm_started_training_is_bit_for_bit_the_undisturbed_one(
     seed = training_seed(4, 0, second.source, 0)
     context = SPACE.context(second.source)
     parent = model_of(calm, 0, 2)
-    alone = calm.trainer.train_steps(context, seed, 256, start=parent).policy
+    alone = calm.trainer.train([context], seed, length=0.5, start=parent).policy
     assert same(alone, model_of(calm, 1, 1))
-    assert not same(calm.trainer.train_steps(context, seed, 256).policy, alone)
+    assert not same(calm.trainer.train([context], seed, length=0.5).policy, alone)

@@ -181,4 +181,4 @@ def test_contexts_of_the_ring_are_trained_together_and_act_greedily():
 def test_accelerations_are_refused():
     trainer = get_cmdp("ring-acc", engine="jax").trainer_for("quick", algorithm="DQN", episodes=1)
     with pytest.raises(InvalidInput, match="discrete"):
-        trainer.train({"hold": 5.0}, seed=0)
+        trainer.train([{"hold": 5.0}], seed=0)

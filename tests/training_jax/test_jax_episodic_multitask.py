@@ -91,12 +91,12 @@ def test_the_policy_is_told_the_context_and_a_file_cut_off_only_costs_time(tmp_p
     trainer = cmdp.trainer_for("quick", episodes=4, eval_episodes=2)
     heard, file = [], tmp_path / "training.npz"
     file.write_bytes(b"of another run, cut off")
-    policy = trainer.train_on_all(HOLDS, 3, heard.append, partial=file)
+    policy = trainer.train(HOLDS, 3, on_progress=heard.append, state=file).policy
     assert policy.weights[0].shape[1] == 3 + 1
     assert heard[-1].step == heard[-1].total == 4
     assert trainer.evaluate(policy, HOLDS, [1, 2, 3]).shape == (3, 2)
     with pytest.raises(InvalidInput, match="at least one context"):
-        trainer.train_on_all([], 3)
+        trainer.train([], 3)
 
 
 @pytest.mark.long
@@ -112,11 +112,11 @@ def test_an_interrupted_trainer_goes_on_to_the_same_policy(tmp_path, monkeypatch
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        trainer.train_on_all(HOLDS[2:], 3, stop, partial=file)
+        trainer.train(HOLDS[2:], 3, on_progress=stop, state=file)
     assert file.is_file()
-    rest = trainer.train_on_all(HOLDS[2:], 3, stop, partial=file)
+    rest = trainer.train(HOLDS[2:], 3, on_progress=stop, state=file).policy
     assert heard == [1, 2, 3, 3, 4]  # it went on after the second, the last that was saved
-    whole = trainer.train_on_all(HOLDS[2:], 3)
+    whole = trainer.train(HOLDS[2:], 3).policy
     for a, b in zip(whole.weights, rest.weights, strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -127,5 +127,5 @@ def test_one_policy_learns_to_calm_rings_of_several_holds():
     trainer = get_cmdp("ring-vel", engine="jax", visibility="multiplier").trainer_for(
         "quick", episodes=360, hyperparameters={"n_episodes": 6}
     )
-    policy = replace(trainer, eval_episodes=5).train_on_all(contexts, 0)
+    policy = replace(trainer, eval_episodes=5).train(contexts, 0).policy
     assert trainer.evaluate(policy, contexts, [2, 3]).mean() > 3.5  # unguided: 3.15

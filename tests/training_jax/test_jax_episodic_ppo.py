@@ -171,7 +171,7 @@ def test_the_ring_is_trained_by_it_too():
         hyperparameters={"n_episodes": 2, "rows": 32, "minibatches": 4, "hidden": (8,)},
     )  # fmt: skip
     heard = []
-    policy = trainer.train({"hold": 20.0}, 1, heard.append)
+    policy = trainer.train([{"hold": 20.0}], 1, on_progress=heard.append).policy
     assert [progress.step for progress in heard] == [2, 4]
     (scores,) = trainer.evaluate(policy, [{"hold": 20.0}], [2])
     assert scores.shape == (2,)

@@ -76,7 +76,7 @@ def test_a_training_begins_with_the_rule_in_accelerations_whatever_else_it_sees(
 def test_lessons_and_rules_that_are_not_known_are_refused(cmdp):
     context = {"green": 20.0}
     with pytest.raises(UnknownName, match="actions of this world"):
-        cmdp.trainer_for("standard", actions="jerk").train(context, 0)
+        cmdp.trainer_for("standard", actions="jerk").train([context], 0)
     with pytest.raises(UnknownName, match="glide"):
         cmdp.trainer_for("standard", hyperparameters={"begin": "glyde"}).untrained(context)
     with pytest.raises(InvalidInput, match="actions='speed'"):

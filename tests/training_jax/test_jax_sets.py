@@ -11,7 +11,6 @@ pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 import mbtl.training.jax as engine
 from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput
-from mbtl.set_trainer import SetTrainer
 
 UNIT = 12_800
 TRAINER = get_cmdp("cartpole-length", engine="jax").trainer_for("quick", eval_episodes=2)
@@ -23,14 +22,17 @@ def same(one, other):
 
 
 def to(steps, marks, saved=None, **more):
-    return TRAINER.train_on_steps(CONTEXTS, 3, steps, marks=marks, saved=saved, **more)
+    marks = [mark / TRAINER.whole for mark in marks]
+    return TRAINER.train(
+        CONTEXTS, 3, length=steps / TRAINER.whole, marks=marks, state=saved, **more
+    )
 
 
 @pytest.mark.parametrize(
     "marks", [(4 * UNIT,), (UNIT, 2 * UNIT, 4 * UNIT)], ids=["one stage", "stages"]
 )
 def test_a_training_extended_twice_is_the_whole_one(marks, tmp_path):
-    assert isinstance(TRAINER, SetTrainer)
+    assert TRAINER.takes == {"sets", "start", "length", "state", "resume"}
     whole = to(4 * UNIT, marks)
     file = tmp_path / "training.npz"
     reached = [to(steps, marks, file) for steps in (UNIT, 2 * UNIT + 1, 4 * UNIT)]
@@ -52,6 +54,15 @@ def test_the_learning_rate_falls_to_zero_at_each_mark():
     alone = to(2 * UNIT, (2 * UNIT,))
     assert same(early.policy, alone.policy)
     assert not same(late.policy, alone.policy)
+
+
+def test_it_goes_on_from_a_policy_where_its_state_is_lost(tmp_path):
+    marks = (UNIT, 2 * UNIT, 4 * UNIT)
+    first, file = to(2 * UNIT, marks), tmp_path / "training.npz"
+    lost = {"start": first.policy, "done": 2 * UNIT / TRAINER.whole}
+    third = to(3 * UNIT, marks, file, **lost)
+    assert third.steps == 3 * UNIT
+    assert same(to(4 * UNIT, marks, file).policy, to(4 * UNIT, marks, **lost).policy)
 
 
 def test_marks_within_one_update_are_one():
@@ -82,8 +93,7 @@ def test_a_training_goes_on_from_its_file_after_a_kill(tmp_path, monkeypatch):
 
 
 def test_what_cannot_be_trained_on_a_set_is_refused():
-    with pytest.raises(InvalidInput, match="takes two or more, got 1"):
-        TRAINER.train_on_steps(CONTEXTS[:1], 3, UNIT, marks=(UNIT,))
+    other = replace(TRAINER, algorithm="DQN")
+    assert "sets" not in other.takes
     with pytest.raises(InvalidInput, match="learn by PPO, got a recipe of DQN"):
-        replace(TRAINER, algorithm="DQN").check_on_set()
-    TRAINER.check_on_set()
+        other.train(CONTEXTS, 3)

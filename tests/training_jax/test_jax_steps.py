@@ -12,7 +12,7 @@ import mbtl.training.jax as engine
 from mbtl.cmdps import get_cmdp
 from mbtl.errors import InvalidInput
 from mbtl.seeds import evaluation_seeds
-from mbtl.trainer import SteppingTrainer
+from mbtl.trainer import CountingTrainer, refusal
 from mbtl.training import SB3Trainer, WorldTrainer
 
 SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
@@ -30,6 +30,10 @@ def same(one, other):
     return all(np.array_equal(a, b) for a, b in zip(one.weights, other.weights, strict=True))
 
 
+def apart(one, other):
+    return max(abs(a - b).max() for a, b in zip(one.weights, other.weights, strict=True))
+
+
 OFF_POLICY = {"n_envs": 2, "buffer_size": 512, "batch_size": 16, "learning_starts": 64}
 
 
@@ -39,22 +43,22 @@ OFF_POLICY = {"n_envs": 2, "buffer_size": 512, "batch_size": 16, "learning_start
     ids=["checked-DQN", "unchecked-PPO"],
 )
 def test_a_training_extended_twice_is_the_whole_one(trainer, tmp_path):
-    assert isinstance(trainer, SteppingTrainer)
-    whole = replace(trainer, checkpoint="final").train(POLE, seed=3)
+    assert isinstance(trainer, CountingTrainer)
+    whole = replace(trainer, checkpoint="final").train([POLE], seed=3).policy
     file = tmp_path / "training.npz"
-    first = trainer.train_steps(POLE, 3, 300, saved=file)
-    second = trainer.train_steps(POLE, 3, 1_000, saved=file)
-    last = trainer.train_steps(POLE, 3, trainer.whole_steps, saved=file)
-    assert first.steps < second.steps < last.steps == trainer.whole_steps
+    first = trainer.train([POLE], 3, length=300 / trainer.whole, state=file)
+    second = trainer.train([POLE], 3, length=1_000 / trainer.whole, state=file)
+    last = trainer.train([POLE], 3, length=1.0, state=file)
+    assert first.steps < second.steps < last.steps == trainer.whole
     assert not same(first.policy, second.policy)
     assert same(last.policy, whole)
-    again = trainer.train_steps(POLE, 3, trainer.whole_steps)
+    again = trainer.train([POLE], 3, length=1.0)
     assert (again.steps, again.checks) == (last.steps, last.checks)
 
 
 def test_a_training_goes_on_from_any_of_its_files_after_a_kill(tmp_path, monkeypatch):
     monkeypatch.setattr("mbtl.training.jax.saving._SECONDS", 0.0)
-    undisturbed = CARTPOLE.train_steps(POLE, 1, 1_500)
+    undisturbed = CARTPOLE.train([POLE], 1, length=1_500 / CARTPOLE.whole)
 
     class Killed(Exception):
         pass
@@ -65,11 +69,12 @@ def test_a_training_goes_on_from_any_of_its_files_after_a_kill(tmp_path, monkeyp
 
     file = tmp_path / "training.npz"
     with pytest.raises(Killed):
-        CARTPOLE.train_steps(POLE, 1, 1_500, saved=file, on_progress=kill)
-    resumed = CARTPOLE.train_steps(POLE, 1, 1_500, saved=file)
+        CARTPOLE.train([POLE], 1, length=1_500 / CARTPOLE.whole, state=file, on_progress=kill)
+    resumed = CARTPOLE.train([POLE], 1, length=1_500 / CARTPOLE.whole, state=file)
     assert same(resumed.policy, undisturbed.policy)
     assert resumed.checks == undisturbed.checks > 0
-    twice = CARTPOLE.train_steps(POLE, 1, 1_500, saved=file)  # killed after the last saving
+    # killed after the last saving
+    twice = CARTPOLE.train([POLE], 1, length=1_500 / CARTPOLE.whole, state=file)
     assert (twice.steps, twice.checks) == (resumed.steps, resumed.checks)
 
 
@@ -91,28 +96,28 @@ def test_what_is_charged_is_what_ran(monkeypatch):
 
     monkeypatch.setattr(loop, "_updates", updating)
     monkeypatch.setattr(loop, "own_scores", scoring)
-    reached = CARTPOLE.train_steps(POLE, 2, 1_000)
+    reached = CARTPOLE.train([POLE], 2, length=1_000 / CARTPOLE.whole)
     assert reached.steps == ran["updates"] * CARTPOLE.update_length
     assert reached.checks == ran["checks"] > 0
     ran["checks"] = 0.0
-    assert PENDULUM.train_steps(POLE, 2, 500).checks == ran["checks"] == 0.0
+    assert PENDULUM.train([POLE], 2, length=500 / PENDULUM.whole).checks == ran["checks"] == 0.0
 
 
 def test_a_training_with_nothing_left_to_gain_ends():
     easy = replace(
         CARTPOLE, timesteps=60_000, hyperparameters={}, checkpoint_episodes=1, checkpoint_every=None
     )
-    reached = easy.train_steps(POLE, 0, easy.whole_steps)
+    reached = easy.train([POLE], 0, length=1.0)
     assert reached.ended
-    assert reached.steps < easy.whole_steps
+    assert reached.steps < easy.whole
     assert reached.checks <= reached.steps / 20
     assert np.all(easy.evaluate(reached.policy, [POLE], [3]) > 100)
 
 
 def test_a_training_begins_from_another_policy():
-    policy = PENDULUM.train_steps(POLE, 0, 1_000).policy
-    warm = PENDULUM.train_steps({"length": 1.0}, 1, 128, start=policy).policy
-    cold = PENDULUM.train_steps({"length": 1.0}, 1, 128).policy
+    policy = PENDULUM.train([POLE], 0, length=1_000 / PENDULUM.whole).policy
+    warm = PENDULUM.train([{"length": 1.0}], 1, length=128 / PENDULUM.whole, start=policy).policy
+    cold = PENDULUM.train([{"length": 1.0}], 1, length=128 / PENDULUM.whole).policy
 
     def moved(to):
         return max(abs(a - b).max() for a, b in zip(policy.weights, to.weights, strict=True))
@@ -120,12 +125,26 @@ def test_a_training_begins_from_another_policy():
     assert 0 < moved(warm) < 0.1 < moved(cold)
     wide = replace(PENDULUM, hyperparameters={**PENDULUM.hyperparameters, "hidden": (32, 32)})
     with pytest.raises(InvalidInput, match="weights to begin from must have the shapes"):
-        wide.train_steps(POLE, 0, 128, start=policy)
+        wide.train([POLE], 0, length=128 / wide.whole, start=policy)
+
+
+def test_without_its_state_a_training_goes_on_from_its_latest_policy():
+    told = []
+    half = PENDULUM.train([POLE], 3, length=0.5)
+    rest = PENDULUM.train(
+        [POLE], 3, start=half.policy, done=0.5, length=1.0, on_progress=told.append
+    )
+    assert told[0].step > half.steps
+    assert rest.steps == PENDULUM.whole
+    exact = PENDULUM.train([POLE], 3, length=1.0).policy
+    assert 0 < apart(rest.policy, exact) < 0.2 < apart(rest.policy, PENDULUM.untrained(POLE))
+    same_again = PENDULUM.train([POLE], 3, start=half.policy, done=0.5, length=0.5)
+    assert apart(same_again.policy, half.policy) == 0.0
 
 
 @pytest.mark.parametrize("trainer", [CARTPOLE, PENDULUM], ids=["cartpole", "pendulum"])
 def test_episodes_are_counted_as_gymnasium_plays_them(trainer):
-    policy = trainer.train_steps(POLE, 0, 500).policy
+    policy = trainer.train([POLE], 0, length=500 / trainer.whole).policy
     contexts = [{"length": 0.3}, {"length": 0.9}]
     seeds = evaluation_seeds(0, 0, range(2))
     returns, steps = trainer.evaluate_steps(policy, contexts, seeds)
@@ -136,7 +155,7 @@ def test_episodes_are_counted_as_gymnasium_plays_them(trainer):
 
 
 def test_where_an_environment_does_not_say_its_episodes_are_counted_once_more():
-    policy = CARTPOLE.train_steps(POLE, 0, 500).policy
+    policy = CARTPOLE.train([POLE], 0, length=500 / CARTPOLE.whole).policy
     silent = WorldTrainer(_Silent(CARTPOLE.problem), timesteps=2_000, eval_episodes=3)
     returns, steps = silent.evaluate_steps(policy, [POLE], [5])
     assert np.array_equal(returns, 2 * steps)
@@ -171,11 +190,13 @@ HOLD = {"hold": 40.0}
 def test_a_training_of_episodes_extended_twice_is_the_whole_one(tmp_path):
     own = {"hidden": (8,), "rows": 16, "minibatches": 4, "n_episodes": 2}
     trainer = replace(RING, algorithm="PPO", recipe_name="fast", hyperparameters=own)
-    assert trainer.whole_steps is None
-    whole = replace(trainer, checkpoint="final").train(HOLD, seed=3)
+    assert (trainer.whole, trainer.counts) == (12, "episodes")
+    whole = replace(trainer, checkpoint="final").train([HOLD], seed=3).policy
     file, told = tmp_path / "training.npz", []
     reached = [
-        trainer.train_steps(HOLD, 3, episodes, saved=file, on_progress=told.append)
+        trainer.train(
+            [HOLD], 3, length=episodes / trainer.whole, state=file, on_progress=told.append
+        )
         for episodes in (2, 5, 12)
     ]
     unit = trainer.update_length
@@ -185,16 +206,12 @@ def test_a_training_of_episodes_extended_twice_is_the_whole_one(tmp_path):
     assert same(reached[-1].policy, whole)
     assert {(p.unit, p.total) for p in told} == {("steps", 120)}
     assert told[-1].step == 120
-    warm = trainer.train_steps({"hold": 38.0}, 1, 2, start=whole).policy
-    cold = trainer.train_steps({"hold": 38.0}, 1, 2).policy
-    assert 0 < _apart(warm, whole) < 0.2 < _apart(cold, whole)
+    warm = trainer.train([{"hold": 38.0}], 1, length=2 / trainer.whole, start=whole).policy
+    cold = trainer.train([{"hold": 38.0}], 1, length=2 / trainer.whole).policy
+    assert 0 < apart(warm, whole) < 0.2 < apart(cold, whole)
     returns, steps = trainer.evaluate_steps(whole, [HOLD, {"hold": 8.0}], [5, 6])
     assert np.array_equal(returns, trainer.evaluate(whole, [HOLD, {"hold": 8.0}], [5, 6]))
     assert steps.tolist() == [[10.0, 10.0], [50.0, 50.0]]
-
-
-def _apart(one, other):
-    return max(abs(a - b).max() for a, b in zip(one.weights, other.weights, strict=True))
 
 
 HOLDS = [{"hold": hold} for hold in (8.0, 20.0, 40.0)]
@@ -202,11 +219,12 @@ HOLDS = [{"hold": hold} for hold in (8.0, 20.0, 40.0)]
 
 
 def test_a_training_on_holds_extended_twice_is_the_whole_one_and_costs_what_was_played(tmp_path):
-    RING.check_on_set()
-    marks, file, told = (4, 12), tmp_path / "training.npz", []
-    whole = RING.train_on_steps(HOLDS, 3, 12, marks=marks)
+    marks, file, told = (4 / 12, 1.0), tmp_path / "training.npz", []
+    whole = RING.train(HOLDS, 3, length=12 / RING.whole, marks=marks)
     reached = [
-        RING.train_on_steps(HOLDS, 3, episodes, marks=marks, saved=file, on_progress=told.append)
+        RING.train(
+            HOLDS, 3, length=episodes / RING.whole, marks=marks, state=file, on_progress=told.append
+        )
         for episodes in (4, 7, 12)
     ]
     assert same(reached[-1].policy, whole.policy)
@@ -224,14 +242,13 @@ def test_the_episodes_of_a_training_on_holds_are_counted_hold_by_hold():
     assert met.sum() == 5 * 4
     assert met.min() >= 5  # of four episodes in three holds each has one at least
     four = replace(RING, hyperparameters={"hidden": (8,), "n_episodes": 4})
-    assert four.train_on_steps(HOLDS, 3, 20, marks=(20,)).steps == met @ [50, 20, 10]
+    assert four.train(HOLDS, 3, length=20 / four.whole).steps == met @ [50, 20, 10]
 
 
-def test_a_world_that_lives_in_one_process_is_refused_before_it_is_trained():
-    class Elsewhere:
-        storable = False
+def test_a_world_that_lives_in_one_process_hands_out_no_state():
+    from mbtl.cmdps.engines import SceneProblem
 
-    trainer = WorldTrainer(lambda contexts: (Elsewhere(), None), episodes=4)
-    with pytest.raises(InvalidInput, match="one in Elsewhere lives in one process; choose another"):
-        trainer.check_pausing([HOLD])
-    CARTPOLE.check_pausing([POLE])
+    trainer = WorldTrainer(SceneProblem(lambda context: None), episodes=4)
+    assert trainer.takes == {"sets", "start", "length"}
+    assert "live in one process; choose another --engine" in refusal(trainer, "state")
+    assert refusal(CARTPOLE, "state") is None

@@ -56,7 +56,7 @@ def test_it_is_the_default_where_there_is_an_environment_in_jax():
 
 
 def test_returns_are_those_of_the_gymnasium_environment():
-    policy = TRAINER.train(CONTEXTS[0], seed=1)
+    policy = TRAINER.train([CONTEXTS[0]], seed=1).policy
     ours = TRAINER.evaluate(policy, CONTEXTS, [5, 6])
     peer = SB3Trainer(CMDP.make_env, timesteps=1, eval_episodes=3)
     np.testing.assert_allclose(ours, peer.evaluate(policy, CONTEXTS, [5, 6]))
@@ -99,11 +99,11 @@ def test_an_interrupted_training_goes_on_to_the_same_policies(tmp_path, monkeypa
 
     whole = TRAINER.train_many(CONTEXTS[:1], [0])
     with pytest.raises(KeyboardInterrupt):
-        TRAINER.train_many(CONTEXTS[:1], [0], stop, partial=partial)
+        TRAINER.train_many(CONTEXTS[:1], [0], on_progress=stop, state=partial)
     assert partial.is_file()
     rest = []
     again = TRAINER.train_many(
-        CONTEXTS[:1], [0], lambda progress: rest.append(progress.step), partial=partial
+        CONTEXTS[:1], [0], on_progress=lambda progress: rest.append(progress.step), state=partial
     )
     assert rest[0] == seen[4]  # what was saved is the fourth block
     for checkpoint in ("best", "final"):
@@ -115,14 +115,14 @@ def test_an_interrupted_training_goes_on_to_the_same_policies(tmp_path, monkeypa
 def test_a_damaged_partial_file_only_costs_time(tmp_path):
     partial = tmp_path / "partial.npz"
     partial.write_bytes(b"PK\x03\x04 no archive")
-    one = TRAINER.train_many(CONTEXTS[:1], [0], partial=partial)["best"][0]
-    assert same(one, TRAINER.train(CONTEXTS[0], seed=0))
+    one = TRAINER.train_many(CONTEXTS[:1], [0], state=partial)["best"][0]
+    assert same(one, TRAINER.train([CONTEXTS[0]], seed=0).policy)
 
 
 def test_training_ends_when_the_best_cannot_get_better(monkeypatch):
     def trained(keep):
         heard = []
-        policies = TRAINER.train_many(CONTEXTS[:1], [0], heard.append, keep=keep)
+        policies = TRAINER.train_many(CONTEXTS[:1], [0], on_progress=heard.append, keep=keep)
         return policies, [progress.metrics["episode_return"] for progress in heard]
 
     whole, returns = trained(("best", "final"))
@@ -163,7 +163,7 @@ def test_a_matrix_row_is_the_row_of_a_study(tmp_path):
     for row in study.state.rows:
         np.testing.assert_allclose(row.returns, returns[row.source])
     policy = TRAINER.load(next((tmp_path / "policies").rglob("source-0001-*")))
-    assert same(policy, TRAINER.train(CONTEXTS[1], training_seed(7, 0, 1)))
+    assert same(policy, TRAINER.train([CONTEXTS[1]], training_seed(7, 0, 1)).policy)
     np.testing.assert_allclose(
         TRAINER.evaluate(policy, CONTEXTS, evaluation_seeds(7, 0, range(2))).mean(axis=1),
         returns[1],
@@ -174,9 +174,9 @@ def test_bad_options_say_what_is_known():
     with pytest.raises(UnknownName, match="SAC"):
         CMDP.trainer_for("quick", algorithm="SAC")
     with pytest.raises(UnknownName, match="learnig_rate"):
-        CMDP.trainer_for("quick", hyperparameters={"learnig_rate": 1}).train(CONTEXTS[0], 0)
+        CMDP.trainer_for("quick", hyperparameters={"learnig_rate": 1}).train([CONTEXTS[0]], 0)
     with pytest.raises(UnknownName, match="slow"):
-        CMDP.trainer_for("quick", recipe_name="slow").train(CONTEXTS[0], 0)
+        CMDP.trainer_for("quick", recipe_name="slow").train([CONTEXTS[0]], 0)
     with pytest.raises(InvalidInput, match="timesteps"):
         CMDP.trainer_for("quick", timesteps=0)
     with pytest.raises(InvalidInput, match="checkpoint"):

@@ -207,8 +207,8 @@ def test_interrupted_trainings_of_several_holds_go_on_to_the_same_policies(tmp_p
 
     assert trainer.lanes > 1  # one program
     with pytest.raises(KeyboardInterrupt):
-        trainer.train_many(contexts, [0, 1], stop, partial=file)
-    rest = trainer.train_many(contexts, [0, 1], stop, partial=file)
+        trainer.train_many(contexts, [0, 1], on_progress=stop, state=file)
+    rest = trainer.train_many(contexts, [0, 1], on_progress=stop, state=file)
     assert heard[3:] == [3, 4]  # two were saved
     whole = trainer.train_many(contexts, [0, 1])
     for checkpoint in ("best", "final"):
@@ -240,7 +240,7 @@ def test_it_learns_to_calm_the_ring():
     trainer = get_cmdp("ring-acc", engine="jax").trainer_for(
         "quick", episodes=60, hyperparameters={"n_episodes": 4}
     )
-    policy = trainer.train({"hold": 1.0}, seed=1)
+    policy = trainer.train([{"hold": 1.0}], seed=1).policy
     (guided,) = trainer.evaluate(policy, [{"hold": 1.0}], [2])
     assert guided.mean() > 3.6  # unguided: 3.15
 
@@ -253,4 +253,4 @@ def test_unknown_names_and_numbers_are_refused():
         cmdp.trainer_for("quick", episodes=0)
     trainer = cmdp.trainer_for("quick", hyperparameters={"gama": 0.9})
     with pytest.raises(UnknownName, match="gamma"):
-        trainer.train({"hold": 5.0}, seed=0)
+        trainer.train([{"hold": 5.0}], seed=0)

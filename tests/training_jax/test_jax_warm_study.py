@@ -91,7 +91,7 @@ def test_it_is_what_the_trainer_makes_of_that_start():
     parent = study.policies[0, 2]
     context = study.space.context(second.source)
     seed = training_seed(4, 0, second.source, 0)
-    expected = study.trainer.train_steps(context, seed, 512, start=parent).policy
-    scratch = study.trainer.train_steps(context, seed, 512).policy
+    expected = study.trainer.train([context], seed, length=0.5, start=parent).policy
+    scratch = study.trainer.train([context], seed, length=0.5).policy
     assert same(study.policies[1, 1].weights, expected.weights)
     assert not same(scratch.weights, expected.weights)

@@ -75,7 +75,7 @@ def test_another_reward_is_part_of_the_recipe_and_an_unknown_one_is_refused(cmdp
     assert "reward" not in cmdp.trainer_for("paper").recipe
     assert cmdp.trainer_for("paper", reward="delay").recipe["reward"] == "delay"
     with pytest.raises(UnknownName, match="delay, paper, platoon, road"):
-        cmdp.trainer_for("standard", reward="speed").train(CONTEXT, 0)
+        cmdp.trainer_for("standard", reward="speed").train([CONTEXT], 0)
     ring = get_cmdp("ring-acc", engine="jax").trainer_for("quick", reward="delay")
     with pytest.raises(UnknownName, match="reward of this world"):
-        ring.train({"hold": 5.0}, 0)
+        ring.train([{"hold": 5.0}], 0)

@@ -21,7 +21,7 @@ from mbtl.contexts import Context
 from mbtl.files import claimed_folder, whole_file
 from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, evaluation_seeds, training_seed
-from mbtl.trainer import Progress, WideTrainer
+from mbtl.trainer import Progress, Trainer, recipe_of
 
 OnStep = Callable[[int, int, str], None]
 """Called with (done, total, a note)."""
@@ -43,7 +43,7 @@ class InSimulator:
         problem: what else decides the policy, of the CMDP; JSON-able.
     """
 
-    trainer: WideTrainer
+    trainer: Trainer
     contexts: Sequence[Context]
     problem: Mapping[str, Any]
 
@@ -55,13 +55,12 @@ class InSimulator:
     @property
     def length(self) -> int:
         """Episodes, or steps where those are counted."""
-        counts = (getattr(self.trainer, unit, None) for unit in ("episodes", "timesteps"))
-        return next(filter(None, counts), 0)
+        return self.trainer.whole or 0
 
     @property
     def settings(self) -> dict[str, Any]:
         """What decides the numbers, apart from the seed; JSON-able."""
-        recipe = self.trainer.recipe_on_all
+        recipe = {**recipe_of(self.trainer), **getattr(self.trainer, "on_sets", {})}
         return {**self.problem, "recipe": recipe, "evaluation_seeds": PER_TARGET}
 
     def run(self, seed: int, folder: Path, on_step: OnStep) -> Found:
@@ -104,12 +103,14 @@ class InSimulator:
             on_step(progress.step, progress.total, note)
 
         begin, origin = time.process_time(), here()
-        partial = folder / "training.npz"
-        policy = self.trainer.train_on_all(self.contexts, chosen, on_progress, partial=partial)
+        state = folder / "training.npz"
+        policy = self.trainer.train(
+            self.contexts, chosen, state=state, on_progress=on_progress
+        ).policy
         trained = {"train_seconds_of_last_run": round(time.process_time() - begin, 1), **origin}
         (folder / "policy").mkdir(exist_ok=True)
         self.trainer.save(policy, folder / "policy")
         with whole_file(done) as file:
             file.write(json.dumps(trained).encode())
-        partial.unlink(missing_ok=True)
+        state.unlink(missing_ok=True)
         return policy, trained

@@ -130,13 +130,13 @@ def _train(piece: Piece) -> tuple[Policies, list[list[int]]]:
         policies: Policies = trainer.train_many(
             piece.contexts,
             piece.seeds,
-            on_progress,
             keep=piece.checkpoints,
-            partial=_partial(piece),
+            state=_partial(piece),
+            on_progress=on_progress,
         )
     else:
         pairs = zip(piece.contexts, piece.seeds, strict=True)
-        policies = {ONLY: [trainer.train(dict(context), seed) for context, seed in pairs]}
+        policies = {ONLY: [trainer.train([dict(context)], seed).policy for context, seed in pairs]}
     for checkpoint in piece.keep:
         for source, policy in zip(piece.sources, policies[checkpoint], strict=True):
             _keep(trainer, policy, piece.policy_folder(checkpoint, source))

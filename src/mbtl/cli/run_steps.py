@@ -19,7 +19,7 @@ from mbtl.report.step_text import show_steps
 from mbtl.study.limits import check_limits
 from mbtl.study.steps.claims import LEASE
 from mbtl.study.steps.create import create_step_study
-from mbtl.study.steps.prices import episodes_of, units_to
+from mbtl.study.steps.prices import in_units
 from mbtl.study.steps.strategies import DEFAULT, strategy_named
 from mbtl.study.steps.study import StepStudy
 from mbtl.study.steps.summary import counted
@@ -159,8 +159,8 @@ def run_steps(
 def _announce(study: StepStudy, trainer: Trainer, folder: Path) -> None:
     spec, spent = study.spec, study.state.spent
     marks, unit = [counted(length) for length in spec.lengths], "steps"
-    if episodes_of(trainer) is not None:
-        marks = [str(units_to(length, trainer, spec.horizon)) for length in spec.lengths]
+    if trainer.counts == "episodes" and (whole := trainer.whole) is not None:
+        marks = [str(round(in_units(mark, trainer, spec) * whole)) for mark in spec.lengths]
         unit = f"episodes of up to {spec.horizon} steps"
     going_on = f", going on after {counted(spent)}" if spent and not study.is_finished else ""
     console.print(

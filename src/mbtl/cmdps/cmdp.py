@@ -178,7 +178,7 @@ class CMDP:
         id: str,
         space: ContextSpace,
         *,
-        train: Callable[[Context, int], Any],
+        train: Callable[..., Any],
         evaluate: Callable[..., Any],
         save: Callable[[Any, Path], None] | None = None,
         load: Callable[[Path], Any] | None = None,
@@ -190,7 +190,8 @@ class CMDP:
         Args:
             id: short name, part of file names.
             space: the contexts.
-            train: context, seed -> policy.
+            train: `train(context, seed)`, or `train(contexts, seed, *, start=None, length=None)`,
+                which can do more; see `mbtl.trainer.FunctionTrainer`.
             evaluate: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes);
                 one seed per context, see `mbtl.trainer.FunctionTrainer`. The same seed should mean
                 the same episodes for every policy.

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.util import find_spec
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from mbtl.contexts import Axis, Context
 from mbtl.errors import ContextMismatch, InvalidInput, missing_extra, unknown_name
@@ -157,6 +157,9 @@ class SceneProblem:
     make_env: Callable[[Context], Any]
     time_limit: Literal["truncation", "terminal"] = "truncation"
     score: Score | None = None
+
+    storable: ClassVar[bool] = False
+    """A simulator lives in one process, so no file holds the state of a training."""
 
     def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
         """The world, and the parameters of `contexts` with one leading axis.

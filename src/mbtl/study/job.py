@@ -24,7 +24,7 @@ from mbtl.study.limits import at_most
 from mbtl.trainer import (
     OnProgress,
     Progress,
-    ResumingTrainer,
+    Trained,
     Trainer,
     checked_returns,
     equipment_of,
@@ -139,7 +139,8 @@ def perform(
                 stage, kept = "loading", Kept(None, found)
                 kept = Kept(job.trainer.load(_folder(job, found)), found)
             if kept is None:
-                kept = Kept(_trained(job, None if on_progress is None else steps))
+                trained = _trained(job, steps)
+                kept, steps.done = Kept(trained.policy), trained.steps or steps.done
                 on_kept(kept)
             if kept.artifact is None:
                 stage = "saving"
@@ -253,18 +254,14 @@ def _folder(job: Job, artifact: Artifact) -> Path:
     return job.store.read(artifact.place, artifact.sha256)
 
 
-def _trained(job: Job, on_progress: OnProgress | None) -> Any:
+def _trained(job: Job, on_progress: OnProgress) -> Trained:
     """From the beginning, or from where another worker has left it."""
-    context, trainer = dict(job.context), job.trainer
-    partials = _partials(job)
-    if not partials or not isinstance(trainer, ResumingTrainer):
-        return trainer.train(context, job.seed, on_progress)
-    own, *others = partials
-    left = next((file for file in others if file.is_file()), None)
-    if left is not None and not own.is_file():
+    own, *others = (*_partials(job), None)
+    left = next((file for file in others if file is not None and file.is_file()), None)
+    if own is not None and left is not None and not own.is_file():
         with contextlib.suppress(OSError):
             shutil.copyfile(left, own)
-    return trainer.train(context, job.seed, on_progress, partial=own)
+    return job.trainer.train([dict(job.context)], job.seed, state=own, on_progress=on_progress)
 
 
 def _partials(job: Job) -> list[Path]:
@@ -272,7 +269,7 @@ def _partials(job: Job) -> list[Path]:
 
     One that failed is begun again with another seed, and from the beginning.
     """
-    if job.store is None or not isinstance(job.trainer, ResumingTrainer):
+    if job.store is None or "resume" not in job.trainer.takes:
         return []
     made = f"{recipe_digest(equipment_of(job.trainer))}-{job.seed}"
     places = [f"{place}.{made}" for place in (job.place, *reversed(job.former))]

@@ -9,14 +9,14 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.errors import MbtlError
 from mbtl.study.artifacts import FolderStore
 from mbtl.study.job import Job, Outcome, Trouble, perform, perform_elsewhere
-from mbtl.trainer import OnProgress, RehearsingTrainer
+from mbtl.trainer import Ability, RehearsingTrainer, Trained
 
 
 def rehearse(
@@ -53,12 +53,16 @@ class _Untrained:
 
     trainer: RehearsingTrainer
 
+    takes: ClassVar[frozenset[Ability]] = frozenset()
+    whole: ClassVar[int | None] = None
+    counts: ClassVar[Literal["steps", "episodes"]] = "steps"
+
     @property
     def policy_format(self) -> str:
         return self.trainer.policy_format
 
-    def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
-        return self.trainer.untrained(context)
+    def train(self, contexts: Sequence[Context], seed: int, **asked: Any) -> Trained:
+        return Trained(self.trainer.untrained(contexts[0]))
 
     def evaluate(self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int]) -> Array:
         return self.trainer.evaluate(policy, contexts, seeds)

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mbtl.contexts import Context
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch
 from mbtl.plain import finite, whole
 from mbtl.seeds import Purpose, evaluation_seeds
@@ -297,7 +296,7 @@ class Study(LeasingStudy):
 
     def run(
         self,
-        train: Callable[[Context, int], Any] | None = None,
+        train: Callable[..., Any] | None = None,
         evaluate: Callable[..., Any] | None = None,
         *,
         save: Callable[[Any, Path], None] | None = None,
@@ -323,7 +322,7 @@ class Study(LeasingStudy):
         A callback ends the run by `study.stop`, and a training early by raising `TrainingPruned`.
 
         Args:
-            train: context, seed -> policy.
+            train: `train(context, seed)`, or `train(contexts, seed, *, start=None, length=None)`.
             evaluate: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes);
                 one seed per context, see `mbtl.trainer.FunctionTrainer`.
             save: policy, empty folder -> None; without it policies end with this process.

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbtl.study.artifacts import FolderStore
 from mbtl.study.study import Study
-from mbtl.trainer import ResumingTrainer, Trainer
+from mbtl.trainer import Trainer
 
 _LONG = 0.9
 """So many of the trainings so far took no longer than what the next one is expected to take."""
@@ -38,7 +38,7 @@ class WallTime:
         """
         if self.left <= 0.0:
             return False
-        if isinstance(trainer, ResumingTrainer) and isinstance(study.artifacts, FolderStore):
+        if "resume" in trainer.takes and isinstance(study.artifacts, FolderStore):
             return True
         took = [row.seconds for row in study.state.rows if row.seconds is not None]
         return not took or float(np.quantile(took, _LONG)) <= self.left

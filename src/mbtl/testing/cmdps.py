@@ -72,7 +72,9 @@ class CMDPContract:
         """A few real steps, then returns on three contexts; the same seeds give the same row."""
         trainer, targets = cmdp.trainer_for(**self.smoke), _some(cmdp)
         rows = [
-            trainer.evaluate(trainer.train(targets[1], seed=3), targets, range(len(targets)))
+            trainer.evaluate(
+                trainer.train([targets[1]], seed=3).policy, targets, range(len(targets))
+            )
             for _ in range(2)
         ]
         assert len(rows[0]) == len(targets)

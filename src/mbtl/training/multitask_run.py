@@ -14,9 +14,10 @@ from typing import Any, Literal
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
+from mbtl.errors import InvalidInput
+from mbtl.trainer import refusal
 from mbtl.training import engine
-from mbtl.training.world_steps import check_ppo, recipe_on_many
-from mbtl.training.world_trainer import WorldTrainer
+from mbtl.training.world_trainer import WorldTrainer, recipe_on_many
 
 Method = Literal["ppo", "paco", "moore"]
 
@@ -51,7 +52,8 @@ class InJax:
     eval_episodes: int | None = None
 
     def __post_init__(self) -> None:
-        check_ppo(self.trainer)
+        if why := refusal(self.trainer, "sets"):
+            raise InvalidInput(why)
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -10,26 +10,33 @@ from contextlib import ExitStack, suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.envs.references import reference_rows
-from mbtl.envs.rollout import end, one_instance
+from mbtl.envs.rollout import Job, end, one_instance, play_counted
 from mbtl.errors import InvalidInput, Notice, missing_extra, unknown_name
 from mbtl.processes import usable_cores
 from mbtl.score import Score
 from mbtl.seeds import action_seed, checkpoint_seeds, episode_seeds
 from mbtl.settings import described
-from mbtl.trainer import OnProgress, check_settings
+from mbtl.trainer import (
+    Ability,
+    OnProgress,
+    Trained,
+    check_asked,
+    check_settings,
+    checked_returns,
+)
 from mbtl.training.algorithms import algorithm_class, check_name, checked_hyperparameters
 from mbtl.training.isolation import isolated
 from mbtl.training.sb3_files import load_sb3, save_sb3
 from mbtl.training.sb3_learning import close, learn, lightened, log_nowhere, run_name
-from mbtl.training.sb3_steps import SB3Steps
-from mbtl.training.watch import EVALUATION_ENVS, BestCheckpoint, Watch
+from mbtl.training.sb3_state import begin_with, freeze, in_steps, pausing, thawed
+from mbtl.training.watch import EVALUATION_ENVS, BestCheckpoint, Watch, actor_for
 
 _COUNTS = ("eval_episodes", "checkpoint_episodes", "n_envs", "threads")
 _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every", "n_eval_envs")
@@ -39,11 +46,11 @@ EPISODE = "episode"
 
 
 @dataclass(frozen=True)
-class SB3Trainer(SB3Steps):
-    """Trains one policy per context with Stable-Baselines3 or sb3-contrib (`mbtl.trainer.Trainer`).
+class SB3Trainer:
+    """Trains policies with Stable-Baselines3 or sb3-contrib (`mbtl.trainer.Trainer`).
 
         trainer = SB3Trainer(make_env, algorithm="PPO", timesteps=100_000)
-        policy = trainer.train({"length": 0.5}, seed=0)
+        policy = trainer.train([{"length": 0.5}], seed=0).policy
         returns = trainer.evaluate(policy, space.contexts, range(space.n))  # (n_targets, 10)
 
     It can be pickled when `make_env` can (a function of a module), so trainings can run in other
@@ -118,6 +125,8 @@ class SB3Trainer(SB3Steps):
     threads: int = 1
 
     policy_format = "sb3"
+    on_sets: ClassVar[Mapping[str, str]] = {"contexts": "uniform, one per episode"}
+    """How the recipe of one policy for several contexts differs."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hyperparameters", dict(self.hyperparameters or {}))
@@ -129,46 +138,119 @@ class SB3Trainer(SB3Steps):
             raise unknown_name("credit", self.credit, ("own", "team"))
         check_name(self.algorithm)
 
-    def train(self, context: Context, seed: int, on_progress: OnProgress | None = None) -> Any:
-        """Train on one context; the same seed gives the same weights.
+    @property
+    def takes(self) -> frozenset[Ability]:
+        """All but "resume": a whole training is not saved on the way."""
+        return frozenset({"sets", "start", "length", "state"})
+
+    @property
+    def whole(self) -> int:
+        """Of a training, in steps or episodes."""
+        length = self.timesteps if self.episodes is None else self.episodes
+        assert length is not None
+        return length
+
+    @property
+    def counts(self) -> Literal["steps", "episodes"]:
+        """What `whole` counts."""
+        return "steps" if self.episodes is None else "episodes"
+
+    def train(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        *,
+        start: Any = None,
+        length: float | None = None,
+        done: float = 0.0,
+        marks: Sequence[float] = (),
+        state: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Trained:
+        """Train one policy (`mbtl.trainer.Trainer`); the same seed gives the same weights.
+
+        On several contexts one is drawn uniformly for every episode, which any algorithm learns
+        from unchanged. A training of a given `length` goes up to whole rollouts, and its policy has
+        the latest weights, whatever `checkpoint` says: who chooses lengths evaluates policies on
+        the way, and the best of them serves. A `start` is a model of this algorithm.
 
         Returns:
-            The library's model, without its environments and buffers; in an
+            The policy is the library's model, without its environments and buffers; in an
             `mbtl.training.adapted.AdaptedPolicy` where it counts choices from elsewhere than 0, or
             standardises observations.
 
         Raises:
             TrainingFailed: the weights or the actions became NaN.
-            InvalidInput: a hyperparameter that the algorithm does not have.
+            InvalidInput: there are no contexts, a hyperparameter that the algorithm does not have,
+                or `start` has other weights.
         """
+        check_asked(self, contexts, start, length)
+        if len(contexts) > 1:
+            last = 1.0 if length is None else [length, *marks][-1]
+            to = None if length is None else length / last
+            asked: dict[str, Any] = {"start": start, "state": state, "on_progress": on_progress}
+            one = self._everywhere(contexts, round(last * self.whole))
+            return one.train([{}], seed, length=to, done=done / last, **asked)
+        context, by_episodes = contexts[0], self.episodes is not None
+        until = None if length is None else round(length * self.whole)
+        begun, name = round(done * self.whole), run_name(context, seed)
         algorithm = self._algorithm()  # before torch is needed
         with ExitStack() as stack:
             stack.enter_context(isolated(self.threads))
-            best = self._best_checkpoint(context, seed, stack)
-            model = self._model(algorithm, context, seed, stack)
-            none = None if self.episodes is None else 0
-            watch = Watch(model, self._length, on_progress, best, none, self._score)
-            learn(model, self.timesteps, watch, run_name(context, seed))
-            if best is not None:
-                best.visit(model, watch.done, last=True)
-                best.restore(model)
-            watch.report(self._length)
-            return lightened(model)
+            best = self._best_checkpoint(context, seed, stack) if until is None else None
+            found = None
+            if until is not None and state is not None:
+                make_envs = partial(self._training_envs, context, stack)
+                found = thawed(state, seed, make_envs, stack)
+            model, episodes = found or self._begun(algorithm, context, seed, start, begun, stack)
+            if self.tensorboard is None:
+                log_nowhere(model)
 
-    def train_on_all(
-        self,
-        contexts: Sequence[Context],
-        seed: int,
-        on_progress: OnProgress | None = None,
-        *,
-        partial: Path | None = None,
-    ) -> Any:
-        """Train one policy for all contexts, of which one is drawn uniformly for every episode.
+            def played() -> int:  # of a team the library counts the steps of every place
+                return int(model.num_timesteps) // getattr(model.env, "slots", 1)
 
-        Raises:
-            InvalidInput: there are no contexts.
-        """
-        return self.for_all_contexts(contexts).train(next(iter(contexts), {}), seed, on_progress)
+            told = on_progress
+            if by_episodes and until is not None:
+                told = in_steps(on_progress, played)
+            watch = Watch(model, self.whole, told, best, episodes, self._score)
+            anew = found is None and begun == 0
+            if until is None:
+                learn(model, self.timesteps, watch, name, anew=anew)
+                if best is not None:
+                    best.visit(model, watch.done, last=True)
+                    best.restore(model)
+                watch.report(self.whole)
+            else:
+                if watch.done < until:
+                    with pausing(model, watch, until, state):
+                        learn(model, self.timesteps, watch, name, anew=anew)
+                    if state is not None:
+                        freeze(model, watch, state)
+                watch.report(watch.done)
+            steps = played() if by_episodes else watch.done
+            unknown = by_episodes and begun > 0 and found is None  # how long those before lasted
+            return Trained(lightened(model), None if unknown else steps)
+
+    def _begun(
+        self, algorithm: Any, context: Context, seed: int, start: Any, done: int, stack: ExitStack
+    ) -> tuple[Any, int | None]:
+        """The library's model before it learns, and episodes so far where those are counted."""
+        model = self._model(algorithm, context, seed, stack)
+        if start is not None:
+            begin_with(model, start)
+        if self.episodes is not None:
+            return model, done
+        model.num_timesteps = done
+        return model, None
+
+    def _everywhere(self, contexts: Sequence[Context], whole: int) -> SB3Trainer:
+        """The same in all contexts, for so long; what context it is given does not matter."""
+        from mbtl.envs.everywhere import Everywhere  # needs Gymnasium
+
+        make_env = Everywhere(self.make_env, tuple(contexts))
+        if self.episodes is None:
+            return replace(self, make_env=make_env, timesteps=whole)
+        return replace(self, make_env=make_env, episodes=whole)
 
     def untrained(self, context: Context) -> Any:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`).
@@ -202,6 +284,21 @@ class SB3Trainer(SB3Steps):
             TrainingFailed: a return is NaN or infinite, or an episode does not end.
         """
         return self.evaluate_steps(policy, contexts, seeds)[0]
+
+    def evaluate_steps(
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int] | int
+    ) -> tuple[Array, Array]:
+        """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
+        each = episode_seeds(seeds, len(contexts), self.eval_episodes)
+        with isolated(self.threads):
+            actor = actor_for(policy, sampled=self.acting == "sampled")
+            most = min(len(contexts), self.n_eval_envs or EVALUATION_ENVS)
+            open_env, most = self.opener(contexts, most)
+            pairs = zip(contexts, each, strict=True)
+            jobs = [Job(partial(open_env, one), own, self._score) for one, own in pairs]
+            returns, lasted = play_counted(jobs, actor, max_envs=most)
+        shape = (len(jobs), self.eval_episodes)
+        return checked_returns(np.reshape(returns, shape), len(jobs)), np.reshape(lasted, shape)
 
     def reference_rows(
         self, contexts: Sequence[Context], seeds: Sequence[int] | int
@@ -242,11 +339,6 @@ class SB3Trainer(SB3Steps):
     def functions(self) -> dict[str, Any]:
         """Where a user's own code is (`mbtl.trainer.code_of`)."""
         return {"make_env": self.make_env, "policy": self.policy, "algorithm": self.algorithm}
-
-    @property
-    def recipe_on_all(self) -> dict[str, Any]:
-        """As `recipe`, of `train_on_all`."""
-        return {**self.recipe, "contexts": "uniform, one per episode"}
 
     def opener(
         self, contexts: Sequence[Context], at_once: int
@@ -291,16 +383,8 @@ class SB3Trainer(SB3Steps):
                 watched_episode(env, 0, say=partial(warnings.warn, category=Notice, stacklevel=2))
 
     @property
-    def _length(self) -> int:
-        """Of a training, in steps or episodes."""
-        length = self.timesteps if self.episodes is None else self.episodes
-        assert length is not None
-        return length
-
-    @property
     def _length_record(self) -> dict[str, Any]:
         """Settings that came later are named where they are used: old records stay as they were."""
-        unit = "timesteps" if self.episodes is None else "episodes"
         usual: dict[str, Any] = {
             **{"normalize_reward": False, "normalize_observations": False, "clip_actions": False},
             **{"credit": "own", "acting": "mean"},
@@ -309,7 +393,7 @@ class SB3Trainer(SB3Steps):
         later = {name: value for name, value in now.items() if value != usual[name]}
         if self._score is not None:
             later["score"] = self._score.record
-        return {unit: self._length, **later}
+        return {"timesteps" if self.episodes is None else "episodes": self.whole, **later}
 
     def _algorithm(self) -> tuple[Any, dict[str, Any]]:
         """The library's class and its keyword arguments."""
@@ -420,7 +504,7 @@ class SB3Trainer(SB3Steps):
             envs.append(open_env(context))
             stack.callback(end, envs[-1])
         seeds = checkpoint_seeds(seed, self.checkpoint_episodes)
-        every = self.checkpoint_every or max(1, math.ceil(0.02 * self._length))
+        every = self.checkpoint_every or max(1, math.ceil(0.02 * self.whole))
         return BestCheckpoint(
             envs, seeds, every, sampled=self.acting == "sampled", score=self._score
         )

@@ -2,6 +2,12 @@
 
 Nothing of jax is imported before a training or evaluation, so the record can be made, printed and
 sent to another process anywhere.
+
+A training that was extended is, bit for bit, the one of the whole length: all that decides the
+future is in its state, and learning rates and exploration follow the whole length. How long one
+policy for many contexts should be trained nobody knows beforehand. So its learning rate falls to
+zero at each mark, and begins anew after it: the policy at a mark is a finished one, and the
+training can still go on.
 """
 
 from __future__ import annotations
@@ -17,12 +23,20 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.checkpoints import Checkpoint, shares_of
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput, unknown_name
+from mbtl.errors import unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seeds
-from mbtl.trainer import OnProgress, Progress, check_settings, checked_returns, even_groups
+from mbtl.trainer import (
+    Ability,
+    OnProgress,
+    Progress,
+    Trained,
+    check_asked,
+    check_settings,
+    checked_returns,
+    even_groups,
+)
 from mbtl.training import engine
-from mbtl.training.world_steps import WorldSteps
 
 BY_STEPS = ("PPO", "A2C", "DQN")
 """Algorithms that learn every few steps; a training is as many `timesteps`."""
@@ -36,17 +50,20 @@ _CPU_LANES = 25
 """Sources trained together on a CPU where one of them would not keep it busy."""
 _CHECKPOINTS, _EACH = 20, 2
 """Evaluations of a policy for all contexts, and episodes of each on every context."""
+_CHECK_TIMES, _CHECK_SHARE = 50, 20
+_CHECKS, _CHECKED_AT, _STAGE = "checks", "checked_at", "stage"
+"""Numbers that are kept with the state of a training."""
 
 Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
 """contexts -> (`mbtl.training.jax.World`, its parameters with one leading axis)."""
 
 
 @dataclass(frozen=True)
-class WorldTrainer(WorldSteps):
+class WorldTrainer:
     """Trains policies in a world (`mbtl.trainer.Trainer`), one or many at once.
 
         trainer = get_cmdp("cartpole-length", engine="jax").trainer_for("full")
-        policy = trainer.train({"length": 0.5}, seed=0)
+        policy = trainer.train([{"length": 0.5}], seed=0).policy
         returns = trainer.evaluate(policy, space.contexts, range(space.n))  # (n_targets, 100)
 
     Attributes:
@@ -91,7 +108,12 @@ class WorldTrainer(WorldSteps):
     actions: str | None = None
 
     policy_format = "mlp"
-    resumes: ClassVar[bool] = True
+    on_sets: ClassVar[Mapping[str, str]] = {
+        "contexts": "uniform, one per episode",
+        "checkpoint_every": f"1/{_CHECKPOINTS}",
+        "checkpoint_episodes": f"{_EACH} per context",
+    }
+    """How the recipe of one policy for several contexts differs."""
 
     def __post_init__(self) -> None:
         by_steps, algorithm = self.episodes is None, self.algorithm
@@ -158,10 +180,31 @@ class WorldTrainer(WorldSteps):
         }
 
     @property
-    def recipe_on_all(self) -> dict[str, Any]:
-        """As `recipe`, of `train_on_all`."""
-        own = {"contexts": "uniform, one per episode", "checkpoint_every": f"1/{_CHECKPOINTS}"}
-        return {**self.recipe, **own, "checkpoint_episodes": f"{_EACH} per context"}
+    def takes(self) -> frozenset[Ability]:
+        """Several contexts by episodes, or by PPO; no state where no file can hold it."""
+        sets: set[Ability] = {"sets"} if self._why_no_sets is None else set()
+        storable = getattr(self.problem, "storable", True)
+        stored: set[Ability] = {"state", "resume"} if storable else set()
+        return frozenset({*sets, *stored, "start", "length"})
+
+    def why_not(self, ability: Ability) -> str:
+        """What the recipe or the world cannot do."""
+        if ability == "sets":
+            return str(self._why_no_sets)
+        return "its simulators live in one process; choose another --engine"
+
+    @property
+    def whole(self) -> int:
+        """Timesteps of one training, whole updates; or its episodes."""
+        if self.episodes is not None:
+            return self.episodes
+        unit = self.update_length
+        return -(-self.length // unit) * unit
+
+    @property
+    def counts(self) -> Literal["steps", "episodes"]:
+        """What `whole` counts."""
+        return "steps" if self.episodes is None else "episodes"
 
     @property
     def lanes(self) -> int:
@@ -189,31 +232,173 @@ class WorldTrainer(WorldSteps):
 
     def train(
         self,
-        context: Context,
+        contexts: Sequence[Context],
         seed: int,
-        on_progress: OnProgress | None = None,
         *,
-        partial: Path | None = None,
-    ) -> MLPPolicy:
-        """Train on one context; the same seed gives the same policy. `partial`: see `train_many`.
+        start: Any = None,
+        length: float | None = None,
+        done: float = 0.0,
+        marks: Sequence[float] = (),
+        state: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Trained:
+        """Train one policy (`mbtl.trainer.Trainer`), up to whole updates.
+
+        A training of a given `length` gives the latest weights, whatever `checkpoint` says: who
+        chooses lengths evaluates policies on the way, and the best of them serves. It evaluates
+        itself only where that can end it early, which is where a perfect return is one of episodes
+        that last. Where it may `start` from a policy, the critic, which no policy carries, begins
+        anew.
+
+        On several contexts each episode of an update is in another of them. Whole it is judged on
+        all of them 20 times, two episodes each. Of a given length, where steps are counted, it is
+        context-conditioned PPO as in the multi-task baseline: its copies of the world take turns in
+        the contexts. Then it does not evaluate itself, and never ends early.
 
         Raises:
+            InvalidInput: there are no contexts, a hyper-parameter that the recipe does not have,
+                several contexts by steps and not by PPO, or `start` has another shape.
             TrainingFailed: the weights became NaN.
-            InvalidInput: a hyper-parameter that the recipe does not have.
             MissingExtra: jax is not installed.
         """
-        keep = (self.checkpoint,)
-        policies = self.train_many([context], [seed], on_progress, keep=keep, partial=partial)
-        return policies[self.checkpoint][0]
+        check_asked(self, contexts, start, length)
+        world, params = self._lessons(contexts)
+        file = engine.SavedTraining(state if getattr(world, "storable", True) else None)
+        begun = round(done * self.whole)
+        if len(contexts) > 1:
+            stops = None
+            if length is not None:
+                stops = [round(mark * self.whole) for mark in (*(marks or (length,)), length)]
+            problem = contexts, world, params
+            return self._on_several(problem, seed, start, begun, stops, file, on_progress)
+        recipe, whole = self.learner, length is None
+        each = 1 if self.episodes is None else engine.counted.decisions_of(world, params)
+        checked = not whole and _may_end(world)
+        only_best, every = checked, _check_every(self, world) if checked else None
+        if whole:
+            only_best, every = self.checkpoint == "best", self.checkpoint_every
+
+        def fresh() -> Any:
+            weights = None if start is None else engine.taught(world, start, recipe.activation)
+            training = engine.start(world, recipe, [seed], params, weights)
+            return _advanced(training, -(-begun // self.update_length))
+
+        def on_block(block: Any) -> None:
+            at = int(block.training.updates)
+            latest = float(block.training.latest_return[0]) if checked else None
+            if latest is not None and at > file.notes.get(_CHECKED_AT, 0):
+                lasted = round(latest * self.checkpoint_episodes)
+                file.notes[_CHECKS] = file.notes.get(_CHECKS, 0) + lasted
+                file.notes[_CHECKED_AT] = at
+            if on_progress is not None:
+                metrics = {} if latest is None else {"episode_return": latest}
+                on_progress(Progress(block.steps * each, block.total * each, metrics))
+
+        training = engine.train(
+            world,
+            recipe,
+            [seed],
+            params,
+            self.length,
+            on_block=self._on_block(on_progress) if whole else on_block,
+            checkpoint_every=every,
+            checkpoint_episodes=self.checkpoint_episodes,
+            acting=self._how,
+            only_best=only_best,
+            resume=file.load(fresh) or fresh(),
+            saved=file,
+            until=None if length is None else round(length * self.whole),
+            judging=whole or checked,
+        )
+        best = whole and self.checkpoint == "best"
+        weights = training.best if best else training.state.weights
+        most = world.max_return
+        return Trained(
+            engine.export_policies(world, weights, recipe.activation)[0],
+            int(training.updates) * self.update_length * each,
+            file.notes.get(_CHECKS, 0),
+            ended=only_best and most is not None and float(training.best_return[0]) >= most,
+        )
+
+    def _on_several(
+        self,
+        problem: tuple[Sequence[Context], Any, Any],
+        seed: int,
+        start: Any,
+        begun: int,
+        stops: Sequence[int] | None,
+        file: Any,
+        on_progress: OnProgress | None,
+    ) -> Trained:
+        """To the last of `stops` by way of those before, its marks; None: a whole training."""
+        contexts, world, params = problem
+        by_steps, n, whole = self.episodes is None, len(contexts), stops is None
+        recipe = recipe_on_many(self, world, n) if by_steps and not whole else self.learner
+        unit = int(recipe.update_length)
+        *marks, until = (self.length, self.length) if stops is None else stops
+        ends = [0, *(-(-mark // unit) for mark in (marks if by_steps else marks[-1:]))]
+        last = min(-(-until // unit), ends[-1])  # each end that of a stage, from mark to mark
+        each = () if by_steps else engine.counted.each_of(self.problem, contexts)
+        tell = self._on_block(on_progress) if whole else None
+
+        def played(updates: int) -> int:
+            many = updates * unit
+            return many if by_steps else int(engine.episodes_met(seed, updates, n, unit) @ each)
+
+        def fresh() -> Any:
+            weights = None if start is None else engine.taught(world, start, recipe.activation)
+            return engine.start_multitask(world, recipe, [seed], params, weights)
+
+        def on_block(block: Any) -> None:
+            if tell is not None:
+                tell(block)
+            elif on_progress is not None:
+                on_progress(Progress(played(ends[stage] + block.steps // unit), total))
+            if block.steps < block.total:  # the end of a stage is the beginning of the next one
+                file.save(block.training)
+
+        total = played(ends[-1])
+        training = file.load(fresh)  # its `updates` count from the last mark on
+        if training is None:
+            passed = -(-begun // unit)
+            stage = file.notes[_STAGE] = max(k for k, end in enumerate(ends) if end <= passed)
+            training = _advanced(fresh(), passed - ends[stage])
+        stage = file.notes.setdefault(_STAGE, 0)
+        judging: dict[str, Any] = {"judging": False}
+        if whole:
+            every = math.ceil(self.length / _CHECKPOINTS)
+            judging = {"checkpoint_every": every, "checkpoint_episodes": _EACH, "acting": self._how}
+        while ends[stage] + int(training.updates) < last:
+            length = ends[stage + 1] - ends[stage]
+            if length:
+                training = engine.train_multitask(
+                    world,
+                    recipe,
+                    [seed],
+                    params,
+                    length * unit,
+                    on_block=on_block,
+                    resume=training,
+                    until=(last - ends[stage]) * unit,
+                    **judging,
+                )
+            if int(training.updates) == length:
+                training = _advanced(training, -length)
+                stage = file.notes[_STAGE] = stage + 1
+        file.save(training, done=True)
+        best = whole and self.checkpoint == "best"
+        weights = training.best if best else training.state.weights
+        policy = engine.export_policies(world, weights, recipe.activation)[0]
+        return Trained(policy, played(ends[stage] + int(training.updates)))
 
     def train_many(
         self,
         contexts: Sequence[Context],
         seeds: Sequence[int],
-        on_progress: OnProgress | None = None,
         *,
         keep: Sequence[str] = ("best", "final"),
-        partial: Path | None = None,
+        state: Path | None = None,
+        on_progress: OnProgress | None = None,
     ) -> dict[str, list[MLPPolicy]]:
         """Train one policy per (context, seed), all in one program (`mbtl.trainer.ManyTrainer`).
 
@@ -235,45 +420,11 @@ class WorldTrainer(WorldSteps):
             acting=self._how,
             only_best="final" not in keep,
             marks=marks,
-            saved=engine.SavedTraining(partial if getattr(world, "storable", True) else None),
+            saved=engine.SavedTraining(state if getattr(world, "storable", True) else None),
         )
         kept = [engine.weights_of(training, Checkpoint.named(name), marks) for name in keep]
         each = [engine.export_policies(world, weights, recipe.activation) for weights in kept]
         return dict(zip(keep, each, strict=True))
-
-    def train_on_all(
-        self,
-        contexts: Sequence[Context],
-        seed: int,
-        on_progress: OnProgress | None = None,
-        *,
-        partial: Path | None = None,
-    ) -> MLPPolicy:
-        """Train one policy for all contexts; each episode of an update is in another of them.
-
-        It is judged on all of them 20 times, two episodes each.
-
-        Raises:
-            InvalidInput: there are no contexts.
-        """
-        if not contexts:
-            raise InvalidInput("multi-task training takes at least one context, got none")
-        world, params = self._lessons(contexts)
-        recipe = self.learner
-        training = engine.train_multitask(
-            world,
-            recipe,
-            [seed],
-            params,
-            self.length,
-            on_block=self._on_block(on_progress),
-            checkpoint_every=math.ceil(self.length / _CHECKPOINTS),
-            checkpoint_episodes=_EACH,
-            acting=self._how,
-            saved=engine.SavedTraining(partial),
-        )
-        weights = training.best if self.checkpoint == "best" else training.state.weights
-        return engine.export_policies(world, weights, recipe.activation)[0]
 
     def untrained(self, context: Context) -> MLPPolicy:
         """A policy as a training begins with it (`mbtl.trainer.RehearsingTrainer`)."""
@@ -321,6 +472,17 @@ class WorldTrainer(WorldSteps):
             TrainingFailed: a return is NaN or infinite.
         """
         return checked_returns(self.evaluate_many([policy], contexts, seeds)[0], len(contexts))
+
+    def evaluate_steps(
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int] | int
+    ) -> tuple[Array, Array]:
+        """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
+        returns = self.evaluate(policy, contexts, seeds)
+        steps = engine.counted.known_steps(self.problem, contexts, returns)
+        if steps is None:
+            counting = replace(self, problem=engine.counted.Counting(self.problem))
+            steps = counting.evaluate(policy, contexts, seeds)
+        return returns, steps
 
     def evaluate_many(
         self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seeds: Sequence[int] | int
@@ -376,6 +538,15 @@ class WorldTrainer(WorldSteps):
         return engine.reference_returns(world, params, each)
 
     @property
+    def _why_no_sets(self) -> str | None:
+        if self.episodes is not None or self.algorithm == "PPO":
+            return None
+        return (
+            f"multi-task methods learn by PPO, got a recipe of {self.algorithm}; choose another "
+            "--preset"
+        )
+
+    @property
     def _how(self) -> Literal["sampled", "mean"]:
         if self.algorithm == "DQN":
             return "mean"
@@ -391,3 +562,33 @@ class WorldTrainer(WorldSteps):
     def load(self, folder: Path) -> MLPPolicy:
         """Read what `save` wrote; nothing but numbers is loaded."""
         return MLPPolicy.load(Path(folder))
+
+
+def _advanced(training: Any, updates: int) -> Any:
+    """As if so many more updates were done; schedules follow their number."""
+    return training._replace(updates=training.updates + updates) if updates else training
+
+
+def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo") -> Any:
+    """The recipe of one policy for n contexts.
+
+    CartPole and Pendulum have one of their own; every other world is learnt by that of one source,
+    its copies spread over the contexts. The trainer learns by PPO.
+    """
+    name = type(getattr(world, "env", world)).__name__
+    if name in engine.MULTI_TASK:
+        return engine.multitask_recipe(method, name)  # type: ignore[arg-type]  # it checks the name
+    return engine.spread_recipe(method, trainer.learner, n)  # type: ignore[arg-type]
+
+
+def _may_end(world: Any) -> bool:
+    """Whether a training can be found to have nothing left to gain."""
+    lasts = getattr(getattr(world, "env", None), "lasts", None)
+    return world.max_return is not None and lasts == "return"
+
+
+def _check_every(trainer: WorldTrainer, world: Any) -> int:
+    """Steps between two evaluations of itself: every 2 %, and they cost a twentieth at most."""
+    dearest = trainer.checkpoint_episodes * (int(world.env.horizon) if trainer.timesteps else 1)
+    often = -(-trainer.length // _CHECK_TIMES)
+    return trainer.checkpoint_every or max(often, _CHECK_SHARE * dearest)

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from mbtl.actions import Policy
 from mbtl.errors import InvalidInput, StudyMismatch
-from mbtl.set_trainer import SetTrainer
 from mbtl.settings import first_difference
 from mbtl.study.described import changed_code, code_mismatch
 from mbtl.study.steps.kept import check_artifacts
 from mbtl.study.steps.prices import whole_length
-from mbtl.trainer import SteppingTrainer, Trainer, code_of, recipe_of
+from mbtl.trainer import Trainer, code_of, recipe_of, refusal
 
 if TYPE_CHECKING:
     from mbtl.study.steps.study import StepStudy
@@ -32,39 +31,22 @@ def check_trainer(study: StepStudy, trainer: Trainer, *, accept_changes: bool = 
     """
     check_artifacts(study)
     spec = study.spec
-    if not isinstance(trainer, SteppingTrainer):
-        if len(spec.lengths) > 1:
-            raise InvalidInput(
-                f"the length of a training cannot be chosen with {type(trainer).__name__}, got "
-                f"{len(spec.lengths)} lengths; give a train function that takes `steps` and "
-                "`start` (docs/spending.md), or make the study with lengths=[<one>]"
-            )
-    else:
-        whole = whole_length(trainer, spec.horizon)
-        if whole is None:
-            raise InvalidInput(
-                f"the length of a training is a number of steps or episodes, and "
-                f"{type(trainer).__name__} has neither whole_steps nor episodes; give it one, or "
-                "count trainings (without cost='steps')"
-            )
-        if whole < spec.lengths[-1]:
-            raise InvalidInput(
-                f"the last length is that of a whole training, got {spec.lengths[-1]:,} where the "
-                f"trainer has {whole:,}; use the same trainer"
-            )
-        if len(spec.lengths) > 1 and not study.is_finished and hasattr(trainer, "check_pausing"):
-            trainer.check_pausing([study.space.context(0)])
-    if getattr(study.strategy, "trains_on_all", False):
-        if not isinstance(trainer, SetTrainer):
-            raise InvalidInput(
-                f"the strategy {study.strategy.name!r} trains one policy on all contexts, and "
-                f"{type(trainer).__name__} trains on one at a time; give a function "
-                "train_on(contexts, seed, steps, start=None), or choose another strategy, such as "
-                "'pilot'"
-            )
-        trainer.check_on_set()
-    if getattr(study.strategy, "starts_warm", False) and not _begins_from_others(trainer):
-        raise _no_start(study.strategy.name)
+    if len(spec.lengths) > 1 and (why := refusal(trainer, "length")):
+        raise InvalidInput(f"{why}; or make the study with one length, lengths=[<one>]")
+    whole = whole_length(trainer, spec.horizon)
+    if whole is not None and whole < spec.lengths[-1]:
+        raise InvalidInput(
+            f"the last length is that of a whole training, got {spec.lengths[-1]:,} where the "
+            f"trainer has {whole:,}; use the same trainer"
+        )
+    on_all = getattr(study.strategy, "trains_on_all", False)
+    if on_all and (why := refusal(trainer, "sets") or refusal(trainer, "length")):
+        raise InvalidInput(
+            f"the strategy {study.strategy.name!r} trains one policy on all contexts, and {why}; "
+            "or choose another strategy, such as 'pilot'"
+        )
+    if getattr(study.strategy, "starts_warm", False):
+        _check_starts(study, trainer)
     known = spec.settings.get("recipe")
     own = recipe_of(trainer)
     if known is not None and (found := first_difference(known, own)):
@@ -99,8 +81,7 @@ def check_start(study: StepStudy, trainer: Trainer, start: Policy) -> None:
     Raises:
         InvalidInput: so it is.
     """
-    if not _begins_from_others(trainer):
-        raise _no_start(study.strategy.name)
+    _check_starts(study, trainer)
     trainings = study.state.trainings
     known = 0 <= start.training < len(trainings)
     if not known or not 0 <= start.length <= trainings[start.training].length:
@@ -119,13 +100,9 @@ def with_episodes(trainer: Trainer, episodes: int) -> Trainer:
     return changed
 
 
-def _begins_from_others(trainer: Trainer) -> bool:
-    return isinstance(trainer, SteppingTrainer) and bool(getattr(trainer, "begins_from", True))
-
-
-def _no_start(strategy: str) -> InvalidInput:
-    return InvalidInput(
-        f"the strategy {strategy!r} begins trainings with the weights of others, and this train "
-        "function takes none; give it the arguments `steps` and `start`, or choose another "
-        "strategy, such as 'pilot'"
-    )
+def _check_starts(study: StepStudy, trainer: Trainer) -> None:
+    if why := refusal(trainer, "start"):
+        raise InvalidInput(
+            f"the strategy {study.strategy.name!r} begins trainings with the weights of others, "
+            f"and {why}; or choose another strategy, such as 'pilot'"
+        )

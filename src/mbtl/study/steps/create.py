@@ -76,7 +76,7 @@ def create_step_study(
             object with `name` and `decide`.
         lengths: environment steps at which a training may pause, rising; None: the whole length of
             the trainer's and its halves down to 8,000. Plain functions need it: one length for
-            `train(context, seed)`, any for one that takes `steps`. Where a recipe counts episodes
+            `train(context, seed)`, any for one that takes `length`. Where a recipe counts episodes
             these are steps of so many of the longest ones, and what was played is charged.
         episodes: of a policy on a target; None: 10.
         horizon: most steps of an episode; None: the CMDP's.

@@ -14,7 +14,7 @@ from mbtl.errors import StorageError
 from mbtl.seeds import Purpose, evaluation_seeds
 from mbtl.study.steps.state import Fresh
 from mbtl.study.storage import Conflict
-from mbtl.trainer import SteppingTrainer, Trainer, checked_returns, completed
+from mbtl.trainer import CountingTrainer, Trainer, checked_returns, completed
 
 if TYPE_CHECKING:
     from mbtl.study.steps.study import StepStudy
@@ -35,7 +35,7 @@ def evaluated(
     contexts = [study.space.context(int(t)) for t in targets]
     seeds = evaluation_seeds(study.spec.seed, study.spec.trial, targets, purpose)
     steps: Array | float = np.nan
-    if isinstance(trainer, SteppingTrainer):
+    if isinstance(trainer, CountingTrainer):
         returns, steps = trainer.evaluate_steps(weights, contexts, seeds)
     else:
         returns = trainer.evaluate(weights, contexts, seeds)

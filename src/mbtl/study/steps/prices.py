@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 from mbtl.actions import Evaluate, StartOn
 from mbtl.actions.evaluation import LEAST, target_price
+from mbtl.study.steps.spec import StepSpec
 from mbtl.study.steps.state import StepState, UnderWay
-from mbtl.trainer import SteppingTrainer, Trainer
+from mbtl.trainer import Trainer
 
 if TYPE_CHECKING:
     from mbtl.study.steps.study import StepStudy
@@ -54,31 +55,23 @@ def share_of(state: StepState, training: int) -> float:
 
 
 def whole_length(trainer: Trainer, horizon: int) -> int | None:
-    """Environment steps of a whole training, at most; None: it does not say."""
-    if not isinstance(trainer, SteppingTrainer):
+    """Environment steps of a whole training, at most; None: it does not say, or has one length."""
+    if "length" not in trainer.takes or trainer.whole is None:
         return None
-    if trainer.whole_steps is None and (episodes := episodes_of(trainer)) is not None:
-        unit = int(getattr(trainer, "update_length", 1))
-        return -(-episodes // unit) * unit * horizon
-    return trainer.whole_steps
+    if trainer.counts == "steps":
+        return trainer.whole
+    unit = int(getattr(trainer, "update_length", 1))
+    return -(-trainer.whole // unit) * unit * horizon
 
 
-def episodes_of(trainer: Trainer) -> int | None:
-    """Episodes of a whole training; None: steps are counted."""
-    episodes = getattr(trainer, "episodes", None)
-    return int(episodes) if episodes and getattr(trainer, "whole_steps", None) is None else None
-
-
-def units_to(mark: int, trainer: Trainer, horizon: int) -> int:
-    """A mark as a trainer counts it: in steps, or in episodes."""
-    episodes = episodes_of(trainer)
-    units = units_on_many(mark, trainer, horizon)
-    return units if episodes is None else min(units, episodes)
-
-
-def units_on_many(mark: int, trainer: Trainer, horizon: int) -> int:
-    """Likewise of a training on several contexts, which may be longer than a whole one."""
-    return mark if episodes_of(trainer) is None else -(-mark // horizon)
+def in_units(mark: int, trainer: Trainer, spec: StepSpec, *, on_many: bool = False) -> float:
+    """A mark in units of whole trainings; one on many contexts may be longer than a whole one."""
+    if trainer.whole is None:
+        return mark / spec.lengths[-1]
+    if trainer.counts == "steps":
+        return mark / trainer.whole
+    episodes = -(-mark // spec.horizon)
+    return (episodes if on_many else min(episodes, trainer.whole)) / trainer.whole
 
 
 def next_mark(state: StepState, held: UnderWay) -> int:

@@ -14,6 +14,7 @@ import contextlib
 import shutil
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,18 +27,17 @@ from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
 from mbtl.faults import FAULTS, reason_of
 from mbtl.seeds import selection_rng, training_seed
 from mbtl.selectors.targets import spread_targets
-from mbtl.set_trainer import SetTrainer
 from mbtl.study.limits import at_most, check_limits
 from mbtl.study.steps.callbacks import StepCallback
 from mbtl.study.steps.checks import check_start, check_trainer, with_episodes
 from mbtl.study.steps.claims import LEASE, Claim, Claims, Lost
 from mbtl.study.steps.evaluation import evaluated, report_fresh, weights_of
-from mbtl.study.steps.prices import next_mark, price_of, units_on_many, units_to
+from mbtl.study.steps.prices import in_units, next_mark, price_of
 from mbtl.study.steps.record import Work, failure
 from mbtl.study.steps.state import UnderWay
 from mbtl.study.steps.summary import StepResult, verdict_of
 from mbtl.study.storage import Conflict
-from mbtl.trainer import Progress, Reached, SteppingTrainer, Trainer
+from mbtl.trainer import Progress, Trained, Trainer
 
 if TYPE_CHECKING:
     from mbtl.study.steps.study import StepStudy
@@ -278,35 +278,29 @@ class _Worker:
         assert isinstance(held.work, Start)
         return held.work.source, ()
 
-    def _piece(self, claim: Claim, held: UnderWay, mark: int, progress: _Latest) -> Reached:
-        """A training to a mark, from where it is."""
-        study, spec, state = self.study, self.study.spec, self.study.state
+    def _piece(self, claim: Claim, held: UnderWay, mark: int, progress: _Latest) -> Trained:
+        """A training to a mark, from where it is: from its state, or from its latest policy."""
+        study, spec, state, trainer = self.study, self.study.spec, self.study.state, self.trainer
         source, on = self._where(held)
         known = None if held.training is None else state.trainings[held.training]
         repeat = state.repeats(source, on=bool(on)) if known is None else known.repeat
-        marks, file = state.marks_of(held), self._file(self._called(claim, held))
-        if on:
-            assert isinstance(self.trainer, SetTrainer)
-            # sources are 0..N-1, so this seed is none of theirs
-            seed = training_seed(spec.seed, spec.trial, spec.space.n, repeat)
-            contexts = [spec.space.context(i) for i in on]
+        # sources are 0..N-1, so the seed of a set is none of theirs
+        seed = training_seed(spec.seed, spec.trial, spec.space.n if on else source, repeat)
+        contexts, marks = [spec.space.context(i) for i in on or (source,)], state.marks_of(held)
+        begun, asked = state.start_of(held), dict[str, Any]()
+        if "length" in trainer.takes:
+            units = [in_units(one, trainer, spec, on_many=bool(on)) for one in marks]
             first = mark if known is None else min(known.marks)
-            units = [units_on_many(one, self.trainer, spec.horizon) for one in marks]
-            return self.trainer.train_on_steps(
-                contexts, seed, units[mark], marks=units[first:], saved=file, on_progress=progress,
-            )  # fmt: skip
-        seed = training_seed(spec.seed, spec.trial, source, repeat)
-        context = spec.space.context(source)
-        if not isinstance(self.trainer, SteppingTrainer):
-            return Reached(self.trainer.train(context, seed, progress), marks[mark])
-        steps = units_to(marks[mark], self.trainer, spec.horizon)
-        saved = file if len(spec.lengths) > 1 else None
-        begun = state.start_of(held)
-        # also of one that goes on: where its state is lost, it is trained again from there
-        start = None if begun is None else weights_of(study, self.trainer, begun)
-        return self.trainer.train_steps(
-            context, seed, steps, start=start, saved=saved, on_progress=progress
-        )
+            asked = {"length": units[mark], "marks": units[first:] if on else ()}
+            if "state" in trainer.takes:
+                # where that is lost, it is trained again from where it began
+                asked["state"] = self._file(self._called(claim, held))
+            elif held.training is not None and "start" in trainer.takes:
+                latest = state.reached(held.training)
+                begun, asked["done"] = Policy(held.training, latest), units[latest]
+        start = None if begun is None else weights_of(study, trainer, begun)
+        found = trainer.train(contexts, seed, start=start, on_progress=progress, **asked)
+        return replace(found, steps=marks[mark]) if found.steps is None else found
 
     def _called(self, claim: Claim, held: UnderWay) -> str:
         """The name of a training's files: by the decision that began it, which never changes."""
@@ -327,10 +321,10 @@ class _Worker:
         whole = course.length == len(self.study.spec.lengths) - 1 and not course.on
         if course.ended or whole:
             file = self._file(f"training-{course.decision + 1:04d}")
-            shutil.rmtree(file, ignore_errors=True)  # of plain functions it is a folder
+            shutil.rmtree(file, ignore_errors=True)  # a trainer may make it a folder
             file.unlink(missing_ok=True)
 
-    def _keep(self, claim: Claim, held: UnderWay, mark: int, reached: Reached) -> dict[str, Any]:
+    def _keep(self, claim: Claim, held: UnderWay, mark: int, reached: Trained) -> dict[str, Any]:
         """Where the policy is, as the log says it; None: in memory only."""
         study, (source, on) = self.study, self._where(held)
         artifact = None

@@ -36,12 +36,11 @@ from mbtl.study.listing import chosen_name, database_at
 from mbtl.study.places import database_file, policy_store
 from mbtl.study.presence import Presence
 from mbtl.study.steps.claims import LEASE
-from mbtl.study.steps.functions import SteppedFunctions
 from mbtl.study.steps.spec import StepSpec
 from mbtl.study.steps.state import StepState
 from mbtl.study.steps.strategies import DEFAULT, STRATEGIES, strategy_named
 from mbtl.study.storage import Conflict, EventLog, SqlLog
-from mbtl.trainer import Trainer
+from mbtl.trainer import FunctionTrainer, Trainer
 
 if TYPE_CHECKING:
     from mbtl.study.steps.callbacks import StepCallback
@@ -328,7 +327,6 @@ class StepStudy:
         *,
         save: Callable[[Any, Path], None] | None = None,
         load: Callable[[Path], Any] | None = None,
-        train_on: Callable[..., Any] | None = None,
         trainer: Trainer | None = None,
         progress: bool = True,
         callbacks: Sequence[StepCallback] = (),
@@ -345,16 +343,13 @@ class StepStudy:
         the strategy says that it can decide while others are at work, and waits otherwise.
 
         Args:
-            train: `train(context, seed, steps, start=None, on_progress=None) -> policy`: so many
-                more steps, on from the policy `start` where there is one. A function
-                `train(context, seed)` will do where the study has one length.
+            train: `train(contexts, seed, *, start=None, length=None) -> policy`, see
+                `mbtl.trainer.FunctionTrainer`; a length of 1.0 is the last of the study's. A
+                function `train(context, seed)` will do where the study has one length.
             evaluate: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes);
                 one seed per context, see `mbtl.trainer.FunctionTrainer`.
-            save: policy, empty folder -> None; needed to go on with trainings, and by studies that
-                are stored.
+            save: policy, empty folder -> None; needed by studies that are stored.
             load: folder -> policy.
-            train_on: `train_on(contexts, seed, steps, start=None, on_progress=None) -> policy`: one
-                policy on several contexts, likewise; for strategies that train one on all.
             trainer: instead of these functions; None: the one that the study was made with.
             progress: print a line per piece of work to standard error.
             callbacks: told what happens.
@@ -378,9 +373,7 @@ class StepStudy:
         if train is not None or evaluate is not None:
             if trainer is not None or train is None or evaluate is None:
                 raise InvalidInput("run takes train and evaluate functions, or a trainer")
-            trainer = SteppedFunctions.of(
-                train, evaluate, save, load, self.spec.lengths[-1], train_on
-            )
+            trainer = FunctionTrainer(train, evaluate, save, load)
         trainer = self.trainer if trainer is None else trainer
         if trainer is None:
             raise InvalidInput("run needs train and evaluate functions, or a trainer")

@@ -166,10 +166,14 @@ def train(
 
 
 def start_multitask(
-    world: World, recipe: AnyRecipe, seeds: Sequence[int], params: Tree
+    world: World,
+    recipe: AnyRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    weights: Weights | None = None,
 ) -> Training:
     """Trainings before their first update, e.g. as the template of `from_arrays`."""
-    return start(world, recipe, seeds, _copies(recipe, params, len(seeds)))
+    return start(world, recipe, seeds, _copies(recipe, params, len(seeds)), weights)
 
 
 def train_multitask(
