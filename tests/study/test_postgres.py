@@ -12,7 +12,7 @@ from postgres import Server, missing
 import mbtl
 from flat import created, ran
 from mbtl.errors import StorageError, Unreachable
-from mbtl.study import SqlLog, StudyFinished, study_names
+from mbtl.study import SqlLog, StudyFinished, study_names, write_queue
 from mbtl.study.events import Event
 from mbtl.study.storage import Conflict
 from mbtl.testing.storage import EventLogContract
