@@ -96,9 +96,8 @@ def stepped(copies: int, steps: int) -> dict[str, Any]:
     import mujoco
     import numpy as np
 
-    from mbtl.cmdps.locomotion.cheetah import HalfCheetah
+    from mbtl.cmdps.locomotion.cheetah import HalfCheetah, new_model
     from mbtl.cmdps.locomotion.cheetah_batch import CheetahParams, HalfCheetahs
-    from mbtl.cmdps.locomotion.cheetah_model import new_model
 
     batch, rng = HalfCheetahs(), np.random.default_rng(0)
     actions = rng.uniform(-1.0, 1.0, (steps // copies, copies, 6)).astype(np.float32)

@@ -34,11 +34,10 @@ from mbtl.acquisition.gain import unit_improvement
 from mbtl.arrays import Array
 from mbtl.benchmark import levels, random_curve, sequential_oracle
 from mbtl.benchmark.base import RowSource, measured_curve
-from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.compare import held_out
+from mbtl.benchmark.comparison import trainings_to
 from mbtl.benchmark.replay import replay
-from mbtl.benchmark.shipped import load_by_id, shipped_matrices
-from mbtl.benchmark.summary import trainings_to
+from mbtl.benchmark.shipped import load_by_id, open_matrices, shipped_matrices
 from mbtl.models.linear_trend import LinearTrend, fit_linear_trend
 from mbtl.selectors import Auto
 

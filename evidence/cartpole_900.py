@@ -24,9 +24,8 @@ from measure import cost_of, digits
 
 from mbtl.arrays import Array
 from mbtl.benchmark import TransferMatrix, compare, load_matrix
-from mbtl.benchmark.comparison import Comparison
+from mbtl.benchmark.comparison import Comparison, Trainings
 from mbtl.benchmark.oracle import sequential_oracle
-from mbtl.benchmark.records import Trainings
 from mbtl.objective import Bounds
 
 CMDP = "cartpole-masses-length"

@@ -22,41 +22,41 @@ import jax  # isort: skip  # after eco_play, which sets the flags of jax
 import jax.numpy as jnp
 import optax
 
-from mbtl.cmdps.traffic import corridor, eco
+from mbtl.cmdps.traffic import eco
 from mbtl.training.jax import networks
 from mbtl.worlds.environments import Box
-from mbtl.worlds.traffic.light import Light
+from mbtl.worlds.traffic.eco import Light
 
 HIDDEN = (64, 64)
 ROWS = 512
 ALONE = 1.15
 """Advice, as a share of the limit, that is no advice."""
-LIGHT = Light(corridor.YELLOW, corridor.RED)
+LIGHT = Light(eco.YELLOW, eco.RED)
 
 
 def made_up(key: Any, n: int) -> Any:
     """(n, 39) observations; four fifths before the line, a third of the greens the usual one."""
     draw = jax.random.uniform(key, (13, n))
-    ahead = corridor.APPROACH - corridor.LENGTH * draw[1]
-    left = jnp.where(draw[0] < 0.8, corridor.APPROACH * draw[1], ahead)
-    moving = jnp.where(draw[2] < 0.35, 12.0 + 2.0 * draw[3], corridor.LIMIT * draw[3])
+    ahead = eco.APPROACH - eco.LENGTH * draw[1]
+    left = jnp.where(draw[0] < 0.8, eco.APPROACH * draw[1], ahead)
+    moving = jnp.where(draw[2] < 0.35, 12.0 + 2.0 * draw[3], eco.LIMIT * draw[3])
     speed = jnp.where(draw[2] < 0.12, 0.0, moving)
     green = jnp.where(draw[4] < 0.3, 35.0, jnp.ceil(50.0 * draw[5]))
     time = jnp.floor(2.0 * draw[6] * LIGHT.cycle(green)) / 2.0
     signal = LIGHT.seen(green, time)
-    x = corridor.APPROACH - left
+    x = eco.APPROACH - left
     nothing, one = jnp.zeros(n), jnp.ones(n)
 
     def other(there: Any, speed: Any, gap: Any) -> list[Any]:
         near = -jnp.log(1.0 - 0.999 * gap) * 30.0
-        seen = (corridor.LIMIT * speed / eco.SPEED_SCALE, near / eco.LENGTH_SCALE, 0.0, 0.0)
+        seen = (eco.LIMIT * speed / eco.SPEED_SCALE, near / eco.LENGTH_SCALE, 0.0, 0.0)
         return [jnp.where(there < 0.2, a, b) for a, b in zip(eco.ABSENT, seen, strict=True)]
 
     own = speed / eco.SPEED_SCALE
-    box = corridor.STARTS[2]
+    box = eco.STARTS[2]
     columns = [
         own, left / eco.LENGTH_SCALE, *signal[:3], *(s / eco.TIME_SCALE for s in signal[3:]),
-        x <= corridor.APPROACH, (x > corridor.APPROACH) & (x <= box), x > box,
+        x <= eco.APPROACH, (x > eco.APPROACH) & (x <= box), x > box,
         nothing, nothing, one, nothing, *other(*draw[7:10]), *other(*draw[10:13]),
         *[own, nothing, nothing, nothing] * 4,
     ]  # fmt: skip
@@ -67,8 +67,8 @@ def wanted(obs: Any) -> tuple[Any, Any]:
     """(n,) advice as a share of the limit, and whether there is any."""
     numbers = jnp.asarray(RULES[BEST][None, 1:], jnp.float32)
     wish, acts = (x[0] for x in glide_speed(obs[None], numbers))
-    acts &= wish < corridor.LIMIT
-    return jnp.where(acts, wish / corridor.LIMIT, ALONE), acts
+    acts &= wish < eco.LIMIT
+    return jnp.where(acts, wish / eco.LIMIT, ALONE), acts
 
 
 def loss(actor: Any, key: Any) -> Any:
@@ -107,7 +107,7 @@ def main() -> None:
     obs = made_up(jax.random.key(1), 20_000)
     advice, acts = wanted(obs)
     found = networks.apply(actor, obs)[:, 0]
-    error = float(corridor.LIMIT * jnp.abs(found - advice)[acts].mean())
+    error = float(eco.LIMIT * jnp.abs(found - advice)[acts].mean())
     slowed = float((found < 0.95)[~acts].mean())
     if args.write:
         layers = [np.asarray(x, np.float32) for x in jax.tree.leaves(actor)]

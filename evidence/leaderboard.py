@@ -23,12 +23,10 @@ from scipy.ndimage import gaussian_filter
 
 from mbtl.benchmark import compare, levels
 from mbtl.benchmark.base import measured_curve
-from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.compare import default_selectors
-from mbtl.benchmark.records import Estimate, Summary, Trainings
-from mbtl.benchmark.references import NAMES
-from mbtl.benchmark.shipped import load_by_id, shipped_matrices
-from mbtl.benchmark.summary import trainings_to
+from mbtl.benchmark.comparison import Estimate, Summary, Trainings, trainings_to
+from mbtl.benchmark.oracle import NAMES
+from mbtl.benchmark.shipped import load_by_id, open_matrices, shipped_matrices
 
 SELECTORS = (
     "random", "greedy", "mbtl", "mbtl-release", "gp-mbtl", "m-mbtl", "sd-mbtl", "auto", "oracle",

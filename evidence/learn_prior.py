@@ -28,10 +28,9 @@ from pathlib import Path
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.benchmark.catalogue import open_matrices
+from mbtl.benchmark.comparison import trainings_to
 from mbtl.benchmark.replay import replay
-from mbtl.benchmark.shipped import family_of, load_by_id
-from mbtl.benchmark.summary import trainings_to
+from mbtl.benchmark.shipped import family_of, load_by_id, open_matrices
 from mbtl.models.priors import CANDIDATES
 from mbtl.objective import value_curve
 from mbtl.selectors import SelectionProblem

@@ -23,7 +23,7 @@ import pages
 
 from mbtl.benchmark import TransferMatrix, compare, load_matrix
 from mbtl.benchmark.multitask import load_multitask
-from mbtl.benchmark.references import NAMES
+from mbtl.benchmark.oracle import NAMES
 from mbtl.cmdps.registry import paper_bounds
 from mbtl.reproduction.paper import HEADS, published
 

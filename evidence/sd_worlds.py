@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from mbtl.benchmark.catalogue import PREFIX, synthetic_ids, synthetic_world
+from mbtl.benchmark.shipped import PREFIX, synthetic_ids, synthetic_world
 from mbtl.benchmark.synthetic import SyntheticWorld
 from mbtl.errors import InvalidInput
 

@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
 from mbtl.benchmark.base import Levels, levels
+from mbtl.benchmark.comparison import RESAMPLES, SHARES
 from mbtl.benchmark.oracle import sequential_oracle
-from mbtl.benchmark.records import RESAMPLES
 from mbtl.benchmark.steps import StepWorld
-from mbtl.benchmark.summary import SHARES
 
 BUDGET = 30.0
 """Units that every strategy may spend."""

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.benchmark.entries import halves
+from mbtl.benchmark.matrix import halves
 from mbtl.benchmark.steps import HORIZONS
 from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.registry import visibility_on_all

@@ -70,7 +70,7 @@ def compared(kind: str, steps: list[tuple[Any, ...]], every: int) -> Iterator[di
     import jax.numpy as jnp
 
     from mbtl.cmdps.traffic.twins import RampProblem
-    from mbtl.worlds.traffic.ramp_state import RAMP_CAR, Queue, empty
+    from mbtl.worlds.traffic.ramp import RAMP_CAR, Queue, empty
 
     twin = RampProblem("speed")([])[0]
     chosen = range(0, len(steps) - 1, every)

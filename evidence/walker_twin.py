@@ -26,7 +26,7 @@ import mbtl.worlds as worlds
 import jax  # isort: skip  # after mbtl, which sets its flags
 import jax.numpy as jnp  # isort: skip
 
-from mbtl.cmdps.locomotion.walker_body import (
+from mbtl.cmdps.locomotion.walker import (
     FLAT,
     FPS,
     HEIGHT,
@@ -40,9 +40,9 @@ from mbtl.cmdps.locomotion.walker_body import (
     heights,
     luck,
 )
-from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState, starts
+from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState
 from mbtl.worlds.walker import walker as twin
-from mbtl.worlds.walker.motion import moved
+from mbtl.worlds.walker.walker import moved
 
 NOMINAL = Constants(10.0, 2.5, 30.0)
 CONTEXTS = [
@@ -177,10 +177,10 @@ def start(write: bool) -> None:
             found[axis] = np.array(values)
         found["scale"] = np.array(SCALES)
         small = {name: values.astype(np.float16) for name, values in found.items()}
-        np.savez_compressed(starts.FILE, **small)  # type: ignore[arg-type]
-        importlib.reload(starts)
+        np.savez_compressed(twin.FILE, **small)  # type: ignore[arg-type]
+        importlib.reload(twin)
     rng = np.random.default_rng(0)
-    look_up = jax.jit(starts.after)
+    look_up = jax.jit(twin.after)
     print("after a first action: errors of angles and angular speeds; 50 %, 90 % of 200 actions")
     size = 200, N_MOTORS
     drawn = {
@@ -231,7 +231,7 @@ def begin(episodes: int, rng: np.random.Generator) -> None:
 
 
 def begun(context: Constants, action: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of `starts.npz`: a walker without a push before and after its first action."""
+    """Rows of `walker.npz`: a walker without a push before and after its first action."""
     walker, rows = Walker(context, np.full(ROUGH + PATCHES + 1, 0.5)), []
     for motors in (np.zeros(N_MOTORS), action):
         advance([walker], np.asarray(motors, np.float32)[None])

@@ -12,7 +12,7 @@ import numpy as np
 import sumolib
 
 import mbtl
-from mbtl.cmdps.traffic import networks, simulation
+from mbtl.cmdps.traffic import simulation
 
 AT = {"x": (0, 0), "e": (300, 0), "n": (0, 300), "w": (-300, 0), "s": (0, -300)}  # metres
 NODES = "".join(f'<node id="{name}" x="{x}" y="{y}"/>' for name, (x, y) in AT.items())
@@ -25,7 +25,7 @@ class Light(gym.Env):
     """Every 10 s for 10 minutes: 0 keeps the green, 1 goes on in the light's own program."""
 
     def __init__(self, context):
-        net = os.environ.get("NET") or str(networks.network(CROSSING, "--tls.set", "x"))
+        net = os.environ.get("NET") or str(simulation.network(CROSSING, "--tls.set", "x"))
         self.context, self.simulation = context, simulation.Simulation(net, step_length=1.0)
         light = sumolib.net.readNet(net).getTrafficLights()[0]
         links = [(a.getEdge().getID(), b.getEdge().getID()) for a, b, _ in light.getConnections()]

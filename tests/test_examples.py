@@ -30,7 +30,7 @@ def test_an_example_runs(path, tmp_path):
 
 def test_the_traffic_light_runs_in_a_network_of_the_user(tmp_path, monkeypatch):
     pytest.importorskip("libsumo")
-    from mbtl.cmdps.traffic import networks
+    from mbtl.cmdps.traffic import simulation
 
     spec = importlib.util.spec_from_file_location("own_light", EXAMPLES / "own_sumo_network.py")
     example = importlib.util.module_from_spec(spec)
@@ -42,7 +42,7 @@ def test_the_traffic_light_runs_in_a_network_of_the_user(tmp_path, monkeypatch):
     )
     fork = {"nodes": f"<nodes>{nodes}</nodes>", "edges": f"<edges>{edges}</edges>"}
     own = tmp_path / "mine.net.xml"
-    own.write_bytes(networks.network(fork, "--tls.set", "m").read_bytes())
+    own.write_bytes(simulation.network(fork, "--tls.set", "m").read_bytes())
     monkeypatch.setenv("NET", str(own))
     monkeypatch.setattr(sys, "argv", ["mbtl", "check", "own_sumo_network.py:problem"])
     queues = []

@@ -7,8 +7,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from mbtl.benchmark.build import Build
-from mbtl.benchmark.piece import ONLY
+from mbtl.benchmark.build import ONLY, Build
 from mbtl.checkpoints import Along, Checkpoint
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
@@ -148,7 +147,7 @@ def test_policies_are_kept_so_that_evaluating_again_trains_nothing(tmp_path, mon
     first = building(tmp_path, FunctionTrainer(train, evaluate, save, load))
     first.run()
     origins = first.origins()
-    monkeypatch.setattr("mbtl.benchmark.piece.here", lambda: {"commit": "another"})
+    monkeypatch.setattr("mbtl.benchmark.build.here", lambda: {"commit": "another"})
     for piece in (tmp_path / "work").glob("sources-*.npz"):
         piece.unlink()
     again = building(tmp_path, FunctionTrainer(must_not, evaluate, save, load))

@@ -7,10 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from mbtl.benchmark.base import Levels
-from mbtl.benchmark.comparison import Comparison
+from mbtl.benchmark.comparison import Comparison, Estimate, Trainings, summarise
 from mbtl.benchmark.oracle import OracleRun, Reference
-from mbtl.benchmark.records import Estimate, Trainings
-from mbtl.benchmark.summary import summarise
 from mbtl.errors import UnknownName
 
 K = 2

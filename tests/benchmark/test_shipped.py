@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mbtl.benchmark import TransferMatrix, load_matrix, save_shipped, shipped_matrices
-from mbtl.benchmark.catalogue import open_matrices, open_matrix
+from mbtl.benchmark.shipped import open_matrices, open_matrix
 from mbtl.errors import InvalidInput, StorageError, UnknownName
 
 

@@ -11,8 +11,7 @@ import gymnasium
 import mujoco
 
 from mbtl.cmdps import get_cmdp
-from mbtl.cmdps.locomotion.cheetah import HalfCheetah, first_state
-from mbtl.cmdps.locomotion.cheetah_model import MOTORS, base_model
+from mbtl.cmdps.locomotion.cheetah import MOTORS, HalfCheetah, base_model, first_state
 from mbtl.errors import ContextMismatch
 
 STILL = np.zeros(6)

@@ -1,7 +1,7 @@
 import pytest
 
 from mbtl.cmdps import cmdp_ids, get_cmdp
-from mbtl.cmdps.traffic_families import TRAFFIC_VARIANTS
+from mbtl.cmdps.families import TRAFFIC_VARIANTS
 from mbtl.testing.cmdps import CMDPContract
 
 ELSEWHERE = {*TRAFFIC_VARIANTS, "walker-512"}

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mbtl.cmdps import get_cmdp
-from mbtl.cmdps.canvas import Canvas, Window
-from mbtl.cmdps.classic_drawing import draw_cart, draw_pendulum
+from mbtl.cmdps.drawing import Canvas, Window, draw_cart, draw_pendulum
 
 
 def drawn(id, context=None):

@@ -7,13 +7,12 @@ pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 pytest.importorskip("Box2D", reason="the envs extra is not installed")
 
 from mbtl.cmdps import get_cmdp
-from mbtl.cmdps.locomotion import walker_body
-from mbtl.cmdps.locomotion.walker import BipedalWalker
-from mbtl.cmdps.locomotion.walker_body import Constants, Walker, advance
+from mbtl.cmdps.locomotion import walker
+from mbtl.cmdps.locomotion.walker import BipedalWalker, Constants, Walker, advance
 from mbtl.errors import ContextMismatch, InvalidInput
 
-ROUGH = walker_body.ROUGH
-N_LUCK = ROUGH + walker_body.PATCHES + 1
+ROUGH = walker.ROUGH
+N_LUCK = ROUGH + walker.PATCHES + 1
 NOMINAL = Constants(10.0, 2.5, 30.0)
 
 
@@ -93,7 +92,7 @@ def test_scale_divides_hull_and_roughness_and_the_worth_of_the_way():
     fine, coarse = (Walker(NOMINAL._replace(scale=scale), luck) for scale in (60.0, 30.0))
     assert coarse.bodies[0].mass == pytest.approx(4 * fine.bodies[0].mass, rel=1e-5)
     assert coarse.bodies[1].mass == fine.bodies[1].mass
-    rough = [np.ptp(walker_body.heights(luck, scale)) for scale in (30.0, 3000.0)]
+    rough = [np.ptp(walker.heights(luck, scale)) for scale in (30.0, 3000.0)]
     assert rough[0] > 10 * rough[1]
     moved = [advance([walker], np.zeros((1, 4), np.float32)) for walker in (fine, coarse)]
     assert [one[1][0] for one in moved] == [0.0, 0.0]

@@ -12,7 +12,7 @@ import gymnasium
 from gymnasium.utils.env_checker import check_env
 
 from mbtl.cmdps import check_cmdp, get_cmdp, gym_id
-from mbtl.cmdps.traffic_families import TRAFFIC_VARIANTS
+from mbtl.cmdps.families import TRAFFIC_VARIANTS
 from mbtl.testing.cmdps import CMDPContract
 
 ONE = {"episodes": 1, "eval_episodes": 1, "checkpoint_episodes": 1}

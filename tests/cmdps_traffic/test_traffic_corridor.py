@@ -2,7 +2,7 @@ import pytest
 
 pytest.importorskip("libsumo")
 
-from mbtl.cmdps.traffic.corridor import APPROACH, BOX, EXIT, LENGTH, corridor, light
+from mbtl.cmdps.traffic.eco import APPROACH, BOX, EXIT, LENGTH, corridor, light
 from mbtl.cmdps.traffic.simulation import Simulation
 from mbtl.errors import ContextMismatch
 

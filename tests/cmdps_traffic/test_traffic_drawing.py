@@ -4,7 +4,7 @@ import pytest
 pytest.importorskip("libsumo")
 pytest.importorskip("pettingzoo")
 
-from mbtl.cmdps.canvas import Window
+from mbtl.cmdps.drawing import Window
 from mbtl.cmdps.traffic.drawing import draw
 from mbtl.cmdps.traffic.ramp import RampVel
 from mbtl.cmdps.traffic.ring import RingVel

@@ -5,8 +5,7 @@ pytest.importorskip("libsumo")
 pytest.importorskip("pettingzoo")
 
 from mbtl.cmdps.traffic import eco
-from mbtl.cmdps.traffic.eco import ABSENT, LAYOUT, SIZE, Eco
-from mbtl.cmdps.traffic.trips import Trip
+from mbtl.cmdps.traffic.eco import ABSENT, LAYOUT, SIZE, Eco, Trip
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
 
 

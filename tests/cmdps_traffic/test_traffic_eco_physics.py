@@ -8,8 +8,7 @@ import pytest
 
 pytest.importorskip("libsumo")
 
-from mbtl.cmdps.traffic.corridor import FEEDERS, LIMIT, STEP, corridor, light
-from mbtl.cmdps.traffic.population import Car, population, routes
+from mbtl.cmdps.traffic.eco import FEEDERS, LIMIT, STEP, Car, corridor, light, population, routes
 from mbtl.cmdps.traffic.simulation import Simulation
 
 ROADS = {"AB": (-246.0, 0.0), "AA": (-242.8, 0.0), "approach": (0.0, 235.6), "box": (235.6, 250.0),

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import mbtl.training.jax as engine
 from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic import eco
-from mbtl.cmdps.traffic.corridor import FEEDERS, STARTS
+from mbtl.cmdps.traffic.eco import FEEDERS, STARTS
 from mbtl.cmdps.traffic.twins import EcoProblem
-from mbtl.worlds.traffic.arrivals import Car as Waiting
-from mbtl.worlds.traffic.arrivals import Demand
+from mbtl.worlds.traffic.eco import Car as Waiting
+from mbtl.worlds.traffic.eco import Demand
 
 ATOL = 2e-3  # m, m/s, and what follows from them
 

@@ -3,7 +3,7 @@ import pytest
 
 pytest.importorskip("gymnasium")
 
-from mbtl.cmdps.traffic.emissions import co2_rate, fuel_rate, power
+from mbtl.cmdps.traffic.eco import co2_rate, fuel_rate, power
 
 IDLE = 7.8e-4 * 2350  # g/s
 

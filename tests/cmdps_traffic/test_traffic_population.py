@@ -3,7 +3,7 @@ import pytest
 
 pytest.importorskip("libsumo")
 
-from mbtl.cmdps.traffic.population import (
+from mbtl.cmdps.traffic.eco import (
     CONTROLLED,
     CUT,
     FLEET,

@@ -14,7 +14,7 @@ from mbtl.cmdps import get_cmdp
 from mbtl.cmdps.traffic import ramp
 from mbtl.cmdps.traffic.twins import RampProblem
 from mbtl.training.jax.episodic import episodes
-from mbtl.worlds.traffic.ramp_state import RAMP_CAR, Queue, empty
+from mbtl.worlds.traffic.ramp import RAMP_CAR, Queue, empty
 
 ACTIONS = {"acceleration": ramp.RampAcc, "speed": ramp.RampVel}
 

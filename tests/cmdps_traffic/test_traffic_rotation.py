@@ -8,9 +8,13 @@ pytest.importorskip("stable_baselines3")
 
 import torch
 
-from mbtl.cmdps.traffic.demand import APPROACHES
 from mbtl.cmdps.traffic.rotation import RotatedReplay, turned, turned_phase
-from mbtl.cmdps.traffic.signal import LEFT_LANE, Signal, _light_states
+from mbtl.cmdps.traffic.signal import (
+    APPROACHES,
+    LEFT_LANE,
+    Signal,
+    _light_states,
+)
 
 
 class Api:

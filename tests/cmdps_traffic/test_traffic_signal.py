@@ -7,7 +7,7 @@ pytest.importorskip("libsumo")
 
 from mbtl.cmdps import check_cmdp, get_cmdp
 from mbtl.cmdps.engines import EnvFactory
-from mbtl.cmdps.traffic import demand
+from mbtl.cmdps.traffic import signal
 from mbtl.cmdps.traffic.signal import CELLS, SCORES, Signal, cell_of
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.envs.rollout import Actor, Job, play
@@ -53,7 +53,7 @@ def test_cells_scale_with_the_length_of_the_road():
 
 @pytest.mark.parametrize("n", [2, 50, 1000])
 def test_departures_fill_the_episode_with_whole_seconds(n):
-    times = demand.departures(np.random.default_rng(0), n, 5400)
+    times = signal.departures(np.random.default_rng(0), n, 5400)
     assert times.shape == (n,)
     assert (np.diff(times) >= 0).all()
     assert (times == np.rint(times)).all()
@@ -62,22 +62,22 @@ def test_departures_fill_the_episode_with_whole_seconds(n):
 
 
 def test_demand_rises_to_a_peak_before_the_middle_and_falls():
-    times = demand.departures(np.random.default_rng(0), 20_000, 5400)
+    times = signal.departures(np.random.default_rng(0), 20_000, 5400)
     counts, _ = np.histogram(times, bins=9, range=(0, 5400))
     assert counts.argmax() in (1, 2, 3)
     assert counts[-1] < 0.1 * counts.max()
 
 
 def test_the_two_modes_of_demand_are_as_probable_as_they_are_said_to_be():
-    largest = np.random.default_rng(1).weibull(demand.SHAPE, (2000, 1000)).max(axis=1)
-    assert demand.crowded_share(1000) == pytest.approx(0.1161, abs=1e-4)
+    largest = np.random.default_rng(1).weibull(signal.SHAPE, (2000, 1000)).max(axis=1)
+    assert signal.crowded_share(1000) == pytest.approx(0.1161, abs=1e-4)
     assert (largest > 3).mean() == pytest.approx(0.1161, abs=3 * (0.1 / 2000) ** 0.5)
 
-    plain = [demand.departures(np.random.default_rng(s), 1000, 5400) for s in range(40)]
-    crowds = [np.random.default_rng(s).weibull(demand.SHAPE, 1000).max() > 3 for s in range(40)]
+    plain = [signal.departures(np.random.default_rng(s), 1000, 5400) for s in range(40)]
+    crowds = [np.random.default_rng(s).weibull(signal.SHAPE, 1000).max() > 3 for s in range(40)]
     for crowded in (False, True):
         told = [
-            demand.departures(np.random.default_rng(s), 1000, 5400, crowded=crowded)
+            signal.departures(np.random.default_rng(s), 1000, 5400, crowded=crowded)
             for s in range(40)
         ]
         same = [np.array_equal(*pair) for pair in zip(plain, told, strict=True)]
@@ -115,8 +115,8 @@ def test_an_evaluation_plays_both_modes_and_an_episode_only_the_one_it_is_told(m
 
 
 def test_three_quarters_go_straight_and_turns_go_both_ways():
-    ways = demand.directions(np.random.default_rng(0), 20_000)
-    turns = [(demand.APPROACHES.index(b) - demand.APPROACHES.index(a)) % 4 for a, b in ways]
+    ways = signal.directions(np.random.default_rng(0), 20_000)
+    turns = [(signal.APPROACHES.index(b) - signal.APPROACHES.index(a)) % 4 for a, b in ways]
     shares = np.bincount(turns, minlength=4) / len(ways)
     assert shares == pytest.approx([0.0, 0.125, 0.75, 0.125], abs=0.01)
 
@@ -374,7 +374,7 @@ def test_a_jam_is_no_terminal_state_unless_the_end_of_time_is_one(make):
 
 @pytest.mark.parametrize("speed", [14.0, 5.0])
 def test_every_car_enters_the_shortest_road_that_is_allowed(make, speed, capfd):
-    stop = demand.stopping_distance(demand.entry_speed(speed))
+    stop = signal.stopping_distance(signal.entry_speed(speed))
     with pytest.raises(ContextMismatch, match=f"{stop:g} m"):
         Signal({"length": stop, "speed": speed})
     _, _, info = episode(make({"length": stop + 0.1, "speed": speed, "inflow": 300}), FIXED_TIME)
@@ -384,8 +384,8 @@ def test_every_car_enters_the_shortest_road_that_is_allowed(make, speed, capfd):
 
 def test_braking_takes_whole_seconds():
     # one second at 10 m/s, then 5.5 and 1, behind a car of 5 m that stands 0.1 m into the road
-    assert demand.stopping_distance(10.0) == pytest.approx(5.1 + 10.0 + 5.5 + 1.0)
-    assert demand.stopping_distance(4.0) == pytest.approx(5.1 + 4.0)
+    assert signal.stopping_distance(10.0) == pytest.approx(5.1 + 10.0 + 5.5 + 1.0)
+    assert signal.stopping_distance(4.0) == pytest.approx(5.1 + 4.0)
 
 
 # ---- bad input and the contract ----------------------------------------------------------------

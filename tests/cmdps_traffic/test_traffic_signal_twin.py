@@ -11,11 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.cmdps.traffic import signal
-from mbtl.cmdps.traffic.demand import APPROACHES
-from mbtl.cmdps.traffic.signal import Signal
+from mbtl.cmdps.traffic.signal import APPROACHES, Signal
 from mbtl.cmdps.traffic.twins import SignalProblem
 from mbtl.worlds.traffic import lane
-from mbtl.worlds.traffic.crossing_state import Queues
+from mbtl.worlds.traffic.crossing import Queues
 
 ROWS = 40
 MEASURES = ("delay", "waiting", "mean_queue", "mean_speed")

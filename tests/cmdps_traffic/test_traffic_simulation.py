@@ -10,9 +10,8 @@ import pytest
 pytest.importorskip("libsumo")
 pytest.importorskip("traci")
 
-from mbtl.cmdps.traffic import software
-from mbtl.cmdps.traffic.networks import network
-from mbtl.cmdps.traffic.simulation import Simulation
+from mbtl.cmdps.traffic import simulation as sumo
+from mbtl.cmdps.traffic.simulation import Simulation, network
 from mbtl.errors import InvalidInput, MissingExtra, SimulationFailed, UnknownName
 
 ROAD = {
@@ -133,17 +132,17 @@ def test_netconvert_says_what_is_wrong():
 
 def test_a_missing_or_old_sumo_names_the_fix(monkeypatch):
     with pytest.raises(MissingExtra, match=r"SUMO 1\.16\.0"):
-        software.check_version("SUMO 1.16.0")
-    software.check_version("SUMO 1.28.0")
+        sumo.check_version("SUMO 1.16.0")
+    sumo.check_version("SUMO 1.28.0")
     with pytest.raises(MissingExtra, match=r"pip install 'mbtl\[traffic\]'"):
-        software.program("no-such-program-of-sumo")
+        sumo.program("no-such-program-of-sumo")
     with pytest.raises(MissingExtra, match="traffic"):
-        software.library("no_such_library_of_sumo")
+        sumo.library("no_such_library_of_sumo")
 
 
 def unloadable(monkeypatch, *names):
     """The named libraries are installed but lack a library of the machine."""
-    load = software.importlib.import_module
+    load = sumo.importlib.import_module
 
     def fail(name):
         library = name.partition(".")[0]
@@ -151,13 +150,13 @@ def unloadable(monkeypatch, *names):
             raise ImportError(f"{library} wants libGL.so.1", name=library)
         return load(name)
 
-    monkeypatch.setattr(software.importlib, "import_module", fail)
+    monkeypatch.setattr(sumo.importlib, "import_module", fail)
 
 
 def test_a_library_that_cannot_be_loaded_says_why(monkeypatch):
     unloadable(monkeypatch, "libsumo")
     with pytest.raises(MissingExtra, match=r"libsumo .* libGL\.so\.1"):
-        software.library("libsumo")
+        sumo.library("libsumo")
 
 
 def test_traci_serves_where_libsumo_cannot_be_loaded_and_says_so_once(make, monkeypatch, caplog):
@@ -193,7 +192,7 @@ def test_without_either_library_the_reason_is_told(make, monkeypatch):
 def test_an_old_sumo_is_refused_at_the_start_and_not_left_running(make, monkeypatch, engine):
     simulation = make(engine=engine)
     with monkeypatch.context() as patch:
-        patch.setattr(software, "OLDEST", (99, 0))
+        patch.setattr("mbtl.cmdps.traffic.simulation.OLDEST", (99, 0))
         with pytest.raises(MissingExtra, match=r"99\.0 or newer, got"):
             simulation.start(ROUTES, seed=0)
         assert simulation.running is None
@@ -240,7 +239,7 @@ def test_traci_is_the_installed_one_that_talks_to_another_process(disturbed, tmp
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
     env = {"PYTHONPATH": path} if disturbed == "PYTHONPATH" else {"LIBSUMO_AS_TRACI": "1"}
     code = (
-        "from mbtl.cmdps.traffic.software import library\n"
+        "from mbtl.cmdps.traffic.simulation import library\n"
         "print(library('traci').start.__module__, library('libsumo').__name__)\n"
     )
     done = subprocess.run(

@@ -4,8 +4,7 @@ import pytest
 
 pytest.importorskip("gymnasium")
 
-from mbtl.cmdps.traffic.emissions import co2_rate
-from mbtl.cmdps.traffic.trips import Region, Trip
+from mbtl.cmdps.traffic.eco import Region, Trip, co2_rate
 
 
 class Road:

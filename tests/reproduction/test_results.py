@@ -11,8 +11,8 @@ import pytest
 import mbtl
 from mbtl.benchmark import TransferMatrix, save_shipped
 from mbtl.reproduction import Bench, Item, Setting, items_named, perform
+from mbtl.reproduction.item import Measured, Table, escape_latex
 from mbtl.reproduction.page import made_from, write_index
-from mbtl.reproduction.table import Measured, Table, escape_latex
 
 ID = "cartpole-length"
 PAGE = Path(mbtl.__file__).parents[2] / "docs" / "reproduction.md"

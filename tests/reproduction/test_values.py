@@ -7,12 +7,11 @@ from mbtl.benchmark import TransferMatrix, save_shipped
 from mbtl.benchmark.multitask import load_multitask, save_multitask
 from mbtl.errors import UnknownName
 from mbtl.reproduction import Bench, Setting, items_named, published
-from mbtl.reproduction.case import Case
+from mbtl.reproduction.bench import Case
 from mbtl.reproduction.claims import NOT, OPEN, PARTLY, REPRODUCED
 from mbtl.reproduction.items.elimination import longest_run, rates
-from mbtl.reproduction.paper import METHODS, Value, marked
-from mbtl.reproduction.rows import row_verdict
-from mbtl.reproduction.statistics import interquartile_mean, pooled, pooled_mean
+from mbtl.reproduction.page import row_verdict
+from mbtl.reproduction.paper import METHODS, Value, interquartile_mean, marked, pooled, pooled_mean
 
 N = 6
 ID = "cartpole-length"

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.cmdps import get_cmdp
-from mbtl.cmdps.traffic.corridor import LIMIT
+from mbtl.cmdps.traffic.eco import LIMIT
 from mbtl.errors import InvalidInput
 from mbtl.training.jax import networks
 from mbtl.training.jax.clock import clock_at

@@ -18,7 +18,7 @@ from mbtl.training.jax.episodic.episodes import Actor, record
 from mbtl.training.jax.export import lawful
 from mbtl.worlds.environments import Box, Law
 from mbtl.worlds.pendulum import Pendulum, PendulumParams
-from mbtl.worlds.traffic import eco_rules
+from mbtl.worlds.traffic.eco import layers
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_a_lawful_policy_does_what_the_law_says_of_its_outputs(activation):
 def test_the_rule_glides_to_a_red_light_and_leaves_alone_who_makes_the_green():
     red = seen(phase="red", left=200.0, speed=14.0, changes=(25.0, 60.0, 101.0))
     green = seen(phase="green", left=100.0, speed=14.0, changes=(20.0, 61.0, 96.0))
-    red_speed, green_speed = networks.apply(eco_rules.layers("glide"), np.stack([red, green]))
+    red_speed, green_speed = networks.apply(layers("glide"), np.stack([red, green]))
     assert 14.0 * red_speed[0] == pytest.approx(0.55 * 200.0 / 26.0, abs=1.0)
     assert green_speed[0] > 0.95
 
@@ -67,7 +67,7 @@ def test_a_training_begins_with_the_rule_in_accelerations_whatever_else_it_sees(
     trainer = cmdp.trainer_for("standard")
     policy = trainer.untrained({"green": 20.0})
     obs = seen(phase="red", left=200.0, speed=3.0, changes=(25.0, 60.0, 101.0))
-    (advice,) = np.asarray(networks.apply(eco_rules.layers("glide"), obs))
+    (advice,) = np.asarray(networks.apply(layers("glide"), obs))
     action, _ = policy.predict(np.append(obs, np.float32(1.7)))
     assert action == pytest.approx((14.0 * advice - 3.0) / 0.5, abs=1e-3)
     assert (policy.head.low, policy.head.high) == (-20.0, 10.0)

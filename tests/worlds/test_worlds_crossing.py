@@ -13,17 +13,15 @@ import mbtl.training.jax  # noqa: F401  isort: skip  # before jax: it sets jax's
 import jax
 import jax.numpy as jnp
 
-from mbtl.cmdps.traffic import demand
+from mbtl.cmdps.traffic import signal
 from mbtl.cmdps.traffic.signal import cell_of
 from mbtl.cmdps.traffic.twins import SignalProblem
 from mbtl.errors import ContextMismatch
 from mbtl.training.jax.episodic.episodes import Actor
 from mbtl.training.jax.evaluation import evaluate, own_scores
-from mbtl.worlds.traffic import crossing_demand as coming
+from mbtl.worlds.traffic import crossing as coming
 from mbtl.worlds.traffic import lane
-from mbtl.worlds.traffic.crossing import CrossingTwin, _greens
-from mbtl.worlds.traffic.crossing_state import VACANT, Queues, moved_up
-from mbtl.worlds.traffic.krauss import Krauss
+from mbtl.worlds.traffic.crossing import VACANT, CrossingTwin, Krauss, Queues, _greens, moved_up
 
 DRIVER = Krauss(1.0, 4.5, 0.5)
 SEEDS = np.array([[0, 1, 2]], np.uint32)
@@ -76,7 +74,7 @@ def test_departures_are_those_of_the_environment_in_distribution():
     assert (found[300:] == coming.NEVER).all()
     assert (np.diff(found[:300], axis=0) >= 0.0).all()
     rng = np.random.default_rng(0)
-    mine = np.array([demand.departures(rng, 300, 5400) for _ in range(400)])
+    mine = np.array([signal.departures(rng, 300, 5400) for _ in range(400)])
     for share in (0.1, 0.5, 0.9):
         ours, theirs = found[int(300 * share)], mine[:, int(300 * share)]
         error = np.hypot(ours.std(), theirs.std()) / 20.0
@@ -90,14 +88,14 @@ def test_draws_of_one_mode_are_those_of_the_environment_in_distribution():
         modes = jnp.full(400, crowded)
         found = np.asarray(coming.departures(seeds, cars, 512, 5400.0, modes))
         mine = np.array(
-            [demand.departures(rng, 300, 5400, crowded=crowded == 1) for _ in range(400)]
+            [signal.departures(rng, 300, 5400, crowded=crowded == 1) for _ in range(400)]
         )
         for share in (0.1, 0.5, 0.9, 0.99):
             ours, theirs = found[int(300 * share)], mine[:, int(300 * share)]
             error = np.hypot(ours.std(), theirs.std()) / 20.0
             assert abs(ours.mean() - theirs.mean()) < 4.0 * error
     assert float(coming.crowded_share(jnp.float32(300.0))) == pytest.approx(
-        demand.crowded_share(300), rel=1e-4
+        signal.crowded_share(300), rel=1e-4
     )
 
 
@@ -112,7 +110,7 @@ def test_an_evaluated_episode_is_one_of_each_mode_weighted_by_its_share():
     modes = [jax.tree.map(itemgetter(k), every) for k in range(4)]
     alone = [own_scores(twin, "tanh", "random", nobody, SEEDS, mode)[0] for mode in modes]
     usual, crowded = np.array(alone[::2]), np.array(alone[1::2])
-    assert np.allclose(shares[:, 1], [demand.crowded_share(n) for n in (20, 500)], rtol=1e-4)
+    assert np.allclose(shares[:, 1], [signal.crowded_share(n) for n in (20, 500)], rtol=1e-4)
     assert np.allclose(found[0], usual * shares[:, :1] + crowded * shares[:, 1:], rtol=1e-6)
     assert (crowded[1] < usual[1]).all()
 

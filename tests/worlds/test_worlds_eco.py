@@ -13,14 +13,12 @@ import mbtl.training.jax as engine  # noqa: F401  isort: skip  # before jax: it 
 import jax
 import jax.numpy as jnp
 
-from mbtl.cmdps.traffic.corridor import light
-from mbtl.cmdps.traffic.emissions import co2_rate
+from mbtl.cmdps.traffic.eco import co2_rate, light
 from mbtl.cmdps.traffic.twins import EcoProblem
 from mbtl.errors import ContextMismatch
 from mbtl.worlds.traffic import lane
-from mbtl.worlds.traffic.eco_state import EcoParams
+from mbtl.worlds.traffic.eco import EcoParams, Light
 from mbtl.worlds.traffic.lane import Ahead, Cars, Incomer
-from mbtl.worlds.traffic.light import Light
 
 CAR = {"length": 5.0, "min_gap": 2.0, "tau": 1.0, "accel": 2.6, "decel": 4.5}
 

@@ -12,10 +12,10 @@ import mbtl.training.jax as engine  # noqa: F401  isort: skip  # before jax: it 
 import jax.numpy as jnp
 
 from mbtl.cmdps import get_cmdp
-from mbtl.cmdps.traffic.corridor import LIMIT
+from mbtl.cmdps.traffic.eco import LIMIT
 from mbtl.errors import UnknownName
-from mbtl.worlds.traffic import eco_rewards
-from mbtl.worlds.traffic.eco_state import Costs
+from mbtl.worlds.traffic import eco
+from mbtl.worlds.traffic.eco import Costs
 
 CONTEXT = {"green": 20.0}
 
@@ -31,16 +31,16 @@ def test_speeds_of_a_trip_add_up_to_its_length_so_the_papers_reward_hardly_asks_
 ):
     steps = int(490.0 / (0.5 * speed))
     free = Costs(crawl=1.0, crawling=35.0, co2=0.0, scale=15.0)
-    paper = eco_rewards.paper(free, jnp.full(steps, speed), jnp.zeros(steps)).sum()
+    paper = eco.paper(free, jnp.full(steps, speed), jnp.zeros(steps)).sum()
     np.testing.assert_allclose(paper, 490.0 / (0.5 * 15.0), rtol=1e-5)
-    delay = eco_rewards.delay(LIMIT, jnp.full(steps, speed)).sum()
+    delay = eco.delay(LIMIT, jnp.full(steps, speed)).sum()
     np.testing.assert_allclose(-0.5 * delay, 490.0 / speed - 490.0 / LIMIT, atol=1e-3)
 
 
 def test_a_platoon_is_an_agent_and_the_cars_behind_it_up_to_the_next_agent():
     each = jnp.array([[-1.0], [-2.0], [-4.0], [-8.0], [-16.0]])
     row = jnp.array([[3], [-1], [1]])  # places are not in the order of the road
-    found = eco_rewards.of_platoons(each, row)
+    found = eco.of_platoons(each, row)
     assert float(found[0, 0]) == -24.0
     assert float(found[2, 0]) == -6.0
 

@@ -20,8 +20,7 @@ from mbtl.training.jax.episodic.episodes import Actor, Episodes, record
 from mbtl.training.jax.episodic.recipes import TRPORecipe
 from mbtl.training.jax.episodic.returns import Returns, advantages
 from mbtl.worlds.traffic.idm import IDM
-from mbtl.worlds.traffic.ramp_state import NO_CAR, there
-from mbtl.worlds.traffic.zipper import Zipper, braking
+from mbtl.worlds.traffic.ramp import NO_CAR, Zipper, braking, there
 
 RULE = Zipper(IDM(1.0, 1.5, 1.0), length=5.0, min_gap=2.0, impatience=0.5, dt=0.1)
 FREE = np.inf

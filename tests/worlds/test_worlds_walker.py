@@ -10,11 +10,9 @@ import mbtl.worlds as worlds
 import jax  # isort: skip
 import jax.numpy as jnp  # isort: skip
 
-from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState, ground
-from mbtl.worlds.walker import body as parts
+from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState
 from mbtl.worlds.walker import walker as twin
-from mbtl.worlds.walker.contact import Box, apart, touch
-from mbtl.worlds.walker.motion import moved
+from mbtl.worlds.walker.walker import Box, apart, moved, touch
 
 ENV = BipedalWalker()
 WORLD = worlds.Solo(ENV)
@@ -31,9 +29,9 @@ def params(gravity=10.0, friction=2.5, scale=30.0, n=None):
 @pytest.fixture(scope="module")
 def box2d():
     pytest.importorskip("Box2D", reason="the envs extra is not installed")
-    from mbtl.cmdps.locomotion import walker_body
+    from mbtl.cmdps.locomotion import walker as theirs
 
-    return walker_body
+    return theirs
 
 
 MOST = 1000
@@ -64,17 +62,15 @@ def lucks(box2d, n):
 @pytest.mark.parametrize("scale", [3.0, 30.0, 300.0])
 def test_the_ground_is_box2d_s(box2d, scale):
     for luck in lucks(box2d, 3):
-        ours = ground.heights(jnp.asarray(luck[:-1], jnp.float32), jnp.float32(scale))
+        ours = twin.heights(jnp.asarray(luck[:-1], jnp.float32), jnp.float32(scale))
         np.testing.assert_allclose(ours, box2d.heights(luck, scale), atol=1e-4)
 
 
 def test_ranges_of_level_ground_are_those_of_geometry():
-    level = jnp.full(ground.POINTS, ground.HEIGHT)
-    found = ground.ranges(level, jnp.array([20.0, ground.HEIGHT + 2.0]))
-    turns = 1.5 * np.arange(ground.RAYS) / ground.RAYS
-    np.testing.assert_allclose(
-        found, np.minimum(2.0 / np.cos(turns) / ground.REACH, 1.0), atol=1e-5
-    )
+    level = jnp.full(twin.POINTS, twin.HEIGHT)
+    found = twin.ranges(level, jnp.array([20.0, twin.HEIGHT + 2.0]))
+    turns = 1.5 * np.arange(twin.RAYS) / twin.RAYS
+    np.testing.assert_allclose(found, np.minimum(2.0 / np.cos(turns) / twin.REACH, 1.0), atol=1e-5)
 
 
 # ---- the body --------------------------------------------------------------------------------
@@ -83,8 +79,8 @@ def test_ranges_of_level_ground_are_those_of_geometry():
 @pytest.mark.parametrize("scale", [1.0, 30.0, 100.0])
 def test_the_inverse_is_that_of_the_mass_matrix(scale):
     angles = jnp.array([0.1, 0.4, -0.5, -0.3, -1.0])
-    now = parts.body(jnp.array([5.0, 7.0]), angles, jnp.float32(scale))
-    each = np.stack([parts.speeds(now, jnp.eye(7)[i]) for i in range(7)])  # (7, 5, 3)
+    now = twin.body(jnp.array([5.0, 7.0]), angles, jnp.float32(scale))
+    each = np.stack([twin.speeds(now, jnp.eye(7)[i]) for i in range(7)])  # (7, 5, 3)
     inertia = np.stack([now.masses, now.masses, now.moments], axis=1)
     mass = np.einsum("iab,jab,ab->ij", each, each, inertia)
     np.testing.assert_allclose(mass @ np.asarray(now.inverse), np.eye(7), atol=2e-3)
@@ -94,34 +90,34 @@ def test_bodies_move_as_their_speeds_say():
     centre, angles = jnp.array([5.0, 7.0]), jnp.array([0.1, 0.4, -0.5, -0.3, -1.0])
     u, short = jnp.array([0.5, -1.0, 0.3, 1.0, -2.0, 0.7, 1.5]), 1e-2
     ends = [
-        parts.body(centre + side * short * u[:2], angles + side * short * u[2:], jnp.float32(30.0))
+        twin.body(centre + side * short * u[:2], angles + side * short * u[2:], jnp.float32(30.0))
         for side in (-0.5, 0.5)
     ]
-    now = parts.body(centre, angles, jnp.float32(30.0))
+    now = twin.body(centre, angles, jnp.float32(30.0))
     moved = (ends[1].centres - ends[0].centres).T / short
-    np.testing.assert_allclose(parts.speeds(now, u)[:, :2], moved, atol=2e-3)
+    np.testing.assert_allclose(twin.speeds(now, u)[:, :2], moved, atol=2e-3)
 
 
 def test_sine_and_cosine_are_numpy_s():
     angles = np.linspace(-300.0, 300.0, 100_001, dtype=np.float32)
-    found = jax.jit(parts.sin_cos)(angles)
+    found = jax.jit(twin.sin_cos)(angles)
     exact = np.float64(angles)
     np.testing.assert_allclose(found, [np.sin(exact), np.cos(exact)], atol=2e-7)
 
 
 def test_momentum_of_bodies_that_the_joints_hold_gives_their_motion_back():
-    now = parts.body(jnp.zeros(2), jnp.array([0.1, 0.4, -0.5, -0.3, -1.0]), jnp.float32(30.0))
+    now = twin.body(jnp.zeros(2), jnp.array([0.1, 0.4, -0.5, -0.3, -1.0]), jnp.float32(30.0))
     u = jnp.array([0.5, -1.0, 0.3, 1.0, -2.0, 0.7, 1.5])
-    again = now.inverse @ parts.momentum(now, parts.speeds(now, u))
+    again = now.inverse @ twin.momentum(now, twin.speeds(now, u))
     np.testing.assert_allclose(again, u, atol=1e-4)
 
 
 def test_masses_are_box2d_s(box2d):
     walker = box2d.Walker(box2d.Constants(10.0, 2.5, 20.0), lucks(box2d, 1)[0])
-    now = parts.body(jnp.zeros(2), jnp.zeros(5), jnp.float32(20.0))
+    now = twin.body(jnp.zeros(2), jnp.zeros(5), jnp.float32(20.0))
     np.testing.assert_allclose(now.masses, [b.mass for b in walker.bodies], rtol=1e-5)
     centre = walker.bodies[0].localCenter
-    np.testing.assert_allclose(parts.offset(jnp.float32(20.0)), tuple(centre), atol=1e-5)
+    np.testing.assert_allclose(twin.offset(jnp.float32(20.0)), tuple(centre), atol=1e-5)
 
 
 # ---- contacts --------------------------------------------------------------------------------

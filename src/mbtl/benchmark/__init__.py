@@ -1,22 +1,27 @@
 """Tabular benchmark: selectors on known transfer matrices, without any training."""
 
 from mbtl.benchmark.base import Levels, RowSource, levels
-from mbtl.benchmark.catalogue import open_matrix, synthetic_ids, synthetic_world
 from mbtl.benchmark.compare import compare
-from mbtl.benchmark.comparison import Comparison
+from mbtl.benchmark.comparison import Comparison, Run, Summary, summarise
 from mbtl.benchmark.curves import TransferCurves, load_curves
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.oracle import (
     OracleRun,
     Reference,
+    nominal_source,
     random_curve,
     reference,
+    reference_levels,
     sequential_oracle,
 )
-from mbtl.benchmark.records import Run, Summary
-from mbtl.benchmark.references import nominal_source, reference_levels
-from mbtl.benchmark.shipped import load_matrix, save_shipped, shipped_matrices
-from mbtl.benchmark.summary import summarise
+from mbtl.benchmark.shipped import (
+    load_matrix,
+    open_matrix,
+    save_shipped,
+    shipped_matrices,
+    synthetic_ids,
+    synthetic_world,
+)
 from mbtl.benchmark.synthetic import SyntheticWorld, linear_gap_world
 
 __all__ = [

@@ -15,13 +15,10 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.benchmark.base import RowSource, measured_curve
-from mbtl.benchmark.catalogue import open_matrices
-from mbtl.benchmark.comparison import Comparison
+from mbtl.benchmark.comparison import Comparison, Run, summarise
 from mbtl.benchmark.oracle import Reference, reference
-from mbtl.benchmark.records import Run
 from mbtl.benchmark.replay import replay
-from mbtl.benchmark.shipped import family_of
-from mbtl.benchmark.summary import summarise
+from mbtl.benchmark.shipped import family_of, open_matrices
 from mbtl.errors import InvalidInput, UnknownName, unknown_name
 from mbtl.history import History
 from mbtl.plain import whole

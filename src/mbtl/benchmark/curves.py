@@ -16,8 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.benchmark.entries import Floats, halves, is_entry, keywords, same_sources
-from mbtl.benchmark.matrix import TransferMatrix
+from mbtl.benchmark.matrix import Floats, TransferMatrix, halves, is_entry, keywords, same_sources
 from mbtl.benchmark.npz import read_npz, write_npz
 from mbtl.benchmark.shipped import DEFAULT, data_folder, matrix_id, seed_files
 from mbtl.contexts import ContextSpace

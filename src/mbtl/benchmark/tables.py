@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mbtl.benchmark.references import NAMES
+from mbtl.benchmark.oracle import NAMES
 
 if TYPE_CHECKING:
-    from mbtl.benchmark.comparison import Comparison
-    from mbtl.benchmark.records import (
+    from mbtl.benchmark.comparison import (
+        Comparison,
         Difference,
         Estimate,
         Lead,

@@ -12,10 +12,10 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from mbtl.benchmark.base import RowSource
-from mbtl.benchmark.catalogue import open_matrices
 from mbtl.benchmark.compare import Step, compare, default_selectors
 from mbtl.benchmark.comparison import Comparison
 from mbtl.benchmark.matrix import TransferMatrix
+from mbtl.benchmark.shipped import open_matrices
 from mbtl.benchmark.tables import show_comparison
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.errors import InvalidInput, cannot_write

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from mbtl.benchmark import TransferMatrix, levels
-from mbtl.benchmark.piece import ONLY
+from mbtl.benchmark.build import ONLY
 from mbtl.benchmark.shipped import DEFAULT
 from mbtl.checkpoints import Along
 from mbtl.cli.common import JsonFlag, console, print_json

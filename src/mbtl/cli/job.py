@@ -13,9 +13,8 @@ import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mbtl.benchmark import TransferMatrix, save_shipped
-from mbtl.benchmark.build import Build
+from mbtl.benchmark.build import ONLY, Build
 from mbtl.benchmark.curves import FOLDER, TransferCurves
-from mbtl.benchmark.piece import ONLY
 from mbtl.benchmark.shipped import DEFAULT, matrix_id, shipped_file
 from mbtl.checkpoints import Along
 from mbtl.cli.common import LongWork, console

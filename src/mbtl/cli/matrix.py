@@ -21,7 +21,7 @@ from mbtl.benchmark import (
     reference_levels,
     shipped_matrices,
 )
-from mbtl.benchmark.references import NAMES
+from mbtl.benchmark.oracle import NAMES
 from mbtl.benchmark.shipped import load_by_id
 from mbtl.cli.bench import scaled
 from mbtl.cli.build import build

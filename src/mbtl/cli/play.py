@@ -63,7 +63,7 @@ def play(
     """
     if episodes < 1:
         raise InvalidInput(f"--episodes must be >= 1, got {episodes}")
-    from mbtl.benchmark.references import NAMES
+    from mbtl.benchmark.oracle import NAMES
     from mbtl.envs import rollout
     from mbtl.envs.references import ByItself, ways_of
     from mbtl.training.watch import actor_for

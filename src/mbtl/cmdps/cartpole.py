@@ -18,8 +18,8 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from gymnasium.spaces import Discrete
 
-from mbtl.cmdps.classic_drawing import draw_cart
 from mbtl.cmdps.contextual import ContextualEnv, Observation, TimeLimit, Visibility
+from mbtl.cmdps.drawing import draw_cart
 from mbtl.contexts import Value
 from mbtl.errors import InvalidInput, unknown_name
 

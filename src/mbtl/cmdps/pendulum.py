@@ -17,8 +17,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from gymnasium.spaces import Box
 
-from mbtl.cmdps.classic_drawing import draw_pendulum
 from mbtl.cmdps.contextual import ContextualEnv, Observation, TimeLimit, Visibility
+from mbtl.cmdps.drawing import draw_pendulum
 from mbtl.contexts import Value
 
 MAX_TORQUE = 2.0

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.benchmark.references import NAMES
+from mbtl.benchmark.oracle import NAMES
 from mbtl.seeds import Purpose
 from mbtl.study import Study
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.benchmark import compare, load_matrix, reference, reference_levels, shipped_matrices
-from mbtl.benchmark.references import NAMES
+from mbtl.benchmark.oracle import NAMES
 from mbtl.study import Study
 
 _SAME = ("recipe", "version", "switches")

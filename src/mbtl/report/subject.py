@@ -19,7 +19,7 @@ from mbtl.benchmark import (
     reference,
 )
 from mbtl.benchmark.base import measured_curve
-from mbtl.benchmark.references import NAMES
+from mbtl.benchmark.oracle import NAMES
 from mbtl.benchmark.replay import replay
 from mbtl.contexts import ContextSpace
 from mbtl.history import History

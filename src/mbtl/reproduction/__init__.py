@@ -8,8 +8,7 @@ Every item computes numbers first and draws tables and figures from them (`mbtl.
 from mbtl.reproduction.bench import Bench, Setting
 from mbtl.reproduction.item import Item
 from mbtl.reproduction.paper import Value, published
-from mbtl.reproduction.registry import ITEMS, items_named
-from mbtl.reproduction.runner import Outcome, perform
+from mbtl.reproduction.runner import ITEMS, Outcome, items_named, perform
 
 __all__ = [
     "ITEMS",

@@ -22,7 +22,7 @@ from mujoco.batch import Batch
 from mbtl.arrays import Array
 from mbtl.cmdps.contextual import TimeLimit
 from mbtl.cmdps.locomotion import cheetah
-from mbtl.cmdps.locomotion.cheetah_model import MOTORS, SUBSTEPS, base_model
+from mbtl.cmdps.locomotion.cheetah import MOTORS, SUBSTEPS, base_model
 from mbtl.processes import native_threads
 from mbtl.worlds import Box
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.cmdps.canvas import Canvas, Image, Window
+from mbtl.cmdps.drawing import Canvas, Image, Window
 
 MARGIN = 4.0
 """Metres around the network."""

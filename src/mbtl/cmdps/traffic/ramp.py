@@ -27,9 +27,7 @@ import numpy as np
 from mbtl.cmdps.contextual import Observation
 from mbtl.cmdps.traffic import advisory
 from mbtl.cmdps.traffic.advisory import Actions, Advice, Drivers, Seen
-from mbtl.cmdps.traffic.environment import Settings
-from mbtl.cmdps.traffic.networks import network
-from mbtl.cmdps.traffic.team import TrafficTeam
+from mbtl.cmdps.traffic.simulation import Settings, TrafficTeam, network
 from mbtl.contexts import Value
 
 MAIN, MERGE, EXIT, RAMP = 400.0, 100.0, 30.0, 100.0

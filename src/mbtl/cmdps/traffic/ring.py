@@ -23,8 +23,7 @@ import numpy as np
 from mbtl.cmdps.contextual import Observation
 from mbtl.cmdps.traffic import advisory
 from mbtl.cmdps.traffic.advisory import Actions, Advice, Drivers, Seen
-from mbtl.cmdps.traffic.environment import Settings, TrafficEnv
-from mbtl.cmdps.traffic.networks import network
+from mbtl.cmdps.traffic.simulation import Settings, TrafficEnv, network
 from mbtl.contexts import Value
 from mbtl.errors import SimulationFailed, unknown_name
 

@@ -12,8 +12,7 @@ from typing import Any
 import torch
 from stable_baselines3.common.buffers import ReplayBuffer
 
-from mbtl.cmdps.traffic.demand import APPROACHES
-from mbtl.cmdps.traffic.signal import CELLS
+from mbtl.cmdps.traffic.signal import APPROACHES, CELLS
 
 _TURNS = len(APPROACHES)
 _PER_APPROACH = 2 * len(CELLS)

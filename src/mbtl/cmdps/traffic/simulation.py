@@ -7,22 +7,183 @@ same results and at a fraction of the speed. So worker processes, not threads, m
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import functools
+import importlib
+import importlib.metadata
 import itertools
 import logging
 import os
+import re
 import shutil
 import subprocess
+import sys
 import tempfile
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal, NamedTuple, TypedDict, Unpack
 
-from mbtl.cmdps.traffic.software import check_version, library, program, why_not
+import numpy as np
+from gymnasium.spaces import Space
+from gymnasium.utils.seeding import np_random
+
+from mbtl.cmdps.contextual import Contextual, ContextualEnv, TimeLimit, Visibility
+from mbtl.cmdps.drawing import Image, Window
+from mbtl.cmdps.traffic.drawing import CARS, CONTROLLED, Legend, draw
+from mbtl.contexts import Value
 from mbtl.envs.opening import shared_well
-from mbtl.errors import InvalidInput, MbtlError, SimulationFailed, unknown_name
+from mbtl.errors import (
+    InvalidInput,
+    MbtlError,
+    MissingExtra,
+    SimulationFailed,
+    missing_extra,
+    unknown_name,
+)
+
+# ---- which SUMO is installed, and where its programs are -------------------------------------
+#
+# The package eclipse-sumo is preferred; a SUMO that the machine has otherwise ($SUMO_HOME or the
+# search path) serves where it is missing.
+
+
+OLDEST = (1, 20)
+"""Oldest SUMO whose interface we use."""
+
+
+def program(name: str) -> str:
+    """Path of one of SUMO's programs, e.g. "netconvert".
+
+    Raises:
+        MissingExtra: it is nowhere.
+    """
+    package = find_spec("sumo")
+    homes = list(package.submodule_search_locations or ()) if package else []
+    homes += [os.environ["SUMO_HOME"]] if os.environ.get("SUMO_HOME") else []
+    for home in homes:
+        found = shutil.which(name, path=str(Path(home) / "bin"))
+        if found:
+            return found
+    found = shutil.which(name)
+    if found is None:
+        raise missing_extra("eclipse-sumo", "traffic")
+    return found
+
+
+def library(name: str) -> Any:
+    """The module "libsumo" or "traci".
+
+    Raises:
+        MissingExtra: it is not installed, or the machine lacks a library that it needs.
+    """
+    # of traci the part that talks to another process, also where LIBSUMO_AS_TRACI has made it
+    # libsumo; what it then prints belongs to nobody's standard output
+    module = "traci.main" if name == "traci" else name
+    try:
+        with contextlib.redirect_stdout(None), _installed_first(name):
+            return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise missing_extra(name, "traffic") from error
+    except ImportError as error:
+        raise MissingExtra(
+            f"{name} is installed but must be loadable, got: {error}; install what it names"
+        ) from error
+
+
+@contextlib.contextmanager
+def _installed_first(name: str) -> Iterator[None]:
+    """In the block the installed package is found before another SUMO's on PYTHONPATH."""
+    before = list(sys.path)
+    with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+        sys.path.insert(0, str(importlib.metadata.distribution(name).locate_file("")))
+    try:
+        yield
+    finally:
+        sys.path[:] = before
+
+
+def why_not(name: str) -> MissingExtra | None:
+    """The error that `library` would raise; None: it gives the module."""
+    try:
+        library(name)
+    except MissingExtra as error:
+        return error
+    return None
+
+
+def check_version(version: str) -> None:
+    """Refuse a SUMO that is too old.
+
+    Args:
+        version: as SUMO gives it, e.g. "SUMO 1.28.0".
+
+    Raises:
+        MissingExtra: it is older than `OLDEST`.
+    """
+    numbers = re.search(r"(\d+)[._](\d+)", version)
+    if numbers and (int(numbers[1]), int(numbers[2])) < OLDEST:
+        raise MissingExtra(
+            f"traffic needs SUMO {OLDEST[0]}.{OLDEST[1]} or newer, got {version!r}; run: "
+            "pip install --upgrade eclipse-sumo libsumo traci"
+        )
+
+
+# Road networks from plain XML that we write, compiled by netconvert and cached by content
+
+
+_FLAGS = {"nodes": "-n", "edges": "-e", "connections": "-x", "lights": "-i"}
+
+
+def network(plain: Mapping[str, str], *options: str) -> Path:
+    """Compile a network; the same text gives the same file for the life of the process.
+
+    Args:
+        plain: XML text by kind: "nodes", "edges", and where needed "connections", "lights".
+        *options: further arguments of netconvert.
+
+    Returns:
+        Path of the compiled network in a temporary folder that goes with the process.
+
+    Raises:
+        MissingExtra: netconvert is not installed.
+        SimulationFailed: netconvert refuses the text.
+    """
+    return _compiled(os.getpid(), tuple(plain.items()), options)
+
+
+@functools.cache
+def _compiled(pid: int, plain: tuple[tuple[str, str], ...], options: tuple[str, ...]) -> Path:
+    folder = Path(tempfile.mkdtemp(dir=_folder(pid)))
+    arguments = []
+    for kind, text in plain:
+        (folder / kind).write_text(text, encoding="utf-8")
+        arguments += [_FLAGS[kind], kind]
+    command = [program("netconvert"), *arguments, "-o", "network.net.xml", *options]
+    command += ["--offset.disable-normalization", "--no-turnarounds"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SimulationFailed(f"netconvert refuses the network: {done.stderr.strip()}")
+    return folder / "network.net.xml"
+
+
+@functools.cache
+def _folder(pid: int) -> str:
+    folder = tempfile.mkdtemp(prefix="mbtl-networks-")
+
+    def remove() -> None:
+        if os.getpid() == pid:  # a forked child must not take its parent's networks away
+            shutil.rmtree(folder, ignore_errors=True)
+
+    atexit.register(remove)
+    return folder
+
+
+# ---- the whole -------------------------------------------------------------------------------
+
 
 Engine = Literal["auto", "libsumo", "traci"]
 ENGINES: tuple[Engine, ...] = ("auto", "libsumo", "traci")
@@ -228,3 +389,243 @@ def _tell_once(message: str) -> None:
 
 def _nothing() -> None:
     """No files to remove."""
+
+
+# What the traffic environments share: an episode is a simulation, its score is not its return
+#
+# The return is the sum of the rewards that a policy is trained on. The score is the matrix entry
+# (cmdp-spec, 5-7), `info["score"]` of an episode's last step; larger is better.
+#
+# `Traffic` knows no interface: `TrafficEnv` here makes it a Gymnasium environment, `TrafficTeam` in
+# `team` a PettingZoo one.
+
+
+SEEDS = 2**31 - 1
+"""SUMO takes seeds of 31 bits."""
+
+RenderMode = Literal["rgb_array"]
+
+
+class Sight(NamedTuple):
+    """What a picture shows in numbers.
+
+    Attributes:
+        clock: simulated time [s].
+        speed: mean speed of all cars [m/s]; NaN without any.
+    """
+
+    clock: float
+    speed: float
+
+
+class Settings(TypedDict, total=False):
+    """Arguments that every traffic environment takes beside its context; see `Traffic`."""
+
+    unit: Mapping[str, float] | None
+    visibility: Visibility | None
+    time_limit: TimeLimit
+    horizon: int | None
+    engine: Engine
+    gui: bool
+    render_mode: RenderMode | None
+
+
+class Traffic(Contextual):
+    """A scenario in SUMO, built from a context.
+
+    A subclass gives the network and SUMO's options and starts `self.simulation` in `reset`.
+
+    Attributes:
+        simulation: the running simulation; between episodes it is not running.
+        sight: what the latest picture shows, in numbers; None before any.
+    """
+
+    STEP: ClassVar[float]
+    """Seconds of one simulation step."""
+    HORIZON: ClassVar[int]
+    """Most decisions of an episode, unless another horizon is given."""
+    WINDOW: ClassVar[Window | None] = None
+    """What `render` shows of the network; None: all of it."""
+    SCORE: str = "m/s"
+    """Unit of the score."""
+    LEGEND: ClassVar[Legend] = (*CARS, CONTROLLED)
+    """Of the colours of pictures."""
+    watcher: Callable[[], None] | None = None
+    """Told of every step that is simulated while nobody decides."""
+
+    np_random: np.random.Generator
+    render_mode: str | None
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+    def __init__(
+        self,
+        context: Mapping[str, Value] | None = None,
+        *,
+        unit: Mapping[str, float] | None = None,
+        visibility: Visibility | None = None,
+        time_limit: TimeLimit = "truncation",
+        horizon: int | None = None,
+        engine: Engine = "auto",
+        gui: bool = False,
+        render_mode: RenderMode | None = None,
+    ) -> None:
+        """Nothing is simulated before `reset`.
+
+        Args:
+            context: features that differ from the nominal ones.
+            unit: varied features and their value at multiplier 1; missing: those of `context`, at
+                their nominal value.
+            visibility: what of the context the policy sees; None: as in the CMDPs, the multipliers
+                of features that are not `HIDDEN`.
+            time_limit: whether the end of time is reported as truncation or as a terminal state.
+            horizon: most decisions of an episode; missing: `HORIZON`.
+            engine: see `Simulation`.
+            gui: show it in sumo-gui.
+            render_mode: "rgb_array": `render` gives images.
+
+        Raises:
+            UnknownName: a feature, or one of the settings, is not known.
+            ContextMismatch: no such traffic can be built.
+            MissingExtra: SUMO is not installed.
+        """
+        if render_mode not in (None, "rgb_array"):
+            raise unknown_name("render mode", render_mode, ["rgb_array"])
+        super().__init__(
+            context,
+            unit=unit,
+            visibility=visibility,
+            time_limit=time_limit,
+            horizon=self.HORIZON if horizon is None else horizon,
+        )
+        self.render_mode = render_mode
+        self._picture: Image | None = None
+        self.sight: Sight | None = None
+        self.simulation = Simulation(
+            self._network(),
+            step_length=self.STEP,
+            options=self._options(),
+            engine=engine,
+            gui=gui,
+        )
+
+    @property
+    def episode_steps(self) -> int:
+        """Most decisions of an episode in this context."""
+        return self.horizon
+
+    @property
+    def controlled(self) -> frozenset[str]:
+        """Cars that somebody controls, which pictures mark."""
+        return frozenset()
+
+    def _network(self) -> Path:
+        """The compiled network of this context."""
+        raise NotImplementedError
+
+    def _options(self) -> list[str]:
+        """Further arguments of sumo."""
+        return []
+
+    def _draw_seed(self) -> int:
+        """Seed of one simulation, from the environment's own generator."""
+        return int(self.np_random.integers(SEEDS))
+
+    def _check_running(self) -> None:
+        """Refuse a step before `reset`, after the last step, and after the simulator has failed."""
+        if self._left <= 0 or self.simulation.running is None:
+            raise self._no_episode()
+
+    def _ends(self, out_of_time: bool) -> tuple[bool, bool]:
+        """(terminated, truncated) as far as time decides."""
+        return out_of_time and self._terminal, out_of_time and not self._terminal
+
+    def render(self) -> Image:
+        """The traffic as it is now; after the last step, as it was then.
+
+        Returns:
+            (height, width, 3) uint8.
+
+        Raises:
+            InvalidInput: made without `render_mode`, or nothing has been simulated.
+        """
+        if self.render_mode is None:
+            raise InvalidInput("render() needs render_mode='rgb_array', got None; make another")
+        if self.simulation.running is not None:
+            with self.simulation.guard() as api:
+                self._picture = draw(api, self.WINDOW, self.controlled)
+                speeds = [api.vehicle.getSpeed(car) for car in api.vehicle.getIDList()]
+                mean = float(np.mean(speeds)) if speeds else float("nan")
+                self.sight = Sight(float(api.simulation.getTime()), mean)
+        if self._picture is None:
+            raise InvalidInput("render() shows a simulation, got none so far; call reset()")
+        return self._picture
+
+    def _finish(self) -> None:
+        """End the episode; another simulation of this process may have libsumo."""
+        if self.render_mode is not None:
+            self.render()  # the last picture: nothing is left to draw it from later
+        self.close()
+
+    def close(self) -> None:
+        """End the simulation and remove its files."""
+        self._left = 0
+        self.simulation.close()
+
+
+class TrafficEnv(Traffic, ContextualEnv):
+    """Traffic with one decision maker: a Gymnasium environment."""
+
+
+# Traffic with many decision makers: a PettingZoo parallel environment whose agents come and go
+
+
+try:
+    from pettingzoo import ParallelEnv
+except ModuleNotFoundError as error:
+    raise missing_extra("pettingzoo", "traffic") from error
+
+
+class TrafficTeam(Traffic, ParallelEnv):  # type: ignore[misc]  # pettingzoo is untyped for our checker
+    """Controlled cars that share one policy, so that spaces are the same for all.
+
+    A car without an action drives by itself: `step({})` is traffic without control.
+
+    Attributes:
+        agents: controlled cars on the road.
+        possible_agents: every car that can be controlled in this episode.
+        most_agents: how many there can be at once.
+        np_random: where every draw of an episode comes from.
+    """
+
+    most_agents: int
+
+    def __init__(
+        self, context: Mapping[str, Value] | None = None, **settings: Unpack[Settings]
+    ) -> None:
+        """Arguments as in `Traffic`."""
+        super().__init__(context, **settings)
+        self.agents: list[str] = []
+        self.possible_agents: list[str] = []
+        self._observation_space: Space[Any]
+        self._action_space: Space[Any]
+        self._seed(None)
+
+    def observation_space(self, agent: str) -> Space[Any]:
+        """The same for every agent."""
+        return self._observation_space
+
+    def action_space(self, agent: str) -> Space[Any]:
+        """The same for every agent."""
+        return self._action_space
+
+    def drive(self) -> Any:
+        """One decision in which nobody is told anything: the unguided baseline."""
+        return self.step({})
+
+    def _seed(self, seed: int | None) -> None:
+        self.np_random: np.random.Generator = np_random(seed)[0]
+
+    def close(self) -> None:
+        """End the simulation and remove its files."""
+        self.agents = []
+        super().close()

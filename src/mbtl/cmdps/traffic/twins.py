@@ -106,44 +106,51 @@ class EcoProblem:
         """
         import jax.numpy as jnp
 
-        from mbtl.cmdps.traffic import corridor, eco, emissions, population, trips
+        from mbtl.cmdps.traffic import eco
         from mbtl.worlds.environments import Box
-        from mbtl.worlds.traffic.arrivals import Demand, Kind
-        from mbtl.worlds.traffic.eco import EcoTwin
-        from mbtl.worlds.traffic.eco_state import Costs, EcoParams, Look, Road, Stops
-        from mbtl.worlds.traffic.light import Light
+        from mbtl.worlds.traffic.eco import (
+            Costs,
+            Demand,
+            EcoParams,
+            EcoTwin,
+            Kind,
+            Light,
+            Look,
+            Road,
+            Stops,
+        )
 
-        west, south = corridor.FEEDERS["AB"], corridor.FEEDERS["AA"]
-        shortest = population.CONTROLLED_LENGTH + population.CONTROLLED.min_gap
+        west, south = eco.FEEDERS["AB"], eco.FEEDERS["AA"]
+        shortest = eco.CONTROLLED_LENGTH + eco.CONTROLLED.min_gap
         twin = EcoTwin(
             action=Box((eco.HARDEST,), (eco.STRONGEST,)),
             road=Road(
                 feeders=(west, south),
-                line=corridor.STARTS[1],
-                box=corridor.STARTS[2],
-                end=corridor.LENGTH,
-                limit=corridor.LIMIT,
-                entry_speed=population.DEPART_SPEED,
+                line=eco.STARTS[1],
+                box=eco.STARTS[2],
+                end=eco.LENGTH,
+                limit=eco.LIMIT,
+                entry_speed=eco.DEPART_SPEED,
             ),
-            light=Light(corridor.YELLOW, corridor.RED),
+            light=Light(eco.YELLOW, eco.RED),
             demand=Demand(
                 kinds=tuple(
                     Kind(kind.share, kind.length, tuple(kind.mean), tuple(kind.std))
-                    for kind in population.FLEET.values()
+                    for kind in eco.FLEET.values()
                 ),
-                cut=population.CUT,
-                controlled=tuple(population.CONTROLLED),
-                controlled_length=population.CONTROLLED_LENGTH,
-                shares=(corridor.SHARES["AB"], corridor.SHARES["AA"]),
+                cut=eco.CUT,
+                controlled=tuple(eco.CONTROLLED),
+                controlled_length=eco.CONTROLLED_LENGTH,
+                shares=(eco.SHARES["AB"], eco.SHARES["AA"]),
             ),
-            co2_rate=emissions.co2_rate,
+            co2_rate=eco.co2_rate,
             costs=Costs(eco.CRAWL, eco.CRAWL_COST, eco.CO2_COST, eco.REWARD_SCALE),
-            stop=Stops(trips.HALTED, trips.MOVING),
+            stop=Stops(eco.HALTED, eco.MOVING),
             look=Look(eco.SPEED_SCALE, eco.LENGTH_SCALE, eco.TIME_SCALE, eco.ABSENT),
-            dt=corridor.STEP,
+            dt=eco.STEP,
             warm_up=eco.WARM_UP,
             horizon=eco.Eco.HORIZON,
-            rows=math.ceil((west + corridor.LENGTH) / shortest),
+            rows=math.ceil((west + eco.LENGTH) / shortest),
             side_rows=math.ceil(south / shortest),
             agents=self.agents,
             n_features=eco.SIZE,
@@ -157,7 +164,7 @@ class EcoProblem:
             visible = visible_features(features, self.unit, self.visibility)
             if self.visibility == "raw":
                 share, green = features["penetration"], features["green"]
-                visible = (share, 1.0, corridor.LIMIT / eco.SPEED_SCALE, green, corridor.RED)
+                visible = (share, 1.0, eco.LIMIT / eco.SPEED_SCALE, green, eco.RED)
             params.append(
                 EcoParams(
                     jnp.float32(features["penetration"]),
@@ -200,9 +207,7 @@ class RampProblem:
         from mbtl.cmdps.traffic import ramp
         from mbtl.worlds.environments import Box, Discrete
         from mbtl.worlds.traffic.idm import IDM
-        from mbtl.worlds.traffic.ramp import RampTwin
-        from mbtl.worlds.traffic.ramp_speeds import Drivers
-        from mbtl.worlds.traffic.ramp_state import Flow, Roads
+        from mbtl.worlds.traffic.ramp import Drivers, Flow, RampTwin, Roads
 
         def flow(road: str) -> Flow:
             demand = ramp.DEMAND[road]
@@ -276,11 +281,9 @@ class SignalProblem:
         """
         import jax.numpy as jnp
 
-        from mbtl.cmdps.traffic import demand, signal
+        from mbtl.cmdps.traffic import signal
         from mbtl.worlds.environments import Discrete
-        from mbtl.worlds.traffic.crossing import CrossingTwin
-        from mbtl.worlds.traffic.crossing_state import CrossingParams, Turn
-        from mbtl.worlds.traffic.krauss import Krauss
+        from mbtl.worlds.traffic.crossing import CrossingParams, CrossingTwin, Krauss, Turn
 
         nominal = signal.Signal.FEATURES
         every = [full_context(nominal, context) for context in contexts]
@@ -289,22 +292,22 @@ class SignalProblem:
         cars = max([nominal["inflow"], *(features["inflow"] for features in every)])
         size = 2 ** max(0, math.ceil(math.log2(cars / nominal["inflow"])))  # few programs
         twin = CrossingTwin(
-            driver=Krauss(demand.ACCELERATION, demand.DECELERATION, demand.SIGMA),
-            car=demand.LENGTH,
-            min_gap=demand.MIN_GAP,
-            max_speed=demand.MAX_SPEED,
-            entry_speed=demand.entry_speed(math.inf),
-            clearance=demand.CLEARANCE,
+            driver=Krauss(signal.ACCELERATION, signal.DECELERATION, signal.SIGMA),
+            car=signal.LENGTH,
+            min_gap=signal.MIN_GAP,
+            max_speed=signal.MAX_SPEED,
+            entry_speed=signal.entry_speed(math.inf),
+            clearance=signal.CLEARANCE,
             left=Turn(signal.LEFT_SPEED, signal.LEFT_WAY),
             right=Turn(signal.RIGHT_SPEED, signal.RIGHT_WAY),
-            straight=demand.STRAIGHT_SHARE,
+            straight=signal.STRAIGHT_SHARE,
             green=signal.GREEN,
             yellow=signal.YELLOW,
             total_seconds=signal.SECONDS,
             cells=tuple(signal.CELLS.tolist()),
             nominal_length=nominal["length"],
             halted=signal.HALTED,
-            easing=0.5 * demand.ACCELERATION,
+            easing=0.5 * signal.ACCELERATION,
             jam=signal.SCORES[self.score].jam,
             scored=self.score,
             action=Discrete(signal.PHASES),

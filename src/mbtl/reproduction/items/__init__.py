@@ -1,1 +1,1 @@
-"""One module per item; `mbtl.reproduction.registry` lists them."""
+"""One module per item; `mbtl.reproduction.runner` lists them."""

@@ -8,11 +8,8 @@ import numpy as np
 
 from mbtl.plot.style import new_figure
 from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.item import Item, Numbers, absent
-from mbtl.reproduction.panels import COLOURS, DASHES, legend, panels
-from mbtl.reproduction.paper import HEADS
-from mbtl.reproduction.statistics import pooled
-from mbtl.reproduction.table import Table
+from mbtl.reproduction.item import COLOURS, DASHES, Item, Numbers, Table, absent, legend, panels
+from mbtl.reproduction.paper import HEADS, pooled
 
 SHOWN = ("random", "greedy", "mbtl", "sequential_oracle")
 _SELECTORS = ("greedy", "mbtl", "auto")

@@ -20,9 +20,8 @@ from mbtl.arrays import Array
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.plot.style import new_figure
 from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.item import Item, Numbers, absent
+from mbtl.reproduction.item import Item, Numbers, Table, absent
 from mbtl.reproduction.paper import domain_of
-from mbtl.reproduction.table import Table
 
 
 def compute(bench: Bench) -> Numbers:

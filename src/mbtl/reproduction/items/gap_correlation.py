@@ -9,9 +9,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.item import Item, Numbers, absent
-from mbtl.reproduction.panels import panels
-from mbtl.reproduction.table import Table
+from mbtl.reproduction.item import Item, Numbers, Table, absent, panels
 
 _EDGES = np.linspace(-1.0, 1.0, 21)
 

@@ -9,8 +9,7 @@ import numpy as np
 from mbtl.benchmark.replay import replay
 from mbtl.plot.style import new_figure
 from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.item import Item, Numbers, absent
-from mbtl.reproduction.table import Table
+from mbtl.reproduction.item import Item, Numbers, Table, absent
 from mbtl.selectors import get_selector
 from mbtl.selectors.outlook import outlook
 

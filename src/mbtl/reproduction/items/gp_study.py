@@ -19,8 +19,7 @@ from mbtl.contexts import ContextSpace, Linear
 from mbtl.models.gp import GPSettings
 from mbtl.plot.style import new_figure
 from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.item import Item, Numbers
-from mbtl.reproduction.table import Table
+from mbtl.reproduction.item import Item, Numbers, Table
 from mbtl.selectors import get_selector
 from mbtl.selectors.base import SelectionProblem
 

@@ -11,9 +11,7 @@ from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.plot.matrices import shown_performance
 from mbtl.plot.style import edges
 from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.item import Item, Numbers, absent
-from mbtl.reproduction.panels import panels
-from mbtl.reproduction.table import Table
+from mbtl.reproduction.item import Item, Numbers, Table, absent, panels
 
 _DIGITS = 4
 _HEADS = {

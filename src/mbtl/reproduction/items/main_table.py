@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.benchmark.references import NAMES
+from mbtl.benchmark.oracle import NAMES
 from mbtl.plot.style import new_figure
-from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.case import Case
-from mbtl.reproduction.item import Item, Numbers, absent, named_variant
-from mbtl.reproduction.panels import COLOURS
+from mbtl.reproduction.bench import Bench, Case
+from mbtl.reproduction.item import COLOURS, Item, Measured, Numbers, Table, absent, named_variant
 from mbtl.reproduction.paper import (
     HEADS,
     METHODS,
@@ -21,9 +19,10 @@ from mbtl.reproduction.paper import (
     Value,
     domain_of,
     marked,
+    pooled,
+    pooled_mean,
+    probability_of_improvement,
 )
-from mbtl.reproduction.statistics import pooled, pooled_mean, probability_of_improvement
-from mbtl.reproduction.table import Measured, Table
 
 DOMAINS = ("traffic", "control")
 _MANY = ("random", "greedy", "mbtl", "sequential_oracle")

@@ -8,9 +8,8 @@ import numpy as np
 
 from mbtl.plot.style import new_figure
 from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.item import Item, Numbers, absent
+from mbtl.reproduction.item import Item, Measured, Numbers, Table, absent
 from mbtl.reproduction.paper import Value
-from mbtl.reproduction.table import Measured, Table
 
 _RIVALS = {"ppo": "Multi-task PPO", "paco": "PaCo", "moore": "MOORE", "ppo-x10": "PPO, 10 x steps"}
 

@@ -9,12 +9,9 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.benchmark.matrix import TransferMatrix
 from mbtl.benchmark.multitask import load_multitask
-from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.case import OWN, same_problem
-from mbtl.reproduction.item import Item, Numbers, absent
-from mbtl.reproduction.panels import COLOURS, legend, panels
+from mbtl.reproduction.bench import OWN, Bench, same_problem
+from mbtl.reproduction.item import COLOURS, Item, Numbers, Table, absent, legend, panels
 from mbtl.reproduction.paper import HEADS
-from mbtl.reproduction.table import Table
 from mbtl.routing import last_route, routed
 
 _DIGITS = 5

@@ -8,8 +8,7 @@ import numpy as np
 
 from mbtl.plot.style import colours, edges, new_figure
 from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.item import Item, Numbers, absent
-from mbtl.reproduction.table import Table
+from mbtl.reproduction.item import Item, Numbers, Table, absent
 from mbtl.routing import routed, routes
 
 _DIGITS = 5

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 
 from mbtl.plot.style import new_figure
-from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.case import Case
-from mbtl.reproduction.item import Item, Numbers, absent
+from mbtl.reproduction.bench import Bench, Case
+from mbtl.reproduction.item import Item, Numbers, Table, absent
 from mbtl.reproduction.paper import domain_of
-from mbtl.reproduction.table import Table
 
 
 def compute(bench: Bench) -> Numbers:

@@ -9,11 +9,8 @@ import numpy as np
 from mbtl.benchmark.shipped import matrix_id
 from mbtl.plot.style import new_figure
 from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.item import Item, Numbers, absent
-from mbtl.reproduction.panels import COLOURS, DASHES
-from mbtl.reproduction.paper import HEADS, METHODS
-from mbtl.reproduction.statistics import pooled_mean
-from mbtl.reproduction.table import Measured, Table
+from mbtl.reproduction.item import COLOURS, DASHES, Item, Measured, Numbers, Table, absent
+from mbtl.reproduction.paper import HEADS, METHODS, pooled_mean
 
 CMDP = "cartpole-length"
 ALGORITHMS = {"PPO": None, "DQN": "dqn", "A2C": "a2c"}

@@ -9,8 +9,7 @@ import numpy as np
 from mbtl.plot.matrices import shown_performance
 from mbtl.plot.style import colours, new_figure
 from mbtl.reproduction.bench import Bench
-from mbtl.reproduction.item import Item, Numbers, absent
-from mbtl.reproduction.table import Table
+from mbtl.reproduction.item import Item, Numbers, Table, absent
 
 _SOURCES = 5
 _DIGITS = 5

@@ -11,6 +11,7 @@ its road [m], v its speed [m/s]. W cars of a lane enter during a decision at mos
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -23,20 +24,313 @@ from numpy.typing import NDArray
 
 from mbtl.worlds import random
 from mbtl.worlds.environments import Discrete, TimeLimit
-from mbtl.worlds.traffic import crossing_demand, lane
-from mbtl.worlds.traffic.crossing_demand import APPROACHES, LANES, LEFT, NEVER, RIGHT
-from mbtl.worlds.traffic.crossing_state import (
-    VACANT,
-    CrossingParams,
-    CrossingState,
-    Queues,
-    Totals,
-    Turn,
-    moved_up,
-    there,
-)
-from mbtl.worlds.traffic.krauss import Krauss
+from mbtl.worlds.traffic import lane
+from mbtl.worlds.traffic.idm import EMERGENCY
 from mbtl.worlds.world import Moved, Seeded, Seen
+
+# ---- car-following of Krauss, as SUMO integrates it in steps of one second -------------------
+#
+# Notation: v speed and u the leader's [m/s]; g gap from bumper to bumper, less the smallest one
+# [m]; b braking. A step lasts one second, which is also the driver's reaction time, so that speeds
+# are metres per step.
+#
+#     a driver can stop within s metres from speed v    if v <= n b + (s - h) / (n + 1),
+#     h = n (n - 1) b / 2 + n b,   n = floor(-1/2 + sqrt(1 + 8 s / b) / 2)
+#     behind a leader                                   s = g + metres(u)
+
+
+_CLOSE = 1e-3  # SUMO keeps this much of every gap [m]
+
+
+@dataclass(frozen=True)
+class Krauss:
+    """What all drivers of one type have in common.
+
+    Attributes:
+        accel: a [m/s^2].
+        decel: b [m/s^2].
+        sigma: how much of an acceleration a driver may miss, a share.
+    """
+
+    accel: float
+    decel: float
+    sigma: float
+
+    def metres(self, speed: jax.Array) -> jax.Array:
+        """Driven while braking from `speed` to a stop; the first step already brakes."""
+        steps = jnp.floor(speed / self.decel)
+        return steps * (speed - 0.5 * self.decel * (steps + 1.0))
+
+    def able_to_stop(self, metres: jax.Array) -> jax.Array:
+        """Largest speed from which a driver stops within so many metres [m/s]."""
+        room = jnp.maximum(metres - _CLOSE, 0.0)
+        n = jnp.floor(0.5 * jnp.sqrt(1.0 + (8.0 / self.decel) * room) - 0.5)
+        held = 0.5 * self.decel * n * (n + 1.0)
+        return n * self.decel + (room - held) / (n + 1.0)
+
+    def slowing(self, metres: jax.Array, target: jax.Array) -> jax.Array:
+        """Largest speed from which a driver is down to `target` after so many metres [m/s]."""
+        b = self.decel
+        spread = b + 2.0 * target
+        y = (0.5 * (jnp.sqrt(spread * spread + 8.0 * b * metres) - b) - target) / b
+        y = jnp.maximum(y, 0.0)
+        whole = jnp.floor(y)
+        more = (y > whole).astype(metres.dtype)
+        needed = 0.5 * b * (whole * whole + whole) + whole * target + more * target
+        gained = jnp.maximum(metres - needed, 0.0) / (whole + 1.0) + (whole + more) * b
+        return jnp.where(metres < target, target, target + gained)
+
+    def next_speed(self, speed: jax.Array, most: jax.Array, luck: jax.Array) -> jax.Array:
+        """After one step.
+
+        Args:
+            speed: v.
+            most: what roads, leaders and lights allow.
+            luck: uniform in (0, 1), what the driver misses of an acceleration.
+        """
+        most = jnp.maximum(jnp.minimum(most, speed + self.accel), speed - EMERGENCY)
+        most = jnp.maximum(most, 0.0)
+        least = jnp.minimum(jnp.maximum(speed - self.decel, 0.0), most)
+        missed = self.sigma * luck * jnp.minimum(most, 1.0) * self.accel
+        return jnp.maximum(most - missed, least)
+
+
+# What the signal twin knows of intersections
+
+
+class CrossingParams(NamedTuple):
+    """One context, or one per simulation.
+
+    Attributes:
+        length: of every approach [m].
+        inflow: cars of an episode.
+        speed: limit on the roads [m/s].
+        crowded: mode of demand, see `crossing_demand.departures`; -1: as it comes.
+        visible: (v,) or (n, v) features appended to each observation.
+    """
+
+    length: jax.Array
+    inflow: jax.Array
+    speed: jax.Array
+    crowded: jax.Array
+    visible: jax.Array
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What a car does in the box.
+
+    Attributes:
+        speed: limit there [m/s].
+        metres: its way through it.
+    """
+
+    speed: float
+    metres: float
+
+
+class Queues(NamedTuple):
+    """The cars of all lanes, (rows, 16, n); row 0 is the foremost one.
+
+    Attributes:
+        x: front [m]; `lane.EMPTY`: there is no car.
+        v: [m/s].
+        waited: seconds for which a car has stood on its way.
+        right: 1 if it turns right, else 0.
+    """
+
+    x: jax.Array
+    v: jax.Array
+    waited: jax.Array
+    right: jax.Array
+
+
+class Totals(NamedTuple):
+    """Sums over the decisions of an episode, (n,).
+
+    Attributes:
+        waiting: of the seconds for which cars on the approaches had stood.
+        queue: cars that stood.
+        speed: of the cars on the approaches [m/s].
+        cars: on the approaches.
+        decisions: so many.
+        lost: seconds that cars on the approaches lost, see `CrossingTwin.score`, and those that
+            cars waited before they entered.
+    """
+
+    waiting: jax.Array
+    queue: jax.Array
+    speed: jax.Array
+    cars: jax.Array
+    decisions: jax.Array
+    lost: jax.Array
+
+
+class CrossingState(NamedTuple):
+    """n intersections.
+
+    Attributes:
+        queues: the cars.
+        plan: (K, 16, n) who comes, see `crossing_demand.plan`.
+        entered: (16, n) cars of each lane that have come so far.
+        phase: (n,) that has green; -1: none had so far.
+        held: (n,) decisions for which it has had it.
+        time: (n,) seconds since the beginning.
+        waiting: (n,) what was added to `totals.waiting` last.
+        totals: over the decisions so far.
+        cells: (n, 80) what was seen last.
+        seed: (n,) uint32.
+        steps: decisions since the beginning, of all.
+    """
+
+    queues: Queues
+    plan: jax.Array
+    entered: jax.Array
+    phase: jax.Array
+    held: jax.Array
+    time: jax.Array
+    waiting: jax.Array
+    totals: Totals
+    cells: jax.Array
+    seed: jax.Array
+    steps: jax.Array
+
+
+VACANT = Queues(lane.EMPTY, 0.0, 0.0, 0.0)
+"""Fields of an empty row."""
+
+
+def there(x: jax.Array) -> jax.Array:
+    """Whether a row holds a car."""
+    return x > 0.5 * lane.EMPTY
+
+
+def moved_up(queues: Queues, most: int) -> Queues:
+    """Without the empty rows before the foremost car of each lane, of which there are so many."""
+    rows = len(queues.x)
+    first = jnp.where(there(queues.x), jnp.arange(rows)[:, None, None], rows).min(axis=0)
+    gone = jnp.where(first < rows, first, 0)
+
+    def by(step: int, field: jax.Array, nobody: float) -> jax.Array:
+        if step >= rows:
+            return field
+        tail = jnp.full((step, *field.shape[1:]), nobody)
+        return jnp.where(gone & step > 0, jnp.concatenate([field[step:], tail]), field)
+
+    for bit in range(most.bit_length()):
+        fields = zip(queues, VACANT, strict=True)
+        queues = Queues(*(by(1 << bit, field, nobody) for field, nobody in fields))
+    return queues
+
+
+# ---- who comes to the intersection of the signal twin, when and on which lane ----------------
+#
+# As `mbtl.cmdps.traffic.signal` draws them; lanes are those from which a car's turn is allowed, and
+# cars that go straight take the one on which the fewest have come so far.
+#
+# Notation (shapes): n simulations, N cars of each at most, K of one lane, 16 lanes.
+
+
+APPROACHES, LANES = 4, 4
+LEFT = LANES - 1
+"""The lane of an approach from which cars turn left."""
+
+_TIMES, _PLACES, _TURNS, _SIDES = range(4, 8)  # streams of random numbers
+
+CROWDED = 3.0
+"""A draw with a number beyond this comes within three quarters of the time, or less."""
+_BEYOND = math.exp(-(CROWDED**2))  # luck of such a number
+
+NEVER = 1e6
+"""When a car departs that does not exist [s]."""
+
+
+RIGHT = 0.25
+"""Added to the second in which a car departs if it turns right: one number per car is enough."""
+
+
+def most_per_lane(cars: int, straight: float) -> int:
+    """K, so many that a lane gets more by luck of five deviations only."""
+    share = (straight + 0.5 * (1.0 - straight)) / (APPROACHES * LEFT)
+    mean = cars * max(share, 0.5 * (1.0 - straight) / APPROACHES)
+    return math.ceil(mean + 5.0 * math.sqrt(mean)) + 4
+
+
+def crowded_share(cars: jax.Array) -> jax.Array:
+    """Probability of a crowded draw: its largest number is beyond `CROWDED`."""
+    return -jnp.expm1(cars * math.log1p(-_BEYOND))
+
+
+def departures(
+    seeds: jax.Array, cars: jax.Array, most: int, seconds: float, crowded: jax.Array | int = -1
+) -> jax.Array:
+    """(N, n) whole seconds, ascending; `NEVER` beyond the number of cars.
+
+    Args:
+        seeds: (n,) uint32.
+        cars: how many come, a scalar or (n,).
+        most: N.
+        seconds: the episode's.
+        crowded: 1: only a draw that is, 0: only one that is not, -1: as it comes; as `cars`.
+    """
+    there = jnp.arange(most)[:, None] < jnp.asarray(cars)
+    luck = random.uniform(seeds, _TIMES, jnp.uint32(0), most)
+    # the least luck makes the largest number; in a crowded draw the first car has it
+    least = -jnp.expm1(jnp.log1p(-luck[0] * crowded_share(jnp.asarray(cars))) / cars)
+    floor = jnp.where(crowded == 1, least, jnp.where(crowded == 0, _BEYOND, 0.0))
+    luck = luck.at[0].set(jnp.where(crowded == 1, 0.0, luck[0]))
+    luck = floor + (1.0 - floor) * luck
+    draws = jnp.sqrt(-jnp.log(luck))  # Weibull of shape 2
+    ordered = jnp.sort(jnp.where(there, draws, jnp.inf), axis=0)
+    low = jnp.floor(ordered[1])
+    high = jnp.ceil(jnp.where(there, draws, 0.0).max(axis=0))
+    times = jnp.rint((ordered - low) / (high - low) * seconds)
+    return jnp.where(there, jnp.clip(times, 0.0, seconds), NEVER)
+
+
+def plan(
+    seeds: jax.Array,
+    cars: jax.Array,
+    most: int,
+    per_lane: int,
+    seconds: float,
+    straight: float,
+    crowded: jax.Array | int = -1,
+) -> jax.Array:
+    """(K, 16, n) when the cars of a lane depart, one after the other, and `RIGHT` if they turn so.
+
+    `NEVER`: there is no such car. Arguments as in `departures`, with K and the share straight on.
+    """
+    times = departures(seeds, cars, most, seconds, crowded)
+    moment = jnp.uint32(0)
+    ahead = random.uniform(seeds, _TURNS, moment, most) < straight
+    entry = jnp.floor(random.uniform(seeds, _PLACES, moment, most) * APPROACHES).astype(jnp.int32)
+    left = ~ahead & (random.uniform(seeds, _SIDES, moment, most) < 0.5)
+    right = ~ahead & ~left
+    n = times.shape[1]
+    lanes = jnp.arange(APPROACHES * LANES)[:, None]
+
+    def one(count: jax.Array, car: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+        time, entry, left, right = car
+        first = entry * LANES
+        counts = jnp.take_along_axis(count, first + jnp.arange(LEFT)[:, None], axis=0)
+        fewest = jnp.argmin(counts, axis=0).astype(jnp.int32)
+        lane = first + jnp.where(left, LEFT, jnp.where(right, 0, fewest))
+        number = jnp.take_along_axis(count, lane[None], axis=0)[0]
+        number = jnp.where(time < NEVER, number, per_lane)
+        count = count + ((lanes == lane) & (time < NEVER))
+        return count, jnp.stack([number, lane])
+
+    none = jnp.zeros((APPROACHES * LANES, n), jnp.int32)
+    _, found = jax.lax.scan(one, none, (times, entry, left, right))
+    number, lane, which = found[:, 0], found[:, 1], jnp.arange(n)[None]
+    size = (per_lane, APPROACHES * LANES, n)
+    place = (number, lane, jnp.broadcast_to(which, number.shape))
+    return jnp.full(size, NEVER).at[place].set(times + jnp.where(right, RIGHT, 0.0), mode="drop")
+
+
+# ---- the whole -------------------------------------------------------------------------------
+
 
 _LUCK = 8  # stream of random numbers
 _ALL = APPROACHES * LANES
@@ -139,7 +433,7 @@ class CrossingTwin(Seeded):
 
     def strata(self, params: CrossingParams) -> tuple[CrossingParams, NDArray[np.float64]]:
         """Each context in the two modes of demand, (C x 2, ...), and their shares, (C, 2)."""
-        usual = 1.0 - np.asarray(crossing_demand.crowded_share(params.inflow), np.float64)
+        usual = 1.0 - np.asarray(crowded_share(params.inflow), np.float64)
         each = jax.tree.map(lambda x: np.repeat(np.asarray(x), 2, axis=0), params)
         modes = np.tile(np.array([0, 1], np.int32), len(usual))
         return each._replace(crowded=modes), np.stack([usual, 1.0 - usual], axis=1)
@@ -149,10 +443,10 @@ class CrossingTwin(Seeded):
     def start(self, seeds: jax.Array, params: CrossingParams) -> CrossingState:
         """Empty roads."""
         n, none = len(seeds), jnp.zeros(len(seeds))
-        most = crossing_demand.most_per_lane(self.cars, self.straight)
+        most = most_per_lane(self.cars, self.straight)
         return CrossingState(
             queues=Queues(*(jnp.full((self.rows, _ALL, n), nobody) for nobody in VACANT)),
-            plan=crossing_demand.plan(
+            plan=plan(
                 seeds,
                 params.inflow,
                 self.cars,
