@@ -10,7 +10,7 @@ import pytest
 
 import mbtl
 from mbtl.benchmark import TransferMatrix, save_shipped
-from mbtl.reproduction import Bench, Item, Setting, items_named, perform
+from mbtl.reproduction import Bench, Item, Setting, perform
 from mbtl.reproduction.item import Measured, Table, escape_latex
 from mbtl.reproduction.page import made_from, write_index
 
@@ -98,17 +98,6 @@ def test_an_item_that_fails_leaves_the_results_of_the_others(bench, tmp_path):
     mended = [items[0], counting(done, "bad", 2), items[2]]
     assert [o.status for o in perform(mended, bench, tmp_path)] == ["kept", "done", "kept"]
     assert not (tmp_path / "02-bad.error.txt").exists()
-
-
-def test_replays_are_kept_for_all_items(bench, tmp_path):
-    (item,) = items_named(["elimination"])
-    said = []
-    bench.says = said.append
-    perform([item], bench, tmp_path)
-    assert said == [f"replaying selectors on {ID}"]
-    fresh = Bench(bench.setting, kept=tmp_path / "replays", says=said.append)
-    fresh.case(ID)
-    assert len(said) == 1
 
 
 def test_the_page_is_of_the_shipped_matrices():

@@ -7,7 +7,6 @@ from mbtl.benchmark import TransferMatrix, save_shipped
 from mbtl.benchmark.multitask import load_multitask, save_multitask
 from mbtl.errors import UnknownName
 from mbtl.reproduction import Bench, Setting, items_named, published
-from mbtl.reproduction.bench import Case
 from mbtl.reproduction.claims import NOT, OPEN, PARTLY, REPRODUCED
 from mbtl.reproduction.items.elimination import longest_run, rates
 from mbtl.reproduction.page import row_verdict
@@ -67,13 +66,6 @@ def test_values_of_a_known_matrix(folder):
     assert case.share(half) == pytest.approx(0.5)
 
 
-def test_a_replay_comes_back_from_the_disk_as_it_was(folder):
-    case = bench(folder).case(ID)
-    back = Case.from_json(case.to_json())
-    assert back.to_json() == case.to_json()
-    np.testing.assert_array_equal(back.far, case.far)
-
-
 def test_k_star_is_about_the_level_of_the_same_seed(tmp_path):
     rows = np.stack([np.eye(N), 0.5 * np.eye(N)]) * 100
     save_shipped(TransferMatrix.of(rows, bounds=(0, 100)), tmp_path, ID)
@@ -92,17 +84,6 @@ def test_greedy_is_left_out_where_it_cannot_run(tmp_path):
     values = bench(tmp_path, "two-axes", budget=6).case("two-axes").values
     assert "greedy" not in values
     assert values["mbtl"] == Value(1.0, None)  # of one seed there is no deviation
-
-
-def test_the_share_that_is_closed_at_each_budget_is_a_ratio_of_mean_gains(folder):
-    case, closed = bench(folder).case(ID), items_named(["curves"])[0].tables
-    table = closed(computed("curves", folder, ID))["closed"]
-    assert table.head == ("k", "Greedy", "MBTL", "auto")
-    means = {name: curve.mean(axis=0) for name, curve in case.curves.items()}
-    room = means["sequential_oracle"] - means["random"]
-    for k, *shares in table.rows:
-        expected = [means[n][k - 1] - means["random"][k - 1] for n in ("greedy", "mbtl", "auto")]
-        assert np.multiply(shares, room[k - 1]) == pytest.approx(expected)
 
 
 def test_fewer_sources_than_targets_are_enough_for_every_item(tmp_path):

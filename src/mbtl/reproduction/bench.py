@@ -1,4 +1,4 @@
-"""What a reproduction works on: the matrices there are, replayed once and kept on disk."""
+"""What a reproduction works on: the matrices there are, replayed once."""
 
 from __future__ import annotations
 
@@ -131,30 +131,6 @@ class Case:
             low, high = low[:, None], high[:, None]
         return np.asarray((values - low) / np.maximum(high - low, 1e-12))
 
-    def to_json(self) -> dict[str, Any]:
-        """JSON-able record, which `from_json` reads back exactly."""
-        lists = {
-            key: {name: array.tolist() for name, array in getattr(self, key).items()}
-            for key in ("curves", "levels", "references", "multitask")
-        }
-        plain = ("cmdp", "variant", "n", "n_sources", "n_seeds", "apart", "theta", "caveat")
-        return {
-            **{key: getattr(self, key) for key in plain},
-            "axis": dict(self.axis),
-            "picks": dict(self.picks),
-            "far": self.far.tolist(),
-            **lists,
-        }
-
-    @classmethod
-    def from_json(cls, record: Mapping[str, Any]) -> Case:
-        """What `to_json` gave."""
-        arrays = {
-            key: {name: np.array(values) for name, values in record[key].items()}
-            for key in ("curves", "levels", "references", "multitask")
-        }
-        return cls(**{**record, **arrays, "far": np.array(record["far"])})
-
 
 def case_of(
     cmdp: str,
@@ -278,12 +254,10 @@ class Bench:
 
     Attributes:
         setting: what is asked for.
-        kept: folder in which replays are kept; None: nowhere.
         says: told what is being done, for a progress display.
     """
 
     setting: Setting = field(default_factory=Setting)
-    kept: Path | None = None
     says: Says = lambda text: None
     _cases: dict[str, Case] = field(default_factory=dict)
 
@@ -321,11 +295,18 @@ class Bench:
         return load_matrix(id, variant or self.setting.variant, folder=self.setting.folder)
 
     def case(self, id: str, variant: str | None = None) -> Case:
-        """Its replay, from the disk if nothing it depends on has changed."""
+        """Its replay."""
         variant = variant or self.setting.variant
         key = matrix_id(id, variant)
         if key not in self._cases:
-            self._cases[key] = self._kept_case(id, variant)
+            self.says(f"replaying selectors on {key}")
+            self._cases[key] = case_of(
+                id,
+                variant,
+                self.matrix(id, variant),
+                load_multitask(id, folder=self._baselines),
+                self.setting.budget,
+            )
         return self._cases[key]
 
     def cases(self, prefix: str = "") -> dict[str, Case]:
@@ -358,32 +339,6 @@ class Bench:
     @property
     def _baselines(self) -> Path:
         return self._place / "multitask"
-
-    def _kept_case(self, id: str, variant: str) -> Case:
-        name = matrix_id(id, variant)
-        baselines = _hash(sorted(self._baselines.glob(f"{id}-*.npz")))
-        made_of = [
-            __version__,
-            _code(),
-            self.setting.budget,
-            self.fingerprint(name),
-            baselines,
-        ]
-        file = None if self.kept is None else self.kept / f"{name}.json"
-        record = None if file is None else read_record(file)
-        if record is not None and record.get("made_of") == made_of:
-            return Case.from_json(record["case"])
-        self.says(f"replaying selectors on {name}")
-        found = case_of(
-            id,
-            variant,
-            self.matrix(id, variant),
-            load_multitask(id, folder=self._baselines),
-            self.setting.budget,
-        )
-        if file is not None:
-            write_record(file, {"made_of": made_of, "case": found.to_json()})
-        return found
 
 
 def read_record(file: Path) -> dict[str, Any] | None:

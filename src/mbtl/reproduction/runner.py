@@ -73,7 +73,7 @@ def items_named(names: Sequence[str]) -> list[Item]:
 # ---- the whole -------------------------------------------------------------------------------
 
 
-NUMBERS, TABLES, FIGURES, REPLAYS = "numbers", "tables", "figures", "replays"
+NUMBERS, TABLES, FIGURES = "numbers", "tables", "figures"
 """Folders of the output."""
 
 Status = Literal["done", "kept", "failed"]
@@ -132,7 +132,6 @@ def perform(
         on_item: called before each item with None, and after it with its outcome.
         again: make all of them.
     """
-    bench.kept = out / REPLAYS
     found = []
     for item in items:
         on_item(item, None)
