@@ -1,8 +1,7 @@
 """The table of our CMDPs: simulator families and what varies in each (cmdp-spec, sections 2 and 4).
 
 A new CMDP is one `Variant`; a new simulator is one `Family` and a module with its environment.
-Traffic is in `traffic_families`, robots are in `locomotion_families`. Nothing here imports an
-environment.
+Nothing here imports an environment.
 """
 
 from __future__ import annotations
