@@ -92,7 +92,10 @@ def test_what_cannot_be_printed_is_not_worth_a_study(folder, line, code, words):
 
 def test_a_progress_line_is_not_worth_a_study_in_python_either(folder):
     """Nor is one in letters that the file does not know."""
-    script = "import own; s = own.own.study(stop_left=None); s.run(); print(len(s.state.rows))"
+    script = (
+        "import mbtl, own; s = own.own.study(stopping=mbtl.Stopping()); s.run(); "
+        "print(len(s.state.rows))"
+    )
     run = f"PYTHONIOENCODING=ascii:strict {sys.executable} -W ignore -c '{script}'"
     assert shell(folder, f"{run} 2>/dev/full")[1] == "3\n"
     code, out, err = shell(folder, run)
