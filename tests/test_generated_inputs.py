@@ -170,7 +170,7 @@ def test_study_files(made, tmp_path_factory, data):
         study.trainings.html("")
         study.ask()
     with ours():
-        mbtl.list_studies(file)
+        mbtl.study.list_studies(file)
     with ours():
         mbtl.load_study(file).portfolio(quick_problem.TRAINER).policy(0)
     shutil.rmtree(file.parent)

@@ -10,24 +10,15 @@ import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbtl import selectors
+from mbtl import errors, selectors, strategies
 from mbtl.contexts import Categorical, Context, ContextSpace, Integer, Linear, Log
 from mbtl.errors import (
-    CheckFailed,
-    ContextMismatch,
     InvalidInput,
     MbtlError,
-    MissingExtra,
-    Notice,
-    SimulationFailed,
     StorageError,
     StudyError,
-    StudyMismatch,
     TrainingFailed,
     TrainingPruned,
-    UnknownName,
-    Unreachable,
-    UnsavedPolicies,
 )
 from mbtl.objective import Bounds, Objective
 from mbtl.portfolio import Portfolio, load_portfolio
@@ -38,22 +29,19 @@ from mbtl.study import (
     Evaluation,
     Failures,
     Pick,
-    RunResult,
     Steps,
     Stopping,
     Study,
     StudyFinished,
-    Training,
     Workers,
     create_study,
-    delete_study,
-    list_studies,
     load_study,
 )
+from mbtl.trainer import FunctionTrainer
 from mbtl.version import __version__
 
 if TYPE_CHECKING:
-    from mbtl.benchmark import TransferMatrix, load_curves, load_matrix
+    from mbtl.benchmark import TransferMatrix, load_matrix
     from mbtl.benchmark.compare import compare
     from mbtl.cmdps import CMDP, check_cmdp, get_cmdp
 
@@ -64,7 +52,6 @@ _LAZY = {
     "get_cmdp": "mbtl.cmdps",
     "TransferMatrix": "mbtl.benchmark",
     "compare": "mbtl.benchmark",
-    "load_curves": "mbtl.benchmark",
     "load_matrix": "mbtl.benchmark",
 }
 
@@ -73,53 +60,42 @@ __all__ = [
     "Bounds",
     "Callback",
     "Categorical",
-    "CheckFailed",
     "Context",
-    "ContextMismatch",
     "ContextSpace",
     "Cost",
     "Evaluation",
     "Failures",
+    "FunctionTrainer",
     "Integer",
     "InvalidInput",
     "Linear",
     "Log",
     "MbtlError",
-    "MissingExtra",
-    "Notice",
     "Objective",
     "Pick",
     "Portfolio",
-    "RunResult",
-    "SimulationFailed",
     "Steps",
     "Stopping",
     "StorageError",
     "Study",
     "StudyError",
     "StudyFinished",
-    "StudyMismatch",
-    "Training",
     "TrainingFailed",
     "TrainingPruned",
     "TransferMatrix",
-    "UnknownName",
-    "Unreachable",
-    "UnsavedPolicies",
     "Workers",
     "__version__",
     "check_cmdp",
     "compare",
     "create_study",
-    "delete_study",
+    "errors",
     "get_cmdp",
-    "list_studies",
-    "load_curves",
     "load_matrix",
     "load_portfolio",
     "load_study",
     "plot",
     "selectors",
+    "strategies",
 ]
 
 
@@ -133,8 +109,8 @@ READERS["sb3"] = _read_sb3
 
 
 def __getattr__(name: str) -> Any:
-    if name == "plot":
-        return importlib.import_module("mbtl.plot")
+    if name in ("benchmark", "plot"):
+        return importlib.import_module(f"mbtl.{name}")
     if name in _LAZY:
         return getattr(importlib.import_module(_LAZY[name]), name)
     raise AttributeError(f"module 'mbtl' has no attribute {name!r}")

@@ -64,14 +64,14 @@ def test_a_file_reads_back_within_half_precision(tmp_path):
 def test_the_files_of_seeds_are_stacked(tmp_path):
     for seed in (0, 1):
         curves(seed)[0].save(tmp_path / f"toy-hidden-seed{seed}.npz")
-    stacked = mbtl.load_curves("toy", "hidden", folder=tmp_path)
+    stacked = mbtl.benchmark.load_curves("toy", "hidden", folder=tmp_path)
     assert stacked.n_seeds == 2
     assert stacked.matrix(-1).n_seeds == 2
     with pytest.raises(UnknownName, match="toy-hidden"):
-        mbtl.load_curves("toy", folder=tmp_path)
+        mbtl.benchmark.load_curves("toy", folder=tmp_path)
     curves(2, theta=0.02)[0].save(tmp_path / "toy-hidden-seed2.npz")
     with pytest.raises(StorageError, match="must agree"):
-        mbtl.load_curves("toy", "hidden", folder=tmp_path)
+        mbtl.benchmark.load_curves("toy", "hidden", folder=tmp_path)
 
 
 def test_wrong_files_are_refused_with_the_rule(tmp_path):

@@ -229,7 +229,7 @@ def test_a_folder_that_was_renamed_or_copied_holds_the_same_study(mbtl_command, 
     assert extended["picks"][:4] == before["picks"]
     assert len(mbtl.load_study(tmp_path / "copy").portfolio(trust=True).policies_missing) == 0
     assert run("moved")[0] == before
-    assert [entry.name for entry in mbtl.list_studies(tmp_path / "copy")] == ["k2"]
+    assert [entry.name for entry in mbtl.study.list_studies(tmp_path / "copy")] == ["k2"]
 
 
 def test_an_edited_evaluate_is_named_and_goes_on_with_accept_changes(mbtl_command, tmp_path):

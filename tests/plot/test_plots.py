@@ -303,5 +303,6 @@ def test_what_people_print_in_a_notebook_is_short():
         "ContextSpace(mass [kg]; 20 contexts))"
     )
     study = study_on(LINE, 2)
-    for shown in (matrix, study, study.portfolio(), mbtl.load_curves("pendulum-length-hidden")):
+    curves = mbtl.benchmark.load_curves("pendulum-length-hidden")
+    for shown in (matrix, study, study.portfolio(), curves):
         assert len(repr(shown)) < 200

@@ -73,7 +73,7 @@ def test_a_frame_has_a_line_per_training_and_a_column_per_axis():
 
 def test_without_pandas_a_frame_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(mbtl.MissingExtra, match=r"pip install 'mbtl\[frames\]'"):
+    with pytest.raises(mbtl.errors.MissingExtra, match=r"pip install 'mbtl\[frames\]'"):
         study_of().to_frame()
 
 

@@ -182,7 +182,7 @@ def test_an_event_is_appended_once_where_its_commit_was_not_heard_of(server, nam
 def test_a_database_that_was_not_made_says_how_to_make_it(postgres):
     address = sqlalchemy.make_url(postgres).set(database="not_made")
     with pytest.raises(StorageError, match=r"no database .*not_made.* `createdb NAME`"):
-        mbtl.list_studies(address.render_as_string(hide_password=False))
+        mbtl.study.list_studies(address.render_as_string(hide_password=False))
 
 
 def test_a_server_that_stays_away_is_given_up_in_one_sentence_without_the_password(server, name):

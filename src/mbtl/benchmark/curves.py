@@ -36,7 +36,7 @@ _OWN = ("lengths", "steps", "unit", *_ROWS)
 class TransferCurves:
     """Every policy along every training on every target.
 
-        curves = mbtl.load_curves("pendulum-length")
+        curves = mbtl.benchmark.load_curves("pendulum-length")
         short = curves.matrix(2)                    # a `TransferMatrix` after T/16
         curves.lengths, curves.steps                # what the trainings cost
 

@@ -177,10 +177,10 @@ def run(
     Interrupt it at any time; the same command goes on where it was.
 
     \b
-    Example:           mbtl run cartpole-length --budget 6 --seed 1
-    Paid in steps:     mbtl run cartpole-length --steps 2M
-    The paper's run:   mbtl run cartpole-length --preset paper --strategy mbtl
-    On a cluster:      mbtl run cartpole-length --workers postgresql+psycopg://me@db/studies
+    Example: mbtl run cartpole-length --budget 6 --seed 1
+    Paid in steps: mbtl run cartpole-length --steps 2M
+    The paper's run: mbtl run cartpole-length --preset paper --strategy mbtl
+    On a cluster: mbtl run cartpole-length --workers postgresql+psycopg://me@db/studies
     """
     pay = budget_of(budget, steps, cost_budget, costs)
     cmdp = resolve_cmdp(problem, engine=engine, score=score)
