@@ -12,7 +12,6 @@ would use.
     axes      the same with one, two and three axes, and whether V is what a study says it is
     costs     a training costs 1 to 10, rising or falling along the contexts; budget 30: heeded, or
               not
-    repeats   a context may be trained again (the rows of the other seeds): allowed, or not
     batches   n picks at a time, each without the rows of the others
     stopping  the study ends when auto says that one more training gains < 0.01 with 90 %: how many
               trainings, and how often the next one gained less indeed
@@ -169,17 +168,6 @@ def costs(name: str, heeded: bool, rising: bool) -> Iterator[float]:
         yield regret(rows[0], history)
 
 
-def repeats(name: str, times: int) -> Iterator[float]:
-    for problem, rows in worlds(name):
-        history = History(problem.n)
-        for _ in range(K):
-            allowed = replace(problem, repeats=times)
-            source = auto(name).propose(allowed, history, np.random.default_rng(0)).source
-            again = history.sources.count(source)
-            history = history.with_row(source, rows[again][source])
-        yield share_left(rows[0], history.best)
-
-
 def batches(name: str, size: int) -> Iterator[float]:
     for problem, rows in worlds(name, 12):
         history = History(problem.n)
@@ -241,7 +229,7 @@ def table(pool: Pool, title: str, names: list[str], plays: Plays) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    every = "noise,partial,axes,costs,repeats,batches,stopping,nothing"
+    every = "noise,partial,axes,costs,batches,stopping,nothing"
     parser.add_argument("--parts", default=every)
     parser.add_argument("--sets", default=SETS)
     args = parser.parse_args()
@@ -275,10 +263,6 @@ def main() -> None:
                 for rising in (True, False)
                 for heeded in (True, False)
             },
-        ),
-        "repeats": (
-            f"Trained again, K = {K}",
-            {f"{times} per context": (repeats, times) for times in (1, 3)},
         ),
         "batches": (
             "Batches, K = 12",
