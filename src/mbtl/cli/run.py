@@ -326,7 +326,7 @@ def _announce(study: Study, folder: Path) -> None:
     spec = study.spec
     budget = f"K = {spec.budget}" if spec.steps is None else f"{counted(spec.steps)} steps"
     going_on = (
-        f", going on after {study.state.spent_words()}"
+        f", going on after {study.state.spent_words(answered=True)}"
         if study.state.rows and not study.is_finished
         else ""
     )

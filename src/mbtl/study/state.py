@@ -356,13 +356,16 @@ class StudyState:
         ]
         return np.cumsum(own)
 
-    def spent_words(self) -> str:
-        """How much of the budget is asked for: "3 of 15 trainings", "2.5 of 4 units", ..."""
+    def spent_words(self, *, answered: bool = False) -> str:
+        """How much of the budget is asked for, or done: "3 of 15 trainings", "2.5 of 4 units"."""
         assert self.spec is not None
         if self.spec.steps is not None:
-            return f"{counted(self.bill().total)} of {counted(self.spec.steps)} steps"
+            bill = self.bill()
+            spent = bill.total - (bill.under_way if answered else 0.0)
+            return f"{counted(spent)} of {counted(self.spec.steps)} steps"
         what = "units" if self.spec.any_training else "trainings"
-        return f"{self.paid:g} of {self.spec.budget} {what}"
+        open_ = sum(pick.price for pick in self.open_picks.values()) if answered else 0.0
+        return f"{self.paid - open_:g} of {self.spec.budget} {what}"
 
     def seed_of(self, pick: PickRecord) -> int:
         """Training seed of a pick; of one that goes on, that of the beginning."""
