@@ -169,7 +169,9 @@ def test_a_study_is_shown_and_exported(mbtl_command, own, tmp_path):
     assert mbtl_command("study", "export", folder, "rows.csv")[0] == 0
     lines = (tmp_path / "rows.csv").read_text().splitlines()
     assert len(lines) == 1 + 4 * 15
-    assert lines[0] == "source,target,source_mass,target_mass,return,std,episodes"
+    assert lines[0] == (
+        "policy,sources,start,length,source_mass,target,target_mass,return,std,episodes"
+    )
     assert mbtl_command("study", "export", folder, "rows.json", "--json")[0] == 0
     document = json.loads((tmp_path / "rows.json").read_text())
     stored = mbtl.load_study(tmp_path / folder).state.rows
