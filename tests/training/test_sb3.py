@@ -209,7 +209,7 @@ def test_contexts_of_one_physics_are_evaluated_in_episodes_of_their_own():
     seeds = evaluation_seeds(0, 0, range(3))
     trainer = ppo(Draw, timesteps=64)
     one, other = (
-        trainer.evaluate(trainer.train(POLE, seed), [{}, {}, {}], seeds) for seed in (0, 1)
+        trainer.evaluate(trainer.train([POLE], seed).policy, [{}, {}, {}], seeds) for seed in (0, 1)
     )
     expected = [[by_hand(seed) for seed in own] for own in episode_seeds(seeds, 3, 2)]
     assert one == pytest.approx(np.array(expected))
