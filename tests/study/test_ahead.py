@@ -7,7 +7,8 @@ import mbtl
 from flat import created, ran
 from mbtl.errors import StorageError
 from mbtl.selectors import MBTL
-from mbtl.study import StudyFinished, ask, leasing
+from mbtl.study import StudyFinished, ask
+from mbtl.study import study as study_module
 from mbtl.study.leases import asker
 from mbtl.trainer import FunctionTrainer
 
@@ -118,7 +119,7 @@ def test_who_waits_says_so_and_is_proposed_for(tmp_path, monkeypatch):
     def ended(self):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(leasing._Turn, "wait", ended)
+    monkeypatch.setattr(study_module._Turn, "wait", ended)
     with pytest.raises(KeyboardInterrupt):
         waiting.ask()
     assert study._propose(claim.data["token"], 60.0)

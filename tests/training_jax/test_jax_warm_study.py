@@ -53,11 +53,11 @@ class Stops(mbtl.Callback):
             raise KeyboardInterrupt
 
 
-def opened(folder=None):
+def opened(folder):
     trainer = PROBLEM.trainer_for("quick", timesteps=1_024, hyperparameters=SMALL)
     return created(
         PROBLEM, budget=8, trainer=trainer, strategy=Warm(), seed=4, load_if_exists=True,
-        storage=None if folder is None else folder / "study.db",
+        storage=folder / "study.db",
     )  # fmt: skip
 
 
@@ -75,9 +75,9 @@ def same(one, other):
 
 
 def test_interrupted_a_tuned_copy_is_bit_for_bit_the_undisturbed_one(tmp_path):
-    calm, stops, interrupts = opened(), Stops(), 0
+    calm, stops, interrupts = opened(tmp_path / "calm"), Stops(), 0
     ran(calm, report=False)
-    while not (study := opened(tmp_path)).is_finished:
+    while not (study := opened(tmp_path / "disturbed")).is_finished:
         try:
             ran(study, report=False, callbacks=[stops])
             break
