@@ -132,6 +132,7 @@ def test_whoever_waits_for_a_film_is_told_where_it_is():
     assert told == [f"episode {e}, decision {d}" for e in (1, 2) for d in (0, 1)]
 
 
+@pytest.mark.long
 def test_what_is_played_are_the_episodes_in_which_a_study_evaluates(mbtl_command, tmp_path):
     pytest.importorskip("stable_baselines3")
     from mbtl.portfolio import load_portfolio

@@ -50,6 +50,7 @@ def test_a_ring_is_run_in_the_twin_and_its_policy_played_in_sumo(mbtl_command, r
     assert json.loads(other)["scores"] != told["scores"][:1]
 
 
+@pytest.mark.long
 def test_a_signal_is_run_in_sumo(mbtl_command, tmp_path):
     few = (*TINY, "--episodes", "1", "--eval-targets", "2", "--no-report", "--study", "b")
     code, out, _ = mbtl_command("run", "signal-inflow", "--engine", "sumo", *few)

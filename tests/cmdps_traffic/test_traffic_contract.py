@@ -26,6 +26,7 @@ SUMO = {
 }
 LONG_RING, LONG_RAMP = (pytest.param(id, marks=pytest.mark.long) for id in ("ring-acc", "ramp-vel"))
 """One of the two with holds is enough for what takes long."""
+LONG_SIGNAL = pytest.param("signal-length", marks=pytest.mark.long)
 OTHERS = ("ramp-vel", "signal-length", "eco-inflow")
 
 
@@ -42,7 +43,7 @@ class TestTraffic(CMDPContract):
         holds = cmdp.space.axes[0].name == "hold"  # where a step is up to 40 s of simulation
         check_cmdp(cmdp, steps=2 if holds else 8).raise_if_failed()
 
-    @pytest.mark.parametrize("cmdp", ["ring-acc", LONG_RAMP, *OTHERS[1:]], indirect=True)
+    @pytest.mark.parametrize("cmdp", ["ring-acc", LONG_RAMP, LONG_SIGNAL, "eco-inflow"], indirect=True)
     def test_trains_and_transfers(self, cmdp):
         super().test_trains_and_transfers(cmdp)
 

@@ -88,7 +88,7 @@ def _lights(api):
 @pytest.mark.parametrize(
     "features",
     [
-        {"inflow": 300.0},
+        pytest.param({"inflow": 300.0}, marks=pytest.mark.long),
         pytest.param({}, marks=pytest.mark.long),
         pytest.param({"length": 100.0}, marks=pytest.mark.long),
         pytest.param({"speed": 25.0}, marks=pytest.mark.long),

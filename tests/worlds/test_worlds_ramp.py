@@ -123,7 +123,7 @@ def test_cars_that_found_no_room_are_counted(driven):
 @pytest.mark.parametrize(
     ("obs", "holds"),
     [
-        ("fresh", (1.0, 4.0)),
+        pytest.param("fresh", (1.0, 4.0), marks=pytest.mark.long),
         pytest.param("fresh", (1.0, 3.0, 4.0), marks=pytest.mark.long),
         pytest.param("stale", (1.0, 3.0, 4.0), marks=pytest.mark.long),
     ],
