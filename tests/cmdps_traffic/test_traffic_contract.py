@@ -43,7 +43,9 @@ class TestTraffic(CMDPContract):
         holds = cmdp.space.axes[0].name == "hold"  # where a step is up to 40 s of simulation
         check_cmdp(cmdp, steps=2 if holds else 8).raise_if_failed()
 
-    @pytest.mark.parametrize("cmdp", ["ring-acc", LONG_RAMP, LONG_SIGNAL, "eco-inflow"], indirect=True)
+    @pytest.mark.parametrize(
+        "cmdp", ["ring-acc", LONG_RAMP, LONG_SIGNAL, "eco-inflow"], indirect=True
+    )
     def test_trains_and_transfers(self, cmdp):
         super().test_trains_and_transfers(cmdp)
 
