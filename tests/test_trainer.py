@@ -84,6 +84,7 @@ def test_a_function_may_change_its_start_in_its_place():
     ("contexts", "asked", "said"),
     [
         ([], {}, "at least one context, got none"),
+        ({"x": 1.0}, {}, r"a list of contexts, got one by itself, \{'x': 1\.0\}; write train"),
         (TWO, {}, "one policy on several contexts"),
         (ONE, {"start": 0}, "begin with the weights of a policy"),
         (

@@ -183,8 +183,13 @@ def check_asked(
     """Refuse to train as it is asked for.
 
     Raises:
-        InvalidInput: there are no contexts, or the trainer does not take this.
+        InvalidInput: there are no contexts, or not a list, or the trainer does not take this.
     """
+    if isinstance(contexts, Mapping):
+        raise InvalidInput(
+            f"a training takes a list of contexts, got one by itself, {dict(contexts)}; write "
+            "train([context], seed)"
+        )
     if not contexts:
         raise InvalidInput("a training takes at least one context, got none")
     asked: dict[Ability, bool] = {
