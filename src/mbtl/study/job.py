@@ -363,7 +363,8 @@ def _trained(job: Job, on_progress: _Steps) -> Kept:
     left = next((file for file in others if file is not None and file.exists()), None)
     if left is None and job.state is not None and "state" in job.trainer.takes:
         with contextlib.suppress(StorageError):
-            left = next(iter(_folder(job, job.state).glob(_STATE)), None)
+            kept = _states(job).read(job.state.place, job.state.sha256)
+            left = next(iter(kept.glob(_STATE)), None)
     if own is not None and left is not None and not own.exists():
         with contextlib.suppress(OSError):
             _copy_whole(left, own)
@@ -404,7 +405,7 @@ _STATE = "state"
 def _save_state(job: Job) -> Artifact | None:
     """Keep the state of a training that may go on; None: there is none, or no place for it."""
     own = next(iter(_partials(job)), None)
-    if not job.keeps_state or own is None or not own.exists() or job.store is None:
+    if not job.keeps_state or own is None or not own.exists():
         return None
 
     def fill(folder: Path) -> bool:
@@ -413,7 +414,7 @@ def _save_state(job: Job) -> Artifact | None:
         return True
 
     try:
-        return job.store.write(f"{job.place}.state", fill, {"seed": job.seed})
+        return _states(job).write(f"{job.place}.state", fill, {"seed": job.seed})
     except (StorageError, OSError):  # it can go on from its weights, too
         return None
 
@@ -423,18 +424,23 @@ def _partials(job: Job) -> list[Path]:
 
     One that failed is begun again with another seed, and from the beginning.
     """
-    takes = job.trainer.takes
-    if job.store is None or not ("resume" in takes or (job.keeps_state and "state" in takes)):
+    takes, store = job.trainer.takes, _states(job)
+    resumes = "resume" in takes and job.store is not None
+    if not (resumes or (job.keeps_state and "state" in takes)):
         return []
     made = f"{recipe_digest(equipment_of(job.trainer))}-{job.seed}"
     places = [f"{place}.{made}" for place in (job.place, *reversed(job.former))]
-    found = [job.store.partial(place) or _scratch() / place.replace("/", "-") for place in places]
-    return found
+    return [store.partial(place) or _scratch() / place.replace("/", "-") for place in places]
+
+
+def _states(job: Job) -> ArtifactStore:
+    """What keeps the states of trainings; of a study in memory a folder of this process."""
+    return FolderStore(_scratch()) if job.store is None else job.store
 
 
 @cache
 def _scratch() -> Path:
-    """Of this process, for stores that keep no unfinished trainings."""
+    """Of this process, for what no store keeps."""
     folder = Path(tempfile.mkdtemp(prefix="mbtl-state-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
