@@ -122,7 +122,7 @@ class PrintProgress(Callback):
         """Why nothing happens, and what helps."""
         self._say(
             f"{where(study, pick)} failed: {reason}; end this process and run again to go on: "
-            "worker processes (parallel=2) would be killed"
+            "worker processes (Workers(2)) would be killed"
         )
 
     def on_waiting(self, study: Study, others: Sequence[str]) -> None:

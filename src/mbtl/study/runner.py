@@ -386,5 +386,5 @@ def _check_can_travel(executor: Executor, trainer: Trainer) -> None:
         except Exception as error:
             raise InvalidInput(
                 "training in other processes needs functions of a module that they can import, got "
-                f"one that cannot be sent ({error}); move it to a module, or use parallel=1"
+                f"one that cannot be sent ({error}); move it to a module, or use Workers(1)"
             ) from error

@@ -179,7 +179,7 @@ def brought_back(future: Future[Any]) -> Any:
             raise StudyError(_DIED) from error
         raise StudyError(
             f"a policy trained in another process must be sent back or saved there, got "
-            f"{reason_of(error)}; give save and load functions, or use parallel=1"
+            f"{reason_of(error)}; give save and load functions, or use Workers(1)"
         ) from error
 
 

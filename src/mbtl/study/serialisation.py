@@ -62,7 +62,7 @@ def code_mismatch(changes: Sequence[str]) -> StudyMismatch:
     return StudyMismatch(
         "the policies of a study are made and evaluated by one code, and since they were made "
         f"{few(changes)} changed; take the old code back, start another study (--new, or another "
-        "name), or mix them knowingly with accept_changes=True (--accept-changes)"
+        "name), or mix them knowingly, study.equip(trainer, accept_changes=True) (--accept-changes)"
     )
 
 
