@@ -409,8 +409,7 @@ def _save_state(job: Job) -> Artifact | None:
         return None
 
     def fill(folder: Path) -> bool:
-        copy = shutil.copytree if own.is_dir() else shutil.copyfile
-        copy(own, folder / _STATE)
+        _copy_whole(own, folder / _STATE)
         return True
 
     try:

@@ -13,7 +13,7 @@ import uuid
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mbtl.errors import StudyError, few
 
@@ -128,10 +128,3 @@ def asker(worker: str) -> str:
 def new_worker() -> str:
     """A name that is nobody else's, with the host for people."""
     return f"{socket.gethostname()}-{uuid.uuid4().hex[:6]}"
-
-
-def worker_words(worker: Any) -> str:
-    """A worker for people; version 0.1 recorded a process."""
-    if isinstance(worker, Mapping):
-        return f"process {worker['pid']} on {worker['host']}"
-    return str(worker)

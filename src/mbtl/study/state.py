@@ -349,10 +349,10 @@ class StudyState:
 
     def units(self) -> Array:
         """(k,) units of training of each row and all before it; those told unasked count, too."""
-        done = [self._parent(row.start) if row.goes_on else None for row in self.rows]
+        before = [self._before(row) for row in self.rows]
         own = [
-            row.length - (before.length if before else 0.0)
-            for row, before in zip(self.rows, done, strict=True)
+            row.length - (0.0 if had is None else had.length)
+            for row, had in zip(self.rows, before, strict=True)
         ]
         return np.cumsum(own)
 
