@@ -15,8 +15,8 @@ import argparse  # isort: skip
 import numpy as np
 
 import mbtl
-from mbtl.benchmark import linear_gap_world
 from mbtl.selectors import auto_beliefs
+from mbtl.zoo.benchmark import linear_gap_world
 
 
 def study_of(n: int, rows: int, picks: int) -> mbtl.Study:

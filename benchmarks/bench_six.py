@@ -22,8 +22,8 @@ import numpy as np
 from measure import digits, note
 from sklearn_gp import fit_sklearn
 
-from mbtl.benchmark import compare, linear_gap_world
 from mbtl.selectors import MBTL
+from mbtl.zoo.benchmark import compare, linear_gap_world
 
 SELECTORS = ("random", "greedy", "equidistant", "worst-first", "mbtl", "mbtl-ei")
 CONTEXTS, MATRIX_SEEDS, BUDGET, SEEDS = 100, 3, 15, 3

@@ -60,7 +60,7 @@ WAYS: dict[str, Callable[[Any, int], None]] = {
 
 def compare(context: dict[str, float], rounds: int) -> dict[str, Any]:
     """Steps per second of processor time in each way, and milliseconds of a reset."""
-    from mbtl.cmdps.traffic.eco import Eco
+    from mbtl.zoo.cmdps.traffic.eco import Eco
 
     env = Eco(context)
     costs: dict[str, list[Cost]] = {name: [] for name in WAYS}

@@ -67,7 +67,7 @@ def main() -> None:
     args = parser.parse_args()
     import gymnasium
 
-    import mbtl.cmdps  # noqa: F401  # registers the ids
+    import mbtl.problems  # noqa: F401  # registers the ids
 
     results: dict[str, dict[str, Any]] = {}
     for name, (ours, theirs) in PAIRS.items():

@@ -17,7 +17,7 @@ LEVEL = 2
 
 def steady(family: str, obs: Any) -> Any:
     """Acceleration towards the steady speed, in numpy and jax."""
-    from mbtl.cmdps.traffic import eco, ramp, ring
+    from mbtl.zoo.cmdps.traffic import eco, ramp, ring
 
     if family == "ramp-vel":
         return (0.0 * obs[..., 0]).astype(int) + LEVEL

@@ -19,7 +19,7 @@ from jax_throughput import peak
 
 
 def main() -> None:
-    from mbtl.cmdps import get_cmdp
+    from mbtl.problems import get_cmdp
 
     cmdp = get_cmdp("cartpole-length", engine="jax")
     trainer = cmdp.trainer_for("quick", timesteps=300_000, eval_episodes=100)

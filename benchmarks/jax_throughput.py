@@ -28,7 +28,7 @@ def sb3_rate(seconds: float, barrier: Any) -> float:
     import torch
     from stable_baselines3 import PPO
 
-    from mbtl.cmdps import cartpole
+    from mbtl.zoo.cmdps import cartpole
 
     torch.set_num_threads(1)
     model = PPO("MlpPolicy", cartpole.CartPole({"length": 0.5}), device="cpu", seed=0)
@@ -57,8 +57,8 @@ def peak() -> float:
 
 def jax_rate(n_policies: int, name: str, seconds: float, barrier: Any) -> tuple[float, float]:
     """(steps per second of processor time, peak MB) of one process that trains `n_policies`."""
-    import mbtl.training.jax as engine
-    from mbtl.cmdps import get_cmdp
+    import mbtl.engine.learners as engine
+    from mbtl.problems import get_cmdp
 
     cmdp = get_cmdp("cartpole-length", engine="jax")
     lengths = [0.05 * (1 + 99 * k // max(1, n_policies - 1)) for k in range(n_policies)]
@@ -75,7 +75,7 @@ def main() -> None:
     parser.add_argument("--policies", type=int, nargs="+", default=[1, 2, 8, 30, 100, 400])
     parser.add_argument("--seconds", type=float, default=10.0, help="per measurement")
     args = parser.parse_args()
-    import mbtl.training.jax as engine
+    import mbtl.engine.learners as engine
 
     rate = peak() * CORES
     print(f"float32 matrix product, {CORES} cores: {rate / 1e9:.0f} GFLOP/s", flush=True)

@@ -42,7 +42,7 @@ from mbtl.seeds import training_seed
 from mbtl.selectors import Exhausted, Proposal, Traits
 from mbtl.study import Callback
 from mbtl.study.runner import Workers, run
-from mbtl.trainer import Trained, Trainer
+from mbtl.trainers import Trained, Trainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 30})
 BUDGET = 20

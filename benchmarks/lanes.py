@@ -26,10 +26,10 @@ def updates(id: str, lanes: int) -> tuple[Callable[[int], None], int]:
     import jax
     import jax.numpy as jnp
 
-    import mbtl.training.jax as engine
-    from mbtl.cmdps import get_cmdp
-    from mbtl.training.jax import algorithms
-    from mbtl.training.jax.clock import clock_at
+    import mbtl.engine.learners as engine
+    from mbtl.engine.learners import algorithms
+    from mbtl.engine.learners.clock import clock_at
+    from mbtl.problems import get_cmdp
 
     cmdp = get_cmdp(id)
     trainer: Any = cmdp.trainer

@@ -27,7 +27,7 @@ EPISODES = 10
 
 def ours(steps: int, seed: int) -> tuple[Any, Cost]:
     """A policy by our preset."""
-    from mbtl.cmdps import get_cmdp
+    from mbtl.problems import get_cmdp
 
     trainer = get_cmdp("cheetah-gravity", visibility="hidden").trainer_for(timesteps=steps)
     found: list[Any] = []
@@ -96,8 +96,8 @@ def stepped(copies: int, steps: int) -> dict[str, Any]:
     import mujoco
     import numpy as np
 
-    from mbtl.cmdps.locomotion.cheetah import HalfCheetah, new_model
-    from mbtl.cmdps.locomotion.cheetah_batch import CheetahParams, HalfCheetahs
+    from mbtl.zoo.cmdps.locomotion.cheetah import HalfCheetah, new_model
+    from mbtl.zoo.cmdps.locomotion.cheetah_batch import CheetahParams, HalfCheetahs
 
     batch, rng = HalfCheetahs(), np.random.default_rng(0)
     actions = rng.uniform(-1.0, 1.0, (steps // copies, copies, 6)).astype(np.float32)

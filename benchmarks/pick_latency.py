@@ -26,11 +26,11 @@ from sklearn_gp import fit_sklearn
 
 from mbtl.acquisition import line_gain, optimistic_gain
 from mbtl.arrays import Array
-from mbtl.benchmark import SyntheticWorld, linear_gap_world
 from mbtl.errors import MissingExtra
 from mbtl.history import History
 from mbtl.models import FittedGP, GPSettings, fit_gp
 from mbtl.selectors import MBTL
+from mbtl.zoo.benchmark import SyntheticWorld, linear_gap_world
 
 FIRST, LAST = 5, 45
 GOAL_MS = {100: 3.0, 1000: 5.0}

@@ -45,7 +45,7 @@ def of_engine(
         seconds: that are measured.
         barrier: of all processes.
     """
-    import mbtl.training.jax as engine
+    import mbtl.engine.learners as engine
 
     marks: list[tuple[int, float]] = []
     started = 0.0

@@ -17,12 +17,12 @@ import argparse  # isort: skip
 
 import numpy as np
 
-from mbtl.benchmark.synthetic import SyntheticWorld
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.selectors import get_selector
 from mbtl.selectors.auto_beliefs import forget
+from mbtl.zoo.benchmark.synthetic import SyntheticWorld
 
 GRIDS = "100,10x10x9,100x100"
 SELECTORS = "greedy,mbtl,mbtl-release,mbtl-ei,gp-mbtl,m-mbtl,sd-mbtl,kmeans,auto"

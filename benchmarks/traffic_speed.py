@@ -26,7 +26,7 @@ class Ring:
 
     def __init__(self, seconds: int) -> None:
         """Args: seconds of one round."""
-        from mbtl.cmdps.traffic.ring import RingAcc
+        from mbtl.zoo.cmdps.traffic.ring import RingAcc
 
         self.seconds, self.make = seconds, RingAcc
 
@@ -79,7 +79,7 @@ class Ramp(Ring):
 
     def __init__(self, seconds: int) -> None:
         """As the ring."""
-        from mbtl.cmdps.traffic.ramp import RampAcc
+        from mbtl.zoo.cmdps.traffic.ramp import RampAcc
 
         self.seconds, self.make = seconds, RampAcc
 
@@ -96,7 +96,7 @@ class Signal:
 
     def __init__(self, seconds: int) -> None:
         """The length of an episode is given."""
-        from mbtl.cmdps.traffic import signal
+        from mbtl.zoo.cmdps.traffic import signal
 
         self.signal = signal
 

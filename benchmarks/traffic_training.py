@@ -31,7 +31,7 @@ def in_sumo(id: str, context: dict[str, float], episodes: int) -> tuple[Any, Cos
     """The trainer, and the cost and the simulated seconds of one episode."""
     import libsumo
 
-    from mbtl.cmdps import get_cmdp
+    from mbtl.problems import get_cmdp
 
     trainer: Any = get_cmdp(id, engine="sumo").trainer
     trainer = replace(trainer, processes=False, checkpoint="final")
@@ -51,7 +51,7 @@ def in_sumo(id: str, context: dict[str, float], episodes: int) -> tuple[Any, Cos
 
 def in_twin(id: str, context: dict[str, float], lanes: int, blocks: int) -> tuple[Any, Cost]:
     """The trainer, and the cost of one episode of one policy."""
-    from mbtl.cmdps import get_cmdp
+    from mbtl.problems import get_cmdp
 
     trainer: Any = get_cmdp(id, engine="jax").trainer
     trainer = replace(trainer, checkpoint="final", episodes=4 * trainer.update_length)

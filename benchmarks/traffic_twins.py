@@ -31,9 +31,9 @@ CONTEXTS: dict[str, dict[str, dict[str, float]]] = {
 
 def sumo_rate(family: str, context: dict[str, float], rounds: int) -> float:
     """Steps per second after the reset, with observations and control."""
-    from mbtl.cmdps.traffic.eco import Eco
-    from mbtl.cmdps.traffic.ramp import RampAcc
-    from mbtl.cmdps.traffic.ring import RingAcc
+    from mbtl.zoo.cmdps.traffic.eco import Eco
+    from mbtl.zoo.cmdps.traffic.ramp import RampAcc
+    from mbtl.zoo.cmdps.traffic.ring import RingAcc
 
     make: Any = {"ring": RingAcc, "ramp-acc": RampAcc, "eco": Eco}[family]
     env = make(context, visibility="hidden")
@@ -63,11 +63,11 @@ def sumo_rate(family: str, context: dict[str, float], rounds: int) -> float:
 
 def twin_rates(family: str, simulations: int, rounds: int) -> dict[str, Any]:
     """Steps per second in each context and way; seconds of compiling."""
-    import mbtl.training.jax  # noqa: F401  isort: skip  # first: flags of jax
+    import mbtl.engine.learners  # noqa: F401  isort: skip  # first: flags of jax
     import jax
     import jax.numpy as jnp
 
-    from mbtl.cmdps.traffic.twins import EcoProblem, RampProblem, RingProblem
+    from mbtl.zoo.cmdps.traffic.twins import EcoProblem, RampProblem, RingProblem
 
     problems: dict[str, Any] = {
         "ring": RingProblem("acceleration"),

@@ -41,8 +41,8 @@ def division(id: str, value: float, episodes: int) -> dict[str, Any]:
     """Shares of one training's processor time."""
     import libsumo
 
-    from mbtl.cmdps import get_cmdp
-    from mbtl.training.algorithms import algorithm_class
+    from mbtl.problems import get_cmdp
+    from mbtl.trainers.algorithms import algorithm_class
 
     cmdp = get_cmdp(id, engine="sumo")
     trainer: Any = cmdp.trainer

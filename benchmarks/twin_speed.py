@@ -27,7 +27,7 @@ HERE = Path(__file__).resolve().parent.parent
 
 def play(args: argparse.Namespace) -> dict[str, Any]:
     """Costs and scores of this process's own checkout."""
-    from mbtl.cmdps import get_cmdp
+    from mbtl.problems import get_cmdp
 
     cmdp = get_cmdp(args.cmdp, engine="jax")
     trainer = cmdp.trainer_for(None, episodes=args.episodes, checkpoint_every=args.every)
@@ -60,7 +60,7 @@ def decisions_in(trainer: Any, context: Any) -> int:
     twin, params = trainer.problem([context])
     if isinstance(params, list):
         return int(twin.decisions(params[0]))
-    from mbtl.worlds.world import context_of
+    from mbtl.engine.worlds.world import context_of
 
     return int(twin.decisions(context_of(params, 0)))
 

@@ -23,16 +23,16 @@ PARTS = ("cars", "networks", "keeping", "learning")
 
 def division(id: str, preset: str, policies: int, rounds: int) -> dict[str, Any]:
     """Shares of one update's processor time, and its decisions per second."""
-    import mbtl.training.jax  # noqa: F401  isort: skip  # first: flags of jax
+    import mbtl.engine.learners  # noqa: F401  isort: skip  # first: flags of jax
     import jax
     import jax.numpy as jnp
     import numpy as np
 
-    from mbtl.cmdps import get_cmdp
-    from mbtl.training.jax import algorithms
-    from mbtl.training.jax.clock import clock_at
-    from mbtl.training.jax.episodic.episodes import actor_of, record, scores
-    from mbtl.worlds.world import of_simulations
+    from mbtl.engine.learners import algorithms
+    from mbtl.engine.learners.clock import clock_at
+    from mbtl.engine.learners.episodic.episodes import actor_of, record, scores
+    from mbtl.engine.worlds.world import of_simulations
+    from mbtl.problems import get_cmdp
 
     cmdp = get_cmdp(id, engine="jax")
     trainer: Any = cmdp.trainer_for(preset)

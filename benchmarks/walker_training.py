@@ -58,8 +58,8 @@ def sb3_model(seed: int) -> Any:
 def twin_costs(n: int = 160, steps: int = 40) -> tuple[float, float]:
     """Of n walkers in jax: microseconds of processor time of a step, and seconds of compiling."""
     os.environ.update(NPROC="1", MBTL_COMPILATION_CACHE="off")
-    import mbtl.worlds as worlds
-    from mbtl.worlds.walker import BipedalWalker, WalkerParams
+    import mbtl.engine.worlds as worlds
+    from mbtl.zoo.worlds.walker import BipedalWalker, WalkerParams
 
     import jax  # isort: skip  # after mbtl, which sets its flags
     import jax.numpy as jnp  # isort: skip
@@ -96,7 +96,7 @@ def sb3_rate(seconds: float, barrier: Any) -> float:
 def our_rate(seconds: float, barrier: Any) -> float:
     """Likewise, of the default preset, with few evaluations on the way."""
     os.environ["NPROC"] = "1"
-    from mbtl.cmdps import get_cmdp
+    from mbtl.problems import get_cmdp
 
     trainer = get_cmdp("walker-gravity", engine="jax").trainer
     world, params = trainer.problem([NOMINAL])
@@ -136,9 +136,9 @@ def judged(policy: Any, shown: Any = ()) -> float:
 def our_learning(seed: int, steps: int, looks: int) -> Iterator[Look]:
     """Of the engine."""
     os.environ["NPROC"] = "1"
-    import mbtl.training.jax as engine
-    from mbtl.checkpoints import Checkpoint
-    from mbtl.cmdps import get_cmdp
+    import mbtl.engine.learners as engine
+    from mbtl.engine.checkpoints import Checkpoint
+    from mbtl.problems import get_cmdp
 
     trainer = get_cmdp("walker-gravity", engine="jax").trainer
     recipe, (world, params) = trainer.learner, trainer.problem([NOMINAL])
@@ -173,7 +173,7 @@ def sb3_learning(same: bool, seed: int, steps: int, looks: int) -> Iterator[Look
     from stable_baselines3.common.env_util import make_vec_env
     from torch import nn
 
-    from mbtl.cmdps import get_cmdp
+    from mbtl.problems import get_cmdp
 
     torch.set_num_threads(1)
     recipe = get_cmdp("walker-gravity", engine="jax").trainer.learner

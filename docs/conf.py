@@ -71,7 +71,8 @@ def short(app, what, name, obj, options, signature, returned):
 def helps(command, name):
     """What `--help` of a command and of those below it prints, in Markdown."""
     if hasattr(command, "commands"):
-        return "".join(helps(c, f"{name} {n}") for n, c in command.commands.items())
+        there = {n: command.get_command(None, n) for n in command.list_commands(None)}
+        return "".join(helps(one, f"{name} {n}") for n, one in there.items())
     text = command.get_help(command.context_class(command, info_name=name, terminal_width=90))
     return f"\n## {name}\n\n```text\n{text}\n```\n"
 

@@ -32,14 +32,14 @@ from several_axes import worlds
 from mbtl.acquisition import RowGain
 from mbtl.acquisition.gain import unit_improvement
 from mbtl.arrays import Array
-from mbtl.benchmark import levels, random_curve, sequential_oracle
-from mbtl.benchmark.base import RowSource, measured_curve
-from mbtl.benchmark.compare import held_out
-from mbtl.benchmark.comparison import trainings_to
-from mbtl.benchmark.replay import replay
-from mbtl.benchmark.shipped import load_by_id, open_matrices, shipped_matrices
 from mbtl.models.linear_trend import LinearTrend, fit_linear_trend
 from mbtl.selectors import Auto
+from mbtl.zoo.benchmark import levels, random_curve, sequential_oracle
+from mbtl.zoo.benchmark.base import RowSource, measured_curve
+from mbtl.zoo.benchmark.compare import held_out
+from mbtl.zoo.benchmark.comparison import trainings_to
+from mbtl.zoo.benchmark.replay import replay
+from mbtl.zoo.benchmark.shipped import load_by_id, open_matrices, shipped_matrices
 
 DRAWS = 2000
 MARGIN = 0.02

@@ -25,16 +25,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import mbtl.training.jax  # noqa: F401  isort: skip  # first: flags of jax
+import mbtl.engine.learners  # noqa: F401  isort: skip  # first: flags of jax
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mbtl.benchmark import compare, load_matrix
-from mbtl.cmdps import get_cmdp
+from mbtl.engine.learners.episodic.episodes import Actor, go_on, import_actor
+from mbtl.engine.worlds.world import context_of, in_a_row, of_simulations
+from mbtl.problems import get_cmdp
 from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seeds, evaluation_seeds, training_seed
-from mbtl.training.jax.episodic.episodes import Actor, go_on, import_actor
-from mbtl.worlds.world import context_of, in_a_row, of_simulations
+from mbtl.zoo.benchmark import compare, load_matrix
 
 MEASURES = {
     "ramp": {

@@ -41,13 +41,13 @@ from learn_prior import small
 from scipy.stats import norm
 
 from mbtl.arrays import Array
-from mbtl.benchmark.shipped import family_of, load_by_id, shipped_matrices
 from mbtl.history import History
 from mbtl.models.priors import prior_without
 from mbtl.models.transfer_gp import TransferGP
 from mbtl.models.transfer_kernel import Places, TransferPrior, grid_pairs
 from mbtl.selectors import SelectionProblem
 from mbtl.selectors.auto import Auto
+from mbtl.zoo.benchmark.shipped import family_of, load_by_id, shipped_matrices
 
 FIGURE = pages.DOCS / "images/calibration.png"
 ROWS = (1, 2, 4, 8, 15)

@@ -23,10 +23,10 @@ import pages
 from measure import cost_of, digits
 
 from mbtl.arrays import Array
-from mbtl.benchmark import TransferMatrix, compare, load_matrix
-from mbtl.benchmark.comparison import Comparison, Trainings
-from mbtl.benchmark.oracle import sequential_oracle
 from mbtl.objective import Bounds
+from mbtl.zoo.benchmark import TransferMatrix, compare, load_matrix
+from mbtl.zoo.benchmark.comparison import Comparison, Trainings
+from mbtl.zoo.benchmark.oracle import sequential_oracle
 
 CMDP = "cartpole-masses-length"
 RANDOM, ORACLE, INDEPENDENT = "random", "oracle", "independent"

@@ -18,10 +18,10 @@ import films
 import numpy as np
 import pages
 
-from mbtl.benchmark import load_matrix, shipped_matrices
-from mbtl.cmdps import CMDP, cmdp_ids, get_cmdp
-from mbtl.cmdps.engines import EnvFactory
-from mbtl.cmdps.registry import engines_of
+from mbtl.problems import CMDP, cmdp_ids, get_cmdp
+from mbtl.zoo.benchmark import load_matrix, shipped_matrices
+from mbtl.zoo.cmdps.engines import EnvFactory
+from mbtl.zoo.cmdps.registry import engines_of
 
 FILE = pages.DOCS / "catalogue.md"
 FAMILIES = {

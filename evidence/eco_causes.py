@@ -156,7 +156,7 @@ def search(rounds: int, seeds: int) -> tuple[list[str], Any]:
 
 def axes(seeds: int) -> tuple[list[str], Any]:
     """Means over every fifth context of an axis; intervals are over seeds, which contexts share."""
-    from mbtl.cmdps import get_cmdp
+    from mbtl.problems import get_cmdp
 
     lines, document = [HEAD], {}
     for cmdp in ECO:
@@ -179,7 +179,7 @@ def matrices() -> tuple[list[str], Any]:
     """Entries beside the reference row, which has the same episodes."""
     from scipy import stats
 
-    from mbtl.benchmark import compare, load_matrix
+    from mbtl.zoo.benchmark import compare, load_matrix
 
     names = ("unguided", "own policy", "any policy", "best one policy", "oracle transfer")
     shares = ("own policy beats unguided", "any policy does", "MBTL's fifteen over unguided")
@@ -240,8 +240,8 @@ def standard(asked: Namespace) -> tuple[list[str], Any]:
 
     from eco_training import measures
 
-    from mbtl.cmdps import get_cmdp
-    from mbtl.cmdps.engines import EnvFactory, TwinProblem
+    from mbtl.problems import get_cmdp
+    from mbtl.zoo.cmdps.engines import EnvFactory, TwinProblem
 
     every, trainings = asked.every, asked.trainings
     axes = {name: get_cmdp(name, engine="jax", score="paper") for name in asked.axes}
@@ -252,7 +252,7 @@ def standard(asked: Namespace) -> tuple[list[str], Any]:
     changed = {"hyperparameters": other, "episodes": asked.length}
     changed = {name: value for name, value in changed.items() if value}
     trainer: Any = axes[asked.axes[0]].trainer_for(asked.preset, **changed)
-    all_axes = EnvFactory("mbtl.cmdps.traffic.eco:Eco")
+    all_axes = EnvFactory("mbtl.zoo.cmdps.traffic.eco:Eco")
     trainer = replace(trainer, problem=TwinProblem(trainer.problem.problem, all_axes))
     note(f"{len(contexts)} trainings ...")
     start = time.process_time()

@@ -4,7 +4,7 @@ Observations are made up, not played: any speed, place, moment of the cycle and 
 the rule lets a driver drive, any advice above the limit is right. Prints the mean error of advised
 speeds where the rule advises, and how often the network advises a car that should be let alone.
 
-example: python evidence/eco_clone.py --write src/mbtl/worlds/traffic/rules/glide.npz
+example: python evidence/eco_clone.py --write src/mbtl/zoo/worlds/traffic/rules/glide.npz
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ import jax  # isort: skip  # after eco_play, which sets the flags of jax
 import jax.numpy as jnp
 import optax
 
-from mbtl.cmdps.traffic import eco
-from mbtl.training.jax import networks
-from mbtl.worlds.environments import Box
-from mbtl.worlds.traffic.eco import Light
+from mbtl.engine.learners import networks
+from mbtl.engine.worlds.environments import Box
+from mbtl.zoo.cmdps.traffic import eco
+from mbtl.zoo.worlds.traffic.eco import Light
 
 HIDDEN = (64, 64)
 ROWS = 512

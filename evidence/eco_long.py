@@ -21,7 +21,7 @@ import numpy as np
 import pages
 from numpy.typing import NDArray
 
-from mbtl.benchmark import load_curves, load_matrix
+from mbtl.zoo.benchmark import load_curves, load_matrix
 
 LONG = pages.DOCS / "data" / "eco-long"
 CMDPS = "eco-green", "eco-inflow", "eco-penetration"

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-import mbtl.training.jax  # noqa: F401  isort: skip  # first: flags of jax
+import mbtl.engine.learners  # noqa: F401  isort: skip  # first: flags of jax
 import jax
 import jax.numpy as jnp
 
-from mbtl.cmdps.traffic import eco
-from mbtl.cmdps.traffic.twins import EcoProblem
-from mbtl.worlds.traffic import lane
+from mbtl.zoo.cmdps.traffic import eco
+from mbtl.zoo.cmdps.traffic.twins import EcoProblem
+from mbtl.zoo.worlds.traffic import lane
 
 Rule = Callable[[Any, Any], Any]
 Measures = dict[str, Any]

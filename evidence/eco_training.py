@@ -14,13 +14,13 @@ from measure import note
 import jax  # isort: skip  # after eco_play, which sets the flags of jax
 import jax.numpy as jnp
 
-from mbtl.cmdps.traffic.twins import EcoProblem
-from mbtl.training.jax import loop, networks
-from mbtl.training.jax.episodic import learning
-from mbtl.training.jax.episodic.episodes import actor_of, import_actor, scores, watched
-from mbtl.training.jax.episodic.recipes import TWIN_RECIPES
-from mbtl.worlds.traffic.eco import EcoTwin
-from mbtl.worlds.world import of_simulations
+from mbtl.engine.learners import loop, networks
+from mbtl.engine.learners.episodic import learning
+from mbtl.engine.learners.episodic.episodes import actor_of, import_actor, scores, watched
+from mbtl.engine.learners.episodic.recipes import TWIN_RECIPES
+from mbtl.engine.worlds.world import of_simulations
+from mbtl.zoo.cmdps.traffic.twins import EcoProblem
+from mbtl.zoo.worlds.traffic.eco import EcoTwin
 
 SEEDS = 2
 """Trainings per way; a way's seeds are the same as another's."""

@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 import pages
 
-from mbtl.cli.film import Watched, save_film
-from mbtl.cmdps import CMDP, get_cmdp
-from mbtl.cmdps.engines import EnvFactory
-from mbtl.cmdps.registry import engines_of
 from mbtl.envs import rollout
 from mbtl.portfolio.archive import load_policy
+from mbtl.problems import CMDP, get_cmdp
+from mbtl.zoo.cli.film import Watched, save_film
+from mbtl.zoo.cmdps.engines import EnvFactory
+from mbtl.zoo.cmdps.registry import engines_of
 
 FILMS = {
     "walker-gravity": ({"gravity": 4.0}, {"gravity": 10.0}, {"gravity": 16.0}),

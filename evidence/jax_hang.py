@@ -3,7 +3,7 @@
     .venv/bin/python evidence/jax_hang.py [--runs 20] [--threads 2] [--unsafe]
 
 jax 0.10's concurrency-optimised scheduler can wait for ever in programs of many small operations on
-few cores; `mbtl.training.jax` switches it off and asks for one thread. Here every run is a process
+few cores; `mbtl.engine.worlds` switches it off and asks for one thread. Here every run is a process
 of its own with `--threads` threads and a time limit; `--unsafe` leaves the scheduler on: the peer.
 """
 
@@ -16,8 +16,8 @@ import sys
 import time
 
 PROGRAM = """
-import mbtl.training.jax as engine
-from mbtl.cmdps import get_cmdp
+import mbtl.engine.learners as engine
+from mbtl.problems import get_cmdp
 cmdp = get_cmdp("cartpole-length", engine="jax")
 env, params = cmdp.trainer.problem(cmdp.space.contexts)
 recipe = engine.PPORecipe(n_envs=8, n_steps=128, batch_size=256, n_epochs=4)

@@ -17,8 +17,8 @@ from multiprocessing import get_context
 import numpy as np
 from scipy import stats
 
-from mbtl.cmdps import cartpole, pendulum
 from mbtl.processes import usable_cores
+from mbtl.zoo.cmdps import cartpole, pendulum
 
 CHECKPOINTS, EPISODES = 5, 20
 GYM = {"cartpole": (cartpole, cartpole.CartPole), "pendulum": (pendulum, pendulum.Pendulum)}
@@ -33,7 +33,7 @@ def sb3_curve(algorithm: str, name: str, every: int, seed: int) -> list[float]:
     from stable_baselines3.common.callbacks import BaseCallback
 
     from mbtl.envs.rollout import Job, play
-    from mbtl.training.watch import actor_for
+    from mbtl.trainers.watch import actor_for
 
     torch.set_num_threads(1)
     make = partial(GYM[name][1], CONTEXT[name])
@@ -61,7 +61,7 @@ def sb3_curve(algorithm: str, name: str, every: int, seed: int) -> list[float]:
 
 def jax_curves(algorithm: str, name: str, every: int, seeds: int) -> np.ndarray:
     """(seeds, checkpoints) mean returns."""
-    import mbtl.training.jax as engine
+    import mbtl.engine.learners as engine
 
     module, gym_class = GYM[name]
     env = engine.Solo({"cartpole": engine.CartPole, "pendulum": engine.Pendulum}[name]())
@@ -86,7 +86,7 @@ def jax_curves(algorithm: str, name: str, every: int, seeds: int) -> np.ndarray:
 
 def per_update(algorithm: str) -> int:
     """Environment steps of an update in jax; whole rollouts in Stable-Baselines3 too."""
-    import mbtl.training.jax as engine
+    import mbtl.engine.learners as engine
 
     return engine.recipe_named(algorithm, "sb3").update_length
 

@@ -26,7 +26,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1_000_000)
     parser.add_argument("--algorithm", default="PPO")
     args = parser.parse_args()
-    from mbtl.cmdps import get_cmdp
+    from mbtl.problems import get_cmdp
     from mbtl.seeds import evaluation_seeds, training_seed
 
     cmdp = get_cmdp(args.cmdp, engine="jax")

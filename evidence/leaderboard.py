@@ -21,12 +21,12 @@ import numpy as np
 import pages
 from scipy.ndimage import gaussian_filter
 
-from mbtl.benchmark import compare, levels
-from mbtl.benchmark.base import measured_curve
-from mbtl.benchmark.compare import default_selectors
-from mbtl.benchmark.comparison import Estimate, Summary, Trainings, trainings_to
-from mbtl.benchmark.oracle import NAMES
-from mbtl.benchmark.shipped import load_by_id, open_matrices, shipped_matrices
+from mbtl.zoo.benchmark import compare, levels
+from mbtl.zoo.benchmark.base import measured_curve
+from mbtl.zoo.benchmark.compare import default_selectors
+from mbtl.zoo.benchmark.comparison import Estimate, Summary, Trainings, trainings_to
+from mbtl.zoo.benchmark.oracle import NAMES
+from mbtl.zoo.benchmark.shipped import load_by_id, open_matrices, shipped_matrices
 
 SELECTORS = (
     "random", "greedy", "mbtl", "mbtl-release", "gp-mbtl", "m-mbtl", "sd-mbtl", "auto", "oracle",

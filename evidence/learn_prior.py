@@ -28,13 +28,13 @@ from pathlib import Path
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.benchmark.comparison import trainings_to
-from mbtl.benchmark.replay import replay
-from mbtl.benchmark.shipped import family_of, load_by_id, open_matrices
 from mbtl.models.priors import CANDIDATES
 from mbtl.objective import value_curve
 from mbtl.selectors import SelectionProblem
 from mbtl.selectors.auto import Auto
+from mbtl.zoo.benchmark.comparison import trainings_to
+from mbtl.zoo.benchmark.replay import replay
+from mbtl.zoo.benchmark.shipped import family_of, load_by_id, open_matrices
 
 JUDGES = ("cartpole", "pendulum")
 COVERING = (0, 2, 3, 4, 6)

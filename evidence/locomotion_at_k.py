@@ -21,11 +21,11 @@ from pathlib import Path
 
 import pages
 
-from mbtl.benchmark import TransferMatrix, compare, load_matrix
-from mbtl.benchmark.multitask import load_multitask
-from mbtl.benchmark.oracle import NAMES
-from mbtl.cmdps.registry import paper_bounds
-from mbtl.reproduction.paper import HEADS, published
+from mbtl.zoo.benchmark import TransferMatrix, compare, load_matrix
+from mbtl.zoo.benchmark.multitask import load_multitask
+from mbtl.zoo.benchmark.oracle import NAMES
+from mbtl.zoo.cmdps.registry import paper_bounds
+from mbtl.zoo.reproduction.paper import HEADS, published
 
 SHIPPED = (
     "walker-gravity", "walker-friction", "walker-scale",

@@ -35,7 +35,6 @@ from learn_prior import halved
 from several_axes import World
 
 from mbtl.arrays import Array
-from mbtl.benchmark.shipped import family_of, load_by_id
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.history import History
 from mbtl.models.beliefs import Beliefs
@@ -44,6 +43,7 @@ from mbtl.routing import Indices, Routing, last_route
 from mbtl.selectors import Auto, SelectionProblem
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.ask import LEAST_ROWS
+from mbtl.zoo.benchmark.shipped import family_of, load_by_id
 
 SETS = (
     "cartpole-length,cartpole-length-dqn,pendulum-length-hidden,pendulum-timestep,ring-acc,ring-vel"

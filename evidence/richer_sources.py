@@ -34,11 +34,11 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.benchmark.oracle import random_weights
-from mbtl.cmdps import get_cmdp
 from mbtl.files import claimed_folder, whole_file
 from mbtl.objective import marginal_gain
+from mbtl.problems import get_cmdp
 from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seeds, evaluation_seeds, training_seed
+from mbtl.zoo.benchmark.oracle import random_weights
 
 LANES, TARGETS, CONTEXTS, EPISODES, CHECKPOINTS = 21, 50, 20, 8, 20
 WIDTHS, BUDGETS, FRACTIONS = (0.05, 0.1, 0.2, 0.4), (1, 2, 3, 5), (0.1, 0.25, 0.5)
@@ -125,7 +125,7 @@ class Laboratory:
         return self.folder / f"{job.name}-seed{seed}.npz"
 
     def _train(self, job: Job, seed: int) -> tuple[Any, Array]:
-        import mbtl.training.jax as engine
+        import mbtl.engine.learners as engine
 
         # neighbours in time are not neighbours on the axis: 13/20 is near the golden ratio
         order = np.arange(CONTEXTS) * 13 % CONTEXTS / (CONTEXTS - 1)

@@ -23,10 +23,10 @@ from measure import digits, note
 from sd_worlds import sd_worlds
 
 from mbtl.arrays import Array
-from mbtl.benchmark import SyntheticWorld, random_curve, sequential_oracle
-from mbtl.benchmark.replay import replay
 from mbtl.objective import value
 from mbtl.selectors import get_selector
+from mbtl.zoo.benchmark import SyntheticWorld, random_curve, sequential_oracle
+from mbtl.zoo.benchmark.replay import replay
 
 BUDGET, PUBLISHED_TRIALS = 50, 100
 METHODS = ("random", "gp-mbtl", "m-mbtl", "sd-mbtl", "oracle")

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from mbtl.benchmark.shipped import PREFIX, synthetic_ids, synthetic_world
-from mbtl.benchmark.synthetic import SyntheticWorld
 from mbtl.errors import InvalidInput
+from mbtl.zoo.benchmark.shipped import PREFIX, synthetic_ids, synthetic_world
+from mbtl.zoo.benchmark.synthetic import SyntheticWorld
 
 Quality = Literal["constant", "linear"]
 Difficulty = Literal["none", "linear"]

@@ -26,9 +26,9 @@ from measure import digits, note
 from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
-from mbtl.benchmark import compare
 from mbtl.contexts import Axis, Categorical, ContextSpace, Integer, Linear, Log
 from mbtl.selectors import SelectionProblem
+from mbtl.zoo.benchmark import compare
 
 SELECTORS = ("random", "kmeans", "mbtl", "m-mbtl", "sd-mbtl", "auto", "oracle")
 

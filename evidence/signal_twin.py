@@ -33,7 +33,7 @@ COPIES = 64
 
 def in_sumo(features: dict[str, float], policy: str, seeds: int) -> tuple[np.ndarray, float]:
     """(seeds, measures), and processor milliseconds of an episode."""
-    from mbtl.cmdps.traffic.signal import Signal
+    from mbtl.zoo.cmdps.traffic.signal import Signal
 
     env, found = Signal(features, visibility="hidden", score="paper"), []
     began = time.process_time()
@@ -52,11 +52,11 @@ def in_sumo(features: dict[str, float], policy: str, seeds: int) -> tuple[np.nda
 
 def in_twin(features: dict[str, float], policy: str) -> tuple[np.ndarray, float]:
     """The same of the twin."""
-    import mbtl.training.jax  # noqa: F401  isort: skip  # first: flags of jax
+    import mbtl.engine.learners  # noqa: F401  isort: skip  # first: flags of jax
     import jax
     import jax.numpy as jnp
 
-    from mbtl.cmdps.traffic.twins import SignalProblem
+    from mbtl.zoo.cmdps.traffic.twins import SignalProblem
 
     twin, (params,) = SignalProblem(score="paper")([features])
 

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.benchmark.steps import HORIZONS, ONE_PER_STEP
-from mbtl.cmdps import get_cmdp
+from mbtl.problems import get_cmdp
 from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seeds, evaluation_seeds, training_seed
+from mbtl.zoo.benchmark.steps import HORIZONS, ONE_PER_STEP
 
 TOGETHER, TARGETS = 20, 25
 ASSIGN, ROUTE, FRESH = 2, 10, 10
@@ -51,7 +51,7 @@ class Clusters:
 
     def learn(self, round_: int) -> None:
         """Every policy goes on in its own set."""
-        import mbtl.training.jax as engine
+        import mbtl.engine.learners as engine
 
         order = np.arange(TOGETHER) * 13 % TOGETHER  # neighbours in time are apart on the axis
         sets = [m[np.linspace(0, len(m) - 1, TOGETHER).round().astype(int)][order]
@@ -77,7 +77,7 @@ class Clusters:
 
     def returns(self, contexts: Array, purpose: Purpose, episodes: int) -> Array:
         """(K, contexts) mean performance, and what it costs."""
-        import mbtl.training.jax as engine
+        import mbtl.engine.learners as engine
 
         _, params = self._problem(contexts)
         n = len(params.visible)

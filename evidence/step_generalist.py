@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from step_tables import Play, Plays, Sets
 
-from mbtl.actions import Committee
-from mbtl.actions.committee import Sides
-from mbtl.benchmark.multitask import load_multitask
-from mbtl.benchmark.steps import ONE_PER_STEP, OnAll, StepRun, StepWorld
+from mbtl.zoo.actions import Committee
+from mbtl.zoo.actions.committee import Sides
+from mbtl.zoo.benchmark.multitask import load_multitask
+from mbtl.zoo.benchmark.steps import ONE_PER_STEP, OnAll, StepRun, StepWorld
 
 FILE = Path(__file__).parents[1] / "docs/data/one-policy.json"
 ROWS = Path(__file__).parents[1] / "docs/data/one-policy-rows.npz"

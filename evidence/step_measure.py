@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mbtl.arrays import Array
-from mbtl.benchmark.base import Levels, levels
-from mbtl.benchmark.comparison import RESAMPLES, SHARES
-from mbtl.benchmark.oracle import sequential_oracle
-from mbtl.benchmark.steps import StepWorld
+from mbtl.zoo.benchmark.base import Levels, levels
+from mbtl.zoo.benchmark.comparison import RESAMPLES, SHARES
+from mbtl.zoo.benchmark.oracle import sequential_oracle
+from mbtl.zoo.benchmark.steps import StepWorld
 
 BUDGET = 30.0
 """Units that every strategy may spend."""

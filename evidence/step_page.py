@@ -10,7 +10,7 @@ import step_tables as tables
 from step_measure import BUDGET
 from step_tables import ORACLE, PAPER, Plays, Sets
 
-from mbtl.benchmark.shipped import family_of
+from mbtl.zoo.benchmark.shipped import family_of
 
 OURS = "mbtl, whole, evaluation a tenth"
 PILOT = "pilot, mbtl"

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.cmdps import get_cmdp
-from mbtl.cmdps.registry import visibility_on_all
+from mbtl.problems import get_cmdp
 from mbtl.seeds import MATRIX_TRIAL, Purpose, episode_seeds, evaluation_seeds, training_seed
+from mbtl.zoo.cmdps.registry import visibility_on_all
 
 FILE = Path(__file__).parents[1] / "docs/data/one-policy.json"
 SEEDS, EPISODES = 3, 20
@@ -39,7 +39,7 @@ CMDPS = (
 
 def ends(cmdp_id: str, share: float) -> dict[str, Any]:
     """Steps, and V of each seed on fresh episodes."""
-    import mbtl.training.jax as engine
+    import mbtl.engine.learners as engine
 
     cmdp = get_cmdp(cmdp_id, visibility=visibility_on_all(cmdp_id))
     trainer: Any = cmdp.trainer

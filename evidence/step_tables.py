@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from step_measure import BUDGET, StepScale, geometric_mean, paired_interval
 
-from mbtl.benchmark.shipped import family_of
-from mbtl.benchmark.steps import StepWorld
+from mbtl.zoo.benchmark.shipped import family_of
+from mbtl.zoo.benchmark.steps import StepWorld
 
 Array = np.ndarray
 Seeds = list[tuple[StepWorld, StepScale]]

@@ -30,12 +30,12 @@ import step_tables as tables
 from step_measure import StepScale
 from step_tables import Play, Seeds, Sets
 
-from mbtl.actions import Committee, Evaluation, FixedLength, Halving, Pilot, Strategy
-from mbtl.actions.evaluation import A_TENTH, WHERE_IT_MATTERS
-from mbtl.benchmark import load_curves
-from mbtl.benchmark.curves import FOLDER
-from mbtl.benchmark.shipped import data_folder, family_of, seed_files
-from mbtl.benchmark.steps import StepWorld, replay_steps
+from mbtl.zoo.actions import Committee, Evaluation, FixedLength, Halving, Pilot, Strategy
+from mbtl.zoo.actions.evaluation import A_TENTH, WHERE_IT_MATTERS
+from mbtl.zoo.benchmark import load_curves
+from mbtl.zoo.benchmark.curves import FOLDER
+from mbtl.zoo.benchmark.shipped import data_folder, family_of, seed_files
+from mbtl.zoo.benchmark.steps import StepWorld, replay_steps
 
 SEEDS = 3
 LEAST_ROOM = 0.01

@@ -78,7 +78,7 @@ def main() -> None:
     parser.add_argument("--eval-episodes", type=int, default=4, help="per policy and context")
     parser.add_argument("--seeds", type=int, default=2, help="trainings per way and context")
     args = parser.parse_args()
-    from mbtl.cmdps import get_cmdp
+    from mbtl.problems import get_cmdp
 
     score = "paper" if args.cmdp.startswith(("eco", "signal")) else None
     cmdp = get_cmdp(args.cmdp, engine="sumo", score=score)

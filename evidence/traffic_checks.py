@@ -27,7 +27,7 @@ def unguided(team: Any, seed: int) -> None:
 
 def ring_at_rest(seed: int) -> float:
     """Mean speed of equal cars after the warm-up."""
-    from mbtl.cmdps.traffic.ring import RingAcc
+    from mbtl.zoo.cmdps.traffic.ring import RingAcc
 
     env = RingAcc(noise=0.0, start="uniform")
     env.reset(seed=seed)
@@ -39,7 +39,7 @@ def ring_at_rest(seed: int) -> float:
 
 def ring(seed: int) -> float:
     """Score without advice."""
-    from mbtl.cmdps.traffic.ring import RingAcc
+    from mbtl.zoo.cmdps.traffic.ring import RingAcc
 
     env = RingAcc({"hold": 40.0})
     env.reset(seed=seed)
@@ -51,7 +51,7 @@ def ring(seed: int) -> float:
 
 def ramp(seed: int) -> float:
     """Score without advice."""
-    from mbtl.cmdps.traffic.ramp import RampAcc
+    from mbtl.zoo.cmdps.traffic.ramp import RampAcc
 
     env = RampAcc({"hold": 40.0})
     unguided(env, seed)
@@ -60,7 +60,7 @@ def ramp(seed: int) -> float:
 
 def signal(seed: int) -> float:
     """Score of fixed times at the nominal demand."""
-    from mbtl.cmdps.traffic.signal import Signal
+    from mbtl.zoo.cmdps.traffic.signal import Signal
 
     env = Signal(score="paper")
     env.reset(seed=seed)
@@ -73,7 +73,7 @@ def signal(seed: int) -> float:
 
 def eco(seed: int) -> float:
     """Score in which nobody is commanded."""
-    from mbtl.cmdps.traffic.eco import Eco
+    from mbtl.zoo.cmdps.traffic.eco import Eco
 
     env = Eco(score="paper")
     unguided(env, seed)

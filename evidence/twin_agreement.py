@@ -78,12 +78,12 @@ def _random(obs: Any) -> Any:
 
 def policies(family: str) -> dict[str, tuple[Policy | None, Policy | None]]:
     """By name, for SUMO (numpy, one observation) and for the twin (jax); None: unguided."""
-    import mbtl.training.jax  # noqa: F401  isort: skip  # first: flags of jax
+    import mbtl.engine.learners  # noqa: F401  isort: skip  # first: flags of jax
     import jax
 
-    from mbtl.cmdps import get_cmdp
-    from mbtl.training.jax import networks
-    from mbtl.training.jax.episodic.episodes import import_actor
+    from mbtl.engine.learners import networks
+    from mbtl.engine.learners.episodic.episodes import import_actor
+    from mbtl.problems import get_cmdp
 
     cmdp_id, preset, context = LESSON[family]
     cmdp = get_cmdp(cmdp_id, engine="jax", visibility="hidden")
@@ -112,8 +112,8 @@ def policies(family: str) -> dict[str, tuple[Policy | None, Policy | None]]:
 
 def in_sumo(family: str, context: dict[str, float], policy: Policy | None, seeds: int) -> Measures:
     """Episodes with seeds 0, 1, ..."""
-    from mbtl.cmdps import get_cmdp
-    from mbtl.cmdps.traffic.eco import Eco
+    from mbtl.problems import get_cmdp
+    from mbtl.zoo.cmdps.traffic.eco import Eco
 
     if family == "eco":
         env: Any = Eco(context, visibility="hidden", score="paper")
@@ -149,7 +149,7 @@ def eco_episode(env: Any, seed: int, policy: Policy | None) -> dict[str, float]:
 
 
 def ramp_episode(env: Any, seed: int, policy: Policy | None) -> dict[str, float]:
-    from mbtl.cmdps.traffic.ramp import MERGE, _distance
+    from mbtl.zoo.cmdps.traffic.ramp import MERGE, _distance
 
     seen, _ = env.reset(seed=seed)
     space, rng = env.action_space(""), np.random.default_rng(seed)
@@ -173,11 +173,11 @@ def ramp_episode(env: Any, seed: int, policy: Policy | None) -> dict[str, float]
 
 def in_twin(family: str, seeds: int) -> Callable[[dict[str, float], Policy | None], Measures]:
     """A function that runs episodes with seeds 0, 1, ...; one compiled program per policy."""
-    import mbtl.training.jax  # noqa: F401  isort: skip  # first: flags of jax
+    import mbtl.engine.learners  # noqa: F401  isort: skip  # first: flags of jax
     import jax
     import jax.numpy as jnp
 
-    from mbtl.cmdps.traffic.twins import EcoProblem, RampProblem, RingProblem
+    from mbtl.zoo.cmdps.traffic.twins import EcoProblem, RampProblem, RingProblem
 
     problems: dict[str, Any] = {
         "ring": RingProblem("acceleration"),

@@ -61,8 +61,8 @@ def life(trainer: Any, policy: Any, context: Any) -> tuple[float, float]:
     import jax
     import jax.numpy as jnp
 
-    from mbtl.training.jax import networks
-    from mbtl.training.jax.episodic.episodes import import_actor
+    from mbtl.engine.learners import networks
+    from mbtl.engine.learners.episodic.episodes import import_actor
 
     twin, params = trainer.problem([context])
     params = jax.tree.map(lambda x: x[0], params)
@@ -102,7 +102,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2, help="trainings per way and context")
     parser.add_argument("--only", nargs="+", help="some of the ways, by name")
     args = parser.parse_args()
-    from mbtl.cmdps import get_cmdp
+    from mbtl.problems import get_cmdp
 
     score = "paper" if args.cmdp.startswith(("eco", "signal")) else None
     cmdp = get_cmdp(args.cmdp, engine="jax", score=score)

@@ -32,8 +32,8 @@ SECTIONS = {"main road": (0, False), "main lane, merge": (0, True), "ramp": (1, 
 
 def episode(kind: str, seed: int) -> list[tuple[Any, ...]]:
     """Per step the cars: whether from the main road, x, speed driven, speed, v0, told, name."""
-    from mbtl.cmdps import get_cmdp
-    from mbtl.cmdps.traffic import ramp
+    from mbtl.problems import get_cmdp
+    from mbtl.zoo.cmdps.traffic import ramp
 
     name, hold = KINDS[kind]
     env = get_cmdp(name, engine="sumo", visibility="hidden").make_env({"hold": hold})
@@ -65,12 +65,12 @@ def episode(kind: str, seed: int) -> list[tuple[Any, ...]]:
 
 def compared(kind: str, steps: list[tuple[Any, ...]], every: int) -> Iterator[dict[str, Any]]:
     """One record per section."""
-    import mbtl.training.jax  # noqa: F401  isort: skip  # first: flags of jax
+    import mbtl.engine.learners  # noqa: F401  isort: skip  # first: flags of jax
     import jax
     import jax.numpy as jnp
 
-    from mbtl.cmdps.traffic.twins import RampProblem
-    from mbtl.worlds.traffic.ramp import RAMP_CAR, Queue, empty
+    from mbtl.zoo.cmdps.traffic.twins import RampProblem
+    from mbtl.zoo.worlds.traffic.ramp import RAMP_CAR, Queue, empty
 
     twin = RampProblem("speed")([])[0]
     chosen = range(0, len(steps) - 1, every)

@@ -25,9 +25,9 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from mbtl.cmdps import get_cmdp
+from mbtl.problems import get_cmdp
 from mbtl.seeds import Purpose, evaluation_seeds, training_seed
-from mbtl.training import export_mlp
+from mbtl.trainers import export_mlp
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 import pages
 
-from mbtl.benchmark import TransferMatrix, compare, levels, load_matrix, shipped_matrices
+from mbtl.zoo.benchmark import TransferMatrix, compare, levels, load_matrix, shipped_matrices
 
 SELECTORS = ("greedy", "mbtl", "auto", "oracle")
 

@@ -15,10 +15,10 @@ from collections import defaultdict
 
 import numpy as np
 
-from mbtl.actions.base import filled_rows, nearest_filled
-from mbtl.benchmark import load_matrix, shipped_matrices
 from mbtl.routing import Routing, last_route
 from mbtl.selectors.targets import spread_targets
+from mbtl.zoo.actions.base import filled_rows, nearest_filled
+from mbtl.zoo.benchmark import load_matrix, shipped_matrices
 
 SOURCES, DRAWS = 5, 4
 SHARES = (0.05, 0.1, 0.2, 0.5)

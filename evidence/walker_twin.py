@@ -21,12 +21,12 @@ from typing import Any
 
 import numpy as np
 
-import mbtl.worlds as worlds
+import mbtl.engine.worlds as worlds
 
 import jax  # isort: skip  # after mbtl, which sets its flags
 import jax.numpy as jnp  # isort: skip
 
-from mbtl.cmdps.locomotion.walker import (
+from mbtl.zoo.cmdps.locomotion.walker import (
     FLAT,
     FPS,
     HEIGHT,
@@ -40,9 +40,9 @@ from mbtl.cmdps.locomotion.walker import (
     heights,
     luck,
 )
-from mbtl.worlds.walker import BipedalWalker, WalkerParams, WalkerState
-from mbtl.worlds.walker import walker as twin
-from mbtl.worlds.walker.walker import moved
+from mbtl.zoo.worlds.walker import BipedalWalker, WalkerParams, WalkerState
+from mbtl.zoo.worlds.walker import walker as twin
+from mbtl.zoo.worlds.walker.walker import moved
 
 NOMINAL = Constants(10.0, 2.5, 30.0)
 CONTEXTS = [

@@ -12,7 +12,7 @@ import numpy as np
 import sumolib
 
 import mbtl
-from mbtl.cmdps.traffic import simulation
+from mbtl.zoo.cmdps.traffic import simulation
 
 AT = {"x": (0, 0), "e": (300, 0), "n": (0, 300), "w": (-300, 0), "s": (0, -300)}  # metres
 NODES = "".join(f'<node id="{name}" x="{x}" y="{y}"/>' for name, (x, y) in AT.items())

@@ -8,7 +8,7 @@ from typing import Any
 import mbtl
 from mbtl.contexts import ContextSpace
 from mbtl.study.problem import ProblemFacts, facts_of
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
 
 _AIM = ("bounds", "direction", "risk", "best_return")
 _END = {

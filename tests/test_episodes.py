@@ -13,7 +13,7 @@ import mbtl
 from flat import created
 from mbtl.episodes import Episodes, scatter_of_sum, student
 from mbtl.objective import Bounds
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
 
 UNIT = Bounds(0.0, 1.0)
 

@@ -30,7 +30,7 @@ def test_an_example_runs(path, tmp_path):
 
 def test_the_traffic_light_runs_in_a_network_of_the_user(tmp_path, monkeypatch):
     pytest.importorskip("libsumo")
-    from mbtl.cmdps.traffic import simulation
+    from mbtl.zoo.cmdps.traffic import simulation
 
     spec = importlib.util.spec_from_file_location("own_light", EXAMPLES / "own_sumo_network.py")
     example = importlib.util.module_from_spec(spec)
@@ -61,7 +61,7 @@ def test_the_traffic_light_runs_in_a_network_of_the_user(tmp_path, monkeypatch):
 
 def test_an_example_can_be_sent_to_other_processes():
     """`mbtl run examples/own_simulator.py:problem --parallel 2`."""
-    from mbtl.cmdps import resolve_cmdp
+    from mbtl.problems import resolve_cmdp
 
     problem = resolve_cmdp(f"{EXAMPLES / 'own_simulator.py'}:problem")
     assert pickle.loads(pickle.dumps(problem.trainer)) == problem.trainer

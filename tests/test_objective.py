@@ -3,7 +3,6 @@ import pytest
 
 from flat import created
 from mbtl import ContextSpace, Linear, TransferMatrix
-from mbtl.cmdps import CMDP
 from mbtl.errors import InvalidInput
 from mbtl.objective import (
     Bounds,
@@ -16,6 +15,7 @@ from mbtl.objective import (
     value,
     value_curve,
 )
+from mbtl.problems import CMDP
 
 J = np.array([[0.9, 0.5, 0.1], [0.4, 0.8, 0.4], [0.0, 0.6, 1.0]])
 

@@ -71,7 +71,7 @@ def test_leftovers_are_refused(release, wheel):
     ],
 )
 def test_a_path_of_a_machine_is_found_in_text_and_in_arrays(release, wheel, data):
-    name = "mbtl/benchmark/data/LICENSE.md" if data[:1] == b"{" else "mbtl/seed0.npz"
+    name = "mbtl/zoo/benchmark/data/LICENSE.md" if data[:1] == b"{" else "mbtl/seed0.npz"
     with pytest.raises(release.Refused, match="names a path of a machine"):
         release.check_wheel(wheel(**{name: data}), {*release.NEEDED, name})
 

@@ -5,11 +5,11 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from flat import created
-from mbtl.benchmark.replay import replay
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.models import transfer_gp
 from mbtl.selectors.base import Proposal, SelectionProblem
 from mbtl.threads import MANY, _controller, threads_for
+from mbtl.zoo.benchmark.replay import replay
 
 
 def most_threads():

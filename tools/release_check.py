@@ -42,18 +42,17 @@ NEEDED = (
     "mbtl/report/page/page.html",
     "mbtl/report/page/page.css",
     "mbtl/report/page/page.js",
-    "mbtl/benchmark/data/LICENSE.md",
-    "mbtl/benchmark/data/published.csv",
+    "mbtl/zoo/benchmark/data/LICENSE.md",
+    "mbtl/zoo/benchmark/data/published.csv",
 )
 IN_SDIST = ("pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "CITATION.cff", "Makefile")
 FOLDERS = ("tests", "tools", "examples", "benchmarks", "evidence")
 MACHINE_PATH = re.compile(rb"(?<![\w.\]>~])/(?:home|root|Users|work|tmp|opt)/[\w./-]+")
 CORE_TESTS = (
-    "contexts", "acquisition", "models", "selectors", "portfolio", "benchmark",
+    "contexts", "acquisition", "models", "selectors", "portfolio", "zoo/benchmark",
     "study/test_study.py", "study/test_leases.py", "study/test_storage.py",
-    "study/test_old_logs.py", "test_objective.py", "test_history.py", "test_files.py",
-    "test_seeds.py", "test_routing.py", "test_layers.py", "test_theory.py",
-    "test_missing_extras.py",
+    "test_objective.py", "test_history.py", "test_files.py", "test_seeds.py",
+    "test_routing.py", "test_layers.py", "test_missing_extras.py",
 )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ one after another, and serve every context with the best of the trained policies
 from __future__ import annotations
 
 import importlib
+import pkgutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from mbtl.errors import (
     TrainingFailed,
     TrainingPruned,
 )
+from mbtl.laboratory import laboratory
 from mbtl.objective import Bounds, Objective
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import READERS
@@ -37,23 +39,14 @@ from mbtl.study import (
     create_study,
     load_study,
 )
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
 from mbtl.version import __version__
 
 if TYPE_CHECKING:
-    from mbtl.benchmark import TransferMatrix, load_matrix
-    from mbtl.benchmark.compare import compare
-    from mbtl.cmdps import CMDP, check_cmdp, get_cmdp
+    from mbtl.problems import CMDP, check_cmdp, get_cmdp
 
-# outside the core: imported when first used, so that `import mbtl` stays light
-_LAZY = {
-    "CMDP": "mbtl.cmdps",
-    "check_cmdp": "mbtl.cmdps",
-    "get_cmdp": "mbtl.cmdps",
-    "TransferMatrix": "mbtl.benchmark",
-    "compare": "mbtl.benchmark",
-    "load_matrix": "mbtl.benchmark",
-}
+_LAZY = ("CMDP", "check_cmdp", "get_cmdp")
+"""Of `mbtl.problems`: imported when first used, so that `import mbtl` stays light."""
 
 __all__ = [
     "CMDP",
@@ -100,7 +93,7 @@ __all__ = [
 
 
 def _read_sb3(folder: Path) -> Any:
-    from mbtl.training import load_sb3  # needs the `train` extra
+    from mbtl.trainers import load_sb3  # needs the `train` extra
 
     return load_sb3(folder)
 
@@ -109,10 +102,12 @@ READERS["sb3"] = _read_sb3
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("benchmark", "plot"):
-        return importlib.import_module(f"mbtl.{name}")
+    if name == "plot":
+        return importlib.import_module("mbtl.plot")
     if name in _LAZY:
-        return getattr(importlib.import_module(_LAZY[name]), name)
+        return getattr(importlib.import_module("mbtl.problems"), name)
+    if name in __all__ and (home := laboratory().names.get(name)):
+        return pkgutil.resolve_name(home)
     raise AttributeError(f"module 'mbtl' has no attribute {name!r}")
 
 

@@ -102,7 +102,7 @@ def _commit() -> str | None:
             [*git, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True
         ).stdout.strip()
         changed = subprocess.run(
-            [*git, "status", "--porcelain", "--", "src", ":!src/mbtl/benchmark/data"],
+            [*git, "status", "--porcelain", "--", "src", ":!src/mbtl/zoo/benchmark/data"],
             capture_output=True,
             text=True,
             check=True,

@@ -9,7 +9,7 @@ from rich.console import Console
 
 import mbtl
 from mbtl.cli.progress import LiveProgress
-from mbtl.trainer import Progress
+from mbtl.trainers import Progress
 
 
 def told(monkeypatch, silence):

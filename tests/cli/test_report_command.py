@@ -6,8 +6,8 @@ import pytest
 
 import mbtl
 from flat import created
-from mbtl.benchmark import TransferMatrix
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
+from mbtl.zoo.benchmark import TransferMatrix
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0, unit="m"): 12})
 

@@ -533,7 +533,7 @@ def test_only_the_differing_setting_is_named(mbtl_command, tmp_path):
     for seed in (1, 2):
         (tmp_path / "p.py").write_text(
             "import mbtl\n"
-            "class T(mbtl.trainer.FunctionTrainer):\n"
+            "class T(mbtl.trainers.FunctionTrainer):\n"
             f"    recipe = {{'steps': {seed}, 'rate': 0.1}}\n"
             "space = mbtl.ContextSpace.grid({mbtl.Linear('x', 0, 1): 5})\n"
             "t = T(lambda c, s: c['x'], lambda p, cs, s: [1 - abs(c['x'] - p) for c in cs])\n"

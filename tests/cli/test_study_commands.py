@@ -8,9 +8,9 @@ import pytest
 
 import mbtl
 from flat import created
-from mbtl.cli.play import _portfolio
 from mbtl.objective import Bounds
 from mbtl.portfolio import Portfolio
+from mbtl.zoo.cli.play import _portfolio
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("mass", 1.0, 3.0): 3})
 

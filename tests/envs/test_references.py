@@ -8,9 +8,9 @@ pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 import gymnasium
 from gymnasium import spaces
 
-from mbtl.cmdps import get_cmdp
 from mbtl.envs.references import RandomActions, measured, reference_rows
 from mbtl.envs.rollout import Actor, Job, play
+from mbtl.problems import get_cmdp
 from mbtl.score import Score
 
 

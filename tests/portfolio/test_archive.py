@@ -104,7 +104,7 @@ def test_a_zip_that_can_run_code_needs_trust(tmp_path, monkeypatch):
     folder = custom(saved).save(tmp_path / "p")
     rewritten(folder, lambda m: m.update(policy_format="sb3"))
     read = []
-    monkeypatch.setattr("mbtl.training.load_sb3", lambda place: read.append(place) or "model")
+    monkeypatch.setattr("mbtl.trainers.load_sb3", lambda place: read.append(place) or "model")
     with pytest.raises(InvalidInput, match=r"can run code.*pass trust=True \(--trust\)"):
         load_portfolio(folder).policy(0)
     assert not read

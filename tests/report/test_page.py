@@ -10,11 +10,12 @@ import pytest
 
 import mbtl
 from flat import created
-from mbtl.benchmark import TransferMatrix
 from mbtl.errors import InvalidInput
-from mbtl.report import of_matrix, of_study, page, write_page
+from mbtl.report import of_study, page, write_page
 from mbtl.report.content import content
 from mbtl.report.packing import packed, quantised
+from mbtl.zoo.benchmark import TransferMatrix
+from mbtl.zoo.benchmark.subject import of_matrix
 
 N = 20
 SPACE = mbtl.ContextSpace.grid({mbtl.Log("mass", 0.1, 10.0, unit="kg"): N})

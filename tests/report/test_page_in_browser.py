@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import mbtl
-from mbtl.report import of_matrix, of_study, page
+from mbtl.report import of_study, page
+from mbtl.zoo.benchmark.subject import of_matrix
 from report.browser import CHROMIUM, Browser
 from report.test_page import matrix_on, study_on
 

@@ -162,7 +162,7 @@ def test_fewest_policies_for_nearly_all_the_gain():
 
 
 def test_reference_curves_need_the_same_recipe(tmp_path, monkeypatch):
-    from mbtl.benchmark import TransferMatrix, save_shipped, shipped
+    from mbtl.zoo.benchmark import TransferMatrix, save_shipped, shipped
 
     rng = np.random.default_rng(0)
     returns = np.array([[row(s) for s in range(N)]] * 2) + 0.01 * rng.standard_normal((2, N, N))
@@ -170,10 +170,11 @@ def test_reference_curves_need_the_same_recipe(tmp_path, monkeypatch):
     matrix = TransferMatrix.of(returns, space=SPACE, bounds=(0, 1), provenance=seeds)
     save_shipped(matrix, tmp_path, "toy")
     monkeypatch.setattr(
-        "mbtl.report.reference.shipped_matrices", lambda: shipped.shipped_matrices(tmp_path)
+        "mbtl.zoo.benchmark.subject.shipped_matrices", lambda: shipped.shipped_matrices(tmp_path)
     )
     monkeypatch.setattr(
-        "mbtl.report.reference.load_matrix", lambda name: shipped.load_matrix(name, folder=tmp_path)
+        "mbtl.zoo.benchmark.subject.load_matrix",
+        lambda name: shipped.load_matrix(name, folder=tmp_path),
     )
     assert reference_curves(study_of(1)) is None
     assert reference_curves(study_of(1, settings={"recipe": {"timesteps": 6}})) is None

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from flat import created
-from mbtl.cmdps import get_cmdp
+from mbtl.problems import get_cmdp
 from mbtl.report import summarise_study
 from mbtl.report.text import show_summary
 

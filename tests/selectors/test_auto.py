@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import mbtl
-from mbtl.benchmark.compare import held_out
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.models import priors
@@ -12,6 +11,7 @@ from mbtl.models.transfer_kernel import TransferPrior
 from mbtl.selectors import Auto, Random, SelectionProblem, auto_beliefs
 from mbtl.selectors.auto import _nearest, _search
 from mbtl.selectors.auto_beliefs import forget, pending_pairs
+from mbtl.zoo.benchmark.compare import held_out
 
 RNG = np.random.default_rng(0)
 

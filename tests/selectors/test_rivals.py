@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from sd_worlds import sd_world
 
-from mbtl.benchmark import sequential_oracle, synthetic_world
 from mbtl.contexts import Categorical, ContextSpace, Linear
 from mbtl.errors import InvalidInput
 from mbtl.history import History
@@ -15,6 +14,7 @@ from mbtl.models.constant_mean_gp import fit_constant_mean
 from mbtl.models.directional_gap import fit_directional_gap
 from mbtl.selectors import GPMBTL, MMBTL, SDMBTL, KMeansSelector, SelectionProblem, get_selector
 from mbtl.selectors.sd_mbtl import detect
+from mbtl.zoo.benchmark import sequential_oracle, synthetic_world
 
 RIVALS = ("gp-mbtl", "m-mbtl", "sd-mbtl", "kmeans")
 WIDE = GPSettings(noise_std=1e-2, amplitude_bounds=(1e-9, 1e3))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import mbtl
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("mass", 0.2, 4.0, unit="kg"): 15})
 BUDGET = 6

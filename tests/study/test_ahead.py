@@ -10,7 +10,7 @@ from mbtl.selectors import MBTL
 from mbtl.study import StudyFinished, ask
 from mbtl.study import study as study_module
 from mbtl.study.leases import asker
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
 
 N = 40
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})

@@ -18,7 +18,7 @@ from flat import created
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.study.artifacts import FolderStore, RemoteStore, store_at
 from mbtl.testing.artifacts import ArtifactStoreContract
-from mbtl.trainer import FunctionTrainer, Trained, recipe_digest
+from mbtl.trainers.contract import FunctionTrainer, Trained, recipe_digest
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
 

@@ -13,7 +13,7 @@ from flat import created, ran
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.selectors import Exhausted, Proposal, Traits
 from mbtl.study.create import EPISODES
-from mbtl.trainer import FunctionTrainer, Progress, Trained, Trainer
+from mbtl.trainers import FunctionTrainer, Progress, Trained, Trainer
 
 pytestmark = pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
 N, UNIT, EPISODE, CHECK = 8, 1_000, 25, 7

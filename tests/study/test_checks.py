@@ -24,7 +24,7 @@ from mbtl.study import MemoryLog, Study
 from mbtl.study.artifacts import Artifact
 from mbtl.study.events import Event
 from mbtl.study.storage import checksum_of
-from mbtl.trainer import Trainer
+from mbtl.trainers import Trainer
 
 SPACE = mbtl.ContextSpace.grid(
     {mbtl.Linear("mass", 1.0, 3.0, unit="kg"): 3, mbtl.Integer("n", 1, 2): 2}
@@ -198,7 +198,7 @@ def test_a_zip_of_the_study_needs_trust_or_its_trainer(study, tmp_path, monkeypa
     log = events(study)
     log[0]["data"]["spec"]["settings"]["policy_format"] = "sb3"
     written(tmp_path, log)
-    monkeypatch.setattr("mbtl.training.load_sb3", lambda place: "model")
+    monkeypatch.setattr("mbtl.trainers.load_sb3", lambda place: "model")
     opened = mbtl.load_study(tmp_path)
     with pytest.raises(InvalidInput, match="pass trust=True"):
         opened.portfolio().policy(0)

@@ -11,7 +11,7 @@ import quick_problem
 
 import mbtl
 from flat import created, ran
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
 
 PROGRAM = "from mbtl.cli import program; program()"
 

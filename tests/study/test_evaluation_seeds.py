@@ -8,7 +8,7 @@ from flat import created
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.seeds import Purpose, evaluation_seeds
 from mbtl.study.closing_report import fresh_value
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 64})
 EPISODES = 5

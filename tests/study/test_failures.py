@@ -13,7 +13,7 @@ from flat import created, ran
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
 from mbtl.seeds import training_seed
 from mbtl.study import Callback
-from mbtl.trainer import Trained
+from mbtl.trainers import Trained
 
 pytestmark = pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
 N = 9

@@ -15,7 +15,7 @@ from flat import created, ran
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.processes import SeparateWorkers
 from mbtl.study import Callback
-from mbtl.trainer import FunctionTrainer, Progress, Trained
+from mbtl.trainers import FunctionTrainer, Progress, Trained
 
 pytestmark = pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 9})

@@ -15,7 +15,7 @@ from mbtl.selectors import Proposal
 from mbtl.study import Callback, StudyFinished, database
 from mbtl.study.callbacks import PrintProgress
 from mbtl.study.heartbeat import Keeper
-from mbtl.trainer import FunctionTrainer, Progress
+from mbtl.trainers import FunctionTrainer, Progress
 
 N = 12
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})

@@ -10,7 +10,7 @@ import quick_problem
 import mbtl
 from flat import created, ran
 from mbtl.study.job import Job, perform_elsewhere
-from mbtl.trainer import FunctionTrainer, Progress
+from mbtl.trainers import FunctionTrainer, Progress
 
 N = 15
 

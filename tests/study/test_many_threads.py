@@ -13,7 +13,7 @@ import mbtl
 from flat import created
 from mbtl.errors import StudyError
 from mbtl.study import StudyFinished
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
 
 N, THREADS = 40, 8
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})

@@ -10,7 +10,7 @@ from flat import created
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.plain import LARGEST
 from mbtl.selectors import SelectionProblem, selector_names
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
 
 N = 5
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0, "m"): N})

@@ -9,7 +9,7 @@ import pytest
 import mbtl
 from flat import created, ran
 from mbtl.errors import StudyMismatch
-from mbtl.trainer import FunctionTrainer, recipe_digest
+from mbtl.trainers.contract import FunctionTrainer, recipe_digest
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
 OWN = """

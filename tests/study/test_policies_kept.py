@@ -10,7 +10,7 @@ import mbtl
 from flat import created, ran
 from mbtl.errors import InvalidInput, StudyMismatch, UnsavedPolicies
 from mbtl.study import artifacts, places
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
 

@@ -8,11 +8,11 @@ import pytest
 
 import mbtl
 from flat import created
-from mbtl.cmdps import CMDP, Preset
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
+from mbtl.problems import CMDP, Preset
 from mbtl.study import Callback
 from mbtl.study.callbacks import PrintProgress
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("gravity", 1.0, 9.0, unit="m/s2"): 9})
 

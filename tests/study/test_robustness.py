@@ -17,7 +17,7 @@ from mbtl.seeds import training_seed
 from mbtl.selectors import MBTL
 from mbtl.study import Callback
 from mbtl.study.create import describe_selector
-from mbtl.trainer import FunctionTrainer
+from mbtl.trainers import FunctionTrainer
 
 SPACE = quick_problem.SPACE
 LINE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 101})

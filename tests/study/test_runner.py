@@ -10,7 +10,7 @@ from flat import created, ran
 from mbtl.errors import InvalidInput, TrainingFailed, UnsavedPolicies
 from mbtl.study import Callback
 from mbtl.study.closing_report import ReportPlan, fresh_value, plan_of
-from mbtl.trainer import FunctionTrainer, Progress
+from mbtl.trainers import FunctionTrainer, Progress
 
 SPACE = quick_problem.SPACE
 N = SPACE.n

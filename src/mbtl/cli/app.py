@@ -6,41 +6,65 @@ import contextlib
 import io
 import logging
 import os
+import pkgutil
 import sys
-from typing import Annotated, TextIO
+from typing import Annotated, Any, TextIO
 
 import typer
+from typer.core import TyperGroup
+from typer.main import get_group
 
-from mbtl.cli.bench import bench
 from mbtl.cli.check import check
-from mbtl.cli.cmdps import cmdps
 from mbtl.cli.common import INTERRUPTED, Grouped, console, interruptible, interrupts, print_origin
 from mbtl.cli.interrupts import deafen, hear_interrupts, keep_interrupts
-from mbtl.cli.matrix import matrix_app
-from mbtl.cli.play import play
 from mbtl.cli.report import report
-from mbtl.cli.reproduce import reproduce_command
 from mbtl.cli.run import run
 from mbtl.cli.study import study_app
 from mbtl.cli.worker import worker
 from mbtl.errors import InvalidInput, MbtlError, TrainingFailed, cannot_write
+from mbtl.laboratory import laboratory
 from mbtl.processes import end_children
 from mbtl.version import __version__
 
+_PLAIN: dict[str, Any] = {
+    "add_completion": False,
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": None,
+}
+
+
+class Commands(TyperGroup):
+    """The tool's own, and those of the laboratory, which are imported when one is asked for."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """All names, in the order of the help."""
+        return [*super().list_commands(ctx), *laboratory().commands]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command of a name; None where there is none."""
+        own, theirs = super().get_command(ctx, cmd_name), laboratory().commands
+        if own is not None or cmd_name not in theirs:
+            return own
+        found, shell = pkgutil.resolve_name(theirs[cmd_name]), typer.Typer(**_PLAIN)
+        shell.callback()(lambda: None)  # with it, one command is a command of a group, too
+        if isinstance(found, typer.Typer):
+            shell.add_typer(found, name=cmd_name)
+        else:
+            shell.command(cmd_name, cls=Grouped)(interruptible(found))
+        return get_group(shell).commands[cmd_name]
+
+
 app = typer.Typer(
+    cls=Commands,
     help="Choose which tasks to train on: model-based transfer learning for contextual RL.",
     no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+    **_PLAIN,
 )
 
 
-for command in (run, worker, report, play, cmdps, bench, check):
+for command in (run, worker, report, check):
     app.command(cls=Grouped)(interruptible(command))
-app.command("reproduce")(interruptible(reproduce_command))
 app.add_typer(study_app, name="study")
-app.add_typer(matrix_app, name="matrix")
 
 
 def _version(wanted: bool) -> None:

@@ -33,8 +33,9 @@ def check(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of resets and actions.")] = 0,
     physics: Annotated[
-        str, typer.Option(help="Physics of our CMDPs: intended or reference.")
-    ] = "intended",
+        str | None,
+        typer.Option(help="Physics of our CMDPs: intended or reference.", show_default=False),
+    ] = None,
     visibility: Annotated[
         str | None,
         typer.Option(help="What the policy sees: hidden, multiplier or raw.", show_default=False),
@@ -45,10 +46,10 @@ def check(
 
     Example: mbtl check my_simulator:make_env --axis length=0.1:2.0:m
     """
-    from mbtl.cmdps import check_cmdp, get_cmdp, load_object
+    from mbtl.problems import check_cmdp, load_object, resolve_cmdp
 
     own: Any = load_object(target) if ":" in target else None
-    if own is not None and (physics != "intended" or visibility is not None):
+    if own is not None and (physics is not None or visibility is not None):
         raise InvalidInput(
             f"physics and visibility are switches of our CMDPs, got them with {target!r}; set them "
             "in your own code"
@@ -57,7 +58,7 @@ def check(
     if problem is None:
         if axis:
             raise InvalidInput(f"{target!r} has its axes already; --axis goes with module:make_env")
-        problem = get_cmdp(target, physics=physics, visibility=visibility)
+        problem = resolve_cmdp(target, physics=physics, visibility=visibility)
     length = "" if steps is None else f", {steps} steps per rollout"
     console.print(Text(f"checking {target}{length}", "dim"))
     report = check_cmdp(
@@ -76,7 +77,7 @@ def check(
 
 def _own(found: Any, target: str, axes: Sequence[str]) -> tuple[Any, ContextSpace | None]:
     """A user's object as (CMDP, None) or (environment factory, its contexts)."""
-    from mbtl.cmdps import CMDP
+    from mbtl.problems import CMDP
 
     if isinstance(found, CMDP):
         if axes:

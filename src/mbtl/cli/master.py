@@ -12,7 +12,7 @@ from mbtl.errors import InvalidInput
 from mbtl.study import Callback, Study, ask
 from mbtl.study.database import as_url
 from mbtl.study.places import database_file
-from mbtl.trainer import Progress
+from mbtl.trainers.contract import Progress
 
 _LOOK, _LONGEST_LOOK = 0.1, 2.0
 """Seconds between looks: often at first, seldom while nothing happens."""

@@ -15,7 +15,7 @@ from mbtl.cli.common import LongWork
 from mbtl.study import Callback, Pick, Study
 from mbtl.study.callbacks import estimate, numbered, said, shared_words, waiting_words
 from mbtl.study.closing_report import ReportPlan
-from mbtl.trainer import Progress
+from mbtl.trainers.contract import Progress
 
 
 class LiveProgress(Callback):

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.text import Text
 
-from mbtl.benchmark import TransferMatrix, open_matrix, shipped_matrices
-from mbtl.benchmark.npz import a_folder
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.cli.study import open_study
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.report import Subject, of_matrix, of_study, write_page
+from mbtl.laboratory import laboratory
+from mbtl.report import Subject, of_study, write_page
 from mbtl.study import Study
 from mbtl.study.database import check_path
 
@@ -63,12 +63,13 @@ def report(
         raise InvalidInput(f"--out must be a file that ends in .html, got {str(out)!r}")
     if live is not None and live < _LEAST:
         raise InvalidInput(f"--live takes {_LEAST:g} seconds or more, got {live:g}")
-    opened = [one for subject in subjects for one in _open(subject, name or [None])]
-    if name and all(isinstance(one, TransferMatrix) for one in opened):
+    replayed = partial(laboratory().subject, selector=selector, budget=budget, seed=seed)
+    opened = [one for given in subjects for one in _open(given, name or [None], replayed)]
+    if name and all(isinstance(one, Subject) for one in opened):
         raise InvalidInput(f"--name is of a study, and no study is given, got {name[0]!r}")
 
     def made() -> list[Subject]:
-        return [_subject(one, selector, budget, seed) for one in opened]
+        return [of_study(one) if isinstance(one, Study) else one for one in opened]
 
     found = made()
     while live is not None and not all(subject.finished for subject in found):
@@ -85,33 +86,17 @@ def report(
         printer().print(Text(f"wrote {out} ({size / 1e6:.1f} MB); open it in a browser"))
 
 
-def _subject(one: Study | TransferMatrix, selector: str, budget: int, seed: int) -> Subject:
-    if isinstance(one, Study):
-        return of_study(one)
-    return of_matrix(one, selector, budget=budget, seed=_seed_of(one, seed))
-
-
-def _open(given: str, names: Sequence[str | None]) -> Sequence[Study | TransferMatrix]:
-    """A matrix, or the studies of these names; None: the only one."""
+def _open(
+    given: str, names: Sequence[str | None], replayed: Callable[[str], Subject | None]
+) -> Sequence[Study | Subject]:
+    """What a matrix shows, or the studies of these names; None: the only one."""
     path = Path(given)
-    if path.suffix == ".npz" or (given in shipped_matrices() and not path.exists()):
-        found = open_matrix(given)
-        assert isinstance(found, TransferMatrix)
-        return [found]
     check_path(path)
-    if path.is_dir() and not (path / "study.db").exists() and any(path.glob("*.npz")):
-        raise a_folder(path)
+    if (found := replayed(given)) is not None:
+        return [found]
     if "://" in given or path.exists():
         return [open_study(given, name) for name in names]
     raise unknown_name(
-        "study or matrix", given, shipped_matrices(),
+        "study or matrix", given, laboratory().subjects(),
         hint="Give the folder of a study, an .npz file, or an id that `mbtl matrix list` shows.",
     )  # fmt: skip
-
-
-def _seed_of(matrix: TransferMatrix, seed: int) -> int:
-    if not 0 <= seed < matrix.n_seeds:
-        raise InvalidInput(
-            f"--seed must be from 0 to {matrix.n_seeds - 1} on {matrix.name}, got {seed}"
-        )
-    return seed

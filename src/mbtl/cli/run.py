@@ -19,10 +19,10 @@ from mbtl.cli.folders import check_folder, set_aside, study_in
 from mbtl.cli.master import artifacts_for, check_master, command, follow
 from mbtl.cli.progress import LiveProgress
 from mbtl.cli.worker import check_evaluated
-from mbtl.cmdps import resolve_cmdp
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingFailed
 from mbtl.objective import Objective
 from mbtl.plot import curve, policy_map, save
+from mbtl.problems import resolve_cmdp
 from mbtl.report import beside, reference_curves, summarise_study
 from mbtl.report.text import show_summary
 from mbtl.strategies import get_strategy
@@ -40,7 +40,7 @@ from mbtl.study import (
 )
 from mbtl.study.budget import counted
 from mbtl.study.runner import run as run_study
-from mbtl.trainer import Trainer
+from mbtl.trainers.contract import Trainer
 
 NOTHING_LEFT = 0.005
 """Gain in V of all trainings left together that is not worth one of them."""

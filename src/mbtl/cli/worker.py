@@ -23,13 +23,13 @@ from mbtl.cli.common import (
 )
 from mbtl.cli.interrupts import interrupt_main
 from mbtl.cli.progress import LiveProgress
-from mbtl.cmdps import CMDP, resolve_cmdp
 from mbtl.errors import InvalidInput, StudyError, TrainingFailed, Unreachable
+from mbtl.problems import CMDP, resolve_cmdp
 from mbtl.study import Callback, Pick, Study, load_study
 from mbtl.study.reconnect import PATIENCE, Patience
 from mbtl.study.runner import LEASE, Failures, Workers, run
 from mbtl.study.wall_time import WallTime
-from mbtl.trainer import Trainer, recipe_of
+from mbtl.trainers.contract import Trainer, recipe_of
 
 T = TypeVar("T")
 

@@ -72,7 +72,7 @@ def measured(
     max_envs: int,
     score: Score | None = None,
 ) -> dict[str, dict[str, Array]]:
-    """What episodes' last steps tell beside the score (`mbtl.training.WorldTrainer.beside`).
+    """What episodes' last steps tell beside the score (`mbtl.engine.WorldTrainer.beside`).
 
     Args:
         make_env: context -> environment.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,13 +13,20 @@ from mbtl.errors import InvalidInput
 from mbtl.plot.style import DARK, GREY, axes_for, styled
 from mbtl.study import Study
 
-if TYPE_CHECKING:
-    from mbtl.benchmark.comparison import Comparison
-
 V_LABEL = "generalisation performance V"
 _DASHES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 _BLUE = "#0072B2"
 _MARKS = "osD^vPX*"
+
+
+class Comparison(Protocol):
+    """What is drawn; what `mbtl.compare` gives is one."""
+
+    @property
+    def results(self) -> Sequence[Any]: ...  # noqa: D102
+
+    @property
+    def summary(self) -> Any: ...  # noqa: D102
 
 
 @styled

@@ -4,21 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from mbtl.arrays import Array
+from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput
+from mbtl.objective import Bounds
 from mbtl.plot.style import axes_for, dress, edges, number, positions, styled
 
-if TYPE_CHECKING:
-    from mbtl.benchmark.matrix import TransferMatrix
+
+class Matrix(Protocol):
+    """What is drawn; a `mbtl.TransferMatrix` is one."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+
+    @property
+    def space(self) -> ContextSpace: ...  # noqa: D102
+
+    @property
+    def returns(self) -> Any: ...  # noqa: D102
+
+    @property
+    def fresh_returns(self) -> Any: ...  # noqa: D102
+
+    @property
+    def sources(self) -> Any: ...  # noqa: D102
+
+    @property
+    def bounds(self) -> Bounds: ...  # noqa: D102
+
+    @property
+    def n(self) -> int: ...  # noqa: D102
+
+    @property
+    def n_seeds(self) -> int: ...  # noqa: D102
 
 
 @styled
 def matrix(
-    matrix: TransferMatrix,
+    matrix: Matrix,
     seed: int | None = None,
     *,
     picks: Sequence[int] = (),
@@ -70,8 +97,8 @@ def matrix(
     return ax
 
 
-def shown_performance(matrix: TransferMatrix, seed: int | None = None) -> Array:
+def shown_performance(matrix: Matrix, seed: int | None = None) -> Array:
     """(M, N) performance on the episodes that chose nothing, where there are such episodes."""
     reported = matrix.returns if matrix.fresh_returns is None else matrix.fresh_returns
-    one = reported.mean(axis=0, dtype=np.float64) if seed is None else reported[seed]
+    one: Array = reported.mean(axis=0, dtype=np.float64) if seed is None else reported[seed]
     return matrix.bounds.normalise(one)

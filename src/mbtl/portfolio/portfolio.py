@@ -47,7 +47,7 @@ class Portfolio:
             means; none: returns count as exact.
         risk: share of the contexts, the worst of them, that V is the mean of.
         policy_folders: per policy the folder a trainer saved it in; None if it was not saved.
-        policy_format: "mlp", "sb3" or "custom", see `mbtl.trainer.Trainer.policy_format`.
+        policy_format: "mlp", "sb3" or "custom", see `mbtl.trainers.Trainer.policy_format`.
         load: folder -> policy; needed for the format "custom", replaces our own loaders otherwise.
         in_memory: position -> policy, for policies that are at hand and need no loading.
         sets: position -> contexts, of policies trained on several; `sources` has their middle one.
@@ -343,7 +343,7 @@ def load_portfolio(
 
     Args:
         folder: what `Portfolio.save` wrote.
-        load: folder -> policy; given, it reads every policy, e.g. `mbtl.training.load_sb3`.
+        load: folder -> policy; given, it reads every policy, e.g. `mbtl.trainers.load_sb3`.
         trust: also read files that can execute code; set it if you trust whoever made the folder.
 
     Raises:

@@ -2,7 +2,7 @@
 
 from mbtl.report.html import page, write_page
 from mbtl.report.reference import ReferenceCurves, reference_curves
-from mbtl.report.subject import Subject, of_matrix, of_study
+from mbtl.report.subject import Subject, of_study
 from mbtl.report.summary import PickSummary, StudySummary, summarise_study
 
 __all__ = [
@@ -10,7 +10,6 @@ __all__ = [
     "ReferenceCurves",
     "StudySummary",
     "Subject",
-    "of_matrix",
     "of_study",
     "page",
     "reference_curves",

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.benchmark.oracle import NAMES
+from mbtl.report.names import NAMES
 from mbtl.seeds import Purpose
 from mbtl.study import Study
 

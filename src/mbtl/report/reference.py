@@ -8,15 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from mbtl.arrays import Array
-from mbtl.benchmark import compare, load_matrix, reference, reference_levels, shipped_matrices
-from mbtl.benchmark.oracle import NAMES
+from mbtl.laboratory import laboratory
 from mbtl.study import Study
-
-_SAME = ("recipe", "version", "switches")
-"""What a matrix's provenance and a study's settings must agree on to be compared."""
 
 
 @dataclass(frozen=True)
@@ -54,27 +48,5 @@ class ReferenceCurves:
 
 def reference_curves(study: Study) -> ReferenceCurves | None:
     """Curves of a shipped matrix whose recipe is this study's, where there is one."""
-    name, settings = study.spec.problem, study.spec.settings
-    if name not in shipped_matrices():
-        return None
-    matrix = load_matrix(name)
-    same = [
-        all(record.get(key) == settings.get(key) for key in _SAME)
-        for record in matrix.provenance["seeds"]
-    ]
-    if not all(same) or matrix.space != study.space or study.spec.risk < 1.0:
-        return None  # its V would be of something else
-    budget, seeds = min(study.spec.budget, matrix.n), range(matrix.n_seeds)
-    known = [reference(matrix, seed, budget) for seed in seeds]
-    greedy: Array = np.empty((0, budget))
-    if study.problem.is_line:
-        runs = compare(["greedy"], [matrix], budget, 1).results
-        greedy = np.array([run.performance for run in runs])
-    levels = [reference_levels(matrix, seed) for seed in seeds]
-    return ReferenceCurves(
-        name,
-        np.array([k.random for k in known]),
-        greedy,
-        np.array([k.oracle.curve for k in known]),
-        {NAMES.get(n, n): float(np.mean([one[n] for one in levels])) for n in levels[0]},
-    )
+    found: ReferenceCurves | None = laboratory().curves(study)
+    return found

@@ -1,4 +1,4 @@
-"""What a page is about: a study, or a selector replayed on a transfer matrix; numbers only.
+"""What a page is about: a study, or what the laboratory makes of a matrix; numbers only.
 
 Notation (shapes): k policies told, N contexts, S matrix seeds.
 """
@@ -13,23 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
-from mbtl.benchmark import (
-    TransferMatrix,
-    compare,
-    reference,
-)
-from mbtl.benchmark.base import measured_curve
-from mbtl.benchmark.oracle import NAMES
-from mbtl.benchmark.replay import replay
 from mbtl.contexts import ContextSpace
 from mbtl.history import History
-from mbtl.plot.matrices import shown_performance
 from mbtl.report import beside
 from mbtl.report.reference import reference_curves
 from mbtl.report.summary import summarise_study
 from mbtl.report.text import lines
 from mbtl.routing import Routing
-from mbtl.selectors import SelectionProblem, get_selector
+from mbtl.selectors import SelectionProblem
 from mbtl.study import Study
 
 
@@ -162,66 +153,4 @@ def of_study(study: Study) -> Subject:
         ),
         provenance=made,
         finished=study.is_finished,
-    )
-
-
-def of_matrix(
-    matrix: TransferMatrix, selector: str = "auto", *, budget: int = 15, seed: int = 0
-) -> Subject:
-    """A selector replayed on a matrix seed, beside others and what the matrix allows."""
-    problem = matrix.problem(min(budget, len(matrix.problem(1).sources)))
-    rule = get_selector(selector)
-    played = replay(rule, problem, lambda i: matrix.rows(seed, [i])[0], trial=seed)
-    history = played.history
-    space = matrix.space
-    picks = [
-        PickFacts(
-            p.source, space.describe(space.context(p.source)), p.reason, promised=p.acquisition
-        )
-        for p in played.proposals
-    ]
-    known = [reference(matrix, s, problem.budget) for s in range(matrix.n_seeds)]
-    baselines = {
-        "Random": np.array([one.random for one in known]),
-        "Sequential Oracle": np.array([one.oracle.curve for one in known]),
-    }
-    others = [n for n in ("greedy", "mbtl", "auto") if n != selector]
-    others = [name for name in others if name != "greedy" or problem.is_line]
-    runs = compare(others, [matrix], problem.budget, 1).results
-    for name in others:
-        baselines[name] = np.array([run.performance for run in runs if run.selector == name])
-    values = measured_curve(matrix, seed, history.sources)
-    level = known[seed].levels
-    routing = Routing(matrix.space, history.sources, history.rows)
-    served = routing.served
-    worst = int(served.argmin())
-    rows = {NAMES.get(n, n): v for n, v in known[seed].rows.items()}
-    sentences = [
-        f"{rule.name} reaches V = {values[-1]:.4f} with {len(values)} trainings on seed {seed}; "
-        f"Random is expected to reach {known[seed].random[-1]:.4f}, the Sequential Oracle reaches "
-        f"{known[seed].oracle.curve[-1]:.4f}.",
-        f"One policy per context gives {level.independent:.4f}, all policies together "
-        f"{level.oracle_transfer:.4f}, one policy of a random context {level.grand_mean:.4f}.",
-        f"The worst-served context is {matrix.space.describe(matrix.space.context(worst))}, at "
-        f"{served[worst]:.4f}.",
-        *([f"Note: {matrix.caveat}."] if matrix.caveat else []),
-    ]
-    return Subject(
-        "matrix",
-        matrix.name,
-        rule.name,
-        matrix.space,
-        problem,
-        history,
-        routing,
-        values,
-        np.arange(1.0, len(values) + 1.0),
-        "episodes that chose nothing" if matrix.measures_apart else "the episodes that chose",
-        tuple(picks),
-        baselines,
-        {"Independent": level.independent, "Oracle Transfer": level.oracle_transfer, **rows},
-        tuple(sentences),
-        shown_performance(matrix, None),
-        problem.sources,
-        {"matrix": matrix.name, "seeds": matrix.records},
     )

@@ -23,7 +23,7 @@ from mbtl.study.records import PickRecord
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
 from mbtl.threads import threads_for
-from mbtl.trainer import checked_targets
+from mbtl.trainers.contract import checked_targets
 
 _LONGEST = 5.0
 """Seconds after which no more is proposed ahead: others wait for what is."""

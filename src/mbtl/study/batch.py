@@ -29,7 +29,7 @@ from mbtl.study.job import (
 from mbtl.study.pick import Pick
 from mbtl.study.running_jobs import Flights, brought_back, may_try_again
 from mbtl.study.time_limits import too_long
-from mbtl.trainer import Progress, Trainer
+from mbtl.trainers.contract import Progress, Trainer
 
 if TYPE_CHECKING:
     from mbtl.study.study import Study

@@ -12,7 +12,7 @@ import numpy as np
 from mbtl.faults import say
 from mbtl.study.database import shown
 from mbtl.study.places import database_file
-from mbtl.trainer import Progress, Trainer
+from mbtl.trainers.contract import Progress, Trainer
 
 if TYPE_CHECKING:
     from mbtl.study.closing_report import ReportPlan

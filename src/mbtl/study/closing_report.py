@@ -21,7 +21,7 @@ from mbtl.episodes import scatter_of_sum, student
 from mbtl.seeds import Purpose, derive_seed
 from mbtl.study.state import StudyState
 from mbtl.study.time_limits import at_most
-from mbtl.trainer import Trainer, checked_returns, completed
+from mbtl.trainers.contract import Trainer, checked_returns, completed
 
 if TYPE_CHECKING:
     from collections.abc import Callable

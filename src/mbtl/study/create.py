@@ -28,7 +28,7 @@ from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState, replay
 from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog
 from mbtl.study.study import Study
-from mbtl.trainer import Trainer
+from mbtl.trainers.contract import Trainer
 from mbtl.version import __version__
 
 EPISODES = 10

@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from mbtl.errors import MbtlError
-from mbtl.trainer import Progress
+from mbtl.trainers.contract import Progress
 
 if TYPE_CHECKING:
     from mbtl.study.pick import Pick

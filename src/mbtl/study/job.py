@@ -26,7 +26,7 @@ from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingPruned
 from mbtl.faults import FAULTS, REASON, TookTooLong, harmless, reason_of, traceback_of
 from mbtl.study.artifacts import RECEIPT, Artifact, ArtifactStore, FolderStore
 from mbtl.study.time_limits import at_most
-from mbtl.trainer import (
+from mbtl.trainers.contract import (
     CountingTrainer,
     FunctionTrainer,
     OnProgress,

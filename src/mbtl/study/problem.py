@@ -11,7 +11,7 @@ from mbtl.errors import InvalidInput, StudyMismatch
 from mbtl.objective import Bounds, Direction
 from mbtl.settings import first_difference
 from mbtl.study.spec import StudySpec
-from mbtl.trainer import Trainer
+from mbtl.trainers.contract import Trainer
 
 
 @dataclass(frozen=True)

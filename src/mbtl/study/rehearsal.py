@@ -16,7 +16,7 @@ from mbtl.contexts import Context
 from mbtl.errors import MbtlError
 from mbtl.study.artifacts import FolderStore
 from mbtl.study.job import Job, Outcome, Trouble, perform, perform_elsewhere
-from mbtl.trainer import Ability, RehearsingTrainer, Trained
+from mbtl.trainers.contract import Ability, RehearsingTrainer, Trained
 
 
 def rehearse(

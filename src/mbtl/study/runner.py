@@ -39,7 +39,7 @@ from mbtl.study.rehearsal import rehearse as rehearsed
 from mbtl.study.result import RunResult
 from mbtl.study.running_jobs import brought_back
 from mbtl.study.time_limits import check_limits, too_long
-from mbtl.trainer import RehearsingTrainer, Trainer
+from mbtl.trainers.contract import RehearsingTrainer, Trainer
 
 if TYPE_CHECKING:
     from mbtl.study.study import Study

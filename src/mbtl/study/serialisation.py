@@ -45,7 +45,7 @@ def changed_code(known: Mapping[str, Any], given: Mapping[str, Any]) -> list[str
     """What changed in a user's own code, for people.
 
     Args:
-        known: as `mbtl.trainer.code_of` gave it before.
+        known: as `mbtl.trainers.contract.code_of` gave it before.
         given: as it gives it now.
     """
     found = []

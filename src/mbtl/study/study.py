@@ -44,7 +44,7 @@ from mbtl.study.serialisation import changed_code, code_mismatch
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import ABILITIES, StudyState
 from mbtl.study.storage import Conflict, EventLog, MemoryLog
-from mbtl.trainer import (
+from mbtl.trainers.contract import (
     FunctionTrainer,
     Trainer,
     checked_returns,
@@ -779,7 +779,7 @@ class Study:
         Args:
             train: `train(context, seed) -> policy`; or `train(contexts, seed, *, start=None,
                 length=None) -> policy`, which lets a strategy train on several contexts, from a
-                policy, for any length; see `mbtl.trainer.FunctionTrainer`.
+                policy, for any length; see `mbtl.trainers.FunctionTrainer`.
             evaluate: policy, contexts, seeds -> returns, (n_targets,) or (n_targets, n_episodes);
                 one seed per context.
             trainer: instead of these functions; None: the one that the study was made with. To

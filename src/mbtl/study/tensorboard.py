@@ -11,7 +11,7 @@ from mbtl.study.callbacks import Callback
 
 if TYPE_CHECKING:
     from mbtl.study import Pick, Study
-    from mbtl.trainer import Progress
+    from mbtl.trainers.contract import Progress
 
 
 class TensorBoardCallback(Callback):

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbtl.study.artifacts import FolderStore
 from mbtl.study.study import Study
-from mbtl.trainer import Trainer
+from mbtl.trainers.contract import Trainer
 
 _LONG = 0.9
 """So many of the trainings so far took no longer than what the next one is expected to take."""

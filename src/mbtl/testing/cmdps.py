@@ -7,9 +7,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mbtl.cmdps import CMDP, check_cmdp
 from mbtl.contexts import Context, ContextSpace
 from mbtl.envs.recording import draw_actions
+from mbtl.problems import CMDP, check_cmdp
 
 
 class CMDPContract:

@@ -1,0 +1,94 @@
+"""Trainers in jax, vectorised over contexts and seeds; importing this starts jax (see `flags`).
+
+world = Solo(CartPole())
+params = stack_params(world, [derive(...) for each context], visible)
+training = train(world, recipe_named("PPO", "fast"), seeds, params, 200_000)
+returns = evaluate(world, actor_of(training.best), params, episode_seeds)
+policies = export_policies(world, training.best)
+"""
+
+from __future__ import annotations
+
+from mbtl.engine.worlds import flags as flags  # isort: skip  # first: it starts jax
+from mbtl.engine.learners.algorithms import recipe_named
+from mbtl.engine.learners.blocks import Block, Training, from_arrays, to_arrays, weights_of
+from mbtl.engine.learners.episodic.episodes import actor_of, import_actor
+from mbtl.engine.learners.episodic.learning import episodes_met
+from mbtl.engine.learners.evaluation import (
+    evaluate,
+    evaluate_multitask,
+    measured,
+    on_cpu,
+    reference_returns,
+)
+from mbtl.engine.learners.export import export_policies, taught
+from mbtl.engine.learners.loop import start, start_multitask, train, train_multitask
+from mbtl.engine.learners.multitask.run import (
+    Judged,
+    MultiTaskRun,
+    multitask_settings,
+    run_multitask,
+)
+from mbtl.engine.learners.recipes import (
+    MULTI_TASK,
+    RECIPES,
+    A2CRecipe,
+    DQNRecipe,
+    MultiTaskRecipe,
+    PPORecipe,
+    Recipe,
+    multitask_recipe,
+    spread_recipe,
+)
+from mbtl.engine.learners.saving import SavedTraining
+from mbtl.engine.worlds import counted
+from mbtl.engine.worlds.environments import Box, Discrete, Environment, Step
+from mbtl.engine.worlds.hosted import hosted
+from mbtl.engine.worlds.world import Solo, World, context_of, stack_params
+
+__all__ = [
+    "MULTI_TASK",
+    "RECIPES",
+    "A2CRecipe",
+    "Block",
+    "Box",
+    "DQNRecipe",
+    "Discrete",
+    "Environment",
+    "Judged",
+    "MultiTaskRecipe",
+    "MultiTaskRun",
+    "PPORecipe",
+    "Recipe",
+    "SavedTraining",
+    "Solo",
+    "Step",
+    "Training",
+    "World",
+    "actor_of",
+    "context_of",
+    "counted",
+    "episodes_met",
+    "evaluate",
+    "evaluate_multitask",
+    "export_policies",
+    "from_arrays",
+    "hosted",
+    "import_actor",
+    "measured",
+    "multitask_recipe",
+    "multitask_settings",
+    "on_cpu",
+    "recipe_named",
+    "reference_returns",
+    "run_multitask",
+    "spread_recipe",
+    "stack_params",
+    "start",
+    "start_multitask",
+    "taught",
+    "to_arrays",
+    "train",
+    "train_multitask",
+    "weights_of",
+]

@@ -1,0 +1,103 @@
+"""Which module learns by which recipe; a new algorithm is one file and one line here.
+
+An algorithm is a module of pure functions. Those that learn from copies which start again
+(`rollout`) are of one policy, vectorised by `jax.vmap`:
+
+    init(world, recipe, seeds, params, weights) -> State      P policies, leading axis
+    update(world, recipe, state, params, clock)               one policy, one update further
+
+Multi-task policies are other networks that learn by the same PPO. Those that learn from whole
+episodes (`episodic.learning`), in which agents come and go:
+
+    start(recipe, weights) -> Memory                                    of one policy
+    learn(action, recipe, weights, memory, lived, clock)               likewise
+
+The state holds the networks as `weights`, whose `actor` is what acts. The clock is the same for all
+policies: what depends on it alone is computed once for all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import jax
+
+from mbtl.engine.learners import a2c, dqn, networks, ppo
+from mbtl.engine.learners.clock import Clock
+from mbtl.engine.learners.episodic import learning
+from mbtl.engine.learners.episodic.recipes import TWIN_RECIPES, TwinRecipe
+from mbtl.engine.learners.multitask import moore, paco
+from mbtl.engine.learners.recipes import (
+    RECIPES,
+    A2CRecipe,
+    DQNRecipe,
+    MultiTaskRecipe,
+    PPORecipe,
+    Recipe,
+)
+from mbtl.engine.worlds.environments import Length, Tree
+from mbtl.engine.worlds.world import Solo, World
+from mbtl.errors import InvalidInput, unknown_name
+
+AnyRecipe = Recipe | TwinRecipe
+
+_WITH_COPIES: Mapping[type, Any] = {PPORecipe: ppo, A2CRecipe: a2c, DQNRecipe: dqn}
+_WITH_VECTORS: Mapping[str, Any] = {"paco": paco, "moore": moore}
+
+
+def recipe_named(algorithm: str, name: str, unit: str = "timesteps") -> AnyRecipe:
+    """The recipe called `name`: of `RECIPES[algorithm]`, or by episodes of `TWIN_RECIPES`.
+
+    Raises:
+        UnknownName: there is none.
+    """
+    recipes: Mapping[str, Mapping[str, AnyRecipe]]
+    recipes = TWIN_RECIPES if unit == "episodes" else RECIPES
+    if algorithm not in recipes:
+        raise unknown_name("algorithm with recipes", algorithm, recipes)
+    if name not in recipes[algorithm]:
+        raise unknown_name(f"{algorithm} recipe", name, recipes[algorithm])
+    return recipes[algorithm][name]
+
+
+def init(
+    world: World, recipe: AnyRecipe, seeds: Sequence[int], params: Tree, weights: Any = None
+) -> Any:
+    """P policies before their first update, leading axis; fresh unless given weights.
+
+    Raises:
+        InvalidInput: this world cannot start single simulations again.
+    """
+    if isinstance(recipe, TwinRecipe):
+        return learning.init(world, recipe, seeds, params, weights)
+    if not isinstance(world, Solo):
+        raise InvalidInput(
+            f"{type(recipe).__name__} needs simulations that start again one by one, got "
+            f"{type(world).__name__}; learn from whole episodes, e.g. by TRPORecipe"
+        )
+    if isinstance(recipe, MultiTaskRecipe):
+        if weights is None and recipe.has_vectors:
+            n_contexts, n_visible = params.visible.shape[1:]
+            shapes = n_contexts, world.n_features + n_visible - 1  # no place for the layers
+            make = _WITH_VECTORS[recipe.method].init_weights
+            weights = networks.stack([make(world, recipe, seed, *shapes) for seed in seeds])
+        recipe = recipe.ppo
+    return _WITH_COPIES[type(recipe)].init(world, recipe, seeds, params, weights)
+
+
+def update(
+    world: World, recipe: AnyRecipe, decisions: Length, state: Any, params: Tree, clock: Clock
+) -> Any:
+    """P policies after `recipe.update_length` more steps or episodes.
+
+    World, recipe and `decisions`, of an episode at most or in beats, are static. Parameters are of
+    one context, (P, ...), or of N for each policy, (P, N, ...).
+    """
+    if isinstance(recipe, TwinRecipe):
+        return learning.update(world, recipe, decisions, state, params, clock)
+    if isinstance(recipe, MultiTaskRecipe):
+        recipe = recipe.ppo
+    each = partial(_WITH_COPIES[type(recipe)].update, world, recipe)
+    return jax.vmap(each, in_axes=(0, 0, None))(state, params, clock)

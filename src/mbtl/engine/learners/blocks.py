@@ -1,0 +1,248 @@
+"""Training in blocks of updates with an evaluation after each, whatever is trained.
+
+All that decides the future is in a `Training`, so a run that is stopped after a block goes on from
+it with the same result as if it had not been.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+from functools import partial
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.engine.checkpoints import Checkpoint
+from mbtl.engine.learners.networks import Weights
+from mbtl.engine.worlds.environments import Tree
+from mbtl.errors import InvalidInput, StorageError, TrainingFailed, few
+
+BLOCKS = 50
+"""Evaluations per training unless told otherwise: one every 2 % of it."""
+
+
+class Along(NamedTuple):
+    """Weights kept on the way, (L, P); before the first evaluation the best are the latest."""
+
+    best: Weights
+    latest: Weights
+
+
+class Training(NamedTuple):
+    """P trainings between two blocks.
+
+    Attributes:
+        state: the algorithm's; `state.weights` are the latest ones.
+        best: weights of the best evaluation so far, the earliest of equals.
+        best_return: (P,) mean return of that evaluation; optimistic, being a maximum.
+        latest_return: (P,) mean return of the last evaluation.
+        updates: updates done.
+        along: weights at the marks that have been passed; None without marks.
+    """
+
+    state: Any
+    best: Weights
+    best_return: jax.Array
+    latest_return: jax.Array
+    updates: jax.Array
+    along: Along | None = None
+
+
+class Block(NamedTuple):
+    """What `on_block` is told: environment steps per policy, done and planned, and everything.
+
+    Read the training before returning: its memory is used again by the next block.
+    """
+
+    steps: int
+    total: int
+    training: Training
+
+
+class Schedule(NamedTuple):
+    """When what happens, in updates.
+
+    Attributes:
+        total: of the whole training.
+        every: between two evaluations.
+        marks: (L,) at which weights are kept, as shares of the training, 0 < share <= 1.
+        unit: environment steps or episodes of an update.
+    """
+
+    total: int
+    every: int
+    unit: int
+    marks: Sequence[Fraction] = ()
+
+    @classmethod
+    def of(
+        cls, length: int, unit: int, every: int | None = None, marks: Sequence[Fraction] = ()
+    ) -> Schedule:
+        """From steps or episodes, rounded up to whole updates; `every` None: each 2 % of them.
+
+        Raises:
+            InvalidInput: a mark is not a share.
+        """
+        if not all(0 < mark <= 1 for mark in marks):
+            raise InvalidInput(f"marks are shares of a training, > 0 and <= 1, got {list(marks)}")
+        every = every or math.ceil(length / BLOCKS)
+        return cls(math.ceil(length / unit), math.ceil(every / unit), unit, tuple(marks))
+
+    def between(self, done: int, end: int) -> list[int]:
+        """Updates in done < update <= end after which there is a mark, and `end` itself."""
+        marked = {math.ceil(self.total * mark) for mark in self.marks}
+        return sorted({update for update in marked if done < update < end} | {end})
+
+    def marks_at(self, update: int, *, over: bool = False) -> list[int]:
+        """Indices of the marks after `update`, and of all later ones if the training is over."""
+        at = [math.ceil(self.total * mark) for mark in self.marks]
+        return [i for i, mark in enumerate(at) if mark == update or (over and mark > update)]
+
+
+def beginning(state: Any, marks: int = 0) -> Training:
+    """Before the first update, with room for the weights at as many marks."""
+    weights = state.weights
+    nothing = jnp.full(len(weights.log_std), -jnp.inf, dtype=jnp.float32)
+    room = jax.tree.map(lambda x: jnp.zeros((marks, *x.shape), x.dtype), weights)
+    return Training(
+        state,
+        jax.tree.map(jnp.copy, weights),
+        nothing,
+        jnp.copy(nothing),
+        jnp.int32(0),
+        Along(room, jax.tree.map(jnp.copy, room)) if marks else None,
+    )
+
+
+def in_blocks(
+    schedule: Schedule,
+    training: Training,
+    learn: Callable[[Training, int], Training],
+    judge: Callable[[Training], Training] | None,
+    on_block: Callable[[Block], None] | None = None,
+    nothing_to_gain: Callable[[Training], bool] = lambda training: False,
+    until: int | None = None,
+) -> Training:
+    """Learn and be judged in turns, and keep the best weights.
+
+    A mark between two evaluations stops the learning there, but nobody judges then: with and
+    without marks the same weights are the best.
+
+    Args:
+        schedule: when.
+        training: from which to go on.
+        learn: training, number of updates -> training after them, maybe in the same memory.
+        judge: training -> training after an evaluation and `keep_better`; None: nobody judges.
+        on_block: told after each judgement, and once where nothing is left to do.
+        nothing_to_gain: whether to end before the last update.
+        until: updates after which to pause; None: the end.
+
+    Raises:
+        TrainingFailed: weights are no longer finite.
+    """
+    done, planned = int(training.updates), schedule.total * schedule.unit
+    last = schedule.total if until is None else min(until, schedule.total)
+    over = done >= last or nothing_to_gain(training)
+    if over and on_block is not None:  # it went on from its end
+        on_block(Block(done * schedule.unit, planned, training))
+    while not over:
+        end = min(done - done % schedule.every + schedule.every, schedule.total)
+        for stop in schedule.between(done, min(end, last)):
+            along, count, done = training.along, stop - done, stop
+            training = learn(training._replace(along=None), count)
+            if judge is not None and done == end:
+                training = judge(training)
+            check_finite(training.state.weights, done * schedule.unit)
+            training = _marked(training._replace(along=along), schedule.marks_at(done))
+        if on_block is not None and done == end:
+            on_block(Block(done * schedule.unit, planned, training))
+        over = done == last or nothing_to_gain(training)
+    return _marked(training, schedule.marks_at(done, over=done == schedule.total or last > done))
+
+
+def _marked(training: Training, marks: Sequence[int]) -> Training:
+    """With the weights of this moment at some marks."""
+    if training.along is None or not marks:
+        return training
+    at = np.array(marks)
+    judged = training.best_return > -jnp.inf
+
+    def so_far(best: jax.Array, latest: jax.Array) -> jax.Array:
+        return jnp.where(judged.reshape(-1, *[1] * (best.ndim - 1)), best, latest)
+
+    latest = training.state.weights
+    now = Along(jax.tree.map(so_far, training.best, latest), latest)
+    put = jax.tree.map(lambda room, now: room.at[at].set(now), training.along, now)
+    return training._replace(along=put)
+
+
+@partial(jax.jit)
+def keep_better(training: Training, latest: jax.Array) -> Training:
+    """After an evaluation with mean returns `latest`, (P,): weights better than the best so far."""
+    better = latest > training.best_return
+
+    def keep(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+    return training._replace(
+        best=jax.tree.map(keep, training.state.weights, training.best),
+        best_return=jnp.where(better, latest, training.best_return),
+        latest_return=latest,
+    )
+
+
+def check_finite(weights: Tree, step: int) -> None:
+    """Refuse to go on with weights that are lost.
+
+    Raises:
+        TrainingFailed: one of the (P,) policies has weights that are not finite.
+    """
+    each = [jnp.isfinite(x.reshape(len(x), -1)).all(axis=1) for x in jax.tree.leaves(weights)]
+    finite = np.asarray(jnp.stack(each).all(axis=0))
+    if not finite.all():
+        bad = np.flatnonzero(~finite)
+        raise TrainingFailed(
+            f"training must keep finite weights, got NaN or infinity by step {step} in policies "
+            f"{', '.join(map(str, bad[:10]))} ({len(bad)} in all); lower the learning rate, or "
+            "check the contexts"
+        )
+
+
+def weights_of(training: Training, checkpoint: Checkpoint, shares: Sequence[Fraction]) -> Weights:
+    """The weights that a checkpoint names, (P, ...); `shares` are the marks of the training."""
+    if checkpoint.on_the_way and training.along is not None:
+        mark = shares.index(checkpoint.share)
+        kept = training.along.best if checkpoint.kind == "best" else training.along.latest
+        return cast(Weights, jax.tree.map(lambda x: x[mark], kept))
+    latest: Weights = training.state.weights
+    return training.best if checkpoint.kind == "best" else latest
+
+
+def to_arrays(training: Training) -> dict[str, NDArray[Any]]:
+    """Plain arrays to be saved, e.g. with `numpy.savez`."""
+    return {f"leaf_{i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(training))}
+
+
+def from_arrays(template: Training, arrays: Mapping[str, NDArray[Any]]) -> Training:
+    """What `to_arrays` took apart; the template is a beginning with the same arguments.
+
+    Raises:
+        StorageError: the arrays belong to other arguments.
+    """
+    leaves, structure = jax.tree.flatten(template)
+    names = [f"leaf_{i}" for i in range(len(leaves))]
+    if missing := [name for name in names if name not in arrays]:
+        raise StorageError(f"a saved training must hold {few(missing)}; start anew")
+    loaded = [np.asarray(arrays[name]) for name in names]
+    for old, new in zip(leaves, loaded, strict=True):
+        if old.shape != new.shape or old.dtype != new.dtype:
+            raise StorageError(
+                f"a saved training must fit its recipe and contexts, got {new.dtype}{new.shape} "
+                f"where {old.dtype}{old.shape} belongs; start anew"
+            )
+    return cast(Training, jax.tree.unflatten(structure, [jnp.asarray(x) for x in loaded]))

@@ -1,0 +1,52 @@
+"""What gradient steps of all algorithms share: means over the rows that count, and Adam's step.
+
+A step is one of all weights of a policy as one vector: few large operations.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax.flatten_util import ravel_pytree
+
+from mbtl.engine.learners.episodic.recipes import EpisodicDQNRecipe, EpisodicPPORecipe
+from mbtl.engine.learners.recipes import DQNRecipe, PPORecipe
+from mbtl.engine.worlds.environments import Tree
+
+
+def adam(
+    recipe: PPORecipe | DQNRecipe | EpisodicPPORecipe | EpisodicDQNRecipe,
+) -> optax.GradientTransformation:
+    """Adam after clipping the norm of one policy's gradient; the step is -lr times Adam's."""
+    return optax.chain(
+        optax.clip_by_global_norm(recipe.max_grad_norm),
+        optax.scale_by_adam(eps=recipe.adam_eps),
+        optax.scale(-recipe.learning_rate),
+    )
+
+
+def descended(
+    optimizer: optax.GradientTransformation,
+    weights: Tree,
+    gradient: Tree,
+    moments: Tree,
+    scale: jax.Array,
+) -> tuple[Any, Tree]:
+    """Weights and the optimiser's memory after `scale` times its step."""
+    flat, unravel = ravel_pytree(gradient)
+    steps, moments = optimizer.update(flat, moments)
+    return jax.tree.map(jnp.add, weights, unravel(scale * steps)), moments
+
+
+def mean_of(x: jax.Array, weight: jax.Array) -> jax.Array:
+    """Mean of `x` weighted by `weight`; 0 without any."""
+    return (x * weight).sum() / jnp.maximum(weight.sum(), 1.0)
+
+
+def standard(x: jax.Array, weight: jax.Array) -> jax.Array:
+    """Mean 0 and standard deviation 1 over the rows that count."""
+    centred = x - mean_of(x, weight)
+    return centred / (jnp.sqrt(mean_of(jnp.square(centred), weight)) + 1e-8)

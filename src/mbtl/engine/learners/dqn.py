@@ -1,0 +1,258 @@
+"""Deep Q-learning of one policy, written to be vectorised over many with `jax.vmap`.
+
+State in, state out. Semantics are those of Stable-Baselines3: epsilon-greedy steps into a ring of
+transitions, Huber loss towards a target network that is copied now and then, and truncated episodes
+that bootstrap. All policies are at the same step, so they share what only the step decides, the
+place of new transitions in the ring and which of the old ones a minibatch takes: the ring is then
+written by one slice and read by one gather of whole rows, whatever its size.
+
+Notation (shapes of one policy): R rounds per update, T steps per round, E environment copies,
+G gradient steps per round, B minibatch, N transitions in the ring, f features of the state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from mbtl.engine.learners import networks
+from mbtl.engine.learners.clock import Clock
+from mbtl.engine.learners.descent import adam, descended
+from mbtl.engine.learners.episodic.recipes import EpisodicDQNRecipe
+from mbtl.engine.learners.networks import Network, Weights
+from mbtl.engine.learners.recipes import DQNRecipe
+from mbtl.engine.learners.rollout import start
+from mbtl.engine.worlds.copies import Copies, stepped
+from mbtl.engine.worlds.environments import Discrete, Tree
+from mbtl.engine.worlds.world import Solo, World
+from mbtl.errors import InvalidInput
+
+
+class State(NamedTuple):
+    """All of one training, as `rollout.State`, with two more.
+
+    Attributes:
+        weights: the network of action values as `actor`: the largest value is the action.
+        target: what `weights.actor` was when it was last copied.
+        replay: (N, 2 f + 3) ring of transitions: state before, state after, action, reward,
+            terminated. Visible context features are constants of a policy and not in it.
+    """
+
+    weights: Weights
+    target: Network
+    optimizer: Tree
+    replay: jax.Array
+    copies: Copies
+    key: jax.Array
+
+
+class Batch(NamedTuple):
+    """Transitions to learn from, one leading axis."""
+
+    obs: jax.Array
+    after: jax.Array
+    action: jax.Array
+    reward: jax.Array
+    terminated: jax.Array
+
+
+class Round(NamedTuple):
+    """What one round is given: steps done before it, and uniform random numbers.
+
+    A coin for each action, (T, E), what resets need, (T, E, n_noise), and the minibatch, (G, B).
+    """
+
+    step: jax.Array
+    coin: jax.Array
+    reset: jax.Array
+    pick: jax.Array
+
+
+def init(
+    world: Solo,
+    recipe: DQNRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    weights: Weights | None = None,
+) -> State:
+    """As `rollout.start`, with empty rings; the weights to begin from are the first target, too.
+
+    Raises:
+        InvalidInput: actions are not discrete.
+    """
+    options(world)
+    if weights is None:
+        weights = networks.stack(fresh(world, recipe.hidden, seeds, params))
+    begun = start(adam, world, recipe, seeds, params, weights)
+    target = jax.tree.map(jnp.copy, weights.actor)  # memory of its own: a block takes over both
+    replay = jnp.zeros((len(seeds), recipe.buffer_size, 2 * world.n_features + 3))
+    return State(weights, target, begun.optimizer, replay, begun.copies, begun.key)
+
+
+def fresh(world: World, hidden: Sequence[int], seeds: Sequence[int], params: Tree) -> list[Weights]:
+    """A network of action values for each seed."""
+    widths = [world.n_features + params.visible.shape[-1], *hidden, options(world)]
+    return [networks.init_q_network(seed, widths) for seed in seeds]
+
+
+def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Clock) -> State:
+    """`recipe.rounds_per_update` rounds of some steps and some gradient steps.
+
+    The clock decides epsilon, the places in the ring, when the target is copied, and by its key
+    which transitions are learnt from.
+    """
+    n_rounds, per_round = recipe.rounds_per_update, recipe.steps_per_round
+    shape = (n_rounds, recipe.train_freq, recipe.n_envs)
+    key, coin_key, reset_key = jax.random.split(state.key, 3)
+    rounds = Round(
+        clock.number * recipe.update_length + per_round * jnp.arange(n_rounds),
+        jax.random.uniform(coin_key, shape),
+        world.noise(reset_key, shape),
+        jax.random.uniform(clock.key, (n_rounds, recipe.gradient_steps, recipe.batch_size)),
+    )
+    rate = clock.rate(recipe.anneal)
+    total = clock.total * recipe.update_length
+
+    def one(state: State, now: Round) -> tuple[State, None]:
+        state, rows = explore(world, recipe, state, params, now, total)
+        replay = jax.lax.dynamic_update_slice(
+            state.replay, rows, (now.step % recipe.buffer_size, 0)
+        )
+        step = now.step + per_round
+        copy = step // recipe.target_every > now.step // recipe.target_every
+        target = jax.tree.map(partial(jnp.where, copy), state.weights.actor, state.target)
+        filled = jnp.minimum(step, recipe.buffer_size)
+        picked = replay[jnp.floor(now.pick * filled).astype(jnp.int32)]
+        network, moments = jax.lax.cond(
+            step > recipe.learning_starts,
+            partial(learn, recipe, rate, params.visible),
+            lambda network, moments, *_: (network, moments),
+            *(state.weights.actor, state.optimizer, target, picked),
+        )
+        weights = state.weights._replace(actor=network)
+        return state._replace(
+            weights=weights, target=target, optimizer=moments, replay=replay
+        ), None
+
+    state, _ = jax.lax.scan(one, state._replace(key=key), rounds)
+    return state
+
+
+def epsilon(recipe: DQNRecipe, step: jax.Array, total: jax.Array) -> jax.Array:
+    """Probability of a random action at environment step `step` of `total`."""
+    falling = fallen(recipe, step / (recipe.exploration_fraction * total))
+    return jnp.where(step < recipe.learning_starts, 1.0, falling)
+
+
+def fallen(recipe: DQNRecipe | EpisodicDQNRecipe, share: jax.Array) -> jax.Array:
+    """Probability of a random action after a share of the time in which it falls."""
+    return 1.0 + jnp.minimum(share, 1.0) * (recipe.final_epsilon - 1.0)
+
+
+def explore(
+    world: Solo,
+    recipe: DQNRecipe,
+    state: State,
+    params: Tree,
+    now: Round,
+    total: jax.Array,
+) -> tuple[State, jax.Array]:
+    """T epsilon-greedy steps of the E copies, and their (T x E, 2 f + 3) rows of the ring."""
+    network, n, f = state.weights.actor, options(world), world.n_features
+
+    def act(obs: jax.Array, drawn: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        t, coin = drawn
+        chance = epsilon(recipe, now.step + t * recipe.n_envs, total)
+        random = jnp.minimum((coin / chance * n).astype(jnp.int32), n - 1)
+        greedy = jnp.argmax(networks.apply(network, obs, recipe.activation), axis=-1)
+        action = jnp.where(coin < chance, random, greedy)
+        return action, action
+
+    drawn = (jnp.arange(recipe.train_freq), now.coin)
+    copies, obs, action, step = stepped(world, params, state.copies, act, drawn, now.reset)
+    scalars = jnp.stack([action, step.reward, step.terminated], axis=-1)
+    rows = jnp.concatenate([obs[..., :f], step.after[..., :f], scalars], axis=-1)
+    return state._replace(copies=copies), rows.reshape(recipe.steps_per_round, -1)
+
+
+def learn(
+    recipe: DQNRecipe,
+    scale: jax.Array,
+    visible: jax.Array,
+    network: Network,
+    moments: Tree,
+    target: Network,
+    rows: jax.Array,
+) -> tuple[Network, Tree]:
+    """G gradient steps, `scale` times the recipe's learning rate, on (G, B, 2 f + 3) rows."""
+
+    def one(carry: tuple[Network, Tree], rows: jax.Array) -> tuple[tuple[Network, Tree], None]:
+        return descend(recipe, target, unpack(rows, visible), scale, *carry), None
+
+    (network, moments), _ = jax.lax.scan(one, (network, moments), rows)
+    return network, moments
+
+
+def descend(
+    recipe: DQNRecipe | EpisodicDQNRecipe,
+    target: Network,
+    batch: Batch,
+    scale: jax.Array,
+    network: Network,
+    moments: Tree,
+) -> tuple[Network, Tree]:
+    """One gradient step, `scale` times the recipe's learning rate."""
+    gradient = jax.grad(loss, argnums=1)(recipe, network, batch, goal(recipe, target, batch))
+    return descended(adam(recipe), network, gradient, moments, scale)
+
+
+def unpack(rows: jax.Array, visible: jax.Array) -> Batch:
+    """Rows of the ring as transitions, with the (v,) visible features back in the observations."""
+    batch = unpacked(rows)
+    shown = jnp.broadcast_to(visible, (len(rows), *visible.shape))
+    return batch._replace(
+        obs=jnp.concatenate([batch.obs, shown], axis=-1),
+        after=jnp.concatenate([batch.after, shown], axis=-1),
+    )
+
+
+def unpacked(rows: jax.Array) -> Batch:
+    """(B, 2 f + 3) rows of the ring as transitions."""
+    f = (rows.shape[-1] - 3) // 2
+    return Batch(rows[:, :f], rows[:, f : 2 * f], *(rows[:, 2 * f + k] for k in range(3)))
+
+
+def goal(recipe: DQNRecipe | EpisodicDQNRecipe, target: Network, batch: Batch) -> jax.Array:
+    """(B,) r + gamma max_a Q_target(after, a) (1 - terminated)."""
+    ahead = networks.apply(target, batch.after, recipe.activation).max(axis=-1)
+    return batch.reward + recipe.gamma * (1.0 - batch.terminated) * ahead
+
+
+def loss(
+    recipe: DQNRecipe | EpisodicDQNRecipe, network: Network, batch: Batch, goals: jax.Array
+) -> jax.Array:
+    """Mean Huber loss, quadratic up to an error of 1, of the values of the actions taken."""
+    values = networks.apply(network, batch.obs, recipe.activation)
+    # a sum over a mask, not a gather: gathers with batched indices are slow on a CPU
+    taken = batch.action[:, None] == jnp.arange(values.shape[-1])
+    value = jnp.where(taken, values, 0.0).sum(axis=-1)
+    return optax.losses.huber_loss(value, goals).mean()
+
+
+def options(world: World) -> int:
+    """How many actions there are.
+
+    Raises:
+        InvalidInput: they are not discrete.
+    """
+    if not isinstance(world.action, Discrete):
+        raise InvalidInput(
+            f"DQN must have discrete actions, got a box of {len(world.action.low)} dimensions; use "
+            "PPO or A2C"
+        )
+    return world.action.n

@@ -1,0 +1,234 @@
+"""Whole episodes of many policies on many contexts, scored, with the same luck for all policies.
+
+Notation (shapes): P policies, C contexts, E episodes; n simulations, policy by policy.
+
+Each context has episodes of its own, the same for every policy. What is drawn in one follows from
+its seed and the moment: it is the same in any company.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbtl.arrays import Array
+from mbtl.engine.learners.episodic.episodes import Acting, Actor, actor_of, go_on, measures
+from mbtl.engine.learners.multitask.table import seen
+from mbtl.engine.learners.recipes import Activation, MultiTaskRecipe
+from mbtl.engine.worlds import ends, strata
+from mbtl.engine.worlds.environments import Tree
+from mbtl.engine.worlds.world import Solo, World, context_of, in_a_row, of_simulations
+from mbtl.errors import InvalidInput
+
+CPU_ROWS = 400
+"""Simulations of one small agent played together on a CPU: their activations stay in its cache."""
+
+DEVICE_ROWS = 1 << 20
+"""The same on an accelerator: 256 MB for each layer of 64 units."""
+
+
+def on_cpu() -> bool:
+    """Whether jax computes on the CPU of this machine."""
+    return bool(jax.default_backend() == "cpu")
+
+
+def own_scores(
+    world: World,
+    activation: Activation,
+    how: Acting,
+    actor: Actor,
+    seeds: NDArray[np.uint32],
+    params: Tree,
+) -> jax.Array:
+    """(P, E) scores of each policy on its own context, or on N of them in equal parts.
+
+    Parameters are of one context, which serves all; (P, ...); or (P, N, ...). Of the (P, E) seeds
+    the first are for the first context.
+    """
+    return own_measures(world, activation, how, actor, seeds, params)["score"]
+
+
+def own_measures(
+    world: World,
+    activation: Activation,
+    how: Acting,
+    actor: Actor,
+    seeds: NDArray[np.uint32],
+    params: Tree,
+) -> dict[str, jax.Array]:
+    """As `own_scores`, with all that the world measures of an episode."""
+    drawn, actor = world.draws(seeds), actor._replace(critic=())
+    every = of_simulations(params, seeds.shape[1])
+    decisions = world.decisions(in_a_row(params))
+    found: dict[str, jax.Array] = measures(
+        world, activation, how, actor, seeds, drawn, every, decisions
+    )
+    return found
+
+
+def evaluate(
+    world: World,
+    actor: Actor,
+    params: Tree,
+    seeds: ArrayLike,
+    *,
+    activation: Activation = "tanh",
+    how: Acting = "mean",
+    rows: int | None = None,
+    on_block: Callable[[int, int], None] | None = None,
+) -> Array:
+    """Scores of every policy on every context, in raw units.
+
+    Args:
+        world: the dynamics.
+        actor: of P policies, leading axis.
+        params: of C contexts, likewise; `mbtl.engine.worlds.strata` says what an episode is.
+        seeds: (C, E) of the episodes in each context.
+        activation: between the layers of the actors.
+        how: actions follow from a policy.
+        rows: simulations at a time; None chooses for world and device.
+        on_block: called with (pairs of policy and context done, planned) now and then.
+
+    Returns:
+        (P, C, E).
+
+    Raises:
+        InvalidInput: there are no policies, contexts or episodes, or seeds of another shape.
+    """
+    n_policies, n_contexts = len(actor.log_std), len(params.visible)
+    own = np.array(seeds, np.uint32)
+    if own.ndim != 2 or len(own) != n_contexts or 0 in (n_policies, *own.shape):
+        raise InvalidInput(
+            "evaluation takes one policy or more, and for each of one or more contexts the seeds "
+            f"of its episodes, got {n_policies} and {n_contexts} with seeds of shape {own.shape}"
+        )
+    n_episodes = own.shape[1]
+    most = getattr(world, "most", None)  # simulations at once
+    if most is not None and n_episodes > most:
+        parts = [own[:, first : first + most] for first in range(0, n_episodes, most)]
+        each = partial(evaluate, world, actor, params, activation=activation, how=how)
+        return np.concatenate([each(some) for some in parts], axis=-1)
+    params, shares = strata.of_each_kind(world, params)
+    own, n_contexts = np.repeat(own, shares.shape[1], axis=0), shares.size
+    fitting = CPU_ROWS if world.apart else n_policies * n_episodes
+    rows = rows or most or (fitting if on_cpu() else DEVICE_ROWS)
+    width = min(n_episodes * (n_contexts if world.apart else 1), rows)  # of a policy
+    height = max(1, min(n_policies, rows // width))
+    drawn, actor = world.draws(own) if world.apart else own, actor._replace(critic=())
+    returns = np.empty((n_policies, n_contexts, n_episodes))
+    told = on_block or (lambda done, planned: None)
+    for p in range(0, n_policies, height):
+        some, place = _take(actor, p, height), returns[p : p + height]
+        count, done = len(place), p * n_contexts
+
+        def on_part(ended: int, height: int = height, count: int = count, done: int = done) -> None:
+            told(done + ended * count // (height * n_episodes), n_policies * n_contexts)
+
+        if world.apart:
+
+            def play(state: Tree, own: Any, where: Tree, *when: int, some: Actor = some) -> Tree:
+                return go_on(world, activation, how, some, own, where, state, *when)
+
+            given = (cast(Solo, world), params, own, drawn)
+            found = ends.scores(*given, height, width, play, on_part)
+            place[...] = found.reshape(height, *place.shape[1:])[:count]
+            continue
+        for c in range(n_contexts):  # one at a time, as simulations cannot be told apart
+            where = context_of(params, c)
+            everyone = np.tile(own[c], (height, 1))
+            part = own_scores(world, activation, how, some, everyone, where)
+            place[:, c] = np.asarray(part)[:count]
+            on_part((c + 1) * height * n_episodes)
+    return strata.merged(returns, shares)
+
+
+def evaluate_multitask(
+    world: World,
+    recipe: MultiTaskRecipe,
+    weights: Any,
+    params: Tree,
+    seeds: ArrayLike,
+    *,
+    places: ArrayLike | None = None,
+    on_block: Callable[[int, int], None] | None = None,
+) -> Array:
+    """Undiscounted returns of deterministic episodes, (S, C, E); see `evaluate`.
+
+    `places` are (C,) positions of the contexts on the axis in steps of the training's grid, e.g.
+    0.5 halfway between the first two; None where they are that grid.
+
+    Raises:
+        InvalidInput: there are no policies, contexts or episodes, or seeds of another shape.
+    """
+    contexts, actor = seen(recipe, params, places), actor_of(weights)
+    activation = recipe.activation
+    return evaluate(world, actor, contexts, seeds, activation=activation, on_block=on_block)
+
+
+def measured(
+    world: World,
+    actor: Actor | None,
+    params: Tree,
+    seeds: ArrayLike,
+    *,
+    activation: Activation = "tanh",
+    how: Acting = "mean",
+    way: str = "",
+) -> dict[str, Array]:
+    """(C, E) of one policy on every context, by name: all that the world measures of an episode.
+
+    Args:
+        world: the dynamics; with `measures`.
+        actor: of the policy; None: what goes by itself, by this `way` where the world has several.
+        params: of C contexts.
+        seeds: (C, E) of the episodes in each context.
+        activation: between the layers of the actor.
+        how: actions follow from the policy.
+        way: one of the world's `ways`.
+    """
+    if actor is None:
+        actor, how = Actor((), jnp.zeros((1, 1))), "none"
+        world = replace(cast(Any, world), way=way) if way in getattr(world, "ways", ()) else world
+    params, shares = strata.of_each_kind(world, params)
+    own = np.repeat(np.array(seeds, np.uint32), shares.shape[1], axis=0)
+    each = [
+        own_measures(world, activation, how, actor, own[c : c + 1], context_of(params, c))
+        for c in range(shares.size)
+    ]
+    return {
+        name: strata.merged(np.stack([np.asarray(one[name]) for one in each], axis=1), shares)[0]
+        for name in each[0]
+    }
+
+
+def reference_returns(world: World, params: Tree, seeds: ArrayLike) -> dict[str, Array]:
+    """(C, E) scores by name without any policy, in the episodes of these (C, E) seeds."""
+    nobody = Actor((), jnp.zeros((1, 1)))
+
+    def played(one: World, how: Acting) -> Array:
+        found: Array = evaluate(one, nobody, params, seeds, how=how)[0]
+        return found
+
+    rows = {"random_actions": played(world, "random")}
+    if world.drives:
+        rows["unguided"] = played(world, "none")
+    for way in getattr(world, "ways", ()):  # controllers of the world's own
+        rows[way] = played(replace(cast(Any, world), way=way), "none")
+    return rows
+
+
+def _take(tree: Tree, first: int, count: int) -> Tree:
+    """Members first..first+count-1; the last one repeats, so that there is one shape to compile."""
+
+    def part(leaf: jax.Array) -> NDArray[Any]:
+        at = np.minimum(np.arange(first, first + count), len(leaf) - 1)
+        return np.asarray(leaf)[at]
+
+    return jax.tree.map(part, tree)

@@ -1,0 +1,252 @@
+"""Many trainings at once, in any world: contexts and seeds are one axis of P policies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from functools import partial
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mbtl.engine.learners import algorithms
+from mbtl.engine.learners.algorithms import AnyRecipe
+from mbtl.engine.learners.blocks import Block, Schedule, Training, beginning, in_blocks, keep_better
+from mbtl.engine.learners.clock import clock_at
+from mbtl.engine.learners.episodic.episodes import Acting, actor_of
+from mbtl.engine.learners.evaluation import own_scores
+from mbtl.engine.learners.multitask.table import seen
+from mbtl.engine.learners.networks import Weights
+from mbtl.engine.learners.recipes import check_lengths
+from mbtl.engine.learners.saving import SavedTraining
+from mbtl.engine.worlds.environments import Length, Tree
+from mbtl.engine.worlds.world import World, in_a_row
+from mbtl.errors import InvalidInput
+from mbtl.seeds import checkpoint_seeds
+
+CHECKPOINT_EPISODES = 2
+"""Per context; over a hundred contexts that is twenty times what a single-task policy plays."""
+
+
+def start(
+    world: World,
+    recipe: AnyRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    weights: Weights | None = None,
+    marks: Sequence[Fraction] = (),
+) -> Training:
+    """Trainings before their first update; arguments as in `train`.
+
+    Raises:
+        InvalidInput: there is not one seed per context, or weights of another shape.
+    """
+    n_contexts = len(params.visible) if params.visible.ndim > 1 else len(seeds)
+    if len(seeds) != n_contexts or not seeds:
+        raise InvalidInput(
+            f"training takes one seed per context (repeat contexts for more seeds), "
+            f"got {len(seeds)} seeds and {n_contexts} contexts"
+        )
+    init = partial(algorithms.init, world, recipe, seeds, _in_jax(params))
+    state = init()
+    if weights is not None:
+        state = init(_fitting(weights, state.weights))
+    return beginning(state, len(marks))
+
+
+def train(
+    world: World,
+    recipe: AnyRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    length: int,
+    *,
+    on_block: Callable[[Block], None] | None = None,
+    checkpoint_every: int | None = None,
+    checkpoint_episodes: int = 10,
+    acting: Acting = "mean",
+    only_best: bool = False,
+    weights: Weights | None = None,
+    marks: Sequence[Fraction] = (),
+    resume: Training | None = None,
+    saved: SavedTraining | None = None,
+    until: int | None = None,
+    judging: bool = True,
+) -> Training:
+    """Train one policy per (context, seed), all of them together.
+
+    A policy depends on its own seed and context, on the recipe and on `length`; not on the
+    others. (Another number of policies is another program, whose rounding may differ.)
+
+    Args:
+        world: the dynamics.
+        recipe: hyper-parameters.
+        seeds: P training seeds of 32 bits.
+        params: P contexts, leading axis; repeat a context to train it with several seeds. Of one
+            context, without that axis, where the world cannot mix them. With a `MultiTaskRecipe`
+            (P, N, ...): each policy has a set of N contexts of its own, repeated where it is
+            smaller, whose episodes take turns.
+        length: environment steps per policy, or episodes where the recipe counts those; rounded up
+            to whole updates.
+        on_block: called after each block.
+        checkpoint_every: as much of it between two evaluations of each policy on its own contexts,
+            rounded up to whole updates; None for 2 % of `length`.
+        checkpoint_episodes: of an evaluation, the same at every one; of N contexts each plays as
+            many of them.
+        acting: how actions are chosen there.
+        only_best: end as soon as the best evaluation of every policy is the largest return there
+            is (`world.max_return`): the best weights, the earliest of equals, cannot change any
+            more.
+        weights: P networks to begin from, e.g. `best` of trainings on other contexts; the optimiser
+            knows nothing of their past, and they are no checkpoint themselves. Without a critic,
+            (), that is fresh; None: all are.
+        marks: (L,) shares of the training at which weights are kept, `along`; where it ends early,
+            those of its end stand for all that were to come.
+        resume: what an interrupted call had reached (given again with the same arguments).
+        saved: file to go on from, and to save the training in now and then and at the end; where
+            states mean nothing in another process (`storable`), only at the end.
+        until: steps or episodes after which to pause, rounded up to whole updates; `resume` goes on
+            from there, and the training is the same as without a pause: schedules follow `length`.
+        judging: evaluate on the way. Without, `best` and its returns mean nothing.
+
+    Returns:
+        Final and best weights.
+
+    Raises:
+        InvalidInput: seeds and contexts or weights do not match, a number is below 1, or N contexts
+            cannot share the checkpoint's episodes evenly.
+        TrainingFailed: weights are no longer finite.
+    """
+    check_lengths(**{recipe.unit: length, "checkpoint_episodes": checkpoint_episodes})
+    shared_by = params.visible.shape[1] if params.visible.ndim == 3 else 1
+    if checkpoint_episodes % shared_by:
+        raise InvalidInput(
+            f"checkpoint_episodes must be a multiple of the {shared_by} contexts of each policy, "
+            f"got {checkpoint_episodes}"
+        )
+    schedule = Schedule.of(length, recipe.update_length, checkpoint_every, marks)
+    decisions = world.decisions(in_a_row(params))
+    params = _in_jax(params)
+    best = world.max_return
+    tests = np.array([checkpoint_seeds(seed, checkpoint_episodes) for seed in seeds], np.uint32)
+
+    def learn(training: Training, count: int) -> Training:
+        args = (world, recipe, decisions, training, params, count, schedule.total)
+        return cast(Training, _updates(*args))
+
+    def judge(training: Training) -> Training:
+        actor = actor_of(training.state.weights)
+        found = own_scores(world, recipe.activation, acting, actor, tests, params)
+        return cast(Training, keep_better(training, found.mean(axis=1)))
+
+    def nothing_to_gain(training: Training) -> bool:
+        if not only_best or best is None:
+            return False
+        return bool((np.asarray(training.best_return) >= best).all())
+
+    def told(block: Block) -> None:
+        if on_block is not None:
+            on_block(block)
+        if saved is not None and getattr(world, "storable", True):
+            saved.save(block.training)
+
+    fresh = partial(start, world, recipe, seeds, params, weights, marks)
+    if resume is None and saved is not None:
+        resume = saved.load(fresh)
+    pause = None if until is None else math.ceil(until / recipe.update_length)
+    judged = judge if judging else None
+    training = fresh() if resume is None else resume
+    training = in_blocks(schedule, training, learn, judged, told, nothing_to_gain, pause)
+    if saved is not None:
+        saved.save(training, done=True)
+    return training
+
+
+def start_multitask(
+    world: World,
+    recipe: AnyRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    weights: Weights | None = None,
+) -> Training:
+    """Trainings before their first update, e.g. as the template of `from_arrays`."""
+    return start(world, recipe, seeds, _copies(recipe, params, len(seeds)), weights)
+
+
+def train_multitask(
+    world: World,
+    recipe: AnyRecipe,
+    seeds: Sequence[int],
+    params: Tree,
+    timesteps: int,
+    *,
+    checkpoint_episodes: int = CHECKPOINT_EPISODES,
+    **options: Any,
+) -> Training:
+    """Train S policies, each on all of N contexts: `train`, and its `options`.
+
+    The best checkpoint has the largest mean return over all contexts; returns of a `Training` are
+    such means. `timesteps` are over all contexts together, `checkpoint_episodes` of each context.
+
+    Raises:
+        InvalidInput: there are no seeds or contexts, or a number is below 1.
+        TrainingFailed: weights are no longer finite.
+    """
+    return train(
+        world,
+        recipe,
+        seeds,
+        _copies(recipe, params, len(seeds)),
+        timesteps,
+        checkpoint_episodes=checkpoint_episodes * len(params.visible),
+        **options,
+    )
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)
+def _updates(
+    world: World,
+    recipe: AnyRecipe,
+    decisions: Length,
+    training: Training,
+    params: Tree,
+    count: jax.Array,
+    total: jax.Array,
+) -> Training:
+    def one(i: jax.Array, state: Any) -> Any:
+        clock = clock_at(training.updates + i, total)
+        return algorithms.update(world, recipe, decisions, state, params, clock)
+
+    state = jax.lax.fori_loop(0, count, one, training.state)
+    return training._replace(state=state, updates=training.updates + count)
+
+
+def _fitting(weights: Weights, fresh: Weights) -> Weights:
+    """A copy, since the training takes over its memory."""
+    fresh = fresh if weights.critic else fresh._replace(critic=())
+    given, needed = ([np.shape(x) for x in jax.tree.leaves(w)] for w in (weights, fresh))
+    if given != needed:
+        raise InvalidInput(
+            f"weights to begin from must have the shapes of this recipe and number of policies, "
+            f"{needed}, got {given}"
+        )
+    return cast(Weights, jax.tree.map(lambda x: jnp.array(x, jnp.float32), weights))
+
+
+def _in_jax(params: Tree) -> Tree:
+    """As arrays of jax; counts stay whole numbers."""
+    return jax.tree.map(jnp.asarray, params)
+
+
+def _copies(recipe: AnyRecipe, params: Tree, n_seeds: int) -> Tree:
+    """(S, N, ...): all contexts for every policy."""
+    if len(params.visible) == 0 or n_seeds == 0:
+        raise InvalidInput(
+            "multi-task training needs at least one seed and context, "
+            f"got {n_seeds} and {len(params.visible)}"
+        )
+    each = seen(recipe, params)
+    return jax.tree.map(lambda x: np.broadcast_to(x, (n_seeds, *np.shape(x))), each)

@@ -1,0 +1,13 @@
+"""One policy for all contexts of a CMDP: the baselines that train once instead of choosing sources.
+
+    params = stack_params(world, [derive(...) for each context], visible)
+    training = train_multitask(world, MultiTaskRecipe("paco"), seeds, params, timesteps=5_000_000)
+    returns = evaluate_multitask(world, recipe, training.best, params, episode_seeds)   # (S, N, E)
+
+Methods: `ppo` is context-conditioned PPO, an ordinary policy that reads the context in its
+observation; `paco` composes a network per context (`paco.py`); `moore` mixes orthogonal
+representations per context (`moore.py`). All three learn by the same PPO from the same rollouts,
+in which contexts take turns (`mbtl.engine.worlds.copies`).
+
+The training loop knows these as one more algorithm, so nothing that trains is imported here.
+"""

@@ -1,0 +1,60 @@
+"""One learned vector per context, linear between neighbours.
+
+PaCo and MOORE know a finite set of tasks, here the N contexts of the grid. A place p is a position
+on the context axis in grid steps, 0 <= p <= N - 1: a whole number is a context that was trained on,
+and a context between two of them gets a mixture of their vectors. That is how both methods are
+carried over to a continuous axis.
+
+Networks with such a table find the place as the last number of an observation: `with_place` makes
+it one more visible feature, so that environments, rollouts and evaluations need not know of it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mbtl.engine.learners.recipes import MultiTaskRecipe
+from mbtl.engine.worlds.environments import Tree
+
+
+def rows_at(table: jax.Array, place: jax.Array) -> jax.Array:
+    """(..., K) vectors of `table` (N, K) at `place` (...).
+
+    A product with hat functions, which are one-hot on the grid: on a CPU a gather would be slow,
+    and its gradient, a scatter, slower.
+    """
+    hats = jnp.maximum(0.0, 1.0 - jnp.abs(place[..., None] - jnp.arange(len(table))))
+    return hats @ table
+
+
+def initial_table(n_contexts: int, n_parts: int) -> NDArray[np.float32]:
+    """(N, K) hat functions on K knots spread evenly over the axis: rows sum to 1.
+
+    Contexts begin with the part of the nearest knots, so neighbours begin alike.
+    """
+    knots = np.linspace(0.0, 1.0, n_parts)
+    position = np.linspace(0.0, 1.0, n_contexts)[:, None]
+    hats = np.maximum(0.0, 1.0 - np.abs(position - knots) * (n_parts - 1))
+    return hats.astype(np.float32)
+
+
+def with_place(params: Tree, places: ArrayLike | None = None) -> Any:
+    """Parameters of C contexts with their places as the last visible feature.
+
+    `places` are (C,) positions in grid steps; None where the contexts are the whole grid.
+    """
+    n = len(params.visible)
+    at = np.arange(n) if places is None else np.asarray(places)
+    column = at.astype(np.float64).reshape(n, 1)
+    return params._replace(visible=np.concatenate([np.asarray(params.visible), column], axis=1))
+
+
+def seen(recipe: Any, params: Tree, places: ArrayLike | None = None) -> Tree:
+    """Contexts as the networks see them: those with a vector per context need their places."""
+    needs = isinstance(recipe, MultiTaskRecipe) and recipe.has_vectors
+    return with_place(params, places) if needs else params

@@ -1,0 +1,340 @@
+"""Hyper-parameters as frozen records, and the named recipes of those who learn from copies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import ClassVar, Literal, get_args
+
+from mbtl.errors import InvalidInput, unknown_name
+
+Activation = Literal["tanh", "relu", "mish"]
+
+_STEPS_PER_CALL = 256
+"""A2C and DQN learn every few steps: as many of those as give this many steps are one update."""
+
+_FREE = ("learning_starts",)
+"""Whole numbers of recipes that may be 0."""
+
+
+def check_lengths(**counts: int) -> None:
+    """Refuse numbers that are below 1."""
+    for name, value in counts.items():
+        if value < 1:
+            raise InvalidInput(f"{name} must be >= 1, got {value}")
+
+
+@dataclass(frozen=True)
+class Learner:
+    """What the recipes of all algorithms have.
+
+    Attributes:
+        unit: what the length of a training counts, "timesteps" or "episodes".
+        gamma: discount per decision.
+        hidden: widths of the hidden layers of all networks.
+        activation: between the layers.
+
+    Raises:
+        InvalidInput: a count is below 1, or numbers of a subclass do not fit together.
+    """
+
+    unit: ClassVar[str]
+    gamma: float = 0.99
+    hidden: tuple[int, ...] = (64, 64)
+    activation: Activation = "tanh"
+
+    def __post_init__(self) -> None:
+        counts = [one.name for one in fields(self) if one.type == "int" and one.name not in _FREE]
+        check_lengths(**{name: getattr(self, name) for name in counts})
+
+    @property
+    def record(self) -> dict[str, object]:
+        """JSON-able: what decides the policy."""
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        return values | {"hidden": list(self.hidden)}
+
+
+@dataclass(frozen=True)
+class ActorCritic(Learner):
+    """What the recipes of PPO, A2C and TRPO have beside that.
+
+    Attributes:
+        gae_lambda: decay of generalised advantage estimation; 1 gives whole returns.
+        normalize_advantage: to mean 0 and standard deviation 1 in what is learnt from at once.
+        log_std: initial log standard deviation of a Gaussian policy.
+    """
+
+    gae_lambda: float = 0.95
+    normalize_advantage: bool = False
+    log_std: float = 0.0
+
+
+@dataclass(frozen=True)
+class WithCopies(Learner):
+    """What the recipes have that learn from copies of an environment, which start again one by one.
+
+    Attributes:
+        n_envs: copies of the environment per policy.
+        learning_rate: of the optimiser: Adam, or A2C's RMSprop.
+        max_grad_norm: gradients of one policy are scaled down to this norm.
+        anneal: learning rate falls linearly to 0 over the training.
+    """
+
+    unit: ClassVar[str] = "timesteps"
+    n_envs: int = 1
+    learning_rate: float = 3e-4
+    max_grad_norm: float = 0.5
+    anneal: bool = False
+
+
+@dataclass(frozen=True)
+class PPORecipe(WithCopies, ActorCritic):
+    """Hyper-parameters of PPO; the defaults are those of Stable-Baselines3.
+
+    Attributes:
+        n_steps: steps of each copy between two updates.
+        batch_size: transitions per gradient step; divides n_envs x n_steps.
+        n_epochs: passes over the rollout per update.
+        clip_range: trust region of the probability ratio.
+        entropy_coef: weight of the entropy bonus.
+        value_coef: weight of the value loss.
+        adam_eps: Adam's denominator offset.
+        standardize: learn from observations with mean 0 and deviation 1; see `units`.
+
+    Raises:
+        InvalidInput: a count is below 1, or the minibatches do not fill the rollout.
+    """
+
+    n_steps: int = 2048
+    batch_size: int = 64
+    n_epochs: int = 10
+    clip_range: float = 0.2
+    entropy_coef: float = 0.0
+    value_coef: float = 0.5
+    adam_eps: float = 1e-5
+    normalize_advantage: bool = True
+    standardize: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.update_length % self.batch_size:
+            raise InvalidInput(
+                f"batch_size must divide n_envs x n_steps = {self.update_length}, "
+                f"got {self.batch_size}"
+            )
+
+    @property
+    def update_length(self) -> int:
+        """Environment steps of one policy between two updates."""
+        return self.n_envs * self.n_steps
+
+
+@dataclass(frozen=True)
+class A2CRecipe(WithCopies, ActorCritic):
+    """Hyper-parameters of A2C, as in `PPORecipe`; the defaults are those of Stable-Baselines3.
+
+    Attributes:
+        n_steps: steps of each copy between two gradient steps.
+        rms_decay: of RMSprop's mean of squares.
+        rms_eps: RMSprop's denominator offset.
+        rms_like_tensorflow: RMSprop as it is there, not as in PyTorch; see `a2c.optimizer`.
+    """
+
+    n_steps: int = 5
+    learning_rate: float = 7e-4
+    gae_lambda: float = 1.0
+    entropy_coef: float = 0.0
+    value_coef: float = 0.5
+    rms_decay: float = 0.99
+    rms_eps: float = 1e-5
+    rms_like_tensorflow: bool = False
+
+    @property
+    def rollouts_per_update(self) -> int:
+        """Rollouts, each with its gradient step, that the loop sees as one update."""
+        return math.ceil(_STEPS_PER_CALL / (self.n_envs * self.n_steps))
+
+    @property
+    def update_length(self) -> int:
+        """Environment steps of one policy in one call of `a2c.update`."""
+        return self.rollouts_per_update * self.n_envs * self.n_steps
+
+
+@dataclass(frozen=True)
+class DQNRecipe(WithCopies):
+    """Hyper-parameters of DQN; the defaults are those of Stable-Baselines3 but for the replay.
+
+    (Stable-Baselines3 keeps 1,000,000 transitions; a tenth of it is what fits for many policies.)
+
+    Attributes:
+        train_freq: steps of each copy between two rounds of learning.
+        gradient_steps: minibatches per round.
+        batch_size: transitions per minibatch, drawn with replacement.
+        buffer_size: transitions kept for replay, per policy; the oldest are overwritten.
+        learning_starts: environment steps of uniformly random actions before the first round.
+        target_every: environment steps between two copies of the network to its target.
+        exploration_fraction: share of the training in which epsilon falls linearly from 1.
+        final_epsilon: probability of a random action afterwards.
+        adam_eps: Adam's denominator offset.
+
+    Raises:
+        InvalidInput: a count is below 1, or rounds do not fill the replay.
+    """
+
+    train_freq: int = 4
+    gradient_steps: int = 1
+    batch_size: int = 32
+    learning_rate: float = 1e-4
+    buffer_size: int = 100_000
+    learning_starts: int = 100
+    target_every: int = 10_000
+    exploration_fraction: float = 0.1
+    final_epsilon: float = 0.05
+    max_grad_norm: float = 10.0
+    adam_eps: float = 1e-8
+    activation: Activation = "relu"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.buffer_size % self.steps_per_round:
+            raise InvalidInput(
+                f"buffer_size must be a multiple of n_envs x train_freq = {self.steps_per_round}, "
+                f"got {self.buffer_size}"
+            )
+
+    @property
+    def steps_per_round(self) -> int:
+        """Environment steps of one policy between two rounds of learning."""
+        return self.n_envs * self.train_freq
+
+    @property
+    def rounds_per_update(self) -> int:
+        """Rounds that the loop sees as one update."""
+        return math.ceil(_STEPS_PER_CALL / self.steps_per_round)
+
+    @property
+    def update_length(self) -> int:
+        """Environment steps of one policy in one call of `dqn.update`."""
+        return self.rounds_per_update * self.steps_per_round
+
+
+MultiTaskMethod = Literal["ppo", "paco", "moore"]
+
+
+@dataclass(frozen=True)
+class MultiTaskRecipe:
+    """One policy for all contexts (`mbtl.engine.learners.multitask`).
+
+    Attributes:
+        method: "ppo" (context-conditioned PPO), "paco" or "moore".
+        ppo: how it learns; its copies of the environment are shared by all contexts.
+        n_parts: parameter sets of PaCo, experts of MOORE; context-conditioned PPO has none.
+
+    Raises:
+        UnknownName: no such method.
+        InvalidInput: less than one part, or standardised observations for PaCo or MOORE, whose
+            vectors are found by a number that must stay as it is.
+    """
+
+    unit: ClassVar[str] = "timesteps"
+    method: MultiTaskMethod = "ppo"
+    ppo: PPORecipe = field(default_factory=PPORecipe)
+    n_parts: int = 5
+
+    def __post_init__(self) -> None:
+        if self.method not in get_args(MultiTaskMethod):
+            raise unknown_name("multi-task method", self.method, get_args(MultiTaskMethod))
+        check_lengths(n_parts=self.n_parts)
+        if self.has_vectors and self.ppo.standardize:
+            raise InvalidInput(
+                f"{self.method} cannot learn from standardised observations, got standardize=True; "
+                "use the method ppo, or standardize=False"
+            )
+
+    @property
+    def update_length(self) -> int:
+        """Environment steps of one policy between two updates."""
+        return self.ppo.update_length
+
+    @property
+    def activation(self) -> Activation:
+        """Between the layers."""
+        return self.ppo.activation
+
+    @property
+    def has_vectors(self) -> bool:
+        """Whether there is a learned vector per context; networks must know then where they are."""
+        return self.method != "ppo"
+
+    @property
+    def record(self) -> dict[str, object]:
+        """JSON-able: what decides the policy."""
+        parts = {"n_parts": self.n_parts} if self.has_vectors else {}
+        ppo = self.ppo.record
+        if not self.ppo.standardize:  # records of before have no word of it
+            del ppo["standardize"]
+        return {"method": self.method, "ppo": ppo, **parts}
+
+
+Recipe = PPORecipe | A2CRecipe | DQNRecipe | MultiTaskRecipe
+
+RECIPES: Mapping[str, Mapping[str, Recipe]] = {
+    "PPO": {
+        "sb3": PPORecipe(),
+        "fast": PPORecipe(
+            n_envs=8, n_steps=128, batch_size=128, n_epochs=1, learning_rate=2e-3, anneal=True
+        ),
+    },
+    "A2C": {
+        "sb3": A2CRecipe(),
+        "fast": A2CRecipe(n_envs=16, learning_rate=3e-3, anneal=True, rms_like_tensorflow=True),
+    },
+    "DQN": {
+        "sb3": DQNRecipe(),
+        "fast": DQNRecipe(
+            n_envs=8, batch_size=64, learning_rate=1e-3, buffer_size=51_200, target_every=2048
+        ),
+    },
+}
+"""Recipes by algorithm and name: `sb3` has Stable-Baselines3's defaults, `fast` ends sooner."""
+
+
+_SHARED = PPORecipe(
+    n_envs=100, n_steps=128, batch_size=512, n_epochs=1, learning_rate=2e-3, anneal=True
+)
+MULTI_TASK: Mapping[str, PPORecipe] = {
+    "CartPole": _SHARED,
+    "Pendulum": replace(_SHARED, gamma=0.95, n_epochs=4),
+}
+"""How a hundred contexts are learnt from, by the class of the environment."""
+_SHORTEST = 16
+"""Steps of a copy between two updates that `spread_recipe` leaves."""
+_N_PARTS: Mapping[MultiTaskMethod, int] = {"ppo": 1, "paco": 5, "moore": 4}
+
+
+def multitask_recipe(method: MultiTaskMethod, environment: str) -> MultiTaskRecipe:
+    """Our recipe for a hundred contexts of an environment, by the name of its class.
+
+    Raises:
+        UnknownName: there is none.
+    """
+    if environment not in MULTI_TASK:
+        raise unknown_name("environment with multi-task recipes", environment, MULTI_TASK)
+    return MultiTaskRecipe(method, MULTI_TASK[environment], _N_PARTS.get(method, 1))
+
+
+def spread_recipe(method: MultiTaskMethod, one: PPORecipe, n_contexts: int) -> MultiTaskRecipe:
+    """The recipe of one source for many contexts: the same update, of more and shorter copies.
+
+    As many copies as there are contexts, if that leaves 16 steps of each: then every update learns
+    from all contexts, by as many gradient steps per environment step as for one source.
+
+    Raises:
+        UnknownName: no such method.
+    """
+    n_envs, n_steps = one.n_envs, one.n_steps
+    while n_envs < n_contexts and n_steps % 2 == 0 and n_steps > _SHORTEST:
+        n_envs, n_steps = 2 * n_envs, n_steps // 2
+    ppo = replace(one, n_envs=n_envs, n_steps=n_steps)
+    return MultiTaskRecipe(method, ppo, _N_PARTS.get(method, 1))

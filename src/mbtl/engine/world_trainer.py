@@ -1,0 +1,606 @@
+"""The worlds in jax as a trainer of a study, and of whole transfer matrices.
+
+Nothing of jax is imported before a training or evaluation, so the record can be made, printed and
+sent to another process anywhere.
+
+A training that was extended is, bit for bit, the one of the whole length: all that decides the
+future is in its state, and learning rates and exploration follow the whole length. How long one
+policy for many contexts should be trained nobody knows beforehand. So its learning rate falls to
+zero at each mark, and begins anew after it: the policy at a mark is a finished one, and the
+training can still go on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.contexts import Context
+from mbtl.engine import lazy as engine
+from mbtl.engine.checkpoints import Checkpoint, shares_of
+from mbtl.errors import unknown_name
+from mbtl.portfolio import MLPPolicy
+from mbtl.seeds import episode_seeds
+from mbtl.trainers.contract import (
+    Ability,
+    OnProgress,
+    Progress,
+    Trained,
+    check_asked,
+    check_settings,
+    checked_returns,
+    even_groups,
+)
+
+BY_STEPS = ("PPO", "A2C", "DQN")
+"""Algorithms that learn every few steps; a training is as many `timesteps`."""
+BY_EPISODES = ("TRPO", "PPO", "A2C", "DQN")
+"""Algorithms that learn from whole episodes; a training is as many `episodes`."""
+
+_COUNTS = ("eval_episodes", "checkpoint_episodes")
+_OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every")
+
+_CPU_LANES = 25
+"""Sources trained together on a CPU where one of them would not keep it busy."""
+_CHECKPOINTS, _EACH = 20, 2
+"""Evaluations of a policy for all contexts, and episodes of each on every context."""
+_CHECK_TIMES, _CHECK_SHARE = 50, 20
+_CHECKS, _CHECKED_AT, _REACHED = "checks", "checked_at", "reached"
+"""Numbers that are kept with the state of a training."""
+
+Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
+"""contexts -> (`mbtl.engine.learners.World`, its parameters with one leading axis)."""
+
+
+@dataclass(frozen=True)
+class WorldTrainer:
+    """Trains policies in a world (`mbtl.trainers.Trainer`), one or many at once.
+
+        trainer = get_cmdp("cartpole-length", engine="jax").trainer_for("full")
+        policy = trainer.train([{"length": 0.5}], seed=0).policy
+        returns = trainer.evaluate(policy, space.contexts, range(space.n))  # (n_targets, 100)
+
+    Attributes:
+        problem: contexts -> world and parameters; a function of a module, or a record.
+        timesteps: environment steps of one training, rounded up to whole updates; or
+        episodes: of one training, likewise.
+        algorithm: "PPO", "A2C" or "DQN"; by whole episodes "TRPO", too.
+        recipe_name: named hyper-parameters of the algorithm, e.g. "sb3", "fast" or "paper".
+        hyperparameters: fields of the recipe that differ from the named one.
+        eval_episodes: episodes per target in `evaluate`.
+        acting: in all evaluations, the "mean" actions, or "sampled" ones; None: mean where steps
+            are counted, sampled where episodes are, as in the papers. DQN always takes the best
+            action, since values are no chances.
+        checkpoint: "final" weights, or the "best" of periodic evaluations on the own context. The
+            best cannot change once it has the largest return there is, so training ends there.
+        checkpoint_every: steps or episodes between those evaluations; default 2 % of the training.
+        checkpoint_episodes: episodes of each.
+        reward: what training is rewarded by, a name that the world knows; None: by its own reward.
+            It changes no score.
+        actions: what training advises, a name that the world knows; None: the world's own actions,
+            which the policies use in either case.
+
+    Raises:
+        InvalidInput: a number is not positive, there is not one of `timesteps` and `episodes`, or
+            `checkpoint` is neither "final" nor "best".
+        UnknownName: no such algorithm, or way to act.
+    """
+
+    problem: Problem
+    _: KW_ONLY
+    timesteps: int | None = None
+    episodes: int | None = None
+    algorithm: str = "PPO"
+    recipe_name: str | None = None
+    hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+    eval_episodes: int = 100
+    acting: Literal["sampled", "mean"] | None = None
+    checkpoint: Literal["final", "best"] = "best"
+    checkpoint_every: int | None = None
+    checkpoint_episodes: int = 10
+    reward: str | None = None
+    actions: str | None = None
+
+    policy_format = "mlp"
+    on_sets: ClassVar[Mapping[str, str]] = {
+        "contexts": "uniform, one per episode",
+        "checkpoint_every": f"1/{_CHECKPOINTS}",
+        "checkpoint_episodes": f"{_EACH} per context",
+    }
+    """How the recipe of one policy for several contexts differs."""
+
+    def __post_init__(self) -> None:
+        by_steps, algorithm = self.episodes is None, self.algorithm
+        for name, value in {
+            "hyperparameters": dict(self.hyperparameters or {}),
+            "recipe_name": self.recipe_name
+            or ("fast" if by_steps or algorithm == "A2C" else "paper"),
+            "acting": self.acting or ("mean" if by_steps else "sampled"),
+        }.items():
+            object.__setattr__(self, name, value)
+        check_settings(self, _COUNTS, _OPTIONAL_COUNTS)
+        algorithms = BY_STEPS if by_steps else BY_EPISODES
+        if self.algorithm not in algorithms:
+            kind = "jax engine" if by_steps else "traffic twins"
+            raise unknown_name(f"algorithm of the {kind}", self.algorithm, algorithms)
+
+    # ---- what it is --------------------------------------------------------------------------
+
+    @property
+    def unit(self) -> str:
+        """What is counted, "timesteps" or "episodes"."""
+        return "timesteps" if self.episodes is None else "episodes"
+
+    @property
+    def length(self) -> int:
+        """Timesteps or episodes of one training."""
+        return int(getattr(self, self.unit))
+
+    @property
+    def update_length(self) -> int:
+        """Timesteps or episodes of one update."""
+        return int(self.learner.update_length)
+
+    @property
+    def learner(self) -> Any:
+        """The recipe in the engine, with this trainer's `hyperparameters`.
+
+        Raises:
+            UnknownName: no such recipe, or it has no such hyper-parameter.
+        """
+        named = engine.recipe_named(self.algorithm, str(self.recipe_name), self.unit)
+        for name in self.hyperparameters:
+            if name not in named.record:
+                raise unknown_name(f"hyperparameter of {self.algorithm}", name, named.record)
+        return replace(named, **self.hyperparameters)
+
+    @property
+    def recipe(self) -> dict[str, Any]:
+        """What decides the policies and their returns, JSON-able; not the place or speed."""
+        by_steps = self.unit == "timesteps"
+        return {
+            "trainer": "mbtl-jax" if by_steps else "mbtl-twin",
+            "algorithm": self.algorithm,
+            "recipe": self.recipe_name,
+            "hyperparameters": dict(sorted(self.hyperparameters.items())),
+            self.unit: self.length,
+            **({} if by_steps and self._how == "mean" else {"acting": self._how}),
+            "checkpoint": self.checkpoint,
+            "checkpoint_every": self.checkpoint_every,
+            "checkpoint_episodes": self.checkpoint_episodes,
+            "eval_episodes": self.eval_episodes,
+            **({} if self.reward is None else {"reward": self.reward}),
+            **({} if self.actions is None else {"actions": self.actions}),
+        }
+
+    @property
+    def takes(self) -> frozenset[Ability]:
+        """Several contexts by episodes, or by PPO; no state where no file can hold it."""
+        sets: set[Ability] = {"sets"} if self._why_no_sets is None else set()
+        storable = getattr(self.problem, "storable", True)
+        stored: set[Ability] = {"state", "resume"} if storable else set()
+        return frozenset({*sets, *stored, "start", "length"})
+
+    def why_not(self, ability: Ability) -> str:
+        """What the recipe or the world cannot do."""
+        if ability == "sets":
+            return str(self._why_no_sets)
+        return "its simulators live in one process; choose another --engine"
+
+    @property
+    def whole(self) -> int:
+        """Timesteps of one training, whole updates; or its episodes."""
+        if self.episodes is not None:
+            return self.episodes
+        unit = self.update_length
+        return -(-self.length // unit) * unit
+
+    @property
+    def counts(self) -> Literal["steps", "episodes"]:
+        """What `whole` counts."""
+        return "steps" if self.episodes is None else "episodes"
+
+    @property
+    def lanes(self) -> int:
+        """Policies that are best trained together here.
+
+        As many as the problem says, or all on an accelerator. On a CPU one PPO program by steps
+        already keeps a core busy, and a policy trained alone is, bit for bit, the one that a study
+        trains; the others need company.
+        """
+        if (own := getattr(self.problem, "lanes", None)) is not None:
+            return int(own)
+        if not engine.on_cpu():
+            return 1 << 20
+        return 1 if (self.algorithm, self.unit) == ("PPO", "timesteps") else _CPU_LANES
+
+    def groups(self, contexts: Sequence[Context], lanes: int) -> list[int]:
+        """Sizes of the groups of consecutive contexts that are trained together."""
+        if self.unit == "episodes" and engine.on_cpu():
+            world, params = self.problem(contexts)
+            if hasattr(world, "groups"):
+                return list(world.groups(params, lanes))
+        return even_groups(len(contexts), lanes)
+
+    # ---- training ----------------------------------------------------------------------------
+
+    def train(
+        self,
+        contexts: Sequence[Context],
+        seed: int,
+        *,
+        start: Any = None,
+        length: float | None = None,
+        done: float = 0.0,
+        marks: Sequence[float] = (),
+        state: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> Trained:
+        """Train one policy (`mbtl.trainers.Trainer`), up to whole updates.
+
+        A training of a given `length` gives the latest weights, whatever `checkpoint` says: who
+        chooses lengths evaluates policies on the way, and the best of them serves. It evaluates
+        itself only where that can end it early, which is where a perfect return is one of episodes
+        that last. Where it may `start` from a policy, the critic, which no policy carries, begins
+        anew.
+
+        On several contexts each episode of an update is in another of them. Whole it is judged on
+        all of them 20 times, two episodes each. Of a given length, where steps are counted, it is
+        context-conditioned PPO as in the multi-task baseline: its copies of the world take turns in
+        the contexts. Then it does not evaluate itself, and never ends early.
+
+        Raises:
+            InvalidInput: there are no contexts, a hyper-parameter that the recipe does not have,
+                several contexts by steps and not by PPO, or `start` has another shape.
+            TrainingFailed: the weights became NaN.
+            MissingExtra: jax is not installed.
+        """
+        check_asked(self, contexts, start, length)
+        world, params = self._lessons(contexts)
+        file = engine.SavedTraining(state if getattr(world, "storable", True) else None)
+        begun = round(done * self.whole)
+        if len(contexts) > 1:
+            stops = None
+            if length is not None:
+                stops = [round(mark * self.whole) for mark in (*(marks or (done, length)), length)]
+            problem = contexts, world, params
+            return self._on_several(problem, seed, start, begun, stops, file, on_progress)
+        recipe, whole = self.learner, length is None
+        each = 1 if self.episodes is None else engine.counted.decisions_of(world, params)
+        checked = not whole and _may_end(world)
+        only_best, every = checked, _check_every(self, world) if checked else None
+        if whole:
+            only_best, every = self.checkpoint == "best", self.checkpoint_every
+
+        def fresh() -> Any:
+            weights = None if start is None else engine.taught(world, start, recipe.activation)
+            training = engine.start(world, recipe, [seed], params, weights)
+            return _advanced(training, -(-begun // self.update_length))
+
+        def on_block(block: Any) -> None:
+            at = int(block.training.updates)
+            latest = float(block.training.latest_return[0]) if checked else None
+            if latest is not None and at > file.notes.get(_CHECKED_AT, 0):
+                lasted = round(latest * self.checkpoint_episodes)
+                file.notes[_CHECKS] = file.notes.get(_CHECKS, 0) + lasted
+                file.notes[_CHECKED_AT] = at
+            if on_progress is not None:
+                metrics = {} if latest is None else {"episode_return": latest}
+                on_progress(Progress(block.steps * each, block.total * each, metrics))
+
+        training = engine.train(
+            world,
+            recipe,
+            [seed],
+            params,
+            self.length,
+            on_block=self._on_block(on_progress) if whole else on_block,
+            checkpoint_every=every,
+            checkpoint_episodes=self.checkpoint_episodes,
+            acting=self._how,
+            only_best=only_best,
+            resume=file.load(fresh) or fresh(),
+            saved=file,
+            until=None if length is None else round(length * self.whole),
+            judging=whole or checked,
+        )
+        best = whole and self.checkpoint == "best"
+        weights = training.best if best else training.state.weights
+        most = world.max_return
+        return Trained(
+            engine.export_policies(world, weights, recipe.activation)[0],
+            int(training.updates) * self.update_length * each,
+            file.notes.get(_CHECKS, 0),
+            ended=only_best and most is not None and float(training.best_return[0]) >= most,
+        )
+
+    def _on_several(
+        self,
+        problem: tuple[Sequence[Context], Any, Any],
+        seed: int,
+        start: Any,
+        begun: int,
+        stops: Sequence[int] | None,
+        file: Any,
+        on_progress: OnProgress | None,
+    ) -> Trained:
+        """To the last of `stops` by way of those before, its marks; None: a whole training."""
+        contexts, world, params = problem
+        by_steps, n, whole = self.episodes is None, len(contexts), stops is None
+        recipe = recipe_on_many(self, world, n) if by_steps and not whole else self.learner
+        unit = int(recipe.update_length)
+        *marks, until = (self.length, self.length) if stops is None else stops
+        # from mark to mark are the stages; `reached` is where the present one began
+        ends = [-(-mark // unit) for mark in (marks if by_steps else marks[-1:])]
+        last = min(-(-until // unit), ends[-1])
+        each = () if by_steps else engine.counted.each_of(self.problem, contexts)
+        tell = self._on_block(on_progress) if whole else None
+
+        def played(updates: int) -> int:
+            many = updates * unit
+            return many if by_steps else int(engine.episodes_met(seed, updates, n, unit) @ each)
+
+        def fresh() -> Any:
+            weights = None if start is None else engine.taught(world, start, recipe.activation)
+            return engine.start_multitask(world, recipe, [seed], params, weights)
+
+        def on_block(block: Any) -> None:
+            if tell is not None:
+                tell(block)
+            elif on_progress is not None:
+                on_progress(Progress(played(reached + block.steps // unit), total))
+            if block.steps < block.total:  # the end of a stage is the beginning of the next one
+                file.save(block.training)
+
+        total = played(ends[-1])
+        training = file.load(fresh)  # its `updates` count from the last mark on
+        if training is None:
+            passed = -(-begun // unit)
+            file.notes[_REACHED] = max((end for end in ends if end <= passed), default=0)
+            training = _advanced(fresh(), passed - file.notes[_REACHED])
+        reached = file.notes.setdefault(_REACHED, 0)
+        judging: dict[str, Any] = {"judging": False}
+        if whole:
+            every = math.ceil(self.length / _CHECKPOINTS)
+            judging = {"checkpoint_every": every, "checkpoint_episodes": _EACH, "acting": self._how}
+        while reached + int(training.updates) < last:
+            length = min(end for end in ends if end > reached) - reached
+            training = engine.train_multitask(
+                world,
+                recipe,
+                [seed],
+                params,
+                length * unit,
+                on_block=on_block,
+                resume=training,
+                until=(last - reached) * unit,
+                **judging,
+            )
+            if int(training.updates) == length:
+                training = _advanced(training, -length)
+                reached = file.notes[_REACHED] = reached + length
+        file.save(training, done=True)
+        best = whole and self.checkpoint == "best"
+        weights = training.best if best else training.state.weights
+        policy = engine.export_policies(world, weights, recipe.activation)[0]
+        return Trained(policy, played(reached + int(training.updates)))
+
+    def train_many(
+        self,
+        contexts: Sequence[Context],
+        seeds: Sequence[int],
+        *,
+        keep: Sequence[str] = ("best", "final"),
+        state: Path | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> dict[str, list[MLPPolicy]]:
+        """Train one policy per (context, seed), all in one program (`mbtl.trainers.ManyTrainer`).
+
+        Repeat a context to train it with several seeds. `on_progress` is told steps or episodes of
+        one policy, and the mean of the latest evaluations; without "final" among what to keep, a
+        training may need fewer of them.
+        """
+        world, params = self._lessons(contexts)
+        recipe, marks = self.learner, shares_of(keep)
+        training = engine.train(
+            world,
+            recipe,
+            seeds,
+            params,
+            self.length,
+            on_block=self._on_block(on_progress),
+            checkpoint_every=self.checkpoint_every,
+            checkpoint_episodes=self.checkpoint_episodes,
+            acting=self._how,
+            only_best="final" not in keep,
+            marks=marks,
+            saved=engine.SavedTraining(state if getattr(world, "storable", True) else None),
+        )
+        kept = [engine.weights_of(training, Checkpoint.named(name), marks) for name in keep]
+        each = [engine.export_policies(world, weights, recipe.activation) for weights in kept]
+        return dict(zip(keep, each, strict=True))
+
+    def untrained(self, context: Context) -> MLPPolicy:
+        """A policy as a training begins with it (`mbtl.trainers.RehearsingTrainer`)."""
+        world, params = self._lessons([context])
+        recipe = self.learner
+        weights = engine.start(world, recipe, [0], params).best
+        return engine.export_policies(world, weights, recipe.activation)[0]
+
+    def _lessons(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
+        """The world as it teaches, and the parameters of the contexts."""
+        world, params = self.problem(contexts)
+        asked = ("reward", self.reward, "rewards"), ("actions", self.actions, "lessons")
+        for what, name, names in asked:
+            if name is not None and name not in (known := getattr(world, names, ())):
+                raise unknown_name(f"{what} of this world", name, known)
+        if self.reward is not None:
+            world = replace(world, reward=self.reward)
+        return world if self.actions is None else world.lesson(self.actions), params
+
+    def _on_block(self, on_progress: OnProgress | None) -> Callable[[Any], None] | None:
+        """Tells where a training stands."""
+        if on_progress is None:
+            return None
+        by_steps = self.unit == "timesteps"
+        unit, metric = ("steps", "episode_return") if by_steps else ("episodes", "score")
+
+        def on_block(block: Any) -> None:
+            latest = float(np.mean(block.training.latest_return))
+            on_progress(Progress(block.steps, block.total, {metric: latest}, unit))
+
+        return on_block
+
+    # ---- evaluation --------------------------------------------------------------------------
+
+    def evaluate(
+        self, policy: MLPPolicy, contexts: Sequence[Context], seeds: Sequence[int] | int
+    ) -> Array:
+        """Returns without adaptation, (n_targets, eval_episodes).
+
+        Episode e in a context starts from random numbers that follow from the seed given for it:
+        the same for every policy, and whatever the other contexts.
+
+        Raises:
+            InvalidInput: there is another number of seeds than of contexts.
+            TrainingFailed: a return is NaN or infinite.
+        """
+        return checked_returns(self.evaluate_many([policy], contexts, seeds)[0], len(contexts))
+
+    def evaluate_steps(
+        self, policy: Any, contexts: Sequence[Context], seeds: Sequence[int] | int
+    ) -> tuple[Array, Array]:
+        """As `evaluate`, and how many steps each episode had, both (n_targets, eval_episodes)."""
+        returns = self.evaluate(policy, contexts, seeds)
+        steps = engine.counted.known_steps(self.problem, contexts, returns)
+        if steps is None:
+            counting = replace(self, problem=engine.counted.Counting(self.problem))
+            steps = counting.evaluate(policy, contexts, seeds)
+        return returns, steps
+
+    def evaluate_many(
+        self, policies: Sequence[MLPPolicy], contexts: Sequence[Context], seeds: Sequence[int] | int
+    ) -> Array:
+        """(P, n_targets, eval_episodes) returns of policies of one shape; see `evaluate`."""
+        each = episode_seeds(seeds, len(contexts), self.eval_episodes)
+        world, params = self.problem(contexts)
+        actor, activation = engine.import_actor(list(policies)), policies[0].activation
+        return engine.evaluate(world, actor, params, each, activation=activation, how=self._how)
+
+    def beside(
+        self,
+        policies: Sequence[MLPPolicy],
+        contexts: Sequence[Sequence[Context]],
+        seeds: Sequence[int] | int,
+        names: Sequence[str] = (),
+    ) -> dict[str, dict[str, Array]]:
+        """What is measured of episodes beside the score: by the world, or by its simulators.
+
+        Args:
+            policies: that serve; of one that serves nowhere anything.
+            contexts: of each policy, those that it serves; none twice.
+            seeds: of the episodes, one per context, policy by policy.
+            names: of the measures, where simulators tell them in the last step's `info`.
+
+        Returns:
+            By who drives ("policies", and what goes best by itself) and by measure, an array of
+            (contexts, eval_episodes), the contexts policy by policy; of simulators, which are slow,
+            one episode each.
+        """
+        every = [context for some in contexts for context in some]
+        world, params = self.problem(every)
+        own, parts, first = episode_seeds(seeds, len(every), self.eval_episodes), [], 0
+        if not hasattr(world, "measures"):
+            from mbtl.envs.references import measured
+            from mbtl.envs.rollout import Actor
+
+            make_env, sampled = getattr(self.problem, "make_env", None), self._how == "sampled"
+            if make_env is None:
+                return {}
+            pairs = zip(policies, contexts, strict=True)
+            acting = [(Actor(policy, sampled), some) for policy, some in pairs if some]
+            score = getattr(self.problem, "score", None)
+            first_ones = [seeds_there[:1] for seeds_there in own]
+            return measured(make_env, acting, first_ones, names, max_envs=1, score=score)
+        for policy, some in zip(policies, contexts, strict=True):
+            if some:
+                end = first + len(some)
+                part = type(params)(*(field[first:end] for field in params))
+                actor, activation = engine.import_actor([policy]), policy.activation
+                acts: Any = {"activation": activation, "how": self._how}
+                parts.append(engine.measured(world, actor, part, own[first:end], **acts))
+                first = end
+        found = {"policies": {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}}
+        for way in (*(("unguided",) if world.drives else ()), *getattr(world, "ways", ()))[-1:]:
+            found[way] = engine.measured(world, None, params, own, way=way)
+        return found
+
+    def reference_rows(
+        self, contexts: Sequence[Context], seeds: Sequence[int] | int
+    ) -> dict[str, Array]:
+        """See `mbtl.trainers.ReferenceTrainer`."""
+        each = episode_seeds(seeds, len(contexts), self.eval_episodes)
+        world, params = self.problem(contexts)
+        return engine.reference_returns(world, params, each)
+
+    @property
+    def _why_no_sets(self) -> str | None:
+        if self.episodes is not None or self.algorithm == "PPO":
+            return None
+        return (
+            f"multi-task methods learn by PPO, got a recipe of {self.algorithm}; choose another "
+            "--preset"
+        )
+
+    @property
+    def _how(self) -> Literal["sampled", "mean"]:
+        if self.algorithm == "DQN":
+            return "mean"
+        return self.acting or "mean"  # settled when it was made
+
+    # ---- files -------------------------------------------------------------------------------
+
+    def save(self, policy: MLPPolicy, folder: Path) -> bool:
+        """Write weights and manifest into the empty `folder`."""
+        policy.save(Path(folder))
+        return True
+
+    def load(self, folder: Path) -> MLPPolicy:
+        """Read what `save` wrote; nothing but numbers is loaded."""
+        return MLPPolicy.load(Path(folder))
+
+
+def _advanced(training: Any, updates: int) -> Any:
+    """As if so many more updates were done; schedules follow their number."""
+    return training._replace(updates=training.updates + updates) if updates else training
+
+
+def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo") -> Any:
+    """The recipe of one policy for n contexts.
+
+    CartPole and Pendulum have one of their own; every other world is learnt by that of one source,
+    its copies spread over the contexts. The trainer learns by PPO.
+    """
+    name = type(getattr(world, "env", world)).__name__
+    if name in engine.MULTI_TASK:
+        return engine.multitask_recipe(method, name)  # type: ignore[arg-type]  # it checks the name
+    return engine.spread_recipe(method, trainer.learner, n)  # type: ignore[arg-type]
+
+
+def _may_end(world: Any) -> bool:
+    """Whether a training can be found to have nothing left to gain."""
+    lasts = getattr(getattr(world, "env", None), "lasts", None)
+    return world.max_return is not None and lasts == "return"
+
+
+def _check_every(trainer: WorldTrainer, world: Any) -> int:
+    """Steps between two evaluations of itself: every 2 %, and they cost a twentieth at most."""
+    dearest = trainer.checkpoint_episodes * (int(world.env.horizon) if trainer.timesteps else 1)
+    often = -(-trainer.length // _CHECK_TIMES)
+    return trainer.checkpoint_every or max(often, _CHECK_SHARE * dearest)

@@ -1,0 +1,90 @@
+"""Importing this starts jax, with settings that it reads when it makes its first client.
+
+jax 0.10 on few cores can hang for ever in compiled programs with many small parallel operations,
+which its concurrency-optimised scheduler hands to a pool of few threads. Our programs are of that
+kind (a hundred tiny networks), so that scheduler is switched off. It has no say on a GPU.
+Networks of this size are computed faster by one thread than by several that wait for each other
+(`NPROC` is where jax's CPU client reads the number); more cores are used by more processes.
+Another hang, that of batched QR factorisations, is avoided in `networks.init_weights`.
+
+The settings travel in the environment of the process. They are there while jax starts and no
+longer: what a user's program starts later must not inherit them. Where compiled programs are kept
+is in `cache`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import warnings
+from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
+
+from mbtl.engine.worlds.cache import keep_programs
+from mbtl.errors import missing_extra
+from mbtl.processes import usable_cores
+
+SAFE_FLAGS = {"--xla_cpu_enable_concurrency_optimized_scheduler": "false"}
+_FLAGS, _THREADS = "XLA_FLAGS", "NPROC"
+_FEW = 8
+"""Cores on which the scheduler is warned of; hangs were seen on two."""
+
+
+def settings(environ: Mapping[str, str]) -> dict[str, str]:
+    """What the environment lacks; a flag, or a number of threads, of the user's own stays."""
+    given = environ.get(_FLAGS, "").split()
+    names = {flag.partition("=")[0] for flag in given}
+    ours = [f"{name}={value}" for name, value in SAFE_FLAGS.items() if name not in names]
+    lacking = {_FLAGS: " ".join([*given, *ours])} if ours else {}
+    return lacking if _THREADS in environ else {**lacking, _THREADS: "1"}
+
+
+@contextlib.contextmanager
+def lent(values: Mapping[str, str]) -> Iterator[None]:
+    """These values are in the environment of the process for the block, and gone after it."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def start_jax() -> None:
+    """Start jax with our settings, unless it runs already; then warn where it could hang."""
+    import jax
+
+    if _runs():
+        _warn(jax.default_backend())
+        return
+    with lent(settings(os.environ)):
+        jax.devices()
+    keep_programs(os.environ)
+
+
+def _runs() -> bool:
+    from jax._src import xla_bridge  # there is no public question of this kind
+
+    return bool(xla_bridge.backends_are_initialized())
+
+
+def _warn(backend: str) -> None:
+    if backend == "cpu" and usable_cores() <= _FEW and _FLAGS in settings(os.environ):
+        flags = " ".join(f"{name}={value}" for name, value in SAFE_FLAGS.items())
+        warnings.warn(
+            f"jax was started before mbtl.engine.worlds and without {flags}: on few cores its "
+            f"programs can hang; import mbtl.engine.worlds before jax computes, or set "
+            f"{_FLAGS}={flags} in the environment",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+
+
+for _package in ("jax", "optax"):
+    if find_spec(_package) is None:
+        raise missing_extra(_package, "jax")
+start_jax()

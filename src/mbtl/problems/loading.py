@@ -1,0 +1,80 @@
+"""A CMDP by what a user types: an id, or where their own is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mbtl.errors import InvalidInput, unknown_name
+from mbtl.laboratory import laboratory
+from mbtl.loading import load_object
+from mbtl.problems.cmdp import CMDP
+from mbtl.problems.plugins import plugin_cmdp, plugin_ids
+
+
+def cmdp_ids() -> list[str]:
+    """Ids of our CMDPs, those of the laboratory."""
+    return list(laboratory().ids())
+
+
+def get_cmdp(id: str, **switches: Any) -> CMDP:
+    """A CMDP by id: one of ours, or of another package (`mbtl.problems.plugins`).
+
+    Args:
+        id: e.g. "cartpole-length"; `cmdp_ids()` lists all of ours.
+        **switches: of ours, such as `visibility` or `engine`: see `mbtl.zoo.cmdps.get_cmdp`. One
+            of another package has none.
+
+    Raises:
+        UnknownName: no CMDP has this id, or a switch has no such setting.
+        InvalidInput: one of ours is not simulated in that engine; or it is of another package, and
+            cannot be loaded or was given a switch.
+    """
+    if id in cmdp_ids():
+        ours: CMDP = laboratory().get(id, **switches)
+        return ours
+    found = plugin_cmdp(id)
+    if found is None:
+        known = [*cmdp_ids(), *plugin_ids()]
+        raise unknown_name("CMDP", id, known, hint="`mbtl cmdps` lists all.")
+    if given := [switch for switch, value in switches.items() if value is not None]:
+        raise InvalidInput(
+            f"a CMDP of another package has no switches, got {', '.join(given)} with {id!r} of "
+            f"{plugin_ids()[id]!r}; leave them out"
+        )
+    return found
+
+
+def resolve_cmdp(name: str, **switches: Any) -> CMDP:
+    """A CMDP by id, or a user's own by `module:attribute`.
+
+    Args:
+        name: id, or "module:attribute".
+        **switches: of ours, see `get_cmdp`; None: not given.
+
+    Raises:
+        UnknownName: no CMDP has this id.
+        InvalidInput: no CMDP is there, it cannot be imported, or a switch for a user's own.
+    """
+    given = {switch: value for switch, value in switches.items() if value is not None}
+    if ":" not in name:
+        if name.endswith(".py"):
+            raise InvalidInput(
+                f"a file needs the name of the CMDP inside it, got {name!r}; write {name}:<name>"
+            )
+        return get_cmdp(name, **given)
+    if given:
+        raise InvalidInput(
+            f"{', '.join(switches)} are switches of our CMDPs, got "
+            f"{next(iter(given.values()))!r} with {name!r}; set it in your problem"
+        )
+    found = load_object(name)
+    if not isinstance(found, CMDP):
+        raise InvalidInput(
+            f"{name!r} must be a CMDP, got {_kind(found)}; build one with CMDP.from_functions or "
+            "CMDP.from_env"
+        )
+    return found
+
+
+def _kind(found: Any) -> str:
+    return "a function" if callable(found) and not isinstance(found, type) else repr(type(found))

@@ -1,1 +1,0 @@
-"""One module per item; `mbtl.reproduction.runner` lists them."""

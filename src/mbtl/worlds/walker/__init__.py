@@ -1,5 +1,0 @@
-"""BipedalWalker in jax, a twin of Box2D's: ground, body, contacts and impulses."""
-
-from mbtl.worlds.walker.walker import BipedalWalker, WalkerParams, WalkerState
-
-__all__ = ["BipedalWalker", "WalkerParams", "WalkerState"]

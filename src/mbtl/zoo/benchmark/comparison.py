@@ -1,0 +1,619 @@
+"""A whole comparison: its runs, its summary, and what people do with them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.errors import missing_extra, unknown_name
+from mbtl.objective import k_star
+from mbtl.zoo.benchmark.oracle import Reference
+
+# ---- records of a comparison: numbers first, tables and figures are drawn from these ---------
+#
+# What each number means stands below; `to_json` gives the document of `mbtl bench`.
+
+
+CONFIDENCE = 0.95
+RESAMPLES = 10_000
+
+
+@dataclass(frozen=True)
+class Run:
+    """One selector on one matrix seed.
+
+    Attributes:
+        matrix: path or id as given.
+        matrix_seed: position along the seed axis.
+        selector: selector name.
+        seed: selector seed; 0 for a deterministic selector.
+        theta: slope that the selector was told, performance per grid step.
+        sources: (K,) 0-based picks in order.
+        performance: (K,) V_1..V_K, normalised, not clipped.
+        select_seconds: total wall time of the K proposals.
+    """
+
+    matrix: str
+    matrix_seed: int
+    selector: str
+    seed: int
+    theta: float
+    sources: tuple[int, ...]
+    performance: Array
+    select_seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return {
+            "matrix": self.matrix,
+            "matrix_seed": self.matrix_seed,
+            "selector": self.selector,
+            "seed": self.seed,
+            "theta": self.theta,
+            "sources": list(self.sources),
+            "performance": self.performance.tolist(),
+            "select_seconds": self.select_seconds,
+        }
+
+
+@dataclass(frozen=True, repr=False)
+class Estimate:
+    """A number and its 95 % interval, `low` to `high`; None where it does not exist."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+
+    def __repr__(self) -> str:
+        if self.value is None:
+            return "none"
+        interval = "" if self.low is None else f" [{self.low:.4g}, {self.high:.4g}]"
+        return f"{self.value:.4g}{interval}"
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return {"value": self.value, "low": self.low, "high": self.high}
+
+
+@dataclass(frozen=True, repr=False)
+class Trainings:
+    """Number of trainings until a level is reached.
+
+    Attributes:
+        estimate: geometric mean, censored seeds as K + 1; so a lower bound where any is censored.
+        censored: number of seeds that did not reach the level within K.
+        per_seed: each matrix seed's number; None when censored.
+    """
+
+    estimate: Estimate
+    censored: int
+    per_seed: tuple[int | None, ...]
+
+    def __repr__(self) -> str:
+        seeds = ", ".join("never" if k is None else str(k) for k in self.per_seed)
+        if self.censored == 0:
+            return f"{self.estimate!r} (by seed: {seeds})"
+        least = "" if self.estimate.value is None else f">{self.estimate.value:.4g} "
+        missing = f"{self.censored} of {len(self.per_seed)} seeds"
+        return f"{least}({missing} did not get there; by seed: {seeds})"
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return {
+            **self.estimate.to_json(),
+            "censored": self.censored,
+            "per_seed": list(self.per_seed),
+        }
+
+
+@dataclass(frozen=True)
+class SelectorSummary:
+    """One selector on one matrix, or pooled; this module has every formula."""
+
+    V_K: Estimate
+    V_mean: Estimate
+    k_star: Trainings
+    k90: Trainings
+    k95: Trainings
+    k99: Trainings
+    minus_random_at_K: Estimate
+    minus_random_mean: Estimate
+    closed_at_K: Estimate
+    closed_under_curve: Estimate
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return {
+            "V_K": self.V_K.to_json(),
+            "V_mean": self.V_mean.to_json(),
+            "k_star": self.k_star.to_json(),
+            "k90": self.k90.to_json(),
+            "k95": self.k95.to_json(),
+            "k99": self.k99.to_json(),
+            "minus_random": {
+                "at_K": self.minus_random_at_K.to_json(),
+                "mean": self.minus_random_mean.to_json(),
+            },
+            "closed_fraction": {
+                "at_K": self.closed_at_K.to_json(),
+                "under_curve": self.closed_under_curve.to_json(),
+            },
+        }
+
+
+@dataclass(frozen=True)
+class Lead:
+    """How far one selector is ahead of another, > 0 where it is better.
+
+    Attributes:
+        V_K: in V after the last training.
+        V_mean: in V, mean over k = 1..K.
+        closed_at_K: in the closed fraction, after the last training.
+        closed_under_curve: in the closed fraction, over all trainings.
+        per_seed: in mean V, of each matrix seed.
+    """
+
+    V_K: Estimate
+    V_mean: Estimate
+    closed_at_K: Estimate
+    closed_under_curve: Estimate
+    per_seed: tuple[float, ...]
+
+    @property
+    def ahead(self) -> int:
+        """Number of matrix seeds where it is ahead."""
+        return sum(lead > 0.0 for lead in self.per_seed)
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return {
+            "V_K": self.V_K.to_json(),
+            "V_mean": self.V_mean.to_json(),
+            "closed_fraction": {
+                "at_K": self.closed_at_K.to_json(),
+                "under_curve": self.closed_under_curve.to_json(),
+            },
+            "per_seed": list(self.per_seed),
+        }
+
+
+@dataclass(frozen=True, repr=False)
+class Difference:
+    """One selector less another, paired: both saw the same matrix seeds.
+
+    Attributes:
+        selector: the one.
+        against: the other.
+        matrices: by matrix; intervals over its seeds, drawn anew with replacement.
+        pooled: mean over the matrices; intervals over the seeds of these matrices.
+        over_matrices: the same means; intervals over the matrices, which are drawn anew, too: what
+            to expect on another problem of this kind. No interval with fewer than three.
+    """
+
+    selector: str
+    against: str
+    matrices: Mapping[str, Lead]
+    pooled: Lead
+    over_matrices: Lead
+
+    def __repr__(self) -> str:
+        from mbtl.zoo.benchmark.tables import difference_text  # draws these records
+
+        return difference_text(self)
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return {
+            "selector": self.selector,
+            "against": self.against,
+            "matrices": {name: lead.to_json() for name, lead in self.matrices.items()},
+            "pooled": self.pooled.to_json(),
+            "over_matrices": self.over_matrices.to_json(),
+        }
+
+
+@dataclass(frozen=True)
+class MatrixSummary:
+    """One matrix: its levels and reference curves (means over seeds), and every selector.
+
+    Attributes:
+        n_seeds: number of matrix seeds S.
+        independent: see `Levels`; so for the next two.
+        random: (K,) expected V of Random.
+        oracle: (K,) V of the Sequential Oracle.
+        selectors: by selector name.
+        references: V of the reference rows by name; see `mbtl.zoo.benchmark.oracle`.
+        caveat: what must be said beside these numbers; None where there is nothing to say.
+    """
+
+    n_seeds: int
+    independent: float
+    oracle_transfer: float
+    grand_mean: float
+    random: Array
+    oracle: Array
+    selectors: Mapping[str, SelectorSummary]
+    references: Mapping[str, float] = field(default_factory=dict)
+    caveat: str | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return {
+            "matrix_seeds": self.n_seeds,
+            "levels": {
+                "independent": self.independent,
+                "oracle_transfer": self.oracle_transfer,
+                "grand_mean": self.grand_mean,
+            },
+            "references": dict(self.references),
+            "caveat": self.caveat,
+            "curves": {"random": self.random.tolist(), "oracle": self.oracle.tolist()},
+            "selectors": {name: s.to_json() for name, s in self.selectors.items()},
+        }
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All of a comparison: per matrix, and pooled over the matrices."""
+
+    budget: int
+    matrices: Mapping[str, MatrixSummary]
+    pooled: Mapping[str, SelectorSummary]
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return {
+            "budget": self.budget,
+            "interval": {
+                "method": "percentile bootstrap over matrix seeds, shared by all selectors",
+                "level": CONFIDENCE,
+                "resamples": RESAMPLES,
+            },
+            "matrices": {name: m.to_json() for name, m in self.matrices.items()},
+            "pooled": {name: s.to_json() for name, s in self.pooled.items()},
+        }
+
+
+# ---- summary of a comparison: what each selector reached, with intervals over matrix seeds ---
+#
+# Notation (shapes): one matrix with S seeds, K trainings.
+#     V        (S, K)  generalisation performance; a selector run with several selector seeds enters
+#                      with the mean of its curves, `random` with its exact expectation
+#     V_rand   (S, K)  Random's exact expectation      V_orac  (S, K)  Sequential Oracle
+#
+# Per matrix seed, then averaged over the seeds of a matrix:
+#     V_K      V at k = K                              V_mean  mean of V over k = 1..K
+#     k_star   first k with V >= Independent (the multi-task value is no part of a matrix)
+#     k90      first k with V >= grand mean + 0.90 (Oracle Transfer - grand mean); k95, k99 alike
+# Averages of k are geometric means. A level not reached within K is *censored*: the seed shows
+# None, enters the geometric mean as K + 1, and is counted; with `censored` > 0 the value therefore
+# is a lower bound, and with every seed censored it is None.
+#
+#     minus_random     V - V_rand, at K and as mean over k
+#     closed_fraction  mean(V - V_rand) / mean(V_orac - V_rand), at K and under the curve (k =
+#                      1..K): a ratio of means over seeds, never a mean of ratios; None if nobody
+#                          can gain
+#
+# *Pooled* values average these per-matrix means over the matrices, each matrix counting once: V_K
+# and V_mean arithmetically, k geometrically, closed_fraction as the ratio of the two pooled means.
+#
+# Intervals: 95 % percentile bootstrap. Seeds are the unit: the S seeds of each matrix are drawn
+# with replacement, within that matrix, and all selectors share the draws, so differences are
+# paired. One seed gives no interval, alone or in a pool. With three seeds the bootstrap knows only
+# ten samples, and its intervals are too short; they show the scatter between seeds, not a tested
+# claim.
+
+
+SHARES = (0.90, 0.95, 0.99)
+DRAWS_SEED = 20240604
+_TIE = 1e-12
+
+# Columns of the per-seed table; every statistic is a function of their means.
+V_K, V_MEAN, LOG_K, GAIN, ROOM = 0, 1, slice(2, 6), slice(6, 8), slice(8, 10)
+
+
+def summarise(
+    curves: Mapping[str, Mapping[str, Array]],
+    references: Mapping[str, Sequence[Reference]],
+    caveats: Mapping[str, str | None] | None = None,
+) -> Summary:
+    """Summarise the curves of several selectors on several matrices.
+
+    Args:
+        curves: matrix name -> selector name -> (S, K) V; the same selectors for every matrix.
+        references: matrix name -> one reference per matrix seed.
+        caveats: matrix name -> what must be said beside its numbers.
+    """
+    rng = np.random.default_rng(DRAWS_SEED)
+    draws = {name: seed_draws(len(refs), rng) for name, refs in references.items()}
+    tables: dict[str, list[SeedTable]] = {}
+    matrices = {}
+    for name, refs in references.items():
+        selectors = {}
+        for selector, values in curves[name].items():
+            table = SeedTable.of(values, refs, draws[name])
+            tables.setdefault(selector, []).append(table)
+            selectors[selector] = _summary([table])
+        matrices[name] = _matrix_summary(refs, selectors, (caveats or {}).get(name))
+    budget = len(next(iter(references.values()))[0].random)
+    return Summary(budget, matrices, {name: _summary(group) for name, group in tables.items()})
+
+
+@dataclass(frozen=True)
+class SeedTable:
+    """Per-seed columns of one selector on one matrix, and the shared bootstrap draws."""
+
+    columns: Array  # (S, F)
+    reached: tuple[tuple[int | None, ...], ...]  # per level, per seed
+    draws: Array | None  # (B, S) shares of each seed, rows sum to 1
+
+    @classmethod
+    def of(cls, values: Array, refs: Sequence[Reference], draws: Array | None) -> SeedTable:
+        """The columns of (S, K) V."""
+        budget = values.shape[1]
+        by_seed = [_reached(curve, ref) for curve, ref in zip(values, refs, strict=True)]
+        reached = tuple(zip(*by_seed, strict=True))
+        trainings = np.array([[budget + 1 if k is None else k for k in row] for row in reached])
+        random = np.array([ref.random for ref in refs])
+        gain, room = values - random, np.array([ref.oracle.curve for ref in refs]) - random
+        columns = np.column_stack(
+            [
+                values[:, -1],
+                values.mean(axis=1),
+                np.log(trainings).T,
+                gain[:, -1],
+                gain.mean(axis=1),
+                room[:, -1],
+                room.mean(axis=1),
+            ]
+        )
+        return cls(columns, reached, draws)
+
+
+def trainings_to(curve: Array, low: float, high: float) -> list[int | None]:
+    """Trainings until (K,) V has gone each of `SHARES` of the way from `low` to `high`."""
+    return [k_star(curve, low + share * (high - low) - _TIE) for share in SHARES]
+
+
+def _reached(curve: Array, ref: Reference) -> list[int | None]:
+    """k_star, k90, k95, k99 of one seed."""
+    low, high = ref.levels.grand_mean, ref.levels.oracle_transfer
+    return [k_star(curve, ref.levels.independent - _TIE), *trainings_to(curve, low, high)]
+
+
+def seed_draws(n_seeds: int, rng: np.random.Generator) -> Array | None:
+    """(B, S) shares of each seed in B draws with replacement; None of a single seed."""
+    if n_seeds == 1:
+        return None
+    counts = rng.multinomial(n_seeds, np.full(n_seeds, 1.0 / n_seeds), size=RESAMPLES)
+    return np.asarray(counts / n_seeds)
+
+
+def _summary(tables: Sequence[SeedTable]) -> SelectorSummary:
+    """The statistics of one selector over one or more matrices."""
+    means = np.mean([table.columns.mean(axis=0) for table in tables], axis=0)
+    resampled = resampled_means(tables)
+
+    def estimate(statistic: Any) -> Estimate:
+        return estimated(statistic, means, resampled)
+
+    def trainings(q: int) -> Trainings:
+        per_seed = tuple(k for table in tables for k in table.reached[q])
+        censored = sum(k is None for k in per_seed)
+        if censored == len(per_seed):
+            return Trainings(Estimate(None, None, None), censored, per_seed)
+        return Trainings(estimate(lambda m: np.exp(m[..., LOG_K][..., q])), censored, per_seed)
+
+    return SelectorSummary(
+        V_K=estimate(lambda m: m[..., V_K]),
+        V_mean=estimate(lambda m: m[..., V_MEAN]),
+        k_star=trainings(0),
+        k90=trainings(1),
+        k95=trainings(2),
+        k99=trainings(3),
+        minus_random_at_K=estimate(lambda m: m[..., GAIN][..., 0]),
+        minus_random_mean=estimate(lambda m: m[..., GAIN][..., 1]),
+        closed_at_K=estimate(lambda m: ratio(m[..., GAIN][..., 0], m[..., ROOM][..., 0])),
+        closed_under_curve=estimate(lambda m: ratio(m[..., GAIN][..., 1], m[..., ROOM][..., 1])),
+    )
+
+
+def estimated(statistic: Any, means: Array, resampled: Array | None) -> Estimate:
+    """A function of the (F,) means, with its interval by the (B, F) resampled ones."""
+    value = float(statistic(means))
+    low = high = None
+    if resampled is not None:
+        spread = np.asarray(statistic(resampled))
+        spread = spread[np.isfinite(spread)]
+        if spread.size:
+            tail = (1.0 - CONFIDENCE) / 2.0
+            low, high = (float(q) for q in np.quantile(spread, [tail, 1.0 - tail]))
+    return Estimate(value, low, high) if np.isfinite(value) else Estimate(None, None, None)
+
+
+def resampled_means(tables: Sequence[SeedTable]) -> Array | None:
+    """(B, F) means under the bootstrap; None if a matrix has one seed, whose scatter is unknown."""
+    parts = []
+    for table in tables:
+        if table.draws is None:
+            return None
+        parts.append(table.draws @ table.columns)
+    return np.asarray(np.mean(parts, axis=0))
+
+
+def ratio(gain: Array, room: Array) -> Array:
+    """Gain / room; NaN where there is no room."""
+    some = np.abs(room) > _TIE
+    return np.where(some, gain / np.where(some, room, 1.0), np.nan)
+
+
+def _matrix_summary(
+    refs: Sequence[Reference], selectors: Mapping[str, SelectorSummary], caveat: str | None
+) -> MatrixSummary:
+    return MatrixSummary(
+        n_seeds=len(refs),
+        independent=float(np.mean([ref.levels.independent for ref in refs])),
+        oracle_transfer=float(np.mean([ref.levels.oracle_transfer for ref in refs])),
+        grand_mean=float(np.mean([ref.levels.grand_mean for ref in refs])),
+        random=np.mean([ref.random for ref in refs], axis=0),
+        oracle=np.mean([ref.oracle.curve for ref in refs], axis=0),
+        selectors=selectors,
+        references={key: float(np.mean([ref.rows[key] for ref in refs])) for key in refs[0].rows},
+        caveat=caveat,
+    )
+
+
+# ---- one selector less another on the same matrix seeds, with intervals ----------------------
+#
+# What is hard about a matrix seed is hard for both, so it cancels in the difference, and the
+# interval of a difference is shorter than those of the two. Formulas and the bootstrap are those of
+# the summary: V_K, V_mean, and closed_fraction as a ratio of means,
+# mean(V_a - V_b) / mean(V_orac - V_rand).
+#
+# Two intervals answer two questions. Over the seeds of these matrices: would other trainings on
+# these very problems give the same? Over the matrices, each drawn with its seeds: what is to be
+# expected on another problem? The second is wider where selectors differ from problem to problem.
+
+
+_FEWEST = 3
+"""Matrices from which an interval over matrices says something."""
+
+
+def difference(comparison: Comparison, selector: str, against: str) -> Difference:
+    """The lead of one selector over another; see `Comparison.difference`."""
+    rng = np.random.default_rng(DRAWS_SEED)  # the draws of the summary
+    tables = {}
+    for name, refs in comparison.references.items():
+        draws, curves = seed_draws(len(refs), rng), comparison.curves[name]
+        for asked in (selector, against):
+            if asked not in curves:
+                raise unknown_name("selector of this comparison", asked, list(curves))
+        one, other = (SeedTable.of(curves[asked], refs, draws) for asked in (selector, against))
+        columns = one.columns - other.columns
+        columns[:, ROOM] = one.columns[:, ROOM]  # of the matrix, the same for both
+        tables[name] = SeedTable(columns, (), draws)
+    every = list(tables.values())
+    return Difference(
+        selector,
+        against,
+        {name: _lead([table], resampled_means([table])) for name, table in tables.items()},
+        _lead(every, resampled_means(every)),
+        _lead(every, _over_matrices(every)),
+    )
+
+
+def _lead(tables: Sequence[SeedTable], resampled: Array | None) -> Lead:
+    means = np.mean([table.columns.mean(axis=0) for table in tables], axis=0)
+    return Lead(
+        V_K=estimated(lambda m: m[..., V_K], means, resampled),
+        V_mean=estimated(lambda m: m[..., V_MEAN], means, resampled),
+        closed_at_K=estimated(lambda m: _closed(m, 0), means, resampled),
+        closed_under_curve=estimated(lambda m: _closed(m, 1), means, resampled),
+        per_seed=tuple(float(v) for table in tables for v in table.columns[:, V_MEAN]),
+    )
+
+
+def _closed(means: Array, which: int) -> Array:
+    return ratio(means[..., GAIN][..., which], means[..., ROOM][..., which])
+
+
+def _over_matrices(tables: Sequence[SeedTable]) -> Array | None:
+    """(B, F) means over matrices that are drawn with replacement, each with its seeds."""
+    if len(tables) < _FEWEST:
+        return None
+    rng = np.random.default_rng(DRAWS_SEED)
+    each = np.array(
+        [
+            table.columns.mean(axis=0)[None].repeat(RESAMPLES, axis=0)
+            if table.draws is None
+            else table.draws @ table.columns
+            for table in tables
+        ]
+    )  # (matrices, B, F)
+    drawn = rng.integers(len(tables), size=(len(tables), RESAMPLES))
+    return np.asarray(each[drawn, np.arange(RESAMPLES)].mean(axis=0))
+
+
+# ---- the whole -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison:
+    """Every run of a comparison, and its summary; shown, it is the table of `mbtl bench`.
+
+    Attributes:
+        results: every run; one of `random` is one order of many.
+        summary: what the table shows.
+        curves: matrix -> selector -> (S, K) V of each matrix seed: the mean over selector seeds,
+            and Random's exact expectation over all orders.
+        references: matrix -> levels and reference curves of each matrix seed.
+    """
+
+    results: tuple[Run, ...]
+    summary: Summary
+    curves: Mapping[str, Mapping[str, Array]]
+    references: Mapping[str, Sequence[Reference]]
+
+    def __repr__(self) -> str:
+        from mbtl.zoo.benchmark.tables import comparison_text  # draws this
+
+        return comparison_text(self)
+
+    def to_json(self) -> dict[str, Any]:
+        """The document that `mbtl bench --json` prints."""
+        return {
+            "results": [run.to_json() for run in self.results],
+            "summary": self.summary.to_json(),
+        }
+
+    def difference(self, selector: str, against: str) -> Difference:
+        """How far one selector is ahead of another on the same matrix seeds, with intervals.
+
+        Args:
+            selector: name of one that was compared.
+            against: name of another.
+
+        Raises:
+            UnknownName: one of them was not compared.
+        """
+        return difference(self, selector, against)
+
+    def to_frame(self) -> Any:
+        """A pandas table, a line per run and training: k, the source, and V after it.
+
+        Random is exact, as in the table: its V is the mean over all orders, and it has no source.
+        The orders that were drawn are in `results`.
+
+        Raises:
+            MissingExtra: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ModuleNotFoundError as error:
+            raise missing_extra("pandas", "frames") from error
+        lines: list[tuple[Any, ...]] = []
+        for run in self.results:
+            sources: Sequence[int | None] = run.sources
+            values = run.performance
+            if run.selector == "random":
+                if run.seed > 0:
+                    continue
+                sources = [None] * len(sources)
+                values = self.curves[run.matrix]["random"][run.matrix_seed]
+            head = (run.matrix, run.matrix_seed, run.selector, run.seed)
+            lines += [
+                (*head, k, source, float(value))
+                for k, (source, value) in enumerate(zip(sources, values, strict=True), 1)
+            ]
+        heads = ["matrix", "matrix_seed", "selector", "seed", "k", "source", "V"]
+        return pandas.DataFrame(lines, columns=heads).astype({"source": "Int64"})
+
+    def plot(self, matrix: str | None = None, *, ax: Any = None) -> Any:
+        """V against k of every selector on one matrix; see `mbtl.plot.comparison`."""
+        from mbtl.plot import comparison
+
+        return comparison(self, matrix, ax=ax)

@@ -1,0 +1,432 @@
+"""A claim of the paper, and the words of a verdict on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from mbtl.zoo.reproduction.item import Numbers
+
+# ---- a claim of the paper, and the words of a verdict on it ----------------------------------
+
+
+REPRODUCED, PARTLY, NOT, OPEN = "reproduced", "partly", "not reproduced", "not testable"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim.
+
+    Attributes:
+        title: in a few words.
+        paper: what the paper says.
+        rule: when it counts as reproduced, and when as partly.
+        found: what was found, with numbers.
+        verdict: "reproduced", "partly", "not reproduced" or "not testable".
+        figure: stem of the figure to look at; empty if there is none.
+    """
+
+    title: str
+    paper: str
+    rule: str
+    found: str
+    verdict: str
+    figure: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return asdict(self)
+
+
+def verdict(full: bool, part: bool) -> str:
+    """Of a claim that can be tested."""
+    return REPRODUCED if full else PARTLY if part else NOT
+
+
+# Claims about theory and matrices: search space, gap, heatmaps, rivals, the process itself
+
+
+def of_elimination(numbers: Numbers) -> list[Claim]:
+    """Of the item `elimination`."""
+    some = numbers["cmdps"]
+    if not some:
+        return []
+    shortest = min(len(one["rate"]) for one in some.values())
+    mean = np.mean([one["rate"][:shortest] for one in some.values()], axis=0)[1:]
+    root, halving = (np.array(numbers[key])[1:shortest] for key in ("sqrt", "halving"))
+    if not len(mean):
+        return []
+    below, faster = int((mean <= root).sum()), int((mean <= halving).sum())
+    each = sum(
+        bool((np.array(one["rate"])[1:shortest] <= root).mean() >= 0.9) for one in some.values()
+    )
+    return [
+        Claim(
+            "Search space shrinks as the corollaries assume",
+            "The search space shrinks at least as fast as 1/sqrt(k), up to as fast as halving.",
+            "Reproduced: in the mean over CMDPs it is at most 1/sqrt(k) at every k from 2. Partly: "
+            "at half of them.",
+            f"at most 1/sqrt(k) at {below} of {len(mean)} k, at most halving at {faster}; below "
+            f"1/sqrt(k) at nine k of ten on {each} of {len(some)} CMDPs",
+            verdict(below == len(mean), 2 * below >= len(mean)),
+            "11-elimination",
+        )
+    ]
+
+
+def of_correlation(numbers: Numbers) -> list[Claim]:
+    """Of the item `gap-correlation`."""
+    means = {id: one["mean"] for id, one in numbers["cmdps"].items() if one["mean"] is not None}
+    groups: tuple[tuple[str, str, str, Callable[[float], bool]], ...] = (
+        ("eco", "eco-driving", "above 0.6", lambda r: r > 0.6),
+        ("cheetah", "HalfCheetah", "near 0 (within 0.1)", lambda r: abs(r) <= 0.1),
+        ("", "all others", "mostly 0.3 to 0.5", lambda r: 0.3 <= r <= 0.5),
+    )
+    found = []
+    for prefix, name, said, holds in groups:
+        some = {
+            id: r
+            for id, r in means.items()
+            if (id.startswith(prefix) if prefix else not id.startswith(("eco", "cheetah")))
+        }
+        title, rule = (
+            f"Gap correlation: {name}",
+            "Reproduced: the mean over sources is so on at least two thirds of the CMDPs. Partly: "
+            "on one.",
+        )
+        if not some:
+            found.append(Claim(title, said, rule, "no matrix so far", OPEN))
+            continue
+        good = [id for id, r in some.items() if holds(r)]
+        values = ", ".join(f"{id} {r:.2f}" for id, r in some.items())
+        found.append(
+            Claim(title, f"Correlation of gap and distance {said}.", rule,
+                  f"so on {len(good)} of {len(some)}: {values}",
+                  verdict(3 * len(good) >= 2 * len(some), bool(good)), "09-gap-correlation")
+        )  # fmt: skip
+    return found
+
+
+Holds = Callable[[dict[str, float]], bool]
+
+
+def of_heatmaps(numbers: Numbers) -> list[Claim]:
+    """Of the item `heatmaps`."""
+    facts = {id: one["facts"] for id, one in numbers["cmdps"].items()}
+    flat = ("signal-speed", "walker-friction", "cheetah-friction")
+    decay = ("cartpole-masscart", "cartpole-length", "pendulum-length")
+    said: tuple[tuple[str, tuple[str, ...], str, str, str, Holds], ...] = (
+        ("Heatmaps: signal inflow", ("signal-inflow",),
+         "Transfer from low to high inflow is bad.",
+         "low to high loses 0.1 or more and over twice of high to low",
+         "low to high {up:+.3f}, high to low {down:+.3f}",
+         lambda f: f["up"] <= -0.1 and f["up"] <= 2 * f["down"]),
+        ("Heatmaps: near uniform", flat, "Signal speed and the frictions are near uniform.",
+         "deviation between sources at most 0.05", "between sources {by_source:.3f}",
+         lambda f: f["by_source"] <= 0.05),
+        ("Heatmaps: green phase", ("eco-green",), "Eco-driving is better at long green.",
+         "performance rises with the target's green (rank correlation above 0.5)",
+         "rank correlation {target_trend:+.2f}", lambda f: f["target_trend"] > 0.5),
+        ("Heatmaps: eco inflow", ("eco-inflow",), "Eco-driving is better at low inflow.",
+         "performance falls with the target's inflow (rank correlation below -0.5)",
+         "rank correlation {target_trend:+.2f}", lambda f: f["target_trend"] < -0.5),
+        ("Heatmaps: penetration", ("eco-penetration",), "Penetration is nearly flat.",
+         "deviation between targets at most 0.05", "between targets {by_target:.3f}",
+         lambda f: f["by_target"] <= 0.05),
+        ("Heatmaps: decay with distance", decay,
+         "CartPole's cart mass and length and Pendulum's length decay with distance.",
+         "far pairs lose 0.05 or more against near ones", "near {near:+.3f}, far {far:+.3f}",
+         lambda f: f["far"] <= f["near"] - 0.05),
+    )  # fmt: skip
+    found = []
+    for title, ids, paper, rule, shown, holds in said:
+        some = {id: facts[id] for id in ids if id in facts}
+        rule = f"Reproduced: {rule}, on every CMDP named. Partly: on some."
+        if not some:
+            found.append(Claim(title, paper, rule, "no matrix so far", OPEN, "05-heatmaps"))
+            continue
+        good = [id for id, f in some.items() if holds(f)]
+        words = "; ".join(f"{id}: {shown.format(**f)}" for id, f in some.items())
+        missing = [id for id in ids if id not in some]
+        words += f"; without a matrix so far: {', '.join(missing)}" if missing else ""
+        found.append(
+            Claim(title, paper, rule, words, verdict(len(good) == len(ids), bool(good)),
+                  "05-heatmaps")
+        )  # fmt: skip
+    return found
+
+
+def of_rivals(numbers: Numbers) -> list[Claim]:
+    """Of the item `multitask-rivals`."""
+    rows = [
+        row["values"] for row in numbers["rows"] if {"ppo", "moore", "paco"} <= set(row["values"])
+    ]
+    if not rows:
+        return []
+    moore = sum(row["moore"]["mean"] < row["ppo"]["mean"] for row in rows)
+    paco = sum(row["paco"]["mean"] >= row["ppo"]["mean"] - 1e-4 for row in rows)
+    return [
+        Claim(
+            "PaCo and MOORE on CartPole",
+            "MOORE is below its multi-task baseline; PaCo is equal or better at points.",
+            "Reproduced: MOORE below on most CMDPs, PaCo level (to 0.0001) or better on one or "
+            "more. Partly: one of the two.",
+            f"MOORE below on {moore} of {len(rows)}, PaCo level or better on {paco}",
+            verdict(2 * moore > len(rows) and paco > 0, 2 * moore > len(rows) or paco > 0),
+            "10-multitask-rivals",
+        )
+    ]
+
+
+def of_gp_study(numbers: Numbers) -> list[Claim]:
+    """Of the item `gp-study`."""
+    rows = numbers["rows"]
+    best = min(rows, key=lambda row: row["rmse"])
+    (chosen,) = (r for r in rows if (r["kernel"], r["noise"], r["restarts"]) == ("RBF", 0.001, 15))
+    ratio = chosen["rmse"] / best["rmse"]
+    return [
+        Claim(
+            "Choice of the Gaussian process",
+            "RBF, noise 0.001 and 15 restarts predict best on synthetic data.",
+            "Reproduced: their error is the smallest (to 1 %). Partly: within a tenth of it.",
+            f"error {chosen['rmse']:.4f}; the smallest is {best['rmse']:.4f} ({best['kernel']}, "
+            f"noise {best['noise']:g}); the ratio is {ratio:.2f}",
+            verdict(ratio <= 1.01, ratio <= 1.1),
+            "13-gp-study",
+        )
+    ]
+
+
+# Claims about selection: who is better, by how much, how soon, and whatever the algorithm
+
+
+_MANY = ("random", "greedy")
+_TIE = 1e-9
+ORACLE_K = 10
+
+# ---- the table -----------------------------------------------------------------------------------
+
+
+def _ours(numbers: Numbers) -> list[dict[str, Any]]:
+    return [row for row in numbers["rows"] if row["ours"] is not None]
+
+
+def _mean(row: dict[str, Any], key: str, method: str) -> float:
+    return float(row[key][method]["mean"])
+
+
+def of_table(numbers: Numbers) -> list[Claim]:
+    """Of the item `main-table`."""
+    rows = [row for row in _ours(numbers) if "greedy" in row["ours"]]
+    return [_best(numbers, rows), _many_over_one(numbers, rows)] if rows else []
+
+
+def _best(numbers: Numbers, rows: list[dict[str, Any]]) -> Claim:
+    def wins(group: list[dict[str, Any]], key: str) -> int:
+        return sum(
+            all(_mean(r, key, "mbtl") >= _mean(r, key, m) - _TIE for m in _MANY) for r in group
+        )
+
+    every = [row for row in numbers["rows"] if row["published"]]
+    pooled = numbers["aggregate"]
+    better = {m: pooled[m]["mbtl_better"] for m in _MANY if m in pooled}
+    count, share = wins(rows, "ours"), wins(every, "published") / max(len(every), 1)
+    lead = {
+        m: float(np.mean([_mean(r, "ours", "mbtl") - _mean(r, "ours", m) for r in rows]))
+        for m in _MANY
+    }
+    many, ahead = count >= share * len(rows), all(value > 0 for value in lead.values())
+    odds = ", ".join(f"{value:.2f} over {name}" for name, value in better.items())
+    return Claim(
+        "MBTL over Random and Greedy",
+        f"MBTL is the best of Random, Greedy and MBTL on {wins(every, 'published')} of "
+        f"{len(every)} CMDPs.",
+        "Reproduced: the same share of CMDPs or more, and ahead of both in the mean. Partly: one "
+        "of the two.",
+        f"best on {count} of {len(rows)}; ahead in the mean by {lead['random']:+.4f} (Random) and "
+        f"{lead['greedy']:+.4f} (Greedy); chance that a run of MBTL is better: {odds}",
+        verdict(many and ahead, many or ahead),
+        "01-main-table-aggregate",
+    )
+
+
+def _many_over_one(numbers: Numbers, rows: list[dict[str, Any]]) -> Claim:
+    def above(group: list[dict[str, Any]], key: str, method: str) -> int:
+        return sum(
+            _mean(r, key, method)
+            > max(_mean(r, key, m) for m in ("independent", "multitask") if m in r[key])
+            for r in group
+        )
+
+    every = [row for row in numbers["rows"] if row["published"]]
+    counts = {m: above(rows, "ours", m) for m in _MANY}
+    paper = {m: above(every, "published", m) for m in _MANY}
+    full = all(counts[m] / len(rows) >= paper[m] / max(len(every), 1) for m in _MANY)
+    part = all(counts[m] > len(rows) / 2 for m in _MANY)
+    domains = []
+    for domain in ("traffic", "control"):
+        some = [row for row in rows if row["domain"] == domain]
+        if some:
+            said = " and ".join(f"{m.capitalize()} {above(some, 'ours', m)}" for m in _MANY)
+            domains.append(f"{domain}: {said} of {len(some)}")
+    return Claim(
+        "Random and Greedy over Independent and Multi-task",
+        f"Several policies beat one per context and one for all: Random on {paper['random']}, "
+        f"Greedy on {paper['greedy']} of {len(every)} CMDPs.",
+        "Reproduced: on the same share of CMDPs or more. Partly: on more than half.",
+        "; ".join(domains),
+        verdict(full, part),
+        "01-main-table-agreement",
+    )
+
+
+# ---- sample efficiency ---------------------------------------------------------------------------
+
+_TEXT = {"control": 43.0, "traffic": 30.0}
+
+
+def of_efficiency(numbers: Numbers) -> list[Claim]:
+    """Of the item `sample-complexity`."""
+    found = []
+    for domain, said in _TEXT.items():
+        ours, paper = numbers["best"][f"{domain}_ours"], numbers["best"][f"{domain}_published"]
+        missing = [
+            row["cmdp"] for row in numbers["rows"] if row["domain"] == domain and not row["ours"]
+        ]
+        table = f"; its own table has {paper['value']:.0f} ({paper['of']})" if paper else ""
+        text = f"up to {said:.0f} times fewer trainings in {domain}{table}"
+        rule = f"Reproduced: the largest N/k* is {said:.0f} or more. Partly: half of that."
+        title = f"Sample efficiency in {domain}"
+        if ours is None:
+            found.append(Claim(title, text, rule, "no matrix whose k* is reached", OPEN))
+            continue
+        some = [row for row in numbers["rows"] if row["domain"] == domain and row["ours"]]
+        never = [row["cmdp"] for row in some if row["ours"]["mean"] is None]
+        known = f"largest N/k*: {ours['value']:.1f} on {ours['of']}"
+        if never:
+            known += f"; k* is not reached by every seed on {', '.join(never)}"
+        if missing:
+            known += f"; without a matrix so far: {', '.join(missing)}"
+        found.append(
+            Claim(title, text, rule, known,
+                  verdict(ours["value"] >= said, ours["value"] >= said / 2),
+                  "02-sample-complexity")
+        )  # fmt: skip
+    return found
+
+
+# ---- curves --------------------------------------------------------------------------------------
+
+
+def of_curves(numbers: Numbers) -> list[Claim]:
+    """Of the item `curves`."""
+    some = {
+        id: one["curves"]
+        for id, one in numbers["cmdps"].items()
+        if len(one["curves"]["mbtl"]["mean"]) >= ORACLE_K
+    }
+    if not some:
+        return []
+    left = {
+        id: curves["sequential_oracle"]["mean"][ORACLE_K - 1] - curves["mbtl"]["mean"][ORACLE_K - 1]
+        for id, curves in some.items()
+    }
+    close = [id for id, value in left.items() if value <= 0.02]
+    mean = float(np.mean(list(left.values())))
+    far = max(left, key=lambda id: left[id])
+    return [
+        Claim(
+            "Near the oracle after about 10 trainings",
+            "MBTL comes close to the Sequential Oracle within about 10 trainings.",
+            f"Reproduced: at k = {ORACLE_K} V is within 0.02 of the oracle's on two thirds of the "
+            "CMDPs and in the mean. Partly: one of the two.",
+            f"within 0.02 on {len(close)} of {len(left)}; {mean:.4f} below the oracle in the mean; "
+            f"farthest on {far} ({left[far]:.4f})",
+            verdict(
+                len(close) >= 2 * len(left) / 3 and mean <= 0.02,
+                len(close) >= 2 * len(left) / 3 or mean <= 0.02,
+            ),
+            "03-curves",
+        )
+    ]
+
+
+# ---- sensitivity ---------------------------------------------------------------------------------
+
+
+def of_sensitivity(numbers: Numbers) -> list[Claim]:
+    """Of the item `sensitivity`."""
+    found = []
+    some = numbers["algorithms"]
+    rule = (
+        "Reproduced: with every algorithm V of MBTL at K is at least that of Random and Greedy. "
+        "Partly: with more than half of them."
+    )
+    if some:
+        good = [
+            name
+            for name, one in some.items()
+            if all(
+                one["values"]["mbtl"]["mean"] >= one["values"][m]["mean"] - _TIE
+                for m in _MANY
+                if m in one["values"]
+            )
+        ]
+        values = ", ".join(f"{n} {one['values']['mbtl']['mean']:.4f}" for n, one in some.items())
+        full = len(good) == len(some) == 3
+        found.append(
+            Claim("Insensitive to the RL algorithm",
+                  "MBTL works with DQN, PPO and A2C alike (CartPole, pole length).", rule,
+                  f"ahead or level with {len(good)} of {len(some)} algorithms; V of MBTL: {values}",
+                  verdict(full, len(good) > len(some) / 2), "08-sensitivity-algorithm")
+        )  # fmt: skip
+    rows = numbers["acquisitions"]
+    if rows:
+        differences = {
+            row["cmdp"]: row["values"]["mbtl-ei"]["mean"] - row["values"]["mbtl"]["mean"]
+            for row in rows
+        }
+        close = [id for id, value in differences.items() if abs(value) <= 0.01]
+        mean = float(np.mean(list(differences.values())))
+        outside = ", ".join(f"{i} {v:+.4f}" for i, v in differences.items() if i not in close)
+        found.append(
+            Claim("Insensitive to the acquisition", "UCB and EI reach about the same V.",
+                  "Reproduced: V at K differs by at most 0.01 on 90 % of the CMDPs and in the "
+                  "mean. Partly: on half of them.",
+                  f"within 0.01 on {len(close)} of {len(rows)}; EI less UCB {mean:+.4f} in the mean"
+                  + (f"; beyond: {outside}" if outside else ""),
+                  verdict(len(close) >= 0.9 * len(rows) and abs(mean) <= 0.01,
+                          len(close) >= len(rows) / 2),
+                  "08-sensitivity-acquisition")
+        )  # fmt: skip
+    return found
+
+
+# What the paper claims in its abstract and text, and a verdict on each by a rule stated here
+#
+# A verdict is computed from the numbers of the items, never typed. Each claim says its rule.
+
+
+__all__ = ["NOT", "OPEN", "PARTLY", "REPRODUCED", "Claim", "claims_of"]
+
+_CLAIMS: tuple[tuple[str, Callable[[Numbers], list[Claim]]], ...] = (
+    ("sample-complexity", of_efficiency),
+    ("main-table", of_table),
+    ("curves", of_curves),
+    ("sensitivity", of_sensitivity),
+    ("elimination", of_elimination),
+    ("gap-correlation", of_correlation),
+    ("heatmaps", of_heatmaps),
+    ("multitask-rivals", of_rivals),
+    ("gp-study", of_gp_study),
+)
+
+
+def claims_of(numbers: Mapping[str, Numbers]) -> list[Claim]:
+    """The claims whose items are there, in the paper's order."""
+    return [
+        claim for needs, judge in _CLAIMS if needs in numbers for claim in judge(numbers[needs])
+    ]

@@ -1,0 +1,1 @@
+"""One module per item; `mbtl.zoo.reproduction.runner` lists them."""

@@ -1,0 +1,131 @@
+"""One policy for all contexts of a twin: which ones an update meets, and whole trainings."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+import mbtl.engine.learners as engine  # isort: skip  # before jax: it sets jax's flags
+import jax
+import jax.numpy as jnp
+
+from mbtl.engine.learners import saving
+from mbtl.engine.learners.clock import clock_at
+from mbtl.engine.learners.episodic import learning
+from mbtl.engine.learners.episodic.episodes import record
+from mbtl.engine.learners.episodic.learning import contexts_met
+from mbtl.engine.learners.episodic.recipes import TRPORecipe
+from mbtl.errors import InvalidInput
+from mbtl.problems import get_cmdp
+
+HOLDS = [{"hold": 20.0}, {"hold": 28.0}, {"hold": 40.0}]
+RECIPE = TRPORecipe(n_episodes=2, hidden=(8,), normalize_reward=False)
+
+
+def ring(contexts=HOLDS):
+    trainer = get_cmdp("ring-vel", engine="jax", visibility="multiplier").trainer_for("quick")
+    return trainer.problem(contexts)
+
+
+def test_every_episode_is_in_a_context_of_its_own_and_all_have_their_turn():
+    seeds = jnp.array([7, 8], jnp.uint32)
+    met = np.array([contexts_met(seeds, jnp.uint32(u), 5, 3) for u in range(400)])
+    assert met.shape == (400, 2, 3)
+    assert all(len(set(one)) == 3 for update in met for one in update)
+    assert not np.array_equal(met[:, 0], met[:, 1])  # each policy draws its own
+    for policy in (0, 1):
+        counts = np.bincount(met[:, policy].reshape(-1), minlength=5)
+        assert (abs(counts - 240) < 5 * np.sqrt(400 * 0.6 * 0.4)).all()
+    more = np.array(contexts_met(seeds, jnp.uint32(0), 5, 12))  # more episodes than contexts
+    assert (np.sort(np.bincount(more[0])) == [2, 2, 2, 3, 3]).all()
+
+
+def test_an_update_is_of_the_contexts_that_were_met(monkeypatch):
+    world, params = ring()
+    state = engine.start_multitask(world, RECIPE, [5], params).state
+    lived = []
+
+    class Lived(Exception):
+        pass
+
+    def kept(*arguments, hold):
+        lived.append(jax.jit(partial(record, hold=hold), static_argnums=(0, 1, 2))(*arguments))
+        raise Lived  # what is learnt of it is another test's
+
+    monkeypatch.setattr(learning, "record", kept)
+    all_of_them = jax.tree.map(lambda x: jnp.asarray(x)[None], params)
+    beats = world.decisions(params)
+    clock = clock_at(jnp.int32(3), jnp.int32(4))
+    with pytest.raises(Lived):
+        learning.update(world, RECIPE, beats, state, all_of_them, clock)
+    met = np.asarray(contexts_met(state.seed, jnp.uint32(3), 3, 2))[0]
+    decided = np.asarray(lived[0].acting[0]).any(axis=-1).sum(axis=0)
+    np.testing.assert_array_equal(decided, np.array([20, 15, 10])[met])
+    told = np.asarray(lived[0].obs[0])[np.asarray(lived[0].row[0])[-1, :, 0], -1]
+    np.testing.assert_allclose(told, np.asarray(params.visible)[met, 0])
+
+
+def test_a_training_goes_on_where_it_was():
+    world, params = ring()
+    saved = []
+
+    def train(**options):
+        return engine.train_multitask(
+            world, RECIPE, [7], params, 8, checkpoint_every=4, checkpoint_episodes=1,
+            acting="sampled", **options,
+        )  # fmt: skip
+
+    whole = train(on_block=lambda block: saved.append(engine.to_arrays(block.training)))
+    template = engine.start_multitask(world, RECIPE, [7], params)
+    rest = train(resume=engine.from_arrays(template, saved[0]))
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(rest), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_the_policy_is_told_the_context_and_a_file_cut_off_only_costs_time(tmp_path):
+    cmdp = get_cmdp("ring-vel", engine="jax", visibility="multiplier")
+    trainer = cmdp.trainer_for("quick", episodes=4, eval_episodes=2)
+    heard, file = [], tmp_path / "training.npz"
+    file.write_bytes(b"of another run, cut off")
+    policy = trainer.train(HOLDS, 3, on_progress=heard.append, state=file).policy
+    assert policy.weights[0].shape[1] == 3 + 1
+    assert heard[-1].step == heard[-1].total == 4
+    assert trainer.evaluate(policy, HOLDS, [1, 2, 3]).shape == (3, 2)
+    with pytest.raises(InvalidInput, match="at least one context"):
+        trainer.train([], 3)
+
+
+@pytest.mark.long
+def test_an_interrupted_trainer_goes_on_to_the_same_policy(tmp_path, monkeypatch):
+    monkeypatch.setattr(saving, "_SECONDS", 0.0)
+    cmdp = get_cmdp("ring-vel", engine="jax", visibility="multiplier")
+    trainer = cmdp.trainer_for("quick", episodes=4)
+    heard, file = [], tmp_path / "training.npz"
+
+    def stop(progress):
+        heard.append(progress.step)
+        if len(heard) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        trainer.train(HOLDS[2:], 3, on_progress=stop, state=file)
+    assert file.is_file()
+    rest = trainer.train(HOLDS[2:], 3, on_progress=stop, state=file).policy
+    assert heard == [1, 2, 3, 3, 4]  # it went on after the second, the last that was saved
+    whole = trainer.train(HOLDS[2:], 3).policy
+    for a, b in zip(whole.weights, rest.weights, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.long
+def test_one_policy_learns_to_calm_rings_of_several_holds():
+    contexts = [{"hold": 1.0}, {"hold": 4.0}]
+    trainer = get_cmdp("ring-vel", engine="jax", visibility="multiplier").trainer_for(
+        "quick", episodes=360, hyperparameters={"n_episodes": 6}
+    )
+    policy = replace(trainer, eval_episodes=5).train(contexts, 0).policy
+    assert trainer.evaluate(policy, contexts, [2, 3]).mean() > 3.5  # unguided: 3.15

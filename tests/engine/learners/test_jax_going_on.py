@@ -1,0 +1,121 @@
+"""A policy that goes on is the same policy, whoever learns and by whatever recipe."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+import mbtl.engine.learners as engine  # isort: skip  # before jax: it sets jax's flags
+import jax
+
+from mbtl.engine.learners import networks
+from mbtl.engine.learners.episodic.recipes import TWIN_RECIPES, EpisodicPPORecipe, TRPORecipe
+from mbtl.engine.learners.multitask.table import seen
+from mbtl.errors import InvalidInput
+from mbtl.problems import get_cmdp
+from mbtl.zoo.cmdps import cartpole
+
+WORLD = engine.Solo(engine.CartPole(horizon=12))
+OBSERVATIONS = np.random.default_rng(0).normal(0.3, [2.0, 3.0, 0.2, 3.0, 1.0], (40, 5))
+
+BY_STEPS = {"n_envs": 2, "n_steps": 32, "batch_size": 32, "hidden": (8,)}
+SMALL = {
+    engine.PPORecipe: BY_STEPS,
+    engine.A2CRecipe: {"n_envs": 2, "hidden": (8,)},
+    engine.DQNRecipe: {"buffer_size": 800, "learning_starts": 0, "hidden": (8,)},
+    TRPORecipe: {"hidden": (8,)},
+    EpisodicPPORecipe: {"rows": 16, "minibatches": 2, "n_epochs": 2, "hidden": (8,), "begin": ""},
+}
+SMALL_Q = {"gradient_steps": 2, "batch_size": 8, "buffer_size": 64, "hidden": (8,)}
+PPO = engine.PPORecipe(**BY_STEPS)
+KINDS = {
+    "steps": (engine.RECIPES, ("PPO fast", "A2C fast", "DQN fast")),
+    "episodes": (TWIN_RECIPES, ("TRPO paper", "PPO glide", "DQN fast")),
+}
+"""A recipe of each learner: others of it differ in numbers only."""
+RECIPES = {
+    f"{name} by {unit}": replace(recipe, **SMALL.get(type(recipe), SMALL_Q))
+    for unit, (kinds, names) in KINDS.items()
+    for name in names
+    for recipe in [kinds[name.split()[0]][name.split()[1]]]
+}
+RECIPES["PPO standardised"] = replace(PPO, standardize=True)
+for method in ("paco", "moore"):
+    RECIPES[method] = engine.MultiTaskRecipe(method, PPO, 2)
+RECIPES["ppo standardised"] = engine.MultiTaskRecipe("ppo", replace(PPO, standardize=True))
+
+
+def still(recipe):
+    """The same learner, whose gradient steps have length 0."""
+    if isinstance(recipe, engine.MultiTaskRecipe):
+        return replace(recipe, ppo=still(recipe.ppo))
+    if isinstance(recipe, TRPORecipe):
+        return replace(recipe, max_kl=0.0, critic_learning_rate=0.0)
+    return replace(recipe, learning_rate=0.0)
+
+
+def params_of(recipe, lengths):
+    envs = [cartpole.CartPole({"length": length}) for length in lengths]
+    constants = [cartpole.derive(one.features) for one in envs]
+    params = engine.stack_params(WORLD, constants, [one.visible for one in envs])
+    if not isinstance(recipe, engine.MultiTaskRecipe):
+        return params
+    return jax.tree.map(lambda x: np.stack([x, x]), seen(recipe, params))  # both, for each policy
+
+
+def outputs(recipe, network):
+    each = jax.vmap(partial(networks.apply, activation=recipe.activation), (0, None))
+    places = OBSERVATIONS
+    if getattr(recipe, "has_vectors", False):
+        places = np.column_stack([OBSERVATIONS, np.linspace(0.0, 1.0, len(OBSERVATIONS))])
+    return np.asarray(each(network, np.float32(places)))
+
+
+def test_a_lesson_s_policy_is_taught_again_as_it_was():
+    trainer = get_cmdp("eco-green", engine="jax").trainer_for("standard")
+    context = {"green": 20.0}
+    policy = trainer.untrained(context)
+    world, _ = trainer._lessons([context])
+    again = engine.export_policies(world, engine.taught(world, policy, policy.activation))[0]
+    seen = np.random.default_rng(0).uniform(0.0, 1.0, (20, *policy.observation_shape))
+    np.testing.assert_allclose(again.outputs(seen), policy.outputs(seen), rtol=1e-5)
+    assert again.head.log_std == pytest.approx(policy.head.log_std, rel=1e-5)
+
+
+def test_a_policy_that_would_act_otherwise_is_refused():
+    policy = get_cmdp("cartpole-length", engine="jax").trainer_for("quick").untrained({"length": 1})
+    with pytest.raises(InvalidInput, match="with the activation relu, got tanh"):
+        engine.taught(WORLD, policy, "relu")
+    with pytest.raises(InvalidInput, match="with the activation tanh, got str"):
+        engine.taught(WORLD, "policy.zip", "tanh")
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_extended_or_tuned_it_acts_as_before_until_it_learns(name):
+    """And extended it ends, bit for bit, where it would have ended without a pause."""
+    recipe = RECIPES[name]
+    train = partial(engine.train, WORLD, judging=False)
+    own, unit = params_of(recipe, [0.4, 1.0]), recipe.update_length
+    whole = train(recipe, [3, 5], own, 3 * unit)
+    half = train(recipe, [3, 5], own, 3 * unit, until=unit)
+    kept = engine.from_arrays(engine.start(WORLD, recipe, [3, 5], own), engine.to_arrays(half))
+    end = train(recipe, [3, 5], own, 3 * unit, resume=kept)
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(end), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+    before = jax.tree.map(np.array, whole.state.weights)
+    given = before._replace(critic=()) if isinstance(before, networks.Weights) else before
+    other = params_of(recipe, [0.2, 2.0])
+    tuned = train(still(recipe), [7, 8], other, unit, weights=given).state.weights
+    another_stage = whole._replace(updates=whole.updates * 0)
+    extended = train(still(recipe), [3, 5], own, unit, resume=another_stage).state.weights
+    close = partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-6)
+    for after in (tuned, extended):
+        close(outputs(recipe, after.actor), outputs(recipe, before.actor))
+        close(after.log_std, before.log_std)
+    if before.critic:
+        close(outputs(recipe, extended.critic), outputs(recipe, before.critic))

@@ -1,0 +1,370 @@
+"""One policy for all contexts: turns, composition, orthogonality, learning, resuming, returns."""
+
+import json
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+import jax
+import jax.numpy as jnp
+
+import mbtl.engine.learners as engine  # before jax: it sets jax's flags
+from mbtl.engine.learners import algorithms, networks
+from mbtl.engine.learners.evaluation import own_scores
+from mbtl.engine.learners.multitask import moore, paco, table
+from mbtl.engine.learners.networks import Weights
+from mbtl.engine.learners.rollout import draw, play
+from mbtl.engine.worlds.copies import take_turns
+from mbtl.errors import InvalidInput, UnknownName
+from mbtl.zoo.cmdps import cartpole, pendulum
+
+TINY = engine.PPORecipe(n_envs=3, n_steps=32, batch_size=48, n_epochs=1, learning_rate=1e-3)
+CARTPOLE = engine.Solo(engine.CartPole(horizon=60))
+PENDULUM = engine.Solo(engine.Pendulum(horizon=60))
+
+
+def cartpole_params(lengths=(0.1, 0.5, 1.0, 2.0, 5.0)):
+    envs = [cartpole.CartPole({"length": length}) for length in lengths]
+    return engine.stack_params(
+        CARTPOLE, [cartpole.derive(env.features) for env in envs], [env.visible for env in envs]
+    )
+
+
+def pendulum_params(masses=(0.5, 1.0, 2.0)):
+    envs = [pendulum.Pendulum({"mass": mass}) for mass in masses]
+    return engine.stack_params(
+        PENDULUM, [pendulum.derive(env.features) for env in envs], [env.visible for env in envs]
+    )
+
+
+def recipe_of(method, n_parts=3, **changes):
+    return engine.MultiTaskRecipe(method, replace(TINY, **changes), n_parts)
+
+
+def assert_same(one, other):
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+# ---- turns ---------------------------------------------------------------------------------------
+
+
+def test_copies_that_end_together_take_the_next_contexts_in_order():
+    context, turn = take_turns(
+        jnp.array([0, 1, 2, 3]), jnp.int32(4), jnp.array([True, False, True, True]), 6
+    )
+    np.testing.assert_array_equal(context, [4, 1, 5, 0])
+    assert int(turn) == 1
+    same, turn = take_turns(context, turn, jnp.zeros(4, bool), 6)
+    np.testing.assert_array_equal(same, context)
+    assert int(turn) == 1
+
+
+@pytest.mark.parametrize("n_envs", [2, 7])
+def test_every_context_is_started_equally_often(n_envs):
+    """Short and long episodes, fewer and more copies than contexts; read off the observations."""
+    recipe = engine.MultiTaskRecipe("paco", replace(TINY, n_envs=n_envs, n_steps=240))
+    params = jax.tree.map(lambda x: x[None], table.with_place(cartpole_params()))
+    state = algorithms.init(CARTPOLE, recipe, [0], params)
+    play = jax.jit(jax.vmap(partial(_play_only, recipe)))
+    _, rollout = play(state, jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params))
+    contexts = np.asarray(rollout.obs)[0, :, :, -1].astype(int)
+    done = np.asarray(rollout.done)[0]
+    started = list(contexts[0])
+    for t in range(239):
+        before, after = contexts[t], contexts[t + 1]
+        started += list(after[done[t]])
+        np.testing.assert_array_equal(before[~done[t]], after[~done[t]])
+    np.testing.assert_array_equal(started, np.arange(len(started)) % 5)
+    assert len(started) > 8
+
+
+def _play_only(recipe, state, params):
+    _, noise = draw(CARTPOLE, state.key, (recipe.ppo.n_steps, recipe.ppo.n_envs))
+    return play(CARTPOLE, recipe.ppo, state, params, noise)
+
+
+# ---- vectors per context -------------------------------------------------------------------------
+
+
+def test_vectors_are_interpolated_between_contexts():
+    rows = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32)
+    np.testing.assert_array_equal(table.rows_at(rows, jnp.arange(5.0)), rows)
+    between = table.rows_at(rows, jnp.array([1.25]))
+    np.testing.assert_allclose(between[0], 0.75 * rows[1] + 0.25 * rows[2], rtol=1e-6)
+
+
+def test_vectors_begin_as_hats_of_the_axis():
+    hats = table.initial_table(5, 3)
+    expected = [[1, 0, 0], [0.5, 0.5, 0], [0, 1, 0], [0, 0.5, 0.5], [0, 0, 1]]
+    np.testing.assert_allclose(hats, expected)
+    np.testing.assert_array_equal(table.initial_table(4, 1), np.ones((4, 1)))
+
+
+# ---- PaCo ----------------------------------------------------------------------------------------
+
+
+def paco_weights(vectors):
+    init = paco.init_weights(CARTPOLE, recipe_of("paco"), 3, n_contexts=5, n_inputs=5)
+    return init._replace(vectors=jnp.asarray(vectors, jnp.float32))
+
+
+def composed(weights, places):
+    """Ordinary networks at `places`, leading axis, by the definition."""
+    mixture = table.rows_at(weights.vectors, places)
+    sets = Weights(weights.actor_sets, weights.critic_sets, ())
+    mixed = jax.tree.map(lambda part: jnp.tensordot(mixture, part, axes=1), sets)
+    return mixed._replace(log_std=jnp.tile(weights.log_std, (len(mixture), 1)))
+
+
+def test_a_one_hot_vector_composes_exactly_one_parameter_set():
+    weights = paco_weights(np.eye(5, 3))
+    assert_same(composed(weights, jnp.arange(3.0)).actor, weights.actor_sets)
+    seen = jnp.asarray(np.random.default_rng(2).normal(size=(7, 5)), jnp.float32)
+    for k in range(3):
+        at_k = jnp.concatenate([seen, jnp.full((7, 1), float(k))], axis=-1)
+        one = jax.tree.map(lambda x, k=k: x[k], weights.critic_sets)
+        np.testing.assert_allclose(
+            networks.apply(weights.critic, at_k), networks.apply(one, seen), rtol=1e-5, atol=1e-6
+        )
+
+
+def test_the_composed_network_is_what_acts():
+    vectors = np.random.default_rng(1).normal(size=(5, 3))
+    weights = paco_weights(vectors)
+    places = jnp.array([0.0, 2.0, 3.5])
+    seen = jnp.asarray(np.random.default_rng(2).normal(size=(3, 7, 5)), jnp.float32)
+    with_place = jnp.concatenate([seen, jnp.broadcast_to(places[:, None, None], (3, 7, 1))], -1)
+    ordinary = jax.vmap(networks.apply)(composed(weights, places).actor, seen)
+    np.testing.assert_allclose(
+        networks.apply(weights.actor, with_place), ordinary, rtol=1e-4, atol=1e-6
+    )
+
+
+def test_a_context_moves_its_own_vector_and_all_parameter_sets():
+    weights = paco_weights(np.random.default_rng(1).normal(size=(5, 3)))
+    observation = jnp.array([0.1, -0.2, 0.05, 0.3, 1.0, 2.0])  # the place is 2
+
+    def loss(weights):
+        return jnp.square(networks.apply(weights.actor, observation)).sum()
+
+    gradient = jax.grad(loss)(weights)
+    moved = np.abs(gradient.vectors).sum(axis=1) > 0
+    np.testing.assert_array_equal(moved, [False, False, True, False, False])
+    assert (np.abs(gradient.actor_sets[0][0]).max(axis=(1, 2)) > 0).all()
+    assert not np.abs(gradient.critic_sets[0][0]).any()
+
+
+# ---- MOORE ---------------------------------------------------------------------------------------
+
+
+def test_gram_schmidt_gives_the_orthonormal_basis_of_qr():
+    vectors = np.random.default_rng(0).normal(size=(4, 10, 64)).astype(np.float32)
+    basis = np.asarray(moore.orthonormal(list(jnp.asarray(vectors))))
+    products = np.einsum("ibn,jbn->bij", basis, basis)
+    np.testing.assert_allclose(products, np.broadcast_to(np.eye(4), (10, 4, 4)), atol=1e-5)
+    q, r = np.linalg.qr(vectors[:, 0].T.astype(float))
+    np.testing.assert_allclose(basis[:, 0].T, q * np.sign(np.diag(r)), atol=1e-5)
+
+
+def test_gram_schmidt_passes_the_gradient_and_survives_zeros():
+    vectors = jnp.asarray(np.random.default_rng(0).normal(size=(3, 8)), jnp.float32)
+    target = jnp.asarray(np.random.default_rng(1).normal(size=(3, 8)), jnp.float32)
+
+    def loss(vectors):
+        return (jnp.stack(moore.orthonormal(list(vectors))) * target).sum()
+
+    gradient = jax.grad(loss)(vectors)
+    step = 1e-2
+    for k, n in [(0, 0), (1, 3), (2, 7)]:
+        away = jnp.zeros((3, 8)).at[k, n].set(step)
+        slope = (loss(vectors + away) - loss(vectors - away)) / (2 * step)
+        assert float(gradient[k, n]) == pytest.approx(float(slope), rel=0.02, abs=1e-3)
+    assert np.isfinite(jax.grad(loss)(jnp.zeros((3, 8)))).all()
+
+
+def test_task_weights_mix_the_representations():
+    weights = moore.init_weights(CARTPOLE, recipe_of("moore"), 3, n_contexts=5, n_inputs=5)
+    seen = jnp.asarray(np.random.default_rng(0).normal(size=5), jnp.float32)
+    experts = [
+        networks.apply(jax.tree.map(lambda x, k=k: jnp.asarray(x[k]), weights.actor.experts), seen)
+        for k in range(3)
+    ]
+    q, r = np.linalg.qr(np.stack(experts).T.astype(float))
+    basis = q * np.sign(np.diag(r))
+    for place, mixture in [(0.0, [1, 0, 0]), (1.0, [0.5, 0.5, 0]), (1.5, [0.25, 0.75, 0])]:
+        expected = np.tanh(basis @ mixture) @ weights.actor.head[0]
+        observation = jnp.append(seen, place)
+        outputs = networks.apply(jax.tree.map(jnp.asarray, weights.actor), observation)
+        np.testing.assert_allclose(outputs, expected, rtol=1e-3, atol=1e-6)
+
+
+# ---- training ------------------------------------------------------------------------------------
+
+
+class Learnt(NamedTuple):
+    """A short training on three contexts, and what was saved after its first block."""
+
+    recipe: engine.MultiTaskRecipe
+    training: engine.Training | None
+    saved: dict[str, np.ndarray]
+    scores: list[float]
+
+    env = engine.Solo(engine.CartPole(horizon=200))
+    params = cartpole_params((0.25, 0.5, 1.0))
+
+    def train(self, **options):
+        return engine.train_multitask(
+            self.env, self.recipe, [0], self.params, 40_000, checkpoint_every=8_000, **options
+        )
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param("ppo", marks=pytest.mark.long),
+        pytest.param("paco", marks=pytest.mark.long),
+        "moore",
+    ],
+)
+def learnt(request):
+    ppo = engine.PPORecipe(n_envs=10, n_steps=64, batch_size=128, n_epochs=4, learning_rate=2e-3)
+    learnt = Learnt(engine.MultiTaskRecipe(request.param, ppo, 2), None, {}, [])
+
+    def on_block(block):
+        learnt.saved.update({} if learnt.saved else engine.to_arrays(block.training))
+        learnt.scores.append(float(block.training.latest_return[0]))
+
+    return learnt._replace(training=learnt.train(on_block=on_block))
+
+
+def test_cartpole_is_learnt_on_all_contexts(learnt):
+    start = engine.start_multitask(learnt.env, learnt.recipe, [0], learnt.params)
+    seeds = np.arange(15).reshape(3, 5)
+    returns = {
+        name: engine.evaluate_multitask(learnt.env, learnt.recipe, weights, learnt.params, seeds)
+        for name, weights in [("start", start.state.weights), ("best", learnt.training.best)]
+    }
+    assert returns["best"].shape == (1, 3, 5)
+    assert returns["best"].mean() > 150 > 60 > returns["start"].mean()
+    assert float(learnt.training.best_return[0]) == max(learnt.scores)
+    assert max(learnt.scores) == pytest.approx(returns["best"].mean(), rel=0.2)
+    for old, new in zip(
+        jax.tree.leaves(start.state.weights),
+        jax.tree.leaves(learnt.training.state.weights),
+        strict=True,
+    ):
+        assert old.size == 0 or (np.asarray(old) != np.asarray(new)).mean() > 0.5
+
+
+def test_a_training_resumed_from_saved_arrays_ends_where_it_would_have(learnt):
+    template = engine.start_multitask(learnt.env, learnt.recipe, [0], learnt.params)
+    halfway = engine.from_arrays(template, learnt.saved)
+    assert 0 < int(halfway.updates) < int(learnt.training.updates)
+    assert_same(learnt.training, learnt.train(resume=halfway))
+
+
+# ---- evaluation ----------------------------------------------------------------------------------
+
+
+def test_context_conditioned_returns_are_those_of_the_plain_engine():
+    recipe, params = recipe_of("ppo"), cartpole_params()
+    weights = engine.start_multitask(CARTPOLE, recipe, [4, 5], params).state.weights
+    seeds = np.arange(15).reshape(5, 3)
+    ours = engine.evaluate_multitask(CARTPOLE, recipe, weights, params, seeds)
+    assert ours.shape == (2, 5, 3)
+    theirs = engine.evaluate(CARTPOLE, engine.actor_of(weights), params, seeds)
+    np.testing.assert_array_equal(ours, theirs)
+
+
+def test_composed_networks_are_exported_as_ordinary_policies_also_between_contexts():
+    recipe, params = recipe_of("paco"), pendulum_params()
+    places = np.array([0.0, 0.5, 2.0])
+    weights = engine.start_multitask(PENDULUM, recipe, [4], params).state.weights
+    seeds = np.arange(9).reshape(3, 3)
+    ours = engine.evaluate_multitask(PENDULUM, recipe, weights, params, seeds, places=places)
+    ordinary = composed(jax.tree.map(lambda x: x[0], weights), jnp.asarray(places))
+    policies = engine.export_policies(PENDULUM, ordinary, recipe.activation)
+    pairs = engine.evaluate(PENDULUM, engine.import_actor(policies), params, seeds)
+    np.testing.assert_allclose(ours[0], pairs[np.arange(3), np.arange(3)], rtol=1e-4)
+
+
+def test_a_checkpoint_is_scored_on_every_context_from_different_states():
+    params = cartpole_params()
+    weights = engine.start_multitask(CARTPOLE, recipe_of("ppo"), [4], params).state.weights
+    actor, seeds = engine.actor_of(weights), np.arange(10, dtype=np.uint32)
+    stacked = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32)[None], params)
+    dealt = np.asarray(own_scores(CARTPOLE, "tanh", "mean", actor, seeds[None], stacked)).reshape(
+        5, 2
+    )
+    assert len(np.unique(dealt)) > 2
+    played = engine.evaluate(CARTPOLE, actor, params, seeds.reshape(5, 2))[0]
+    np.testing.assert_array_equal(dealt, played)
+
+
+# ---- a whole run in a folder ---------------------------------------------------------------------
+
+
+def test_a_run_killed_at_any_time_goes_on(tmp_path):
+    recipe, params = recipe_of("paco"), pendulum_params()
+    settings = {"episodes": 4}
+    whole = engine.run_multitask(
+        PENDULUM, recipe, params, [0, 1], 960, tmp_path / "whole", **settings
+    )
+    assert whole.returns["best"].shape == whole.std["final"].shape == (2, 3)
+    record = json.loads(json.dumps(whole.provenance[1]))
+    assert (record["seed"], record["steps"]) == (1, 960)
+    assert record["recipe"]["method"] == "paco"
+    assert (whole.returns["best"][0] != whole.returns["best"][1]).all()
+
+    class Killed(Exception):
+        pass
+
+    def kill(seed, steps, total, latest):
+        assert total == 960
+        assert np.isfinite(latest)
+        if seed == 1 and steps == 480:
+            raise Killed
+
+    folder = tmp_path / "killed"
+    with pytest.raises(Killed):
+        engine.run_multitask(
+            PENDULUM, recipe, params, [0, 1], 960, folder, on_progress=kill, **settings
+        )
+    told = []
+    again = engine.run_multitask(
+        PENDULUM, recipe, params, [0, 1], 960, folder, on_progress=lambda *x: told.append(x[0]),
+        **settings,
+    )  # fmt: skip
+    assert told.count(0) == 1  # it had ended
+    for name in ("best", "final"):
+        np.testing.assert_array_equal(again.returns[name], whole.returns[name])
+        np.testing.assert_array_equal(again.std[name], whole.std[name])
+
+
+def test_a_folder_of_another_run_is_refused(tmp_path):
+    # compiled in the test above
+    recipe, params = recipe_of("paco"), pendulum_params()
+    engine.run_multitask(PENDULUM, recipe, params, [0], 960, tmp_path, episodes=4)
+    with pytest.raises(InvalidInput, match="other settings: timesteps was"):
+        engine.run_multitask(PENDULUM, recipe, params, [0], 961, tmp_path, episodes=4)
+    other = pendulum_params((0.5, 1.0, 3.0))
+    with pytest.raises(InvalidInput, match="other settings: contexts was"):
+        engine.run_multitask(PENDULUM, recipe, other, [0], 960, tmp_path, episodes=4)
+
+
+def test_bad_arguments_are_named():
+    with pytest.raises(UnknownName, match="'paco'"):
+        engine.MultiTaskRecipe("pako")
+    with pytest.raises(InvalidInput, match="n_parts must be >= 1"):
+        engine.MultiTaskRecipe("moore", n_parts=0)
+    with pytest.raises(UnknownName, match="'Pendulum'"):
+        engine.multitask_recipe("ppo", "pendulum")
+    with pytest.raises(InvalidInput, match="at least one seed and context"):
+        engine.train_multitask(CARTPOLE, recipe_of("ppo"), [], cartpole_params(), 96)

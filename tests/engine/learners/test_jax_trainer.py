@@ -1,0 +1,191 @@
+"""The engine as a trainer: one policy or many, the same on resume, in a study and in a matrix."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from flat import created
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+import mbtl.engine.learners as engine
+from mbtl.contexts import ContextSpace
+from mbtl.engine import WorldTrainer
+from mbtl.engine.learners import evaluation, saving
+from mbtl.errors import InvalidInput, UnknownName
+from mbtl.portfolio import MLPPolicy
+from mbtl.problems import get_cmdp
+from mbtl.seeds import evaluation_seeds, training_seed
+from mbtl.study.rehearsal import rehearse
+from mbtl.trainers import SB3Trainer
+from mbtl.zoo.benchmark.build import Build
+
+SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
+CMDP = get_cmdp("cartpole-length", engine="jax")
+TRAINER = CMDP.trainer_for(
+    "quick", timesteps=2_000, hyperparameters=SMALL, eval_episodes=3, checkpoint_episodes=2
+)
+CONTEXTS = [{"length": 0.5}, {"length": 2.0}]
+
+
+def same(one: MLPPolicy, other: MLPPolicy) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(one.weights, other.weights, strict=True))
+
+
+def test_the_named_recipes_never_change():
+    """Matrices name them in their provenance: improve one by adding another name."""
+    fast = engine.recipe_named("PPO", "fast")
+    assert fast == engine.PPORecipe(
+        n_envs=8, n_steps=128, batch_size=128, n_epochs=1, learning_rate=2e-3, anneal=True,
+        gamma=0.99, gae_lambda=0.95, clip_range=0.2, entropy_coef=0.0, value_coef=0.5,
+        max_grad_norm=0.5, adam_eps=1e-5, normalize_advantage=True, hidden=(64, 64),
+    )  # fmt: skip
+    assert engine.recipe_named("PPO", "sb3") == engine.PPORecipe(
+        n_envs=1, n_steps=2048, batch_size=64, n_epochs=10, learning_rate=3e-4, anneal=False,
+        gamma=0.99, gae_lambda=0.95, clip_range=0.2, entropy_coef=0.0, value_coef=0.5,
+        max_grad_norm=0.5, adam_eps=1e-5, normalize_advantage=True, hidden=(64, 64),
+    )  # fmt: skip
+
+
+def test_it_is_the_default_where_there_is_an_environment_in_jax():
+    for name, gamma in (("cartpole-masspole", 0.99), ("pendulum-timestep", 0.95)):
+        trainer = get_cmdp(name).trainer
+        assert isinstance(trainer, WorldTrainer)
+        assert trainer.recipe["hyperparameters"]["gamma"] == gamma
+    assert isinstance(get_cmdp("cartpole-length", engine="gymnasium").trainer, SB3Trainer)
+
+
+def test_returns_are_those_of_the_gymnasium_environment():
+    policy = TRAINER.train([CONTEXTS[0]], seed=1).policy
+    ours = TRAINER.evaluate(policy, CONTEXTS, [5, 6])
+    peer = SB3Trainer(CMDP.make_env, timesteps=1, eval_episodes=3)
+    np.testing.assert_allclose(ours, peer.evaluate(policy, CONTEXTS, [5, 6]))
+
+
+def test_an_accelerator_trains_and_plays_all_of_them_in_one_program(monkeypatch):
+    policies = TRAINER.train_many(CONTEXTS, [1, 2], keep=("final",))["final"]
+    on_cpu = TRAINER.evaluate_many(policies, CONTEXTS, [5, 6])
+    ring = get_cmdp("ring-acc", engine="jax")
+    assert len(ring.trainer.groups(ring.space.contexts, ring.trainer.lanes)) > 1
+    for module in (engine, evaluation):
+        monkeypatch.setattr(module, "on_cpu", lambda: False)
+    for cmdp in (CMDP, ring):
+        assert cmdp.trainer.groups(cmdp.space.contexts, cmdp.trainer.lanes) == [cmdp.space.n]
+    np.testing.assert_allclose(TRAINER.evaluate_many(policies, CONTEXTS, [5, 6]), on_cpu)
+
+
+def test_switches_of_the_cmdp_reach_the_engine():
+    for switches, n_inputs, constant in (
+        ({"visibility": "hidden"}, 4, 1.5),
+        ({"visibility": "raw"}, 10, 1.5),
+        ({"physics": "reference"}, 5, 1.1),
+    ):
+        cmdp = get_cmdp("cartpole-masspole", engine="jax", **switches)
+        env, params = cmdp.trainer.problem([{"masspole": 0.5}])
+        assert env.n_features + params.visible.shape[1] == n_inputs
+        np.testing.assert_allclose(params.total_mass, constant)
+    cmdp = get_cmdp("cartpole-length", engine="jax", time_limit="terminal")
+    assert cmdp.trainer.problem([{"length": 0.5}])[0].time_limit == "terminal"
+
+
+def test_an_interrupted_training_goes_on_to_the_same_policies(tmp_path, monkeypatch):
+    monkeypatch.setattr(saving, "_SECONDS", 0.0)
+    partial, seen = tmp_path / "partial.npz", []
+
+    def stop(progress):
+        seen.append(progress.step)
+        if len(seen) == 5:
+            raise KeyboardInterrupt
+
+    whole = TRAINER.train_many(CONTEXTS[:1], [0])
+    with pytest.raises(KeyboardInterrupt):
+        TRAINER.train_many(CONTEXTS[:1], [0], on_progress=stop, state=partial)
+    assert partial.is_file()
+    rest = []
+    again = TRAINER.train_many(
+        CONTEXTS[:1], [0], on_progress=lambda progress: rest.append(progress.step), state=partial
+    )
+    assert rest[0] == seen[4]  # what was saved is the fourth block
+    for checkpoint in ("best", "final"):
+        for one, other in zip(whole[checkpoint], again[checkpoint], strict=True):
+            assert same(one, other)
+    assert partial.is_file()  # removed by whom the policies are for, when they are safe
+
+
+def test_a_damaged_partial_file_only_costs_time(tmp_path):
+    partial = tmp_path / "partial.npz"
+    partial.write_bytes(b"PK\x03\x04 no archive")
+    one = TRAINER.train_many(CONTEXTS[:1], [0], state=partial)["best"][0]
+    assert same(one, TRAINER.train([CONTEXTS[0]], seed=0).policy)
+
+
+def test_training_ends_when_the_best_cannot_get_better(monkeypatch):
+    def trained(keep):
+        heard = []
+        policies = TRAINER.train_many(CONTEXTS[:1], [0], on_progress=heard.append, keep=keep)
+        return policies, [progress.metrics["episode_return"] for progress in heard]
+
+    whole, returns = trained(("best", "final"))
+    monkeypatch.setattr(engine.CartPole, "max_return", max(returns))
+    only, seen = trained(("best",))
+    assert seen == returns[: returns.index(max(returns)) + 1]
+    assert same(only["best"][0], whole["best"][0])
+    monkeypatch.setattr(engine.CartPole, "max_return", returns[0])
+    assert trained(("best",))[1] == returns[:1]
+    assert trained(("best", "final"))[1] == returns
+
+
+def test_weights_on_the_way_change_nothing_and_are_those_of_their_moment():
+    whole = TRAINER.train_many(CONTEXTS, [0, 1])
+    named = TRAINER.train_many(CONTEXTS, [0, 1], keep=("best", "final", "best@1/4", "last@1/2"))
+    for checkpoint in ("best", "final"):
+        assert all(map(same, whole[checkpoint], named[checkpoint]))
+    assert not same(named["last@1/2"][0], named["final"][0])
+    assert not same(named["best@1/4"][0], named["last@1/2"][0])
+
+
+def test_a_matrix_row_is_the_row_of_a_study(tmp_path):
+    building = Build(
+        TRAINER,
+        ContextSpace.points(CMDP.space.axes, CONTEXTS),
+        7,
+        tmp_path / "work",
+        {},
+        ("best",),
+        lanes=1,
+    )
+    building.run()
+    study = created(
+        building.space, budget=2, seed=7, bounds=(0, 500), storage=tmp_path / "study.db"
+    )
+    study.run(trainer=TRAINER, report=False)
+    returns = building.returns("best").mean(axis=2)
+    for row in study.state.rows:
+        np.testing.assert_allclose(row.returns, returns[row.source])
+    policy = TRAINER.load(next((tmp_path / "policies").rglob("source-0001-*")))
+    assert same(policy, TRAINER.train([CONTEXTS[1]], training_seed(7, 0, 1)).policy)
+    np.testing.assert_allclose(
+        TRAINER.evaluate(policy, CONTEXTS, evaluation_seeds(7, 0, range(2))).mean(axis=1),
+        returns[1],
+    )
+
+
+def test_bad_options_say_what_is_known():
+    with pytest.raises(UnknownName, match="SAC"):
+        CMDP.trainer_for("quick", algorithm="SAC")
+    with pytest.raises(UnknownName, match="learnig_rate"):
+        CMDP.trainer_for("quick", hyperparameters={"learnig_rate": 1}).train([CONTEXTS[0]], 0)
+    with pytest.raises(UnknownName, match="slow"):
+        CMDP.trainer_for("quick", recipe_name="slow").train([CONTEXTS[0]], 0)
+    with pytest.raises(InvalidInput, match="timesteps"):
+        CMDP.trainer_for("quick", timesteps=0)
+    with pytest.raises(InvalidInput, match="checkpoint"):
+        CMDP.trainer_for("quick", checkpoint="worst")
+
+
+def test_an_untrained_policy_shows_that_evaluation_works():
+    assert rehearse(TRAINER, CONTEXTS, [5, 6]) is None
+    trouble = rehearse(replace(TRAINER, hyperparameters={"n_enws": 2}), CONTEXTS, [5, 6])
+    assert isinstance(trouble.error, UnknownName)

@@ -1,0 +1,178 @@
+"""The pure environments step as the Gymnasium ones do."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+
+import jax
+import jax.numpy as jnp
+
+import mbtl.engine.learners as engine  # before jax: it sets jax's flags
+from mbtl.errors import InvalidInput
+from mbtl.zoo.cmdps import cartpole, pendulum
+
+N = 10_000
+
+
+def cartpole_corners():
+    """Corners of the paper's grids; the reference's frozen masses at the nominal and two others."""
+    grids = {"masscart": (0.1, 10.0), "masspole": (0.01, 1.0), "length": (0.05, 5.0)}
+    corners = [dict(zip(grids, values, strict=True)) for values in product(*grids.values())]
+    return [(c, p) for c in corners for p in ("intended", "reference")]
+
+
+def pendulum_corners():
+    grids = {"timestep": (0.005, 0.5), "mass": (0.1, 10.0), "length": (0.1, 10.0)}
+    return [dict(zip(grids, values, strict=True)) for values in product(*grids.values())]
+
+
+def cartpole_pairs():
+    """(Gymnasium environment, constants) per corner."""
+    for context, physics in cartpole_corners():
+        env = cartpole.CartPole(context, physics=physics)
+        yield env, cartpole.derive(env.features, physics)
+
+
+def pendulum_pairs():
+    for context in pendulum_corners():
+        env = pendulum.Pendulum(context)
+        yield env, pendulum.derive(env.features)
+
+
+FAMILIES = {
+    "cartpole": (engine.CartPole(), cartpole_pairs),
+    "pendulum": (engine.Pendulum(), pendulum_pairs),
+}
+
+
+def random_states(name, rng, n):
+    if name == "cartpole":
+        return rng.uniform(-1, 1, (n, 4)) * [2.4, 3.0, 0.2, 3.0]
+    return rng.uniform(-1, 1, (n, 2)) * [3.1, 8.0]
+
+
+def random_actions(name, rng, n):
+    if name == "cartpole":
+        return rng.integers(0, 2, n)
+    return rng.uniform(-3, 3, (n, 1)).astype(np.float32)  # beyond the torque limit, too
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_one_step_from_identical_states_agrees_in_float32(name):
+    env, pairs = FAMILIES[name]
+    pairs = list(pairs())
+    rng = np.random.default_rng(0)
+    each = N // len(pairs) + 1
+    step = jax.jit(jax.vmap(env.step, (0, 0, None)))
+    observe = jax.vmap(env.observe, (0, None))
+    compared = 0
+    for gym_env, constants in pairs:
+        params = jax.tree.map(
+            lambda x: jnp.asarray(x[0], jnp.float32),
+            engine.stack_params(env, [constants], [gym_env.visible]),
+        )
+        states = random_states(name, rng, each).astype(np.float32)
+        actions = random_actions(name, rng, each)
+        ours = step(type(env.initial(jnp.zeros(env.n_noise), params))(*states.T), actions, params)
+        seen = np.asarray(observe(ours.state, params))
+        gym_env.reset(seed=0)
+        new, rewards, ended, theirs_seen = [], [], [], []
+        for state, action in zip(states, actions, strict=True):
+            gym_env._left = 2
+            gym_env.state = state
+            obs, reward, terminated, _, _ = gym_env.step(action)
+            new.append(gym_env.state)
+            rewards.append(reward)
+            ended.append(terminated)
+            theirs_seen.append(obs)
+        new = np.array(new)
+        # relative to the larger of old state, new state and 1 % of the change's own scale
+        scale = np.maximum(np.abs(new), np.abs(states)) + np.abs(new - states).max(axis=0) * 1e-2
+        assert (np.abs(np.stack(ours.state, axis=1) - new) <= 1e-5 * scale).all()
+        np.testing.assert_allclose(ours.reward, rewards, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(seen, theirs_seen, rtol=1e-5, atol=1e-4)
+        np.testing.assert_array_equal(ours.terminated, ended)
+        compared += each
+    assert compared >= N
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_rollouts_agree_in_float64_up_to_the_first_termination(name):
+    env, pairs = FAMILIES[name]
+    with jax.enable_x64(True):
+        step = jax.jit(env.step)
+        for index, (gym_env, constants) in enumerate(pairs()):
+            params = jax.tree.map(
+                lambda x: jnp.asarray(x[0], jnp.float64), engine.stack_params(env, [constants])
+            )
+            gym_env.reset(seed=index)
+            noise = np.random.default_rng(index).random(env.n_noise)
+            state = env.initial(jnp.asarray(noise), params)
+            np.testing.assert_allclose(np.stack(state), gym_env.state, rtol=0, atol=1e-15)
+            rng = np.random.default_rng(index)
+            for _ in range(200):
+                action = random_actions(name, rng, 1)[0]
+                state, reward, terminated = step(state, jnp.asarray(action), params)
+                _, theirs, ended, truncated, _ = gym_env.step(action)
+                np.testing.assert_allclose(np.stack(state), gym_env.state, rtol=1e-8, atol=1e-8)
+                assert float(reward) == pytest.approx(theirs, rel=1e-8, abs=1e-8)
+                assert bool(terminated) == ended
+                if ended or truncated:
+                    break
+
+
+def nominal(world):
+    constants = cartpole.derive(cartpole.CartPole.FEATURES)
+    return jax.tree.map(lambda x: jnp.float32(x[0]), engine.stack_params(world, [constants]))
+
+
+def test_a_seed_or_a_key_starts_episodes_within_the_reset_range():
+    world = engine.Solo(engine.CartPole())
+    params = nominal(world)
+    for drawn in (jnp.arange(2000, dtype=jnp.uint32), world.noise(jax.random.key(0), (2000,))):
+        states = np.stack(world.start(drawn, params).env)
+        assert np.abs(states).max() <= cartpole.RESET_HALF_WIDTH
+        np.testing.assert_allclose(states.mean(axis=1), 0.0, atol=0.005)
+        assert states.std() > 0.02
+
+
+def test_what_comes_after_a_terminal_state_does_not_count():
+    world = engine.Solo(engine.CartPole())
+    params = nominal(world)
+    state = world.start(world.draws(np.arange(3, dtype=np.uint32)), params)
+    pushed = jnp.ones((3, 1), jnp.int32)
+    rewards, deaths = np.zeros(3), np.zeros(3)
+    for _ in range(30):
+        moved = world.step(state, pushed, params)
+        state = moved.state
+        rewards += moved.reward[:, 0]
+        deaths += moved.done[:, 0]
+    assert world.over(state).all()
+    assert not world.observe(state, params).acting.any()
+    np.testing.assert_array_equal(world.score(state), rewards)
+    np.testing.assert_array_equal(deaths, 1)  # an agent dies once
+    assert rewards.max() < 15
+
+
+def test_parameters_are_matched_by_name():
+    world = engine.Solo(engine.CartPole())
+    constants = cartpole.derive(cartpole.CartPole.FEATURES)
+    named = dict(reversed(constants._asdict().items()))
+    params = engine.stack_params(world, [constants, named])
+    for field in params[:-1]:
+        assert field[0] == field[1]
+    with pytest.raises(InvalidInput, match="named gravity"):
+        engine.stack_params(world, [{**named, "wind": 1.0}])
+    with pytest.raises(InvalidInput, match="no names"):
+        engine.stack_params(world, [tuple(constants)])
+
+
+def test_visible_features_need_one_row_per_context():
+    constants = pendulum.derive(pendulum.Pendulum.FEATURES)
+    with pytest.raises(InvalidInput, match="one row per context"):
+        engine.stack_params(engine.Pendulum(), [constants], [[1.0], [2.0]])

@@ -1,0 +1,115 @@
+"""A simulator that steps whole batches on the host is trained and evaluated as one in jax."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax", reason="the jax extra is not installed")
+pytest.importorskip("gymnasium", reason="the envs extra is not installed")
+
+import jax
+import jax.numpy as jnp
+
+import mbtl.engine.learners as engine  # before jax: it sets jax's flags
+from mbtl.zoo.cmdps import pendulum
+
+CALLS = []
+"""Axes of each native step."""
+
+
+@dataclass(frozen=True)
+class NumpyPendulum:
+    """The pendulum in numpy: whole batches by one call, in float64 within a step."""
+
+    horizon: int = 200
+    shapes = (("t", ()), ("w", ()))
+    time_limit = "truncation"
+    action = engine.Pendulum().action
+    n_features = 3
+    n_noise = 2
+    max_return = 0.0
+    params = engine.Pendulum().params
+
+    def initial(self, noise, params):
+        spread = 2.0 * noise - 1.0
+        state = {"t": math.pi * spread[..., 0], "w": spread[..., 1]}
+        return state, self._seen(state)
+
+    def step(self, state, action, params):
+        CALLS.append(np.shape(state["t"]))
+        t, w, u = state["t"], state["w"], np.clip(action[..., 0], -2.0, 2.0)
+        wrapped = (t + math.pi) % (2.0 * math.pi) - math.pi
+        reward = -(wrapped**2 + 0.1 * w**2 + 0.001 * u**2)
+        pushed = w + params.gravity_gain * np.sin(t) + params.torque_gain * u
+        w = np.clip(pushed, -params.max_speed, params.max_speed)
+        state = {"t": t + w * params.timestep, "w": w}
+        return state, self._seen(state), reward, np.zeros(np.shape(t), bool)
+
+    def _seen(self, state):
+        return np.stack([np.cos(state["t"]), np.sin(state["t"]), state["w"]], axis=-1)
+
+
+NATIVE = engine.hosted(NumpyPendulum(horizon=30))
+TRACED = engine.Solo(engine.Pendulum(horizon=30))
+TINY = engine.PPORecipe(n_envs=4, n_steps=32, batch_size=64, n_epochs=2, learning_rate=1e-3)
+
+
+def params_of(masses):
+    peers = [pendulum.Pendulum({"mass": mass}) for mass in masses]
+    return engine.stack_params(NATIVE, [p.constants for p in peers], [p.visible for p in peers])
+
+
+def test_single_steps_are_those_of_the_traced_world():
+    params = jax.tree.map(jnp.float32, params_of([0.2, 1.0, 5.0]))
+    drawn = TRACED.draws(np.arange(3, dtype=np.uint32))
+    ours, theirs = NATIVE.start(drawn, params), TRACED.start(drawn, params)
+    for k in range(10):
+        action = jnp.full((3, 1, 1), 3.0 * math.cos(k))
+        mine, peer = NATIVE.step(ours, action, params), TRACED.step(theirs, action, params)
+        np.testing.assert_allclose(mine.reward, peer.reward, rtol=1e-4, atol=1e-5)
+        ours, theirs = mine.state, peer.state
+        seen = [world.observe(s, params).obs for world, s in ((NATIVE, ours), (TRACED, theirs))]
+        np.testing.assert_allclose(*seen, rtol=1e-4, atol=1e-4)
+
+
+def test_one_native_call_steps_all_policies_and_copies_and_they_learn_the_same():
+    """Same random numbers, so two updates later only rounding differs; episodes end on the way."""
+    params = params_of([0.5, 2.0])
+    CALLS.clear()
+    ours, theirs = (
+        engine.train(world, TINY, [3, 7], params, 256, checkpoint_every=256, checkpoint_episodes=2)
+        for world in (NATIVE, TRACED)
+    )
+    assert len(CALLS) == 2 * 32 + 30  # of two rollouts, and of an evaluation
+    assert {int(np.prod(axes)) for axes in CALLS} == {2 * 4, 2 * 2}
+    for a, b in zip(*(jax.tree.leaves(t.best) for t in (ours, theirs)), strict=True):
+        np.testing.assert_allclose(a, b, atol=2e-3)
+    np.testing.assert_allclose(ours.best_return, theirs.best_return, rtol=0.02)
+
+
+def test_native_policies_are_evaluated_in_the_same_episodes():
+    params = params_of([0.5, 2.0, 4.0])
+    weights = engine.start(TRACED, TINY, [0, 1], params_of([1.0, 1.0])).state.weights
+    found = [
+        engine.evaluate(world, engine.actor_of(weights), params, [[1, 2], [3, 4], [5, 6]])
+        for world in (NATIVE, TRACED)
+    ]
+    np.testing.assert_allclose(*found, rtol=0.02)
+
+
+@pytest.mark.long
+def test_learning_is_statistically_equal():
+    recipe = replace(
+        engine.recipe_named("PPO", "fast"), n_envs=4, n_steps=512, n_epochs=2, learning_rate=1e-3,
+        gamma=0.95, max_grad_norm=5.0,
+    )  # fmt: skip
+    worlds = (engine.hosted(NumpyPendulum()), engine.Solo(engine.Pendulum()))
+    native, traced = (
+        np.asarray(engine.train(world, recipe, range(8), params_of([1.0] * 8), 100_000).best_return)
+        for world in worlds
+    )
+    error = np.hypot(native.std(ddof=1), traced.std(ddof=1)) / math.sqrt(8)
+    assert abs(native.mean() - traced.mean()) < 4 * error
+    assert min(native.mean(), traced.mean()) > -900

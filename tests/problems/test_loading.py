@@ -1,0 +1,108 @@
+import sys
+
+import pytest
+
+from mbtl.errors import InvalidInput, UnknownName
+from mbtl.problems import get_cmdp, load_object, resolve_cmdp
+
+PROBLEM = """
+from mbtl.problems import CMDP
+from mbtl.contexts import ContextSpace, Linear
+
+class Inner:
+    value = 7
+
+space = ContextSpace.grid({Linear("x", 0.0, 1.0): 3})
+cmdp = CMDP.from_functions(
+    "mine", space, train=lambda c, s: 0, evaluate=lambda p, c, s: [0.0] * len(c)
+)
+
+def make_env(context):
+    raise NotImplementedError
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working folder with modules of its own, forgotten afterwards."""
+    before = set(sys.modules)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own_problem.py").write_text(PROBLEM)
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        if name.startswith(("own_", "other_", "broken_")):
+            del sys.modules[name]
+
+
+def test_ids_and_own_problems_resolve_alike(folder):
+    assert resolve_cmdp("cartpole-length").id == "cartpole-length"
+    assert resolve_cmdp("own_problem:cmdp").id == "mine"
+    assert resolve_cmdp("own_problem.py:cmdp") is resolve_cmdp("own_problem:cmdp")
+
+
+def test_dotted_attributes(folder):
+    assert load_object("own_problem:Inner.value") == 7
+
+
+def test_a_file_elsewhere_and_the_modules_beside_it(folder):
+    (folder / "deep").mkdir()
+    (folder / "deep" / "own_part.py").write_text("NUMBER = 41\n")
+    (folder / "deep" / "other_file.py").write_text(
+        "import own_part\nANSWER = own_part.NUMBER + 1\n"
+    )
+    assert load_object("deep/other_file.py:ANSWER") == 42
+
+
+@pytest.mark.parametrize(
+    ("reference", "error", "match"),
+    [
+        ("own_problem", InvalidInput, "named as module:attribute"),
+        (":cmdp", InvalidInput, "named as module:attribute"),
+        ("own_problem:", InvalidInput, "named as module:attribute"),
+        ("own_problm:cmdp", InvalidInput, "no module is called 'own_problm'"),
+        ("own_problem:cmpd", UnknownName, "Did you mean 'cmdp'"),
+        ("nowhere.py:cmdp", InvalidInput, "no file 'nowhere.py'"),
+    ],
+)
+def test_what_cannot_be_found_is_named(folder, reference, error, match):
+    with pytest.raises(error, match=match):
+        load_object(reference)
+
+
+@pytest.mark.parametrize(
+    ("code", "match"),
+    [
+        ("import not_installed_at_all", "No module named 'not_installed_at_all'"),
+        ("1 / 0", "ZeroDivisionError"),
+        ("def", "SyntaxError"),
+    ],
+)
+def test_a_module_that_fails_says_how(folder, code, match):
+    (folder / "broken_one.py").write_text(code)
+    with pytest.raises(InvalidInput, match=match):
+        load_object("broken_one:cmdp")
+
+
+def test_a_file_named_like_an_installed_module_is_refused(folder):
+    (folder / "json.py").write_text("cmdp = 1\n")
+    with pytest.raises(InvalidInput, match="rename the file"):
+        load_object("json.py:cmdp")
+
+
+def test_only_a_cmdp_is_a_cmdp(folder):
+    with pytest.raises(InvalidInput, match="must be a CMDP, got a function"):
+        resolve_cmdp("own_problem:make_env")
+    with pytest.raises(InvalidInput, match=r"write own_problem\.py:<name>"):
+        resolve_cmdp("own_problem.py")
+    with pytest.raises(UnknownName, match="`mbtl cmdps` lists all"):
+        resolve_cmdp("cartpole")
+    assert get_cmdp("cartpole-length").id == "cartpole-length"
+
+
+def test_what_a_file_only_imports_is_not_offered(folder):
+    (folder / "mine.py").write_text(
+        "import numpy as np\nfrom pathlib import Path\nclass Mine: pass\nchosen = Mine()\n"
+    )
+    with pytest.raises(UnknownName, match=r"Known: Mine, chosen\.$"):
+        load_object("mine:Other")

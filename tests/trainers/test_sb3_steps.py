@@ -1,0 +1,177 @@
+"""Trainings in Stable-Baselines3 that pause, go on, and begin from others."""
+
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+from training_envs import Guess, cartpole, pendulum
+
+from mbtl.errors import InvalidInput
+from mbtl.trainers import CountingTrainer, SB3Trainer
+from mbtl.trainers.sb3_state import _can_be_copied
+
+POLE = {"length": 0.5}
+MASS = {"mass": 1.0}
+PPO = {"n_steps": 64, "batch_size": 32, "n_epochs": 2, "learning_rate": lambda left: 1e-3 * left}
+DQN = {"buffer_size": 500, "learning_starts": 40, "batch_size": 16, "train_freq": 4}
+SAC = {"buffer_size": 300, "learning_starts": 30, "batch_size": 16}
+
+
+def trainer(make_env=cartpole, algorithm="PPO", timesteps=384, **changes):
+    own = {"PPO": PPO, "DQN": DQN, "SAC": SAC}[algorithm]
+    return SB3Trainer(
+        make_env, timesteps=timesteps, algorithm=algorithm, hyperparameters=own, eval_episodes=3,
+        **changes,
+    )  # fmt: skip
+
+
+def same(one, other):
+    pairs = zip(one.policy.parameters(), other.policy.parameters(), strict=True)
+    return all(bool((a == b).all()) for a, b in pairs)
+
+
+@pytest.mark.parametrize(
+    ("one", "context"),
+    [
+        (trainer(), POLE),
+        (trainer(n_envs=2, timesteps=512), POLE),
+        (trainer(normalize_reward=True), POLE),
+        (trainer(algorithm="DQN"), POLE),
+        (trainer(pendulum, "SAC", 120), MASS),
+    ],
+    ids=["PPO", "two environments", "rewards normalised", "DQN", "SAC"],
+)
+def test_a_training_extended_twice_is_the_whole_one(one, context, tmp_path):
+    assert isinstance(one, CountingTrainer)
+    assert one.takes == {"sets", "start", "length", "state"}
+    whole = one.train([context], seed=3).policy
+    file = tmp_path / "training"
+    total = one.whole
+    reached = [
+        one.train([context], 3, length=steps / total, state=file)
+        for steps in (total // 3, 70, total)
+    ]
+    assert [r.steps for r in reached] == sorted(r.steps for r in reached)
+    assert reached[-1].steps == whole.num_timesteps
+    assert same(reached[-1].policy, whole)
+    assert not same(reached[0].policy, whole)
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "DQN"])
+def test_a_training_on_several_contexts_extended_twice_is_the_whole_one(algorithm, tmp_path):
+    one, contexts = trainer(algorithm=algorithm), [{"length": x} for x in (0.3, 0.5, 1.0)]
+    marks, file = (128 / one.whole, 640 / one.whole), tmp_path / "training"
+    whole = replace(one, timesteps=640).train(contexts, seed=3).policy
+    reached = [
+        one.train(contexts, 3, length=steps / one.whole, marks=marks, state=file)
+        for steps in (128, 320, 640)
+    ]
+    assert [r.steps for r in reached] == [128, 320, 640]
+    assert same(reached[-1].policy, whole)
+    assert not same(reached[0].policy, whole)
+    assert len(one.evaluate(reached[-1].policy, contexts, range(len(contexts)))) == 3
+
+
+class NotCopied(Guess, gymnasium.utils.EzPickle):
+    """As those of MuJoCo and Box2D: a copy of it is in no episode."""
+
+    def __init__(self, context):
+        gymnasium.utils.EzPickle.__init__(self, context)
+        super().__init__(context)
+
+
+def test_environments_that_cannot_be_copied_begin_a_new_episode(tmp_path):
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    assert not _can_be_copied(DummyVecEnv([lambda: NotCopied({})]))
+    one = trainer(NotCopied)
+    ways = []
+    for name in "ab":
+        file = tmp_path / name
+        one.train([{}], 0, length=64 / one.whole, state=file)
+        ways.append(one.train([{}], 0, length=1.0, state=file))
+    assert same(ways[0].policy, ways[1].policy)  # the same wherever it goes on, ...
+    assert ways[0].steps == 384
+    whole = one.train([{}], seed=0).policy
+    assert not same(ways[0].policy, whole)  # ... and not the undisturbed one
+
+
+@pytest.mark.parametrize(
+    ("one", "context"),
+    [
+        (trainer(), POLE),
+        (trainer(normalize_reward=True), POLE),
+        (trainer(algorithm="DQN"), POLE),
+        (trainer(pendulum, "SAC", 120), MASS),
+    ],
+    ids=["PPO", "rewards normalised", "DQN", "SAC"],
+)
+def test_a_training_that_begins_from_another_model_acts_as_that_until_it_learns(one, context):
+    first = one.train([context], 0, length=1.0).policy
+    frozen = replace(one, hyperparameters={**one.hyperparameters, "learning_rate": 0.0})
+    other = {name: 2.0 * x for name, x in context.items()}
+    warm = frozen.train([other], 1, length=64 / frozen.whole, start=first)
+    space = first.observation_space
+    seen = np.random.default_rng(0).normal(0.0, 2.0, (50, *space.shape)).astype(space.dtype)
+    expected, _ = first.predict(seen, deterministic=True)
+    assert np.array_equal(warm.policy.predict(seen, deterministic=True)[0], expected)
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "DQN"])
+@pytest.mark.parametrize("unit", ["timesteps", "episodes"])
+def test_without_its_state_a_training_goes_on_from_its_latest_policy(algorithm, unit):
+    left, told = [], []
+    one = trainer(algorithm=algorithm)
+    falls = {**one.hyperparameters, "learning_rate": lambda share: left.append(share) or 1e-3}
+    total = {"timesteps": 384, "episodes": None} if unit == "timesteps" else {"episodes": 20}
+    one = replace(one, hyperparameters=falls, **{"timesteps": None, **total})
+    half = one.train([POLE], 3, length=0.5)
+    left.clear()
+    asked = {"start": half.policy, "done": 0.5, "length": 1.0}
+    rest = one.train([POLE], 3, on_progress=told.append, **asked)
+    assert rest.steps == (384 if unit == "timesteps" else None)
+    assert not same(rest.policy, half.policy)
+    if (algorithm, unit) != ("PPO", "episodes"):  # whose rate the library lets follow steps alone
+        assert 0 < max(share for share in left if share < 1.0) <= 0.55  # it follows the whole
+    assert same(one.train([POLE], 3, **{**asked, "length": 0.5}).policy, half.policy)
+
+
+def test_a_model_of_another_kind_is_refused():
+    with pytest.raises(InvalidInput, match="model of its own algorithm and network, got DQN"):
+        trainer().train([POLE], 0, start=trainer(algorithm="DQN").train([POLE], 0).policy)
+
+
+def test_episodes_of_evaluations_are_counted():
+    one = trainer()
+    policy = one.train([POLE], 0, length=64 / one.whole).policy
+    returns, steps = one.evaluate_steps(policy, [POLE, {"length": 1.0}], [5, 6])
+    assert np.array_equal(returns, one.evaluate(policy, [POLE, {"length": 1.0}], [5, 6]))
+    assert np.array_equal(returns, steps)  # a point per step
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "changes"),
+    [("PPO", {}), ("PPO", {"n_envs": 2}), ("DQN", {}), ("DQN", {"normalize_reward": True})],
+    ids=["PPO", "two environments", "DQN", "rewards normalised"],
+)
+def test_a_training_of_episodes_extended_twice_is_the_whole_one(algorithm, changes, tmp_path):
+    """Also where a rate falls: it follows the episodes."""
+    falls = {**(PPO if algorithm == "PPO" else DQN), "learning_rate": lambda left: 1e-3 * left}
+    one = replace(
+        trainer(algorithm=algorithm, **changes), timesteps=None, episodes=25, hyperparameters=falls
+    )
+    assert (one.whole, one.counts) == (25, "episodes")
+    whole = one.train([POLE], seed=3).policy
+    file, told = tmp_path / "training", []
+    reached = [
+        one.train([POLE], 3, length=episodes / one.whole, state=file, on_progress=told.append)
+        for episodes in (4, 11, 25)
+    ]
+    steps = [r.steps for r in reached]
+    assert steps == sorted(set(steps))
+    assert steps[-1] in (whole.num_timesteps, whole.num_timesteps - one.n_envs)  # one is begun
+    assert same(reached[-1].policy, whole)
+    assert not same(reached[0].policy, whole)
+    assert {p.unit for p in told} == {"steps"}
+    assert told[-1].step == steps[-1]

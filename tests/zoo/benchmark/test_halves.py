@@ -1,0 +1,151 @@
+"""Two halves of the episodes: one chooses, every number shown is of the other."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from mbtl.contexts import ContextSpace, Linear
+from mbtl.errors import InvalidInput, StorageError
+from mbtl.routing import last_route, routes
+from mbtl.selectors import Traits
+from mbtl.zoo.benchmark import (
+    TransferMatrix,
+    compare,
+    levels,
+    load_matrix,
+    random_curve,
+    save_shipped,
+    sequential_oracle,
+)
+
+SEEN = np.array([[0.9, 0.1, 0.3], [0.2, 0.8, 0.3], [0.2, 0.8, 0.3]])
+FRESH = np.array([[0.5, 0.6, 0.0], [0.7, 0.4, 0.1], [0.0, 0.3, 0.2]])
+"""Target 1 ties between sources 1 and 2, target 2 between all: the nearest serves."""
+
+
+def halved(seen=SEEN, fresh=FRESH, **entries):
+    entries = {"bounds": (0, 1), **entries}
+    return TransferMatrix.of(seen[None], fresh_returns=fresh[None], **entries)
+
+
+def noisy(n=7, weights=None):
+    """Rounded so that ties are many."""
+    rng = np.random.default_rng(5)
+    seen, fresh = rng.integers(0, 4, size=(2, n, n)) / 4.0
+    space = ContextSpace.grid({Linear("x", 0, 1): n}, weights=weights)
+    return halved(seen, fresh, space=space)
+
+
+def test_levels_route_by_one_half_and_measure_on_the_other():
+    known = levels(halved(), 0)
+    assert known.independent == pytest.approx((0.5 + 0.4 + 0.2) / 3)
+    assert known.oracle_transfer == pytest.approx((0.5 + 0.4 + 0.2) / 3)  # sources 0, 1 and 2
+    assert known.grand_mean == pytest.approx(FRESH.mean())
+
+
+@pytest.mark.parametrize("weights", [None, [1, 2, 3, 4, 5, 6, 7]])
+def test_random_curve_equals_enumeration_of_what_would_serve(weights):
+    matrix = noisy(weights=weights)
+    seen, fresh = matrix.rows(0, range(7)), matrix.fresh_rows(0, range(7))
+    for k, value in enumerate(random_curve(matrix, 0, 7), start=1):
+        served = []
+        for some in map(list, itertools.combinations(range(7), k)):
+            route = last_route(seen[some], some, matrix.space.steps)
+            row = fresh[some][route, np.arange(7)]
+            served.append(np.average(row, weights=weights))
+        assert value == pytest.approx(np.mean(served), abs=1e-12)
+    assert value == pytest.approx(levels(matrix, 0).oracle_transfer)
+
+
+def test_the_oracle_chooses_by_one_half_and_its_curve_is_of_the_other():
+    matrix, n = noisy(), 7
+    run = sequential_oracle(matrix, 0, n)
+    blind = sequential_oracle(TransferMatrix.of(matrix.returns, bounds=(0, 1)), 0, n)
+    assert run.sources == blind.sources
+    picks = list(run.sources)
+    route = routes(matrix.rows(0, picks), picks, matrix.space.steps)
+    served = np.take_along_axis(matrix.fresh_rows(0, picks), route, axis=0)
+    assert run.curve == pytest.approx(served.mean(axis=1))
+
+
+def test_a_selector_sees_one_half_and_its_curve_is_of_the_other():
+    seen = []
+
+    class Spy:
+        name, traits = "spy", Traits(deterministic=True)
+
+        def propose(self, problem, history, rng):
+            from mbtl.selectors import Proposal
+
+            seen.append(history.rows)
+            return Proposal(len(history), "next")
+
+    (run,) = compare([Spy()], [halved()], budget=3).results
+    assert np.array_equal(seen[-1], SEEN[:2])
+    # 0 alone; then 1 takes targets 1 and 2 (a tie: it is nearer); then 2 takes target 2
+    assert run.performance == pytest.approx([1.1 / 3, (0.5 + 0.4 + 0.1) / 3, (0.5 + 0.4 + 0.2) / 3])
+
+
+def test_episodes_become_two_halves_of_equal_rank():
+    episodes = np.random.default_rng(0).normal(size=(2, 3, 3, 5)).astype(np.float32)
+    alone = episodes[:, 0]
+    matrix = TransferMatrix.of_episodes(episodes, references={"unguided": alone}, bounds=(-1, 1))
+    assert matrix.episodes == (2, 3)
+    assert matrix.returns == pytest.approx(episodes[..., :2].mean(axis=3))
+    assert matrix.fresh_returns == pytest.approx(episodes[..., 2:].mean(axis=3))
+    assert matrix.std == pytest.approx(episodes.std(axis=3, ddof=1))
+    assert matrix.references["unguided"][:, 1] == pytest.approx(alone[..., 2:].mean(axis=2))
+    assert matrix.caveat is None
+
+
+def test_one_episode_leaves_nothing_to_report_and_no_deviation():
+    matrix = TransferMatrix.of_episodes(np.zeros((1, 2, 2, 1)))
+    assert (matrix.fresh_returns, matrix.std, matrix.episodes) == (None, None, (1,))
+    assert not matrix.measures_apart
+    assert "same evaluation episodes" in matrix.caveat
+
+
+def test_everything_survives_a_file_and_a_shipped_set(tmp_path):
+    episodes = np.random.default_rng(0).normal(size=(2, 3, 3, 4))
+    matrix = TransferMatrix.of_episodes(
+        episodes, references={"unguided": episodes[:, 1]}, bounds=(-1, 1)
+    )
+    matrix.save(tmp_path / "m.npz")
+    save_shipped(matrix, tmp_path, "mine")
+    for back in (TransferMatrix.load(tmp_path / "m.npz"), load_matrix("mine", folder=tmp_path)):
+        assert back.returns == pytest.approx(matrix.returns, abs=1e-6)
+        assert back.fresh_returns == pytest.approx(matrix.fresh_returns, abs=1e-6)
+        assert back.references["unguided"] == pytest.approx(matrix.references["unguided"], abs=1e-6)
+        assert back.episodes == (2, 2)
+    assert load_matrix("mine", folder=tmp_path).fresh_returns.dtype == np.float32
+
+
+def test_seeds_with_and_without_a_fresh_half_are_no_set(tmp_path):
+    matrix = halved()
+    save_shipped(matrix, tmp_path, "a")
+    save_shipped(TransferMatrix.of(matrix.returns, bounds=(0, 1)), tmp_path, "a", first_seed=1)
+    with pytest.raises(StorageError, match="halves of episodes"):
+        load_matrix("a", folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("entries", "match"),
+    [
+        ({"fresh_returns": np.zeros((1, 2, 2))}, "fresh_returns must have the shape"),
+        ({"fresh_returns": np.full((1, 3, 3), np.nan)}, "fresh_returns must be finite"),
+        ({"episodes": [2, 3]}, "1 whole number"),
+        ({"episodes": [0]}, "1 whole number"),
+        ({"references": {"unguided": np.zeros((1, 2, 3))}}, "reference_unguided must be"),
+    ],
+)
+def test_entries_that_break_a_rule_are_named(entries, match):
+    with pytest.raises(InvalidInput, match=match):
+        TransferMatrix.of(np.zeros((1, 3, 3)), **entries)
+
+
+def test_episodes_need_four_axes_and_as_many_for_a_reference():
+    with pytest.raises(InvalidInput, match="episode"):
+        TransferMatrix.of_episodes(np.zeros((1, 2, 2)))
+    with pytest.raises(InvalidInput, match="as many episodes"):
+        TransferMatrix.of_episodes(np.zeros((1, 2, 2, 4)), references={"r": np.zeros((1, 2, 3))})

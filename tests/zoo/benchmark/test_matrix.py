@@ -1,0 +1,227 @@
+"""Transfer matrices: defaults, rules, and what a file gives back."""
+
+import numpy as np
+import pytest
+
+from mbtl.contexts import Categorical, ContextSpace, Log
+from mbtl.errors import InvalidInput, StorageError
+from mbtl.objective import Bounds
+from mbtl.zoo.benchmark import RowSource, TransferMatrix
+
+
+@pytest.fixture
+def returns():
+    return np.random.default_rng(1).uniform(-3, 7, size=(2, 4, 4))
+
+
+def write(path, **entries):
+    np.savez(path, **entries)
+    return path
+
+
+def test_defaults_are_those_of_the_contract(tmp_path, returns):
+    matrix = TransferMatrix.load(write(tmp_path / "m.npz", returns=returns))
+    assert matrix.bounds == Bounds(returns.min(), returns.max(), "maximize")  # over all seeds
+    assert matrix.theta == 0.005
+    assert matrix.contexts.tolist() == [[0], [1], [2], [3]]
+    assert matrix.std is None
+    assert matrix.provenance == {}
+    assert (matrix.n, matrix.n_seeds) == (4, 2)
+
+
+def test_theta_of_a_large_matrix_is_half_a_performance_per_span():
+    assert TransferMatrix.of(np.zeros((1, 101, 101))).theta == pytest.approx(0.5 / 100)
+    assert TransferMatrix.of(np.zeros((1, 100, 100))).theta == 0.005
+    assert TransferMatrix.of(np.zeros((1, 3, 3)), theta=0.02).problem(2).theta == 0.02
+
+
+def test_performance_is_normalised_by_bounds_and_not_clipped():
+    returns = np.array([[[0.0, 300.0], [-100.0, 600.0]]])
+    matrix = TransferMatrix.of(returns, bounds=[0, 500])
+    assert matrix.performance(0) == pytest.approx(np.array([[0, 0.6], [-0.2, 1.2]]))
+    assert matrix.rows(0, [1, 0]) == pytest.approx(np.array([[-0.2, 1.2], [0, 0.6]]))
+
+
+def test_minimised_returns_are_good_when_small():
+    returns = np.array([[[1.0, 3.0], [2.0, 5.0]]])
+    matrix = TransferMatrix.of(returns, direction="min")
+    assert matrix.performance(0) == pytest.approx(np.array([[1, 0.5], [0.75, 0]]))
+    assert matrix.oracle_transfer == pytest.approx([(1 + 0.5) / 2])
+
+
+def test_levels_by_hand():
+    returns = np.array([[[0.5, 0.1], [0.9, 0.3]], [[1.0, 0.0], [0.0, 1.0]]])
+    matrix = TransferMatrix.of(returns, bounds=(0, 1))
+    assert matrix.independent == pytest.approx([0.4, 1.0])
+    assert matrix.oracle_transfer == pytest.approx([0.6, 1.0])
+    assert matrix.grand_mean == pytest.approx([0.45, 0.5])
+
+
+def test_target_weights_count_in_every_level():
+    space = ContextSpace.grid({Log("x", 1, 10): 2}, weights=[3, 1])
+    matrix = TransferMatrix.of([[[0.5, 0.1], [0.9, 0.3]]], space=space, bounds=(0, 1))
+    assert matrix.independent == pytest.approx([0.75 * 0.5 + 0.25 * 0.3])
+    assert matrix.oracle_transfer == pytest.approx([0.75 * 0.9 + 0.25 * 0.3])
+    assert matrix.grand_mean == pytest.approx([0.75 * 0.7 + 0.25 * 0.2])
+
+
+def test_a_grid_of_contexts_gives_grid_steps():
+    contexts = np.array([[x, y] for x in (1.0, 10.0, 20.0) for y in (0.5, 0.6)])
+    matrix = TransferMatrix.of(np.zeros((1, 6, 6)), contexts=contexts, axes=["mass", "length"])
+    assert matrix.problem(2).steps.tolist() == [[i, j] for i in range(3) for j in range(2)]
+    assert [axis.name for axis in matrix.axes] == ["mass", "length"]
+    assert np.array_equal(matrix.contexts, contexts)
+
+
+def test_scattered_contexts_and_a_constant_column_are_accepted():
+    contexts = np.array([[0.0, 7.0], [5.0, 7.0], [1.0, 7.0], [9.0, 7.0]])
+    matrix = TransferMatrix.of(np.zeros((1, 4, 4)), contexts=contexts)
+    assert np.array_equal(matrix.contexts, contexts)
+    assert matrix.space.shape is None
+
+
+def test_one_context_is_a_matrix():
+    assert TransferMatrix.of([[[3.0]]]).oracle_transfer.shape == (1,)
+
+
+def test_save_and_load_give_back_everything(tmp_path, returns):
+    space = ContextSpace.grid({Log("mass", 0.1, 10, "kg"): 4}, weights=[1, 2, 3, 4])
+    matrix = TransferMatrix.of(
+        returns.astype(np.float32), space=space, bounds=(-5, 5), theta=0.01, direction="min",
+        std=np.ones_like(returns, dtype=np.float32), provenance={"command": "mbtl matrix build é"},
+    )  # fmt: skip
+    matrix.save(tmp_path / "m.npz")
+    back = TransferMatrix.load(tmp_path / "m.npz")
+    assert back.returns.dtype == np.float32
+    assert np.array_equal(back.returns, matrix.returns)
+    assert np.array_equal(back.std, matrix.std)
+    assert back.space == space
+    assert (back.bounds, back.theta) == (matrix.bounds, 0.01)
+    assert back.provenance == {"command": "mbtl matrix build é"}
+    # and a stranger can read it with numpy alone
+    with np.load(tmp_path / "m.npz", allow_pickle=False) as entries:
+        assert entries["contexts"].shape == (4, 1)
+        assert str(entries["direction"]) == "min"
+
+
+def test_categorical_contexts_survive_a_file(tmp_path):
+    space = ContextSpace.grid({Categorical("road", ("dry", "wet")): ("dry", "wet")})
+    matrix = TransferMatrix.of(np.eye(2)[None], space=space)
+    matrix.save(tmp_path / "m.npz")
+    assert TransferMatrix.load(tmp_path / "m.npz").space == space
+    with pytest.raises(InvalidInput, match="categorical"):
+        _ = matrix.contexts
+
+
+def test_equal_matrices_give_equal_bytes(tmp_path, returns):
+    for name in ("a.npz", "b.npz"):
+        TransferMatrix.of(returns).save(tmp_path / name)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_returns_cannot_be_changed_through_the_matrix_and_callers_keep_their_array(returns):
+    matrix = TransferMatrix.of(returns)
+    with pytest.raises(ValueError, match="read-only"):
+        matrix.returns[0, 0, 0] = 1.0
+    returns[0, 0, 0] = 1.0
+
+
+def test_it_is_a_row_source(returns):
+    assert isinstance(TransferMatrix.of(returns), RowSource)
+
+
+GOOD = np.zeros((1, 3, 3))
+
+
+@pytest.mark.parametrize(
+    ("entries", "match"),
+    [
+        ({}, "needs `returns`"),
+        ({"returns": np.zeros((3, 3))}, r"returns\[None\]"),
+        ({"returns": np.zeros((1, 3, 4))}, "as many sources as targets"),
+        ({"returns": np.zeros((0, 3, 3))}, "shape"),
+        ({"returns": np.full((1, 3, 3), np.nan)}, "got nan at .* the first of 9 of 9"),
+        ({"returns": np.where(np.eye(3) > 0, np.inf, 0)[None]}, "seed 0, source 0, target 0"),
+        ({"returns": np.zeros((1, 2, 2), dtype=complex)}, "real numbers"),
+        ({"returns": np.full((1, 2, 2), "a")}, "real numbers"),
+        ({"returns": np.full((1, 2, 2), None)}, "no pickled objects"),
+        ({"returns": GOOD, "bounds": [1, 0]}, "low < high"),
+        ({"returns": GOOD, "bounds": [0, 1, 2]}, "two numbers"),
+        ({"returns": GOOD, "bounds": [0, np.nan]}, "finite"),
+        ({"returns": GOOD, "theta": -1}, ">= 0"),
+        ({"returns": GOOD, "theta": np.nan}, "finite"),
+        ({"returns": GOOD, "theta": [1, 2]}, "one number"),
+        ({"returns": GOOD, "direction": "up"}, "'max' or 'min'"),
+        ({"returns": GOOD, "contexts": np.zeros(3)}, r"shape \(N, d\)"),
+        ({"returns": GOOD, "contexts": np.zeros((2, 1))}, "N = 3"),
+        ({"returns": GOOD, "contexts": np.zeros((3, 1))}, "distinct"),
+        ({"returns": GOOD, "contexts": [[0], [1], [np.nan]]}, "finite"),
+        ({"returns": GOOD, "contexts": [[0], [1], [2]], "axes": ["a", "b"]}, "1 names"),
+        ({"returns": GOOD, "axes": ["a", "b"]}, "need `contexts`"),
+        ({"returns": GOOD, "std": np.zeros((1, 3))}, "shape of returns"),
+        ({"returns": GOOD, "space": "nonsense"}, "JSON object"),
+        ({"returns": GOOD, "space": '{"axes": 3}'}, "space"),
+        ({"returns": GOOD, "provenance": "[1]"}, "JSON object"),
+    ],
+)
+def test_a_bad_file_is_refused_with_its_name_and_the_rule(tmp_path, entries, match):
+    path = tmp_path / "bad.npz"
+    np.savez(path, **{key: np.asarray(value) for key, value in entries.items()})
+    with pytest.raises(InvalidInput, match=match) as caught:
+        TransferMatrix.load(path)
+    assert "bad.npz" in str(caught.value)
+
+
+def test_files_that_are_no_matrix_files(tmp_path):
+    with pytest.raises(InvalidInput, match="no file"):
+        TransferMatrix.load(tmp_path / "absent.npz")
+    (tmp_path / "text.npz").write_text("hello")
+    with pytest.raises(InvalidInput, match="plain numbers"):
+        TransferMatrix.load(tmp_path / "text.npz")
+    (tmp_path / "empty.npz").write_bytes(b"")
+    with pytest.raises(InvalidInput, match="damaged"):
+        TransferMatrix.load(tmp_path / "empty.npz")
+    with (tmp_path / "single.npz").open("wb") as file:
+        np.save(file, GOOD)
+    with pytest.raises(InvalidInput, match="single array"):
+        TransferMatrix.load(tmp_path / "single.npz")
+    with pytest.raises(
+        InvalidInput, match=r"is a folder; give one that it holds: empty\.npz, single"
+    ):
+        TransferMatrix.load(tmp_path)
+
+
+def test_a_truncated_file_is_refused(tmp_path):
+    TransferMatrix.of(np.random.default_rng(0).normal(size=(2, 20, 20))).save(tmp_path / "m.npz")
+    whole = (tmp_path / "m.npz").read_bytes()
+    middle = len(whole) // 3
+    (tmp_path / "torn.npz").write_bytes(whole[:middle])
+    with pytest.raises(InvalidInput, match="damaged"):
+        TransferMatrix.load(tmp_path / "torn.npz")
+    (tmp_path / "flip.npz").write_bytes(whole[:middle] + bytes(64) + whole[middle + 64 :])
+    with pytest.raises(InvalidInput, match=r"flip\.npz"):
+        TransferMatrix.load(tmp_path / "flip.npz")
+
+
+def test_a_failed_write_leaves_no_file_and_keeps_the_old_one(tmp_path):
+    matrix = TransferMatrix.of(GOOD)
+    with pytest.raises(InvalidInput, match=r"ends in \.npz"):
+        matrix.save(tmp_path / "m.csv")
+    with pytest.raises(StorageError, match="cannot be written"):
+        matrix.save(tmp_path / "absent" / "m.npz")
+    (tmp_path / "m.npz").mkdir()
+    with pytest.raises(StorageError, match="cannot be written"):
+        matrix.save(tmp_path / "m.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["m.npz"]
+
+
+def test_a_name_is_kept_on_saving_and_older_files_are_called_by_their_path(tmp_path):
+    path = tmp_path / "m.npz"
+    TransferMatrix.of(np.eye(3)[None], bounds=(0, 1), name="load").save(path)
+    assert TransferMatrix.load(path).name == "load"
+    assert TransferMatrix.load(path, name="other").name == "other"
+    np.savez(path, returns=np.eye(3)[None])
+    assert TransferMatrix.load(path).name == str(path)
+    np.savez(path, returns=np.eye(3)[None], name=np.zeros(2))
+    with pytest.raises(InvalidInput, match="name must be one text"):
+        TransferMatrix.load(path)

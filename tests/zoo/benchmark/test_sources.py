@@ -1,0 +1,116 @@
+"""Matrices of which only some contexts were trained on: all are targets, some are sources."""
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from mbtl.errors import InvalidInput
+from mbtl.history import History
+from mbtl.objective import value_curve
+from mbtl.selectors import get_selector, selector_names
+from mbtl.selectors.base import Exhausted, SelectionProblem
+from mbtl.zoo.benchmark import TransferMatrix, compare, nominal_source, reference_levels
+from mbtl.zoo.benchmark.base import levels
+from mbtl.zoo.benchmark.oracle import random_curve, sequential_oracle
+from mbtl.zoo.benchmark.replay import replay
+
+SOURCES = [0, 2, 5, 7]
+
+
+@pytest.fixture
+def matrix():
+    rng = np.random.default_rng(0)
+    returns, fresh = rng.uniform(0.1, 0.9, (2, 2, 4, 8))
+    return TransferMatrix.of(returns, fresh_returns=fresh, sources=SOURCES, bounds=(0, 1))
+
+
+def test_rows_are_found_by_context(matrix):
+    assert (matrix.n, matrix.n_seeds) == (8, 2)
+    np.testing.assert_array_equal(matrix.rows(1, [7, 2]), matrix.returns[1, [3, 1]])
+    np.testing.assert_array_equal(matrix.fresh_rows(0, [5]), matrix.fresh_returns[0, [2]])
+    with pytest.raises(InvalidInput, match="no training on context 3"):
+        matrix.rows(0, [2, 3])
+
+
+@pytest.mark.parametrize(("nominal", "source"), [(3.1, 2), (3.9, 5), (5.0, 5), (0.9, 0)])
+def test_the_nominal_policy_is_of_the_nearest_context_trained_on(nominal, source):
+    known = {"sources": SOURCES, "contexts": np.arange(8.0)[:, None], "axes": ["x"]}
+    returns = np.random.default_rng(0).uniform(0.1, 0.9, (1, 4, 8))
+    matrix = TransferMatrix.of(
+        returns, **known, bounds=(0, 1), provenance={"nominal": {"x": nominal}}
+    )
+    assert nominal_source(matrix) == source
+    shown = reference_levels(matrix, 0)["nominal_policy"]
+    assert shown == pytest.approx(returns[0, SOURCES.index(source)].mean())
+
+
+def test_levels_are_of_the_sources(matrix):
+    seen, fresh = matrix.returns[0], matrix.fresh_returns[0]
+    known = levels(matrix, 0)
+    assert known.independent == pytest.approx(np.mean([fresh[i, s] for i, s in enumerate(SOURCES)]))
+    assert known.grand_mean == pytest.approx(fresh.mean())
+    assert known.oracle_transfer == pytest.approx(fresh[seen.argmax(axis=0), np.arange(8)].mean())
+
+
+def test_the_oracle_and_random_know_the_sources_only(matrix):
+    plain = TransferMatrix.of(matrix.returns, sources=SOURCES, bounds=(0, 1))
+    oracle = sequential_oracle(plain, 0, 4)
+    assert oracle.sources[0] == SOURCES[plain.returns[0].mean(axis=1).argmax()]
+    assert sorted(oracle.sources) == SOURCES
+    curves = [
+        value_curve(plain.rows(0, order), np.full(8, 0.125)) for order in permutations(SOURCES)
+    ]
+    np.testing.assert_allclose(random_curve(plain, 0, 4), np.mean(curves, axis=0))
+
+
+@pytest.mark.parametrize("name", selector_names())
+def test_every_selector_proposes_sources_only_and_all_of_them(matrix, name):
+    found = replay(get_selector(name), matrix.problem(4), lambda i: matrix.rows(0, [i])[0])
+    assert sorted(found.history.sources) == SOURCES
+    with pytest.raises(Exhausted, match="all 4 contexts"):
+        get_selector(name).propose(matrix.problem(4), found.history, np.random.default_rng(0))
+
+
+def test_pending_sources_count_and_others_are_refused(matrix):
+    history = History(8).with_pending(0).with_pending(2).with_failure(5)
+    pick = get_selector("auto").propose(matrix.problem(2), history, np.random.default_rng(0))
+    assert pick.source == 7
+
+    class Stubborn:
+        name = "stubborn"
+
+        def propose(self, problem, history, rng):
+            return pick.__class__(3, "because")
+
+    with pytest.raises(InvalidInput, match="not yet trained and trainable, got 3"):
+        replay(Stubborn(), matrix.problem(1), lambda i: np.zeros(8))
+
+
+def test_a_comparison_runs_on_it(matrix):
+    found = compare(["auto", "random", "oracle"], [matrix], budget=3, seeds=2)
+    assert all(set(run.sources) <= set(SOURCES) for run in found.results)
+    with pytest.raises(InvalidInput, match=r"trainable contexts \(4\)"):
+        matrix.problem(5)
+
+
+def test_a_file_reads_back(matrix, tmp_path):
+    matrix.save(tmp_path / "some.npz")
+    again = TransferMatrix.load(tmp_path / "some.npz")
+    np.testing.assert_array_equal(again.sources, SOURCES)
+    np.testing.assert_array_equal(again.returns, matrix.returns)
+    assert TransferMatrix.of(np.zeros((1, 2, 2)), sources=[0, 1], bounds=(0, 1)).sources is None
+
+
+@pytest.mark.parametrize(
+    "sources", [None, [0, 2, 5], [0, 2, 7, 5], [0, 2, 5, 8], [-1, 2, 5, 7], [0.0, 2.0, 5.0, 7.0]]
+)
+def test_rows_without_their_contexts_are_refused(sources):
+    with pytest.raises(InvalidInput, match="sources"):
+        TransferMatrix.of(np.zeros((1, 4, 8)), sources=sources, bounds=(0, 1))
+
+
+def test_a_mask_has_one_entry_per_context():
+    line = TransferMatrix.of(np.zeros((1, 3, 3)), bounds=(0, 1)).space
+    with pytest.raises(InvalidInput, match="mask of 3 contexts"):
+        SelectionProblem.of(line, budget=1, trainable=np.array([True, False]))

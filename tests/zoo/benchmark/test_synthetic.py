@@ -1,0 +1,197 @@
+"""Synthetic worlds: the formula, exact extremes, and rows that need no neighbours."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from mbtl.errors import InvalidInput, UnknownName
+from mbtl.zoo.benchmark import (
+    RowSource,
+    SyntheticWorld,
+    TransferMatrix,
+    linear_gap_world,
+    random_curve,
+    sequential_oracle,
+    synthetic_ids,
+    synthetic_world,
+)
+
+
+def all_rows(world, seed=0):
+    return world.rows(seed, np.arange(world.n))
+
+
+def test_linear_gap_world_is_its_formula():
+    i = np.arange(100)
+    expected = 0.9 - 0.005 * np.abs(i[:, None] - i)
+    world = synthetic_world("synthetic:linear-gap")
+    assert np.array_equal(all_rows(world), expected)
+    assert world.problem(3).theta == 0.005
+    assert isinstance(world, RowSource)
+
+
+def test_linear_gap_world_with_a_profile_of_training_performance():
+    world = linear_gap_world(3, level=np.array([0.2, 0.5, 0.9]), slope=0.1)
+    expected = [[0.2, 0.1, 0.0], [0.4, 0.5, 0.4], [0.7, 0.8, 0.9]]
+    assert all_rows(world) == pytest.approx(np.array(expected))
+
+
+@pytest.mark.parametrize(
+    ("name", "a", "b", "left"),
+    [
+        ("synthetic:3d-lin-lin-nd-eta0", 4, 3, (1, 1, -3)),
+        ("synthetic:3d-const-lin-l1-eta0", 0, 3, (-3, -3, -3)),
+        ("synthetic:3d-lin-none-minor-eta0", 4, 0, (1, -3, -3)),
+    ],
+)
+def test_three_axes_follow_the_published_generator(name, a, b, left):
+    x = np.array(list(itertools.product(range(8), repeat=3)))  # last axis fastest
+    d = x[:, None, :] - x[None, :, :]
+    returns = 500.0 + a * x.sum(1)[:, None] + b * x.sum(1)[None, :]
+    returns = returns - (np.minimum(d, 0) * left + np.maximum(d, 0) * 3).sum(axis=2)
+    world = synthetic_world(name)
+    assert world.returns(0, np.arange(512)) == pytest.approx(returns, abs=1e-9)
+    scaled = (returns - returns.min()) / (returns.max() - returns.min())
+    assert all_rows(world) == pytest.approx(scaled, abs=1e-12)
+    assert np.array_equal(world.space.steps, x)
+
+
+def test_distance_worlds_fall_by_three_per_step_and_directional_ones_rise():
+    l1 = synthetic_world("synthetic:5d-const-none-l1-eta0").returns(0, [0])[0]
+    assert l1.max() == l1[0] == 500.0
+    assert l1[-1] == 500.0 - 3 * 4 * 5
+    nd2 = synthetic_world("synthetic:5d-const-none-nd2-eta0").returns(0, [0])[0]
+    assert nd2[-1] == 500.0 + 4 * 4 - 3 * 4  # four axes rise by 1 per step, one falls by 3
+
+
+@pytest.mark.parametrize(
+    ("variant", "random", "oracle"),
+    [
+        ("const-lin-nd", 0.7028, 0.7250),
+        ("const-lin-l1", 0.7122, 0.7190),
+        ("const-none-nd", 0.8688, 0.9091),
+        ("lin-lin-l1", 0.5517, 0.5714),
+        ("lin-none-nd", 0.6761, 0.7000),
+    ],
+)
+def test_published_values_without_noise_at_fifty_trainings(variant, random, oracle):
+    # SD-MBTL's table; its Random is one run, and its oracle breaks exact ties by another rule.
+    world = synthetic_world(f"synthetic:3d-{variant}-eta0")
+    assert random_curve(world, 0, 50)[-1] == pytest.approx(random, abs=1e-3)
+    assert sequential_oracle(world, 0, 50).curve[-1] == pytest.approx(oracle, abs=3e-4)
+
+
+def test_every_named_world_exists_in_its_dimension():
+    dimensions = {"1d": 100, "3d": 8**3, "5d": 5**5, "7d": 4**7}
+    ids = synthetic_ids()
+    assert len(ids) == len(set(ids)) == 1 + 32 + 48 + 12 + 4
+    for name in ids[1:]:
+        world = synthetic_world(name)
+        assert world.name == name
+        assert world.n == dimensions[name.split(":")[1][:2]]
+        assert world.n_seeds == (1 if name.endswith("eta0") else 3)
+
+
+def test_the_one_axis_set_spans_as_much_as_the_three_axes_one():
+    for variant in ("lin-none-l1", "const-lin-l1", "const-none-l1"):
+        spans = []
+        for key in ("1d", "3d"):
+            returns = synthetic_world(f"synthetic:{key}-{variant}-eta0")
+            rows = returns.returns(0, np.arange(returns.n))
+            spans.append(np.ptp(rows))
+        assert spans[0] == pytest.approx(spans[1])
+
+
+def test_a_row_is_the_same_alone_in_a_block_and_in_any_order():
+    world = synthetic_world("synthetic:3d-lin-lin-nd-eta5")
+    block = world.rows(1, [7, 300, 2])
+    assert np.array_equal(world.rows(1, [300])[0], block[1])
+    again = synthetic_world("synthetic:3d-lin-lin-nd-eta5")
+    assert np.array_equal(again.rows(1, [2, 7])[1], block[0])
+
+
+def test_noise_differs_between_rows_and_seeds_and_has_the_stated_size():
+    world = SyntheticWorld(
+        "noise", (40, 40), 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), noise=5.0, n_seeds=2
+    )
+    first, second = (world.returns(s, np.arange(100)) for s in (0, 1))
+    z = np.concatenate([first, second]).ravel() / 5.0
+    n = z.size
+    assert abs(z.mean()) < 4 / np.sqrt(n)
+    assert abs(z.std() - 1) < 4 / np.sqrt(2 * n)
+    rows = np.corrcoef(np.vstack([first[:10], second[:10]]))
+    assert np.abs(rows - np.eye(20)).max() < 0.15  # 6 sigma of independent rows of 1600
+
+
+def test_bounds_are_exact_over_all_seeds_or_each_alone():
+    for scale in ("all", "each"):
+        world = SyntheticWorld(
+            "w", (6, 5), np.arange(30), 0.0, (-1, -1), (1, 1), noise=2.0, n_seeds=3, scale=scale
+        )
+        matrices = np.array([world.returns(s, np.arange(30)) for s in range(3)])
+        for s in range(3):
+            of = matrices if scale == "all" else matrices[s]
+            assert (world.bounds(s).low, world.bounds(s).high) == (of.min(), of.max())
+
+
+def test_it_agrees_with_a_stored_matrix_of_the_same_rows():
+    world = synthetic_world("synthetic:1d-lin-lin-nd-eta15@2")
+    stored = TransferMatrix.of(np.array([world.returns(s, np.arange(100)) for s in range(2)]))
+    for s in range(2):
+        assert stored.performance(s) == pytest.approx(all_rows(world, s), abs=1e-12)
+
+
+def test_the_seven_axes_world_gives_rows_without_a_matrix():
+    world = synthetic_world("synthetic:7d-const-lin-nd-eta5")
+    assert world.n == 16384
+    rows = world.returns(2, [16383, 0])
+    assert rows.shape == (2, 16384)
+    assert np.array_equal(world.returns(2, [0])[0], rows[1])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "synthetic:",
+        "synthetic:linear-gapp",
+        "synthetic:2d-lin-lin-nd-eta5",
+        "synthetic:3d-lin-lin-nd1-eta5",
+        "synthetic:7d-lin-lin-nd-eta5",
+        "synthetic:3d-lin-lin-nd",
+    ],
+)
+def test_unknown_ids_are_refused(name):
+    with pytest.raises(UnknownName, match="no synthetic world"):
+        synthetic_world(name)
+
+
+def test_ids_take_any_noise_and_number_of_seeds():
+    world = synthetic_world("synthetic:3d-lin-lin-nd-eta2.5@7")
+    assert (world.noise, world.n_seeds) == (2.5, 7)
+
+
+def test_several_seeds_without_noise_would_be_one_matrix_counted_twice():
+    with pytest.raises(InvalidInput, match="without noise"):
+        synthetic_world("synthetic:linear-gap@3")
+    with pytest.raises(InvalidInput, match="from 0 to 0"):
+        synthetic_world("synthetic:linear-gap").rows(1, [0])
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"left": (1.0, 1.0)}, "per axis"),
+        ({"noise": -1.0}, "noise"),
+        ({"quality": np.zeros(3)}, "quality"),
+        ({"scale": "some"}, "scale"),
+        ({"n_seeds": 0}, "at least one seed"),
+    ],
+)
+def test_world_rules(change, match):
+    rules = {
+        "name": "w", "shape": (4,), "quality": 0.0, "difficulty": 0.0, "left": (-1.0,),
+        "right": (1.0,),
+    }  # fmt: skip
+    with pytest.raises(InvalidInput, match=match):
+        SyntheticWorld(**{**rules, **change})

@@ -1,0 +1,351 @@
+"""`mbtl matrix build` on a user's own problem, and `mbtl reproduce` on what it wrote."""
+
+import json
+
+import numpy as np
+import pytest
+
+from mbtl.zoo.benchmark import TransferMatrix, load_curves, load_matrix
+
+PROBLEM = """
+from mbtl import ContextSpace
+from mbtl.problems import CMDP
+from mbtl.contexts import Linear
+
+def train(context, seed):
+    if STOP.exists() and context["length"] == 3.0:
+        raise KeyboardInterrupt
+    with LOG.open("a") as log:
+        log.write(f"{context['length']}\\n")
+    return context["length"]
+
+def evaluate(policy, contexts, seeds):
+    return [100.0 - 10.0 * abs(policy - c["length"]) for c in contexts]
+
+from pathlib import Path
+LOG, STOP = Path("trained.txt"), Path("stop")
+mine = CMDP.from_functions(
+    "cartpole-length", ContextSpace.grid({Linear("length", 1, 4): [1, 2, 3, 4]}),
+    train=train, evaluate=evaluate, bounds=(0.0, 100.0), theta=0.1,
+)
+"""
+
+
+@pytest.fixture
+def problem(mbtl_command, tmp_path):
+    (tmp_path / "own.py").write_text(PROBLEM)
+    return tmp_path
+
+
+BUILD = ("matrix", "build", "own.py:mine", "--workers", 1)
+
+
+def test_a_users_problem_becomes_matrix_files(mbtl_command, problem):
+    code, out, err = mbtl_command(*BUILD, "--seeds", 2, "--json")
+    assert code == 0, err
+    assert [one["file"] for one in json.loads(out)["matrices"]] == [
+        f"matrices/cartpole-length-seed{seed}.npz" for seed in range(2)
+    ]
+    matrix = load_matrix("cartpole-length", folder=problem / "matrices")
+    x = np.arange(4.0)
+    np.testing.assert_allclose(matrix.performance(1), 1.0 - 0.1 * abs(x[:, None] - x))
+    assert (matrix.theta, matrix.bounds.high) == (0.1, 100.0)
+    record = matrix.provenance["seeds"][1]
+    assert record["command"] == "mbtl matrix build own.py:mine --seeds 1 --first-seed 1"
+    (origin,) = record["origins"]
+    assert (origin["versions"]["numpy"], origin["sources"]) == (np.__version__, 4)
+    assert matrix.episodes == (1,)
+    assert matrix.std is None
+    assert record["recipe"] == {"trainer": "FunctionTrainer"}
+    assert record["problem"] == "cartpole-length"
+    assert record["evaluation_seeds"] == matrix.evaluation_seeds == "per target"
+    assert "evaluation seeds per target" in err
+
+
+def test_an_interrupted_build_goes_on(mbtl_command, problem):
+    (problem / "stop").touch()
+    code, _, err = mbtl_command(*BUILD, "--seeds", 1)
+    assert code == 130
+    assert "run the same command again" in err
+    (problem / "stop").unlink()
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    assert (problem / "trained.txt").read_text().split() == ["1", "2", "3", "4"]
+    code, _, err = mbtl_command(*BUILD, "--seeds", 1)
+    assert code == 0
+    assert "there already" in err
+    assert len((problem / "trained.txt").read_text().split()) == 4
+
+
+def test_two_checkpoints_are_two_files_whose_command_builds_both(mbtl_command, problem):
+    (problem / "two.py").write_text(TWO)
+    code, _, err = mbtl_command(
+        "matrix", "build", "two.py:two", "--seeds", 1, "--workers", 1, "--checkpoint", "both"
+    )
+    assert code == 0, err
+    for variant, checkpoint in (("default", "best"), ("final", "final")):
+        matrix = load_matrix("cartpole-length", variant, folder=problem / "matrices")
+        record = matrix.provenance["seeds"][0]
+        assert "--checkpoint both" in record["command"]
+        assert record["recipe"]["checkpoint"] == checkpoint
+        assert matrix.measures_apart
+
+
+def test_rows_along_a_training_go_into_a_file_of_their_own(mbtl_command, tmp_path):
+    pytest.importorskip("jax", reason="the jax extra is not installed")
+    build = (
+        "matrix", "build", "cartpole-length", "--preset", "quick", "--timesteps", 4096, "--every",
+        50, "--seeds", 1, "--workers", 1, "--eval-episodes", 4, "--checkpoint", "both",
+        "--along", 2, "--halvings", 2,
+    )  # fmt: skip
+    code, _, err = mbtl_command(*build)
+    assert code == 0, err
+    curves = load_curves("cartpole-length", "every50", folder=tmp_path / "matrices" / "curves")
+    assert curves.lengths.tolist() == [1024, 2048, 4096]
+    assert curves.steps.tolist() == [[[1024] * 2, [2048] * 2, [4096] * 2]]
+    assert "--along 2 --halvings 2 --seeds 1" in curves.provenance["seeds"][0]["command"]
+    end = np.load(tmp_path / "runs/matrix-cartpole-length-every50-quick-seed0/sources-00000.npz")
+    for kind, checkpoint in (("best", "best"), ("last", "final")):  # the first of the episodes
+        row = end[f"{checkpoint}_returns"][0, :, 0]
+        np.testing.assert_allclose(curves.returns[kind][0, -1, 0, 0], row, rtol=1e-3)
+    assert "there already" in mbtl_command(*build)[2]
+
+
+def test_policies_are_evaluated_again_with_other_episodes_but_not_of_another_training(
+    mbtl_command, problem
+):
+    (problem / "kept.py").write_text(KEPT)
+    build = ("matrix", "build", "kept.py:kept", "--seeds", 1, "--workers", 1, "--preset", "full")
+    again = (*build, "--evaluate-again", "--eval-episodes", 4)
+    code, _, err = mbtl_command(*again)
+    assert code == 2
+    assert "no policies were kept" in err
+    assert mbtl_command(*build)[0] == 0
+    assert load_matrix("cartpole-length", folder=problem / "matrices").episodes == (1, 1)
+    (claim,) = problem.glob("runs/*/settings.json")
+    older = json.loads(claim.read_text())
+    del older["evaluation_seeds"]  # of before targets had their own: the policies are the same
+    claim.write_text(json.dumps(older))
+    assert mbtl_command(*again)[0] == 0
+    evaluated = load_matrix("cartpole-length", folder=problem / "matrices")
+    assert (evaluated.episodes, evaluated.evaluation_seeds) == ((2, 2), "per target")
+    assert len((problem / "trained.txt").read_text().split()) == 4
+    code, _, err = mbtl_command(*again, "--timesteps", 7)
+    assert code == 2
+    assert "recipe.timesteps was 5, got 7" in err
+
+
+KEPT = """
+import json
+from dataclasses import dataclass
+import numpy as np
+from mbtl.problems import CMDP, Preset
+from mbtl.trainers import Trained
+from own import mine, train
+
+@dataclass(frozen=True)
+class Kept:
+    timesteps: int = 5
+    eval_episodes: int = 2
+    policy_format = "custom"
+
+    @property
+    def recipe(self):
+        return {"timesteps": self.timesteps, "eval_episodes": self.eval_episodes}
+
+    takes, whole, counts = frozenset(), None, "steps"
+
+    def train(self, contexts, seed, **asked):
+        return Trained(train(contexts[0], seed))
+
+    def evaluate(self, policy, contexts, seeds):
+        return np.zeros((len(contexts), self.eval_episodes))
+
+    def save(self, policy, folder):
+        (folder / "policy.json").write_text(json.dumps(policy))
+        return True
+
+    def load(self, folder):
+        return json.loads((folder / "policy.json").read_text())
+
+kept = CMDP("cartpole-length", mine.space, Kept(), bounds=(-9.0, 0.0), presets={"full": Preset(4)})
+"""
+
+
+TWO = """
+from dataclasses import dataclass
+import numpy as np
+from mbtl.problems import CMDP
+from own import mine
+
+@dataclass(frozen=True)
+class Both:
+    checkpoint: str = "best"
+    lanes = 4
+    policy_format = "custom"
+    recipe = {"trainer": "both", "checkpoint": "best"}
+
+    def train_many(self, contexts, seeds, *, keep=(), state=None, on_progress=None):
+        return {k: [c["length"] for c in contexts] for k in keep}
+
+    def evaluate_many(self, policies, contexts, seeds):
+        gaps = np.subtract.outer(policies, [c["length"] for c in contexts])
+        return np.stack([-abs(gaps), -abs(gaps) - 1.0], axis=2)
+
+two = CMDP("cartpole-length", mine.space, Both(), bounds=(-9.0, 0.0))
+last = CMDP("cartpole-length", mine.space, Both("final"), bounds=(-9.0, 0.0))
+"""
+
+
+def test_the_checkpoint_that_a_preset_keeps_needs_no_name_in_the_file(mbtl_command, problem):
+    (problem / "two.py").write_text(TWO)
+    build = ("matrix", "build", "two.py:last", "--seeds", 1, "--workers", 1)
+    assert mbtl_command(*build, "--variant", "mine")[0] == 0
+    assert mbtl_command(*build, "--checkpoint", "both")[0] == 0
+    files = sorted(file.name for file in (problem / "matrices").iterdir())
+    assert files == [f"cartpole-length{v}-seed0.npz" for v in ("-best", "-mine", "")]
+
+
+def test_a_log_hears_of_a_long_build_now_and_then(mbtl_command, problem, monkeypatch):
+    monkeypatch.setattr("mbtl.cli.common.SILENCE", -1.0)
+    assert "seed 0: 3 of 4 sources" in mbtl_command(*BUILD, "--seeds", 1)[2]
+    monkeypatch.setattr("mbtl.cli.common.SILENCE", 3600.0)
+    assert "sources" not in mbtl_command(*BUILD, "--seeds", 1, "--first-seed", 1)[2]
+
+
+def test_reproduce_prints_ours_beside_the_papers(mbtl_command, problem):
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    ask = ("reproduce", "--folder", "matrices", "--budget", 2, "--item", 1)
+    code, out, _ = mbtl_command(*ask)
+    assert code == 0
+    for number in ("0.9500", "0.9717", "1.0000"):  # Greedy, the paper's MBTL, Independent
+        assert number in out
+    code, out, _ = mbtl_command(*ask, "--json")
+    assert json.loads(out)["rows"][0]["ours"]["independent"]["mean"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("matrix", "build", "own.py:mine", "--seeds", 0), "--seeds must be >= 1"),
+        (("matrix", "build", "own.py:mine", "--checkpoint", "worst"), "best, final or both"),
+        (("matrix", "build", "own.py:mine", "--visibility", "hidden"), "switches of our CMDPs"),
+        (("matrix", "build", "own.py:mine", "--timesteps", 5), "takes no options"),
+        (("matrix", "build", "cartpole-lenght"), "cartpole-length"),
+        (("reproduce", "--budget", 0), "--budget must be >= 1"),
+        (("reproduce", "--variant", "nothing"), "no matrices of the variant"),
+        (("reproduce", "cartpole-lenght"), "cartpole-length"),
+    ],
+)
+def test_bad_input_says_what_to_do(mbtl_command, problem, arguments, complaint):
+    code, _, err = mbtl_command(*arguments)
+    assert code == 2
+    assert complaint in err
+
+
+def test_an_unfinished_file_is_no_matrix(mbtl_command, problem):
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    names = {path.name for path in (problem / "matrices").iterdir()}
+    assert names == {"cartpole-length-seed0.npz"}
+    assert isinstance(TransferMatrix.load(problem / "matrices" / names.pop()), TransferMatrix)
+
+
+def test_show_and_list_say_of_what_the_numbers_are(mbtl_command, problem):
+    assert mbtl_command(*BUILD, "--seeds", 1)[0] == 0
+    code, out, _ = mbtl_command("matrix", "show", "matrices/cartpole-length-seed0.npz")
+    assert code == 0
+    assert "Performance 0 is a return of 0, 1 of 100" in out
+    assert "same evaluation episodes" in " ".join(out.split())
+    assert "Evaluation seeds are per target." in out
+    assert "Evaluation seeds are common" in mbtl_command("matrix", "show", "cartpole-length")[1]
+    assert mbtl_command("matrix", "list", "--folder", "matrices")[1].endswith("per target.\n")
+    code, out, _ = mbtl_command("matrix", "list", "--folder", "matrices", "--json")
+    (one,) = json.loads(out)["matrices"]
+    assert (one["matrix"], one["measures_apart"], one["episodes"]) == (
+        "cartpole-length",
+        False,
+        [1],
+    )
+
+
+def test_show_numbers_seeds_as_their_provenance_does(mbtl_command, problem):
+    assert mbtl_command(*BUILD, "--seeds", 2)[0] == 0
+    file = "matrices/cartpole-length-seed1.npz"
+    (row,) = json.loads(mbtl_command("matrix", "show", file, "--json")[1])["seeds"]
+    assert row["seed"] == 1
+    nameless = TransferMatrix.of([[[1.0, 0.0], [0.0, 1.0]]] * 2, provenance={"seed": 7})
+    nameless.save(problem / "two.npz")  # one number for two seeds says nothing
+    rows = json.loads(mbtl_command("matrix", "show", "two.npz", "--json")[1])["seeds"]
+    assert [row["seed"] for row in rows] == [0, 1]
+
+
+def test_show_knows_the_scale_of_the_paper_and_shows_any(mbtl_command, tmp_path):
+    matrix = TransferMatrix.of(
+        [[[-90.0, 10.0, 60.0]]], sources=[0], bounds=(-150, 300), contexts=[[8.0], [9.0], [10.0]],
+        axes=["gravity"], provenance={"problem": "walker-gravity", "nominal": {"gravity": 10.0}},
+    )  # fmt: skip
+    matrix.save(tmp_path / "walker.npz")
+    out = " ".join(mbtl_command("matrix", "show", "walker.npz")[1].split())
+    assert "Performance 0 is a return of -150, 1 of 300" in out
+    assert "In the paper 0 is -200 and 1 is 10; returns here are -90 to 60." in out
+    assert "its policy is that of the nearest, gravity 8." in out
+    for bounds, value in (("-200,10", 193.33 / 210), ("seen", 83.33 / 150)):
+        shown = json.loads(
+            mbtl_command("matrix", "show", "walker.npz", "--bounds", bounds, "--json")[1]
+        )
+        assert shown["seeds"][0]["nominal_policy"] == pytest.approx(value, rel=1e-3)
+    code, _, err = mbtl_command("matrix", "show", "walker.npz", "--bounds", "high")
+    assert (code, "--bounds is LOW,HIGH or seen, got 'high'" in err) == (2, True)
+    assert "-200..10" in mbtl_command("cmdps", "walker-gravity")[1]
+
+
+def test_a_coarser_grid_is_a_set_of_its_own(mbtl_command, problem):
+    code, _, err = mbtl_command(*BUILD, "--seeds", 1, "--every", 2)
+    assert code == 0, err
+    matrix = load_matrix("cartpole-length", "every2", folder=problem / "matrices")
+    assert matrix.space.values("length") == [1, 3]
+    assert matrix.theta == 0.2
+    assert "--every 2" in matrix.provenance["seeds"][0]["command"]
+    assert mbtl_command(*BUILD, "--every", 0)[0] == 2
+
+
+def test_every_second_context_is_a_source(mbtl_command, problem):
+    build = (*BUILD, "--seeds", 1, "--sources-every", 2)
+    assert mbtl_command(*build)[0] == 0
+    assert (problem / "trained.txt").read_text().split() == ["1", "3"]
+    matrix = load_matrix("cartpole-length", folder=problem / "matrices")
+    np.testing.assert_array_equal(matrix.sources, [0, 2])
+    np.testing.assert_allclose(matrix.rows(0, [2])[0], [0.8, 0.9, 1.0, 0.9])
+    command = matrix.provenance["seeds"][0]["command"]
+    assert command.endswith("--sources-every 2 --seeds 1 --first-seed 0")
+    file = "matrices/cartpole-length-seed0.npz"
+    code, out, err = mbtl_command("matrix", "show", file)
+    assert (code, "Trained on 2 of the 4 contexts" in out) == (0, True), err
+    assert "2/4" in mbtl_command("matrix", "list", "--folder", "matrices")[1]
+    code, out, err = mbtl_command("bench", "--matrix", file, "--budget", 2)
+    assert code == 0, err
+    code, _, err = mbtl_command(*BUILD, "--seeds", 1)
+    assert (code, "has 2 sources and this build 4" in err) == (2, True)
+    code, _, err = mbtl_command(*BUILD, "--seeds", 1, "--sources-every", 5)
+    assert (code, "--sources-every must be from 1" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        *({"seeds": odd} for odd in (5, "two", {}, [1, 2], [{}], None)),
+        {"seeds": [{"recipe": 3, "problem": [], "seed": "x"}, {"nominal": 1}]},
+        {"nominal": {"x": "far"}},
+        {"nominal": {"x": 99.0}},
+        {"nominal": 5, "problem": ["a"], "recipe": "PPO"},
+    ],
+    ids=str,
+)
+def test_odd_provenance_breaks_no_command(mbtl_command, tmp_path, record):
+    returns = np.random.default_rng(0).random((2, 4, 4))
+    matrix = TransferMatrix.of(returns, contexts=np.arange(4.0)[:, None], provenance=record)
+    matrix.save(tmp_path / "m.npz")
+    assert matrix.records[0].get("problem", "") == matrix.cmdp == ""
+    bench = ("bench", "--matrix", "m.npz", "--budget", "2", "--selectors", "random,auto")
+    for command in (("matrix", "show", "m.npz"), bench, ("report", "m.npz")):
+        code, _, err = mbtl_command(*command)
+        assert code == 0, (command, err)

@@ -1,0 +1,269 @@
+import pickle
+from functools import partial
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
+from mbtl.problems import cmdp_ids, get_cmdp
+from mbtl.zoo.cmdps import gym_id
+from mbtl.zoo.cmdps.registration import register_envs
+
+
+@pytest.mark.parametrize(
+    ("id", "axis", "unit", "first", "last", "nominal"),
+    [
+        ("cartpole-masscart", "masscart", "kg", 0.1, 10.0, 1.0),
+        ("cartpole-length", "length", "m", 0.05, 5.0, 0.5),
+        ("cartpole-masspole", "masspole", "kg", 0.01, 1.0, 0.1),
+        ("pendulum-length", "length", "m", 0.1, 10.0, 1.0),
+        ("pendulum-mass", "mass", "kg", 0.1, 10.0, 1.0),
+        ("pendulum-timestep", "timestep", "s", 0.005, 0.5, 0.05),
+    ],
+)
+def test_grids_and_constants_of_the_paper(id, axis, unit, first, last, nominal):
+    cmdp = get_cmdp(id)
+    values = cmdp.space.values(axis)
+    assert len(values) == 100
+    assert (values[0], values[-1], values[9]) == (first, last, nominal)
+    np.testing.assert_allclose(values, first * np.arange(1, 101), rtol=1e-12)
+    assert all(len(repr(value)) <= 5 for value in values), "contexts print as they are meant"
+    assert cmdp.space.axes[0].unit == unit
+    assert cmdp.nominal == cmdp.unit == {axis: nominal}
+    assert cmdp.theta == 0.005
+    cartpole = id.startswith("cartpole")
+    assert cmdp.bounds == ((0.0, 500.0) if cartpole else (-2200.0, -500.0))
+    assert cmdp.horizon == (500 if cartpole else 200)
+
+
+TRAFFIC = {
+    # id: axis, unit, N, first, last, unit of the multiplier, nominal, bounds, theta (spec, 2)
+    "signal-length": ("length", "m", 50, 50.0, 2500.0, 500.0, 750.0, (-120.0, 0.0), 0.001),
+    "signal-inflow": ("inflow", "cars", 50, 50.0, 2500.0, 500.0, 1000.0, (-120.0, 0.0), 0.001),
+    "signal-speed": ("speed", "m/s", 50, 0.5, 25.0, 5.0, 14.0, (-120.0, 0.0), 0.001),
+    "eco-penetration": ("penetration", "share", 50, 0.02, 1.0, 0.2, 0.2, (0.0, 14.0), 0.005),
+    "eco-inflow": ("inflow", "veh/h", 50, 40.0, 2000.0, 400.0, 400.0, (0.0, 14.0), 0.005),
+    "eco-green": ("green", "s", 50, 1.0, 50.0, 10.0, 35.0, (0.0, 14.0), 0.005),
+    "ring-acc": ("hold", "s", 40, 1.0, 40.0, 10.0, 1.0, (0.0, 4.5), 0.005),
+    "ring-vel": ("hold", "s", 40, 1.0, 40.0, 10.0, 1.0, (0.0, 4.5), 0.005),
+    "ramp-acc": ("hold", "s", 40, 1.0, 40.0, 10.0, 1.0, (0.0, 8.78), 0.005),
+    "ramp-vel": ("hold", "s", 40, 1.0, 40.0, 10.0, 1.0, (0.0, 8.78), 0.005),
+}
+
+
+@pytest.mark.parametrize("id", TRAFFIC)
+def test_grids_and_constants_of_traffic(id):
+    axis, physical, n, first, last, unit, nominal, bounds, theta = TRAFFIC[id]
+    cmdp = get_cmdp(id)
+    values = cmdp.space.values(axis)
+    assert (len(values), values[0], values[-1]) == (n, first, last)
+    assert cmdp.space.axes[0].unit == physical
+    assert (cmdp.unit, cmdp.nominal) == ({axis: unit}, {axis: nominal})
+    assert (cmdp.bounds, cmdp.theta) == (bounds, theta)
+    shown = id in ("eco-penetration", "eco-green")  # the reference hides the rest
+    assert cmdp.settings["visibility"] == ("multiplier" if shown else "hidden")
+    assert cmdp.version == {"signal": 4, "eco": 2}.get(cmdp.family, 1)
+    assert cmdp.floor == (-120.0 if cmdp.family == "signal" else None)
+
+
+def test_the_paper_s_scores_are_switches_with_their_own_bounds():
+    eco, signal = (get_cmdp(id, score="paper") for id in ("eco-green", "signal-inflow"))
+    assert (eco.bounds, eco.floor, eco.settings["score"]) == ((0.0, 15.0), None, "paper")
+    assert (signal.bounds, signal.floor) == ((-100.0, 0.0), -100.0)
+    for cmdp, default in ((eco, "everyone"), (signal, "delay")):
+        assert get_cmdp(cmdp.id).settings == {**cmdp.settings, "score": default}
+        assert cmdp.trainer.problem([])[0].scored == "paper"
+        assert cmdp.make_env.options["score"] == "paper"
+    with pytest.raises(UnknownName, match="one score; leave the choice out"):
+        get_cmdp("ring-acc", score="paper")
+    with pytest.raises(UnknownName, match="everyone, paper"):
+        get_cmdp("eco-green", score="all")
+
+
+ROBOTS = ["walker-gravity", "walker-friction", "walker-scale", "walker-512"]
+ROBOTS += ["cheetah-gravity", "cheetah-friction", "cheetah-stiffness"]
+
+
+def test_all_ids():
+    control = ["cartpole-masscart", "cartpole-length", "cartpole-masspole"]
+    control += ["cartpole-masses-length"]
+    control += ["pendulum-length", "pendulum-mass", "pendulum-timestep"]
+    assert cmdp_ids() == [*control, *ROBOTS, *TRAFFIC]
+
+
+def test_where_the_paper_s_text_and_scripts_disagree():
+    differ = [id for id in cmdp_ids() if get_cmdp(id, grid="paper").space != get_cmdp(id).space]
+    robots = [*ROBOTS[:3], *ROBOTS[4:6]]
+    assert differ == [*robots, "signal-length", "signal-speed", "eco-green"]
+    assert get_cmdp("eco-green", grid="paper").space.values("green")[-1] == 175.0
+
+
+def test_a_mistyped_id_is_answered_with_the_nearest_one():
+    with pytest.raises(UnknownName) as caught:
+        get_cmdp("cartpole-lenght")
+    assert str(caught.value) == (
+        "no CMDP is called 'cartpole-lenght'. Did you mean 'cartpole-length'? "
+        "`mbtl cmdps` lists all."
+    )
+
+
+@pytest.mark.parametrize(
+    ("switch", "value"),
+    [("physics", "ideal"), ("visibility", "multi"), ("grid", "codes"), ("time_limit", "none")],
+)
+def test_unknown_switches_are_named(switch, value):
+    with pytest.raises(UnknownName, match=switch.replace("_", " ")):
+        get_cmdp("cartpole-length", **{switch: value})
+
+
+def test_switches_reach_the_environment_and_the_record():
+    cmdp = get_cmdp(
+        "cartpole-masscart",
+        physics="reference",
+        visibility="raw",
+        time_limit="terminal",
+        engine="gymnasium",
+    )
+    env = cmdp.make_env({"masscart": 7.0})
+    np.testing.assert_allclose(env.reset(seed=0)[0][4:], [9.8, 7.0, 0.1, 0.5, 10.0, 0.02])
+    assert cmdp.settings == {
+        "physics": "reference",
+        "visibility": "raw",
+        "grid": "code",
+        "time_limit": "terminal",
+        "engine": "gymnasium",
+    }
+
+
+@pytest.mark.parametrize(
+    ("id", "context", "words"),
+    [
+        ("cartpole-length", {"length": 5.01}, r"\[0.05, 5\] m"),
+        ("cartpole-length", {"length": float("nan")}, "nan"),
+        ("cartpole-length", {"masscart": 1.0}, "Known: length"),
+        ("ring-acc", {"hold": 41.0}, r"\[1, 40\] s"),
+        ("ring-acc", {"hald": 4.0}, "Did you mean 'hold'"),
+        ("eco-green", {"green": 20.0, "inflow": 800.0}, "Known: green"),
+    ],
+)
+def test_what_is_no_context_of_a_cmdp_is_refused(id, context, words):
+    cmdp = get_cmdp(id)
+    for make in (
+        partial(cmdp.make_env, context),
+        partial(gymnasium.make, gym_id(id), context=context),
+        partial(cmdp.trainer.problem, [cmdp.nominal, context]),
+    ):
+        with pytest.raises(ContextMismatch, match=words):
+            make()
+
+
+def test_between_the_values_of_the_grid_a_context_is_as_good_as_on_them():
+    env = get_cmdp("cartpole-length").make_env({"length": 0.512})
+    assert env.features["length"] == 0.512
+    wide = get_cmdp("signal-speed", grid="paper").space.axes[0].high
+    assert get_cmdp("signal-speed", grid="paper").make_env.check({"speed": wide}) is None
+    with pytest.raises(ContextMismatch):
+        get_cmdp("signal-speed").make_env.check({"speed": wide})
+
+
+def test_the_policy_sees_the_multiplier_by_default():
+    env = get_cmdp("pendulum-timestep").make_env({"timestep": 0.5})
+    assert env.reset(seed=0)[0][-1] == pytest.approx(10.0)
+
+
+def test_reference_physics_of_the_pendulum_is_the_intended_one():
+    rows = []
+    for physics in ("intended", "reference"):
+        env = get_cmdp("pendulum-mass", physics=physics).make_env({"mass": 2.0})
+        env.reset(seed=0)
+        rows.append(env.step(np.ones(1))[0])
+    np.testing.assert_array_equal(*rows)
+
+
+def test_presets_and_overrides_shape_the_trainer():
+    cmdp = get_cmdp("pendulum-length", engine="gymnasium")
+    assert list(cmdp.presets) == ["quick", "paper"]
+    assert cmdp.default_preset == "quick"
+    assert cmdp.trainer == cmdp.trainer_for() == cmdp.trainer_for("quick")
+    paper = cmdp.trainer_for("paper")
+    assert (paper.timesteps, paper.eval_episodes, paper.checkpoint) == (1_000_000, 100, "best")
+    assert paper.hyperparameters == {}, "a recipe that names its algorithm starts afresh"
+    assert (
+        get_cmdp("cartpole-length", engine="gymnasium").trainer_for("paper").timesteps == 5_000_000
+    )
+    assert cmdp.preset("paper").budget == 15
+
+
+def test_a_preset_called_paper_is_the_papers_recipe_in_every_engine():
+    cmdp = get_cmdp("cartpole-length", engine="jax")
+    assert cmdp.default_preset == "full"
+    full, paper = cmdp.trainer_for("full"), cmdp.trainer_for("paper")
+    assert (full.recipe_name, paper.recipe_name) == ("fast", "sb3")
+    assert (full.hyperparameters, paper.hyperparameters) == ({"gamma": 0.99}, {})
+    steps_and_episodes = [(t.timesteps, t.eval_episodes, t.checkpoint) for t in (full, paper)]
+    assert set(steps_and_episodes) == {(5_000_000, 100, "best")}
+    ring = get_cmdp("ring-acc", engine="jax").trainer_for("paper")
+    assert (ring.recipe_name, ring.episodes, ring.hyperparameters) == ("paper", 1000, {})
+
+
+def test_hyperparameters_add_to_the_recipe_unless_the_algorithm_changes():
+    cmdp = get_cmdp("pendulum-length", engine="gymnasium")
+    quick = cmdp.trainer_for("quick").hyperparameters
+    assert cmdp.trainer_for("quick", hyperparameters={"n_epochs": 3}).hyperparameters == {
+        **quick,
+        "n_epochs": 3,
+    }
+    assert cmdp.trainer_for("quick", algorithm="SAC").hyperparameters == {}
+    sac = cmdp.trainer_for("quick", algorithm="SAC", hyperparameters={"gamma": 0.9})
+    assert (sac.algorithm, sac.hyperparameters) == ("SAC", {"gamma": 0.9})
+
+
+def test_unknown_presets_and_options_are_named():
+    cmdp = get_cmdp("cartpole-length", engine="gymnasium")
+    with pytest.raises(UnknownName, match="Did you mean 'quick'"):
+        cmdp.trainer_for("quik")
+    with pytest.raises(UnknownName, match="Did you mean 'timesteps'"):
+        cmdp.trainer_for(timestep=5)
+    with pytest.raises(InvalidInput, match="timesteps"):
+        cmdp.trainer_for(timesteps=0)
+
+
+def test_factories_can_be_sent_to_other_processes():
+    cmdp = pickle.loads(pickle.dumps(get_cmdp("cartpole-length").make_env))
+    assert cmdp({"length": 1.2}).features["length"] == 1.2
+
+
+# ---- Gymnasium -----------------------------------------------------------------------------------
+
+
+def test_gymnasium_makes_them_with_a_context():
+    env = gymnasium.make("mbtl/cartpole-length-v0", context={"length": 1.2})
+    assert env.reset(seed=0)[0][-1] == pytest.approx(2.4)
+    assert gymnasium.make("mbtl/cartpole-length-v0").unwrapped.features["length"] == 0.5
+    hidden = gymnasium.make("mbtl.zoo.cmdps:mbtl/pendulum-mass-v0", visibility="hidden")
+    assert hidden.observation_space.shape == (3,)
+
+
+def test_registering_again_changes_nothing():
+    before = gymnasium.registry[gym_id("cartpole-length")]
+    register_envs()
+    assert gymnasium.registry[gym_id("cartpole-length")] is before
+
+
+@pytest.mark.parametrize("id", [id for id in cmdp_ids() if id not in TRAFFIC])
+@pytest.mark.filterwarnings("ignore:.*space (minimum|maximum) value is -?infinity")
+@pytest.mark.filterwarnings(
+    "ignore:.*symmetric and normalized space"
+)  # torques of +-2 are the task
+def test_gymnasium_s_own_checker_agrees(id):
+    # to draw takes OpenGL, which not every machine has
+    check_env(gymnasium.make(gym_id(id)).unwrapped, skip_render_check=True)
+
+
+def test_stable_baselines3_s_own_checker_agrees():
+    from stable_baselines3.common.env_checker import check_env as check_sb3
+
+    check_sb3(get_cmdp("cartpole-length").make_env({"length": 1.0}), warn=False)
+    check_sb3(get_cmdp("pendulum-length").make_env({"length": 1.0}), warn=False)

@@ -1,0 +1,234 @@
+"""Numbers of the paper's tables: closed-form matrices in, known values out."""
+
+import numpy as np
+import pytest
+
+from mbtl.errors import UnknownName
+from mbtl.zoo.benchmark import TransferMatrix, save_shipped
+from mbtl.zoo.benchmark.multitask import load_multitask, save_multitask
+from mbtl.zoo.reproduction import Bench, Setting, items_named, published
+from mbtl.zoo.reproduction.claims import NOT, OPEN, PARTLY, REPRODUCED
+from mbtl.zoo.reproduction.items.elimination import longest_run, rates
+from mbtl.zoo.reproduction.page import row_verdict
+from mbtl.zoo.reproduction.paper import (
+    METHODS,
+    Value,
+    interquartile_mean,
+    marked,
+    pooled,
+    pooled_mean,
+)
+
+N = 6
+ID = "cartpole-length"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Every policy returns 50 at home and 10 elsewhere, of bounds 0..100; two seeds."""
+    returns = np.full((2, N, N), 10.0) + 40.0 * np.eye(N)
+    matrix = TransferMatrix.of(
+        returns, contexts=np.arange(1.0, N + 1)[:, None], axes=["length"], bounds=(0, 100)
+    )
+    save_shipped(matrix, tmp_path, ID)
+    for seed in range(2):
+        row = np.full(N, 30.0 + 2 * seed)
+        save_multitask(row, row / 10, {"s": seed}, tmp_path / "multitask", ID, "ppo", seed)
+    return tmp_path
+
+
+def bench(folder, *ids, budget=3, variant="default"):
+    return Bench(Setting(ids or None, budget, variant, folder))
+
+
+def computed(name, *args, **kwargs):
+    (item,) = items_named([name])
+    return item.compute(bench(*args, **kwargs))
+
+
+def test_published_numbers_of_all_22():
+    table = published()
+    assert len(table) == 22
+    line = table[ID]
+    assert set(line.values) == set(METHODS) - {"oracle_transfer"}
+    assert (line.values["mbtl"], line.mean_k_star) == (Value(0.9717, 0.0148), 11.67)
+    assert round(table["cheetah-gravity"].efficiency, 6) == 50  # the text says 43
+    assert (table["ring-acc"].n, table["ring-acc"].marked) == (40, {"multitask", "random", "mbtl"})
+
+
+def test_values_of_a_known_matrix(folder):
+    case = bench(folder).case(ID)
+    after_three = (3 * 0.5 + 3 * 0.1) / 6
+    for method in ("random", "greedy", "mbtl", "sequential_oracle"):
+        assert case.values[method].mean == pytest.approx(after_three)
+        assert case.values[method].std == pytest.approx(0.0)
+    for level in ("independent", "oracle_transfer"):
+        assert case.values[level].mean == pytest.approx(0.5)
+    assert case.values["multitask"].mean == pytest.approx(0.31)
+    assert case.values["multitask"].std == pytest.approx(0.02 / np.sqrt(2))  # n - 1
+    assert (case.k_star, case.far.shape) == ((N, N), (2, N))  # beyond K = 3
+    assert case.references["random_policy"].mean() == pytest.approx((50 + 5 * 10) / 600)
+    assert "same evaluation episodes" in case.caveat
+    half = case.levels["grand_mean"] / 2 + case.levels["oracle_transfer"] / 2
+    assert case.share(half) == pytest.approx(0.5)
+
+
+def test_k_star_is_about_the_level_of_the_same_seed(tmp_path):
+    rows = np.stack([np.eye(N), 0.5 * np.eye(N)]) * 100
+    save_shipped(TransferMatrix.of(rows, bounds=(0, 100)), tmp_path, ID)
+    numbers = computed("sample-complexity", tmp_path, ID)
+    (row,) = numbers["rows"]
+    assert row["ours"]["k_star"] == [N, N]  # not the mean, which the second could never reach
+    assert (row["ours"]["efficiency"], row["ours"]["level"]) == (1.0, pytest.approx(0.75))
+    assert row["published"]["efficiency"] == pytest.approx(100 / (35 / 3))
+    assert numbers["best"]["traffic_ours"] is None
+
+
+def test_greedy_is_left_out_where_it_cannot_run(tmp_path):
+    contexts = [[a, b] for a in (0.0, 1.0, 2.0) for b in (0.0, 1.0)]
+    matrix = TransferMatrix.of(np.eye(6)[None], contexts=contexts, axes=["a", "b"], bounds=(0, 1))
+    save_shipped(matrix, tmp_path, "two-axes")
+    values = bench(tmp_path, "two-axes", budget=6).case("two-axes").values
+    assert "greedy" not in values
+    assert values["mbtl"] == Value(1.0, None)  # of one seed there is no deviation
+
+
+def test_fewer_sources_than_targets_are_enough_for_every_item(tmp_path):
+    returns = np.stack([100 - 10.0 * np.abs(np.arange(8) - s) for s in (0, 2, 4, 6)])[None]
+    matrix = TransferMatrix.of(returns.repeat(2, 0), sources=[0, 2, 4, 6], bounds=(0, 100))
+    for id in (ID, "pendulum-timestep"):
+        save_shipped(matrix, tmp_path, id)
+    for name in ("main-table", "per-context", "heatmaps", "gp-evolution", "policy-map",
+                 "gap-correlation", "elimination", "transfer-curves"):  # fmt: skip
+        (item,) = items_named([name])
+        numbers = item.compute(bench(tmp_path, ID, "pendulum-timestep", budget=5))
+        assert item.figures(numbers)
+    correlation = computed("gap-correlation", tmp_path, ID)["cmdps"][ID]
+    assert correlation["mean"] == pytest.approx(1.0)  # the gap is the distance
+    heat = computed("heatmaps", tmp_path, ID)["cmdps"][ID]
+    assert np.shape(heat["table"]) == (4, 8)
+    home = computed("per-context", tmp_path, ID)["cmdps"][ID]
+    assert (home["sources"], home["independent"]) == ([0, 2, 4, 6], [1.0] * 4)
+    assert home["oracle_transfer"] == pytest.approx([1.0, 0.9, 1.0, 0.9, 1.0, 0.9, 1.0, 0.9])
+
+
+def test_a_baseline_that_saw_something_else_is_no_peer(tmp_path):
+    returns = np.full((1, N, N), 10.0)
+    for variant, shown in (("default", "multiplier"), ("hidden", "hidden")):
+        matrix = TransferMatrix.of(
+            returns, bounds=(0, 100), provenance={"switches": {"visibility": shown}}
+        )
+        save_shipped(matrix, tmp_path, ID, variant)
+    record = {"switches": {"visibility": "multiplier"}}
+    save_multitask(np.ones(N), np.ones(N), record, tmp_path / "multitask", ID, "ppo", 0)
+    for variant, expected in (("default", {"ppo"}), ("hidden", set())):
+        case = bench(tmp_path, ID, budget=2, variant=variant).case(ID)
+        assert set(case.multitask) == expected
+        assert ("multitask" in case.values) == bool(expected)
+        said = " ".join(computed("main-table", tmp_path, ID, variant=variant)["missing"])
+        assert (f"{ID}: no policy for all contexts" in said) != bool(expected)
+
+
+def test_where_policies_see_no_context_by_default_one_for_all_that_is_told_is_a_peer(tmp_path):
+    switches = {"visibility": "hidden", "engine": "jax", "obs": "fresh"}
+    matrix = TransferMatrix.of(
+        np.full((1, N, N), 10.0), bounds=(0, 100), provenance={"switches": switches}
+    )
+    save_shipped(matrix, tmp_path, "ring-acc")
+    for changes, peers in (({}, {"trpo"}), ({"obs": "stale"}, set()), ({"engine": "sumo"}, set())):
+        record = {"switches": {**switches, "visibility": "multiplier", **changes}}
+        save_multitask(
+            np.ones(N), np.ones(N), record, tmp_path / "multitask", "ring-acc", "trpo", 0
+        )
+        assert set(bench(tmp_path, "ring-acc", budget=2).case("ring-acc").multitask) == peers
+
+
+def test_a_baseline_of_another_version_of_the_simulator_is_no_peer(tmp_path):
+    matrix = TransferMatrix.of(
+        np.full((1, N, N), 10.0), bounds=(0, 100), provenance={"version": 2, "switches": {}}
+    )
+    save_shipped(matrix, tmp_path, ID)
+    for told, peers in (({"version": 2}, {"ppo"}), ({"version": 1}, set()), ({}, {"ppo"})):
+        record = {"switches": {}, **told}  # files of before versions were told have none
+        save_multitask(np.ones(N), np.ones(N), record, tmp_path / "multitask", ID, "ppo", 0)
+        assert set(bench(tmp_path, ID, budget=2).case(ID).multitask) == peers
+
+
+def test_what_has_no_matrix_is_said_and_unknown_ids_are_refused(folder):
+    some = bench(folder)
+    assert some.available() == [ID]
+    numbers = computed("main-table", folder)
+    assert len(numbers["rows"]) == 22
+    assert (
+        "walker-gravity: no matrix yet; build it with: mbtl matrix build walker-gravity"
+        in (numbers["missing"])
+    )
+    with pytest.raises(UnknownName, match="cartpole-length"):
+        bench(folder, "cartpole-lenght")
+
+
+def test_the_best_within_significance():
+    agree = [marked(line.values, 3) == line.marked for line in published().values()]
+    assert sum(agree) == 20  # of 22 lines of the paper, whose own rule is not known
+    best = {"mbtl": Value(1.0, 0.01), "random": Value(0.99, 0.01), "greedy": Value(0.5, 0.01)}
+    assert marked(best, 3) == {"mbtl", "random"}
+    alone = {"mbtl": Value(1.0, None), "random": Value(0.99, None), "greedy": Value(1.0, None)}
+    assert marked(alone, 1) == {"mbtl", "greedy"}
+    assert marked({"sequential_oracle": Value(1.0, 0.0)}, 3) == frozenset()
+
+
+def test_the_interquartile_mean_is_not_moved_by_what_is_odd():
+    assert interquartile_mean(np.array([-100.0, 1.0, 2.0, 100.0])) == pytest.approx(1.5)
+    found = pooled([np.array([1.0, 1.0]), np.array([3.0, 3.0])])
+    assert (found.value, found.low, found.high) == (2.0, 2.0, 2.0)  # seeds do not differ
+    spread = pooled_mean([np.array([0.0, 2.0]), np.array([1.0, 1.0])])
+    assert (spread.value, spread.low, spread.high) == (1.0, 0.5, 1.5)
+    assert pooled([np.array([1.0])]).low is None
+
+
+def row(values, marks, published, published_marks):
+    def mean(v):
+        return {m: {"mean": x, "std": 0.01} for m, x in v.items()}
+
+    return {"cmdp": "x", "ours": mean(values), "published": mean(published), "marked": marks,
+            "published_marked": published_marks, "references": {}}  # fmt: skip
+
+
+def test_the_verdict_on_a_line_follows_its_three_checks():
+    paper = dict(zip(METHODS, (0.5, 0.4, 0.7, 0.7, 0.8, 0.9), strict=False))
+    same = row_verdict(row(paper, ["mbtl"], paper, ["mbtl"]))
+    assert (same.verdict, same.reason) == (REPRODUCED, "All checks pass.")
+    higher = {**paper, "independent": 0.95}
+    some = row_verdict(row(higher, ["mbtl"], paper, ["mbtl"]))
+    assert (some.verdict, some.checks) == (PARTLY, {"level": False, "order": False, "best": True})
+    assert "Independent +0.45" in some.reason
+    assert row_verdict(row(higher, [], paper, ["mbtl"])).verdict == NOT
+    assert row_verdict({"cmdp": "x", "ours": None, "published": {}}).verdict == OPEN
+
+
+def test_multitask_files_go_round(folder):
+    found = load_multitask(ID, folder=folder / "multitask")
+    assert list(found) == ["ppo"]
+    np.testing.assert_allclose(found["ppo"].returns, [[30.0] * N, [32.0] * N])
+    np.testing.assert_allclose(found["ppo"].std[1], 3.2, rtol=1e-6)
+    assert found["ppo"].provenance == ({"s": 0}, {"s": 1})
+    assert load_multitask("cartpole-masscart", folder=folder / "multitask") == {}
+
+
+def test_elimination_in_a_linear_gap_world_by_hand():
+    # N = 11, slope 0.1, constant training performance: after the middle (5), the policy of 0 is
+    # at least as good where |x' - 0| <= |x' - 5|, that is on 0, 1, 2.
+    i = np.arange(11.0)
+    world = 1.0 - 0.1 * np.abs(i[:, None] - i)
+    matrix = TransferMatrix.of(world[None], bounds=(0, 1), theta=0.1)
+    assert rates(matrix, 0, [5, 0]) == pytest.approx([1.0, 3 / 11])
+    printed = rates(matrix, 0, [5, 0], gaps=2)
+    assert printed == pytest.approx([1.0, 2 / 11])  # 0.5 <= 1, 0.6 <= 0.8, not 0.7 <= 0.6
+
+
+@pytest.mark.parametrize(
+    ("mask", "length"),
+    [([], 0), ([0, 0], 0), ([1, 1, 0, 1], 2), ([0, 1, 0, 1, 1, 1], 3), ([1, 1], 2)],
+)
+def test_longest_run(mask, length):
+    assert longest_run(np.array(mask, dtype=bool)) == length

@@ -1,0 +1,341 @@
+import numpy as np
+import pytest
+
+pytest.importorskip("libsumo")
+pytest.importorskip("pettingzoo")
+
+from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
+from mbtl.zoo.cmdps.traffic import eco
+from mbtl.zoo.cmdps.traffic.eco import ABSENT, LAYOUT, SIZE, Eco, Trip
+
+
+@pytest.fixture
+def make():
+    made = []
+
+    def make(context=None, **options):
+        made.append(Eco(context, **options))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+
+
+def unguided(env, seed=0):
+    """Measures of an episode in which every car drives by itself."""
+    env.reset(seed=seed)
+    while env.agents:
+        env.step({})
+    return env.summary
+
+
+def rollout(env, steps=30, seed=0):
+    """Observations and rewards under random accelerations, as text."""
+    rng = np.random.default_rng(0)
+    moments = [env.reset(seed=seed)[0]]
+    while env.agents and len(moments) <= steps:
+        actions = {car: rng.normal(0.0, 2.0, 1) for car in env.agents}
+        moments.append(env.step(actions)[:2])
+    return [repr(moment) for moment in moments]
+
+
+def part(observation, name):
+    return observation[LAYOUT[name]]
+
+
+# ---- closed form -------------------------------------------------------------------------------
+
+
+def test_the_layout_fills_the_observation_without_holes():
+    places = [(part.start, part.stop) for part in LAYOUT.values()]
+    assert places[0][0] == 0
+    assert [start for start, _ in places[1:]] == [stop for _, stop in places[:-1]]
+    assert places[-1][1] == SIZE == 39
+
+
+def test_the_reward_pays_for_speed_and_charges_for_crawling_and_emissions():
+    cruising, standing = Trip(), Trip()
+    cruising.move(14.0, 0.0)
+    standing.move(0.0, 0.0)
+    assert standing.co2 == pytest.approx(7.8e-4 * 2350 * 0.5)
+    assert eco.reward(cruising) == pytest.approx((14.0 - 3 * cruising.co2) / 15)
+    assert eco.reward(standing) == pytest.approx((0.0 - 35.0 - 3 * standing.co2) / 15)
+
+
+# ---- traffic -----------------------------------------------------------------------------------
+
+
+# Means of 5 seeds, measured: 9.4 nominal, 1.9 green 1 s, 10.7 green 50 s, 4.3 at 2000 cars/h,
+# 10.6 at 40 cars/h, 10.8 where all cars drive as controlled ones do (they accelerate faster).
+def test_traffic_without_control_is_slower_with_little_green_and_many_cars(make):
+    nominal = unguided(make())
+    assert 8.5 < nominal["trip_speed"] < 10.5
+    assert 80 < nominal["co2"] < 150
+    assert 0.2 < nominal["stops"] < 0.8
+    assert 280 < nominal["throughput"] < 420  # 400 cars/h come, the last ones do not get through
+    assert nominal["not_inserted"] == nominal["collisions"] == 0
+    starved, crowded = unguided(make({"green": 1.0})), unguided(make({"inflow": 2000.0}))
+    assert 0.5 < starved["trip_speed"] < 3.5
+    assert 3.0 < crowded["trip_speed"] < 6.0
+    for jam in (starved, crowded):
+        assert jam["trip_speed"] < nominal["trip_speed"]
+        assert jam["co2"] > 1.5 * nominal["co2"]
+        assert jam["stops"] > nominal["stops"]
+        assert jam["not_inserted"] > 0
+    assert starved["throughput"] < 60 < nominal["throughput"] < crowded["throughput"]
+
+
+def glide(observation):
+    """Acceleration of a car that wants to reach the stop line as green begins."""
+    speed, distance = part(observation, "speed")[0] * 15, part(observation, "distance")[0] * 250
+    soon, later, _ = part(observation, "changes") * 100
+    green = part(observation, "phase")[0] == 1
+    if distance <= 0 or (green and distance / 14 < soon - 1):
+        return 10.0
+    return (max(1.2, distance / max(later if green else soon, 0.5)) - speed) / 0.5
+
+
+def test_cars_that_glide_do_not_stop_and_earn_more(make):
+    def drive(policy):
+        env = make({"penetration": 1.0})
+        observations, _ = env.reset(seed=0)
+        total = 0.0
+        while env.agents:
+            actions = {car: policy(observations[car]) for car in env.agents} if policy else {}
+            observations, rewards, *_ = env.step(actions)
+            total += sum(rewards.values())
+        return total / len(env.possible_agents), env.summary
+
+    (free, by_themselves), (careful, gliding) = drive(None), drive(glide)
+    assert by_themselves["stops"] > 0.2
+    assert gliding["stops"] < 0.05
+    assert careful > free + 20  # measured: 39 against -2 per car
+    assert gliding["trip_speed"] == pytest.approx(by_themselves["trip_speed"], rel=0.05)
+
+
+def test_a_jam_beats_free_traffic_by_the_paper_s_score_and_never_by_the_default_one(make):
+    """Who blocks the road after a minute is judged by the few cars that came through before."""
+    context = {"green": 16.0, "penetration": 0.4}
+    env = make(context)
+    free = unguided(env)
+    env.reset(seed=0)
+    while env.agents:
+        blocked = env._left < env.horizon - 120
+        env.step({car: [-20.0] for car in env.agents} if blocked else {})
+    jam = env.summary
+    assert jam["throughput"] < 0.2 * free["throughput"]
+    assert jam["trip_speed"] > free["trip_speed"] + 0.5
+    assert jam["mean_speed"] < 0.3 * free["mean_speed"]
+    assert (jam["score"], free["score"]) == (jam["mean_speed"], free["mean_speed"])
+    paper = unguided(make(context, score="paper"))
+    assert paper == {**free, "score": free["trip_speed"]}
+    with pytest.raises(UnknownName, match="everyone, paper"):
+        make(score="all")
+
+
+def test_an_episode_ends_at_the_horizon_and_says_what_it_measured(make):
+    for limit, name in (("truncation", 3), ("terminal", 2)):
+        env = make(horizon=120, time_limit=limit)
+        env.reset(seed=0)
+        while env.agents:
+            out = env.step({})
+        assert all(out[name].values())
+        assert not any(out[5 - name].values())
+        assert set(next(iter(out[4].values()))) >= {"score", "co2", "stops", "throughput"}
+        with pytest.raises(InvalidInput, match="reset"):
+            env.step({})
+
+
+def test_an_episode_without_controlled_cars_is_over_after_reset_with_its_measures(make):
+    env = make({"penetration": 1e-6})
+    assert env.reset(seed=0) == ({}, {})
+    assert env.agents == env.possible_agents == []
+    assert env.summary["completed"] > 50
+    with pytest.raises(InvalidInput, match="reset"):
+        env.step({})
+
+
+# ---- agents ------------------------------------------------------------------------------------
+
+
+def test_agents_are_the_controlled_cars_in_the_region_and_are_terminated_as_they_leave(make):
+    env = make({"penetration": 1.0})
+    env.reset(seed=0)
+    left = 0
+    for _ in range(200):
+        acting = list(env.agents)
+        _, rewards, terminated, truncated, _ = env.step({})
+        here = {
+            car
+            for road in ("approach", "box", "exit")
+            for car in env.simulation.api.edge.getLastStepVehicleIDs(road)
+        }
+        assert set(env.agents) == here
+        assert set(env.agents) <= set(env.possible_agents)
+        assert {car for car in acting if terminated[car]} == set(acting) - here
+        assert all(rewards[car] == 0.0 for car in set(acting) ^ here)
+        assert not any(truncated.values())
+        left += len(set(acting) - here)
+    assert left > 5
+
+
+@pytest.mark.parametrize("acceleration", [-3.0, -1.0, 0.0])
+def test_a_car_follows_its_command_for_one_step(make, acceleration):
+    env = make({"penetration": 1.0, "inflow": 100.0})
+    env.reset(seed=0)
+    speed = env.simulation.api.vehicle.getSpeed
+    while not (env.agents and speed(env.agents[0]) > 8.0):
+        env.step({})
+    car = env.agents[0]
+    before = speed(car)
+    env.step({car: np.array([acceleration])})
+    assert speed(car) == pytest.approx(before + 0.5 * acceleration, abs=1e-6)
+    env.step({})
+    if before < 13.9:
+        assert speed(car) > before + 0.5 * acceleration  # by itself it drives faster again
+
+
+def test_no_command_is_harder_than_the_car_or_faster_than_the_road(make):
+    env = make({"penetration": 1.0, "inflow": 100.0})
+    env.reset(seed=0)
+    car = env.agents[0]
+    speed = env.simulation.api.vehicle.getSpeed
+    before = speed(car)
+    env.step({car: np.array([-20.0])})
+    assert speed(car) == pytest.approx(before - 0.5 * 4.5)
+    for _ in range(60):
+        if car not in env.agents:
+            break
+        env.step({car: np.array([10.0])})
+        assert car not in env.agents or speed(car) <= 14.0 + 1e-9
+
+
+def test_the_observation_shows_the_car_its_signal_and_its_neighbours(make):
+    env = make({"penetration": 0.6, "inflow": 900.0})
+    observations, _ = env.reset(seed=0)
+    starts, seen_roads, followed = (0.0, 235.6, 250.0), set(), 0
+    for _ in range(160):
+        api = env.simulation.api
+        time = api.simulation.getTime()
+        for car, observation in observations.items():
+            assert env.observation_space(car).contains(observation)
+            if car not in env.agents:
+                continue
+            assert part(observation, "speed") * 15 == pytest.approx(api.vehicle.getSpeed(car))
+            road = ("approach", "box", "exit").index(api.vehicle.getRoadID(car))
+            x = starts[road] + api.vehicle.getLanePosition(car)
+            assert part(observation, "road").argmax() == road
+            assert part(observation, "distance") * 250 == pytest.approx(235.6 - x, abs=1e-3)
+            assert part(observation, "phase").argmax() == env._light.phase(time)
+            assert part(observation, "changes") * 100 == pytest.approx(env._light.changes(time))
+            assert part(observation, "destination").tolist() == [0, 1, 0]
+            leader = api.vehicle.getLeader(car, 1000.0)
+            seen = part(observation, "leader")
+            if leader and leader[0]:
+                assert seen[0] * 15 == pytest.approx(api.vehicle.getSpeed(leader[0]), abs=1e-4)
+                net = leader[1] + api.vehicle.getMinGap(car)
+                assert seen[1] * 250 == pytest.approx(net, abs=0.01)
+                if leader[0] in env.agents:
+                    followed += 1
+                    back = part(observations[leader[0]], "follower")
+                    assert back[0] == part(observation, "speed")
+                    assert back[1] == pytest.approx(seen[1], abs=1e-5)
+            else:
+                assert seen == pytest.approx(ABSENT)
+            for side in ("left", "right"):
+                itself = [part(observation, "speed")[0], 0.0, 0.0, 0.0]
+                assert part(observation, side).tolist() == itself * 2
+            seen_roads.add(road)
+        observations = env.step({})[0]
+    assert seen_roads == {0, 1, 2}
+    assert followed > 20
+
+
+# ---- contexts ----------------------------------------------------------------------------------
+
+
+def test_what_the_policy_sees_of_the_context(make):
+    def tail(context, visibility):
+        env = make(context, visibility=visibility)
+        observations, _ = env.reset(seed=0)
+        env.close()
+        (first, *_) = observations.values()
+        return first[SIZE:].tolist()
+
+    assert tail({"green": 7.0}, "hidden") == []
+    assert tail({"green": 7.0}, "multiplier") == pytest.approx([0.2])
+    assert tail({"inflow": 800.0}, "multiplier") == pytest.approx([2.0])
+    raw = tail({"green": 7.0}, "raw")
+    assert raw == pytest.approx([0.2, 1.0, 14 / 15, 7.0, 35.0])
+    assert SIZE + len(raw) == 44
+
+
+@pytest.mark.parametrize(
+    "context",
+    [{"penetration": 0.6}, {"inflow": 800.0}, {"green": 10.0}],
+    ids=lambda c: next(iter(c)),
+)
+def test_every_axis_changes_the_traffic(make, context):
+    def summary(context):
+        env = make(context, horizon=300)
+        result = unguided(env)
+        env.close()
+        return result
+
+    assert summary(context) != summary(None)
+
+
+def test_the_same_seed_gives_the_same_rollout_and_contexts_do_not_leak(make):
+    env = make()
+    one, two, other = rollout(env), rollout(env), rollout(env, seed=1)
+    env.close()
+    elsewhere = make({"green": 5.0})
+    rollout(elsewhere)
+    elsewhere.close()
+    assert one == two == rollout(make()) != other
+
+
+def test_contexts_that_make_no_sense_are_refused(make):
+    for green in (0, 0.5, -1.0, 10.2):
+        with pytest.raises(ContextMismatch, match="at least 1 s"):
+            Eco({"green": green})
+    for share in (0, 1.2, -0.1, float("nan")):
+        with pytest.raises(ContextMismatch, match=r"\(0, 1\]"):
+            Eco({"penetration": share})
+    with pytest.raises(ContextMismatch, match="inflow"):
+        Eco({"inflow": 0})
+    with pytest.raises(UnknownName, match="penetration"):
+        Eco({"penetrations": 0.3})
+    env = make()
+    env.reset(seed=0)
+    with pytest.raises(InvalidInput, match="finite"):
+        env.step(dict.fromkeys(env.agents, np.array([np.nan])))
+
+
+def test_traci_and_libsumo_give_the_same_traffic(make):
+    pytest.importorskip("traci")
+    fast = make(horizon=60)
+    expected = rollout(fast, steps=10)
+    fast.close()
+    assert rollout(make(horizon=60, engine="traci"), steps=10) == expected
+
+
+def test_a_picture_shows_the_region(make):
+    env = make(render_mode="rgb_array")
+    env.reset(seed=0)
+    before = env.render()
+    for _ in range(5):
+        env.step({})
+    assert before.shape[1] > before.shape[0]
+    assert (env.render() != before).any()
+
+
+# it also expects every possible agent to have lived; the last ones never enter
+@pytest.mark.filterwarnings("ignore:No agents present")
+def test_the_parallel_interface_is_pettingzoos(make):
+    from pettingzoo.test import parallel_api_test
+
+    # many cars, so that no episode is without agents: the test has no notion of that
+    env = make({"penetration": 1.0, "inflow": 1000.0}, horizon=100)
+    parallel_api_test(env, num_cycles=200)

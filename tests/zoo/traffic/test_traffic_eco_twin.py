@@ -1,0 +1,223 @@
+"""The eco-driving twin is SUMO step for step with the same cars, in distribution with its own."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+pytest.importorskip("libsumo", reason="the traffic extra is not installed")
+pytest.importorskip("jax", reason="the jax extra is not installed")
+
+import jax
+import jax.numpy as jnp
+
+import mbtl.engine.learners as engine
+from mbtl.problems import get_cmdp
+from mbtl.zoo.cmdps.traffic import eco
+from mbtl.zoo.cmdps.traffic.eco import FEEDERS, STARTS
+from mbtl.zoo.cmdps.traffic.twins import EcoProblem
+from mbtl.zoo.worlds.traffic.eco import Car as Waiting
+from mbtl.zoo.worlds.traffic.eco import Demand
+
+ATOL = 2e-3  # m, m/s, and what follows from them
+
+
+@partial(jax.jit, static_argnums=0)
+def start(twin, params):
+    return replace(twin, warm_up=0).start(jnp.zeros(1, jnp.uint32), params)
+
+
+@partial(jax.jit, static_argnums=0)
+def step(twin, state, actions, params):
+    return twin.step(state, actions, params)
+
+
+@partial(jax.jit, static_argnums=0)
+def observe(twin, state, params):
+    return twin.observe(state, params)
+
+
+@pytest.mark.parametrize(("id", "shown"), [("eco-inflow", 0), ("eco-green", 1)])
+def test_the_inflow_is_hidden_in_both_simulators_as_in_the_reference(id, shown):
+    (axis,) = get_cmdp(id).space.axes
+    env = get_cmdp(id, engine="sumo").make_env({axis.name: axis.high})
+    assert env.observation_space("").shape == (eco.SIZE + shown,)
+    env.close()
+    twin, params = get_cmdp(id, engine="jax").trainer.problem([{axis.name: axis.high}])
+    params = engine.context_of(params, 0)
+    assert (twin.n_features, *params.visible.shape) == (eco.SIZE, shown)
+
+
+@dataclass(frozen=True)
+class Script(Demand):
+    """The cars of an episode in SUMO, as a demand of the twin: per feeder (gap, *car) each."""
+
+    given: tuple[tuple[tuple[float, ...], ...], ...] = ()
+
+    @classmethod
+    def of(cls, demand, cars):
+        given = []
+        for feeder in FEEDERS:
+            mine = [c for c in cars if c.feeder == feeder]
+            times = [0.0, *(round(c.depart, 3) for c in mine), 1e9]  # SUMO counts in ms
+            drivers = [(c.length, *c.driver, c.controlled) for c in [*mine, mine[-1]]]
+            gaps = np.diff(times).tolist()
+            given.append(tuple((g, *d) for g, d in zip(gaps, drivers, strict=True)))
+        return cls(**vars(demand), given=tuple(given))
+
+    def draw(self, seed, number, inflow, penetration):
+        rows = []
+        for k in (0, 1):
+            table = jnp.array(self.given[k], jnp.float32)
+            rows.append(table[jnp.minimum(number[k], len(table) - 1)].T)
+        gap, *car = jnp.stack(rows, axis=1)
+        return gap, Waiting(*car[:-1], car[-1].astype(jnp.int32))
+
+
+def in_sumo(api):
+    """Fronts and speeds of the cars of `main` and `side`, the foremost first."""
+    starts = dict(zip(("approach", "box", "exit"), STARTS, strict=True), AB=-FEEDERS["AB"])
+    x, v = api.vehicle.getLanePosition, api.vehicle.getSpeed
+
+    def rows(roads):
+        cars = [
+            (begin + x(id), v(id))
+            for road, begin in roads.items()
+            for id in api.lane.getLastStepVehicleIDs(f"{road}_0")
+        ]
+        return np.array(sorted(cars, reverse=True)).reshape(-1, 2)
+
+    return rows(starts), rows({"AA": -FEEDERS["AA"]})
+
+
+def in_twin(cars):
+    there = np.asarray(cars.x)[:, 0] > -1e3
+    return np.stack([cars.x, cars.speed])[:, there, 0].T
+
+
+def injected(cars, rows):
+    """The same cars where SUMO has them, so that errors do not add up."""
+    x, speed = np.array(cars.x), np.array(cars.speed)
+    x[: len(rows), 0], speed[: len(rows), 0] = rows.T
+    return cars._replace(x=x, speed=speed)
+
+
+@pytest.mark.parametrize(
+    "context",
+    [
+        {},
+        pytest.param({"penetration": 1.0}, marks=pytest.mark.long),
+        pytest.param({"inflow": 1200.0, "green": 20.0}, marks=pytest.mark.long),
+        pytest.param({"green": 3.0}, marks=pytest.mark.long),
+    ],
+    ids=str,
+)
+def test_with_the_same_cars_every_step_is_as_in_sumo(context, monkeypatch):
+    drawn = []
+    original = eco.population
+    monkeypatch.setattr(eco, "population", lambda *args: drawn.append(original(*args)) or drawn[-1])
+    monkeypatch.setattr(eco.Eco, "_wait", lambda *_: None)  # compare without agents too
+    env = eco.Eco(context, visibility="hidden", horizon=600)
+    twin, (params,) = EcoProblem()([context])
+    actions = np.zeros((1, twin.agents, 1), np.float32)
+    rng = np.random.default_rng(0)
+    moves = wrong = 0
+    try:
+        seen, _ = env.reset(seed=1)
+        # rows of two lengths, so that there is less to compile
+        twin = replace(twin, demand=Script.of(twin.demand, drawn[-1]), few=twin.few[:1])
+        state = start(twin, params)
+        for _ in range(eco.WARM_UP):
+            state = step(twin, state, actions, params).state
+        while env._left > 0:
+            main, side = in_sumo(env.simulation.api)
+            for cars, sumo in ((state.main, main), (state.side, side)):
+                error = np.abs(in_twin(cars) - sumo).max(axis=1, initial=0.0)
+                moves += len(sumo)
+                wrong += int((error > ATOL).sum())
+            state = state._replace(main=injected(state.main, main), side=injected(state.side, side))
+            now = observe(twin, state, params)
+            places = (int(state.first[0]) + np.arange(len(env.agents))) % twin.agents
+            acting = np.zeros(twin.agents, bool)
+            acting[places] = True
+            np.testing.assert_array_equal(now.acting[0], acting)
+            for place, car in zip(places, env.agents, strict=True):
+                np.testing.assert_allclose(now.obs[0, place], seen[car], atol=ATOL, err_msg=car)
+            told = {car: np.float32([rng.normal(0.0, 3.0)]) for car in env.agents}
+            actions = np.zeros_like(actions)
+            actions[0, places] = np.reshape(list(told.values()), (-1, 1))
+            seen, rewards, ended, *_ = env.step(told)
+            moved = step(twin, state, actions, params)
+            state = moved.state
+            for place, car in zip(places, told, strict=True):
+                assert float(moved.reward[0, place]) == pytest.approx(rewards[car], abs=0.01)
+                assert bool(moved.done[0, place]) == ended[car] or env._left == 0
+        assert wrong <= moves // 10_000, (wrong, moves)
+        assert moves > 4000
+        measures = {name: float(value[0]) for name, value in twin.measures(state).items()}
+        assert measures["completed"] > 0
+        assert measures == pytest.approx({name: env.summary[name] for name in measures}, rel=1e-3)
+        for score, measure in eco.SCORES.items():
+            assert float(replace(twin, scored=score).score(state)[0]) == measures[measure]
+    finally:
+        env.close()
+
+
+@partial(jax.jit, static_argnums=0)
+def unguided(twin, seeds, params):
+    state = twin.start(seeds, params)
+    state = jax.lax.fori_loop(
+        0, twin.horizon, lambda _, state: twin.drive(state, params).state, state
+    )
+    return twin.measures(state)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("context", [{}, {"inflow": 1600.0}, {"green": 5.0}], ids=str)
+def test_unguided_traffic_is_distributed_as_in_sumo(context):
+    env = eco.Eco(context)
+    measures = []
+    for seed in range(8):
+        env.reset(seed=seed)
+        while env.agents:
+            env.step({})
+        measures.append(env.summary)
+    env.close()
+    twin, (params,) = EcoProblem()([context])
+    found = unguided(twin, jnp.arange(64, dtype=jnp.uint32), params)
+    for name in ("mean_speed", "trip_speed", "co2", "stops", "throughput"):
+        sumo, ours = np.array([m[name] for m in measures]), np.asarray(found[name])
+        error = np.hypot(sumo.std(ddof=1) / np.sqrt(len(sumo)), ours.std() / np.sqrt(len(ours)))
+        assert abs(sumo.mean() - ours.mean()) < 4 * error, name
+
+
+@pytest.mark.long
+def test_what_stands_beside_the_score_is_of_the_episodes_that_are_scored():
+    trainer = get_cmdp("eco-green", engine="jax").trainer_for("quick", eval_episodes=2)
+    contexts = [{"green": 16.0}, {"green": 35.0}, {"green": 50.0}]
+    policy = trainer.untrained(contexts[0])
+    found = trainer.beside([policy, policy], [contexts[:1], contexts[1:]], [3, 5, 7])
+    scores = trainer.evaluate(policy, contexts, [3, 5, 7])
+    np.testing.assert_array_equal(found["policies"]["score"], scores)
+    np.testing.assert_array_equal(found["policies"]["mean_speed"], scores)
+    alone = trainer.reference_rows(contexts, [3, 5, 7])["unguided"]
+    np.testing.assert_array_equal(found["unguided"]["score"], alone)
+    assert (found["unguided"]["throughput"] > 100.0).all()
+
+
+@pytest.mark.long
+def test_sumo_tells_what_stands_beside_the_score_whoever_trains():
+    contexts, names = [{"green": 16.0}, {"green": 35.0}], ("throughput", "co2", "stops")
+    policy = get_cmdp("eco-green", engine="sumo-jax").trainer_for().untrained(contexts[0])
+    found = {}
+    for how in ("sumo", "sumo-jax"):
+        trainer = get_cmdp("eco-green", engine=how).trainer_for(acting="mean", eval_episodes=1)
+        found[how] = trainer.beside([policy, policy], [contexts[:1], contexts[1:]], [3, 5], names)
+        scores = trainer.evaluate(policy, contexts, [3, 5])
+        np.testing.assert_allclose(found[how]["policies"]["score"], scores, rtol=1e-6)
+    for who in ("policies", "unguided"):
+        for name in names:
+            one, other = (found[how][who][name] for how in ("sumo", "sumo-jax"))
+            np.testing.assert_array_equal(one, other)
+            assert (one > 0.0).all(), name

@@ -1,0 +1,85 @@
+"""SUMO in processes as a world: what the engine plays there is what the environments play."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jax")
+pytest.importorskip("libsumo")
+
+from mbtl.engine import SceneProblem
+from mbtl.engine.worlds import processes
+from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.problems import get_cmdp
+from mbtl.zoo.cmdps.registry import engines_of
+
+HOLD = {"hold": 40.0}
+SHORT = {"episodes": 2, "checkpoint_every": 2, "checkpoint_episodes": 1}
+
+
+def trainer(id, engine, **options):
+    return get_cmdp(id, engine=engine).trainer_for("quick", eval_episodes=1, **options)
+
+
+@pytest.fixture(scope="module")
+def taught():
+    """What two episodes in SUMO taught, to agents that come and go."""
+    school = trainer("ramp-vel", "sumo-jax", **SHORT, hyperparameters={"n_episodes": 2})
+    return school.train([HOLD], seed=0).policy
+
+
+def test_a_policy_and_traffic_without_one_score_as_in_the_environments(taught):
+    here, there = (trainer("ramp-vel", engine, acting="mean") for engine in ("sumo-jax", "sumo"))
+    np.testing.assert_allclose(
+        here.evaluate(taught, [HOLD], [5]), there.evaluate(taught, [HOLD], [5]), rtol=1e-5
+    )
+    free = [one.reference_rows([HOLD], [5])["unguided"] for one in (here, there)]
+    np.testing.assert_allclose(*free, rtol=1e-5)
+
+
+def test_learning_moves_the_weights(taught):
+    untrained = trainer("ramp-vel", "sumo-jax").untrained(HOLD)
+    assert any((a != b).any() for a, b in zip(taught.weights, untrained.weights, strict=True))
+
+
+def test_a_simulator_that_dies_fails_its_training_and_the_next_one_runs():
+    school = trainer("ring-acc", "sumo-jax", **{**SHORT, "episodes": 3, "checkpoint_every": 1})
+    killed = []
+
+    def kill(progress):
+        if killed:
+            return
+        world, _ = school.problem([HOLD])
+        killed.extend(processes._crew(world.scene, os.getpid()))
+        os.kill(killed[0]._process.pid, signal.SIGKILL)
+
+    with (
+        pytest.warns(RuntimeWarning, match="a simulation failed"),
+        pytest.raises(TrainingFailed, match="finite"),
+    ):
+        school.train([HOLD], 0, on_progress=kill)
+    assert np.isfinite(school.evaluate(school.untrained(HOLD), [HOLD], [0])).all()
+
+
+def test_all_traffic_can_be_learnt_in_processes():
+    for id in ("signal-inflow", "eco-green", "ring-vel", "ramp-acc"):
+        assert "sumo-jax" in engines_of(id)
+        world, params = get_cmdp(id, engine="sumo-jax").trainer.problem([get_cmdp(id).nominal] * 2)
+        assert world.decisions(params) > 1
+        assert params.visible.shape == (2, 0)
+
+
+def test_more_episodes_than_processes_are_refused():
+    many = {"n_episodes": processes.MOST + 1}
+    school = trainer("ring-vel", "sumo-jax", **SHORT, hyperparameters=many)
+    with pytest.raises(InvalidInput, match=f"at most {processes.MOST} times at once"):
+        school.train([HOLD], 0)
+
+
+def test_environments_that_cannot_be_sent_are_refused():
+    make_env = get_cmdp("ring-vel").make_env
+    problem = SceneProblem(lambda context: make_env(context))
+    with pytest.raises(InvalidInput, match="a function of a module"):
+        problem([HOLD])
