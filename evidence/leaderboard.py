@@ -21,11 +21,11 @@ import numpy as np
 import pages
 from scipy.ndimage import gaussian_filter
 
+from mbtl.report import REFERENCE_NAMES as NAMES
 from mbtl.zoo.benchmark import compare, levels
 from mbtl.zoo.benchmark.base import measured_curve
 from mbtl.zoo.benchmark.compare import default_selectors
 from mbtl.zoo.benchmark.comparison import Estimate, Summary, Trainings, trainings_to
-from mbtl.zoo.benchmark.oracle import NAMES
 from mbtl.zoo.benchmark.shipped import load_by_id, open_matrices, shipped_matrices
 
 SELECTORS = (

@@ -21,9 +21,9 @@ from pathlib import Path
 
 import pages
 
+from mbtl.report import REFERENCE_NAMES as NAMES
 from mbtl.zoo.benchmark import TransferMatrix, compare, load_matrix
 from mbtl.zoo.benchmark.multitask import load_multitask
-from mbtl.zoo.benchmark.oracle import NAMES
 from mbtl.zoo.cmdps.registry import paper_bounds
 from mbtl.zoo.reproduction.paper import HEADS, published
 

@@ -1,13 +1,17 @@
 """Three wings, and in each of them data flows one way: a layer imports only those above it."""
 
 import ast
+import importlib
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
 import mbtl
+from mbtl import provider
 
 ROOT = Path(mbtl.__file__).parent
 WINGS = ("engine", "zoo")
@@ -27,7 +31,7 @@ TOOL = [
     "untrusted",
     "files",
     "loading",
-    "laboratory",
+    "provider",
     "seeds",
     "contexts",
     "objective",
@@ -133,6 +137,99 @@ def test_imports_point_up(path):
         assert imported in ORDER[: ORDER.index(layer)], f"{layer} must not import {imported}"
 
 
+PUBLIC = (
+    "acquisition",
+    "contexts",
+    "envs.references",
+    "envs.rollout",
+    "envs.slots",
+    "errors",
+    "history",
+    "models",
+    "objective",
+    "plot",
+    "portfolio",
+    "problems",
+    "report",
+    "routing",
+    "score",
+    "seeds",
+    "selectors",
+    "strategies",
+    "study",
+    "trainers",
+    "trainers.contract",
+)
+"""Modules of the tool that the API reference documents, with an `__all__`."""
+NOT_PUBLIC = {
+    "a type: arrays of float64": "arrays.Array",
+    "commands of the zoo look, print and end like the tool's": (
+        "cli.common.JsonFlag cli.common.LongWork cli.common.console cli.common.interruptible "
+        "cli.common.print_json cli.common.printer"
+    ),
+    "its pictures have the tool's look": (
+        "plot.style.colours plot.style.edges plot.style.new_figure"
+    ),
+    "files are written whole, claimed by one process and read from strangers by one rule": (
+        "files.claim_of files.claimed_folder files.whole_file untrusted.MALFORMED "
+        "untrusted.read_arrays untrusted.read_json portfolio.archive.MANIFEST"
+    ),
+    "input is checked, and refused in the same words": (
+        "plain.LARGEST plain.array_of plain.refused plain.short plain.whole"
+    ),
+    "processes and threads are counted and ended by one rule": (
+        "processes.native_threads processes.usable_cores processes.worker_pool threads.threads_for"
+    ),
+    "matrices and studies record how they were made in the same words": (
+        "provenance.check_made_by provenance.here settings.first_difference version.__version__"
+    ),
+    "a matrix asks its space for the shape of its grid": "contexts.space.factorial_shape",
+    "SUMO says how many simulations a process can hold": "envs.opening.shared_well",
+    "`mbtl play` acts with a policy as trainers do": "trainers.watch.actor_for",
+    "a figure of the paper shows what a selector believes": "selectors.outlook.outlook",
+}
+"""Reason -> what the engine and the zoo use of the tool though no user is told of it."""
+
+
+def home_of(module, name):
+    """The public module that shows a name; None: none does."""
+    parts = module.split(".")
+    for end in range(len(parts), 1, -1):
+        shown = ".".join(parts[:end])
+        found = importlib.import_module(shown)
+        if shown[5:] in PUBLIC and name in found.__all__:
+            same = getattr(found, name) is getattr(importlib.import_module(module), name)
+            return shown if same else None
+    return None
+
+
+def test_the_other_wings_use_what_is_public_but_for_a_list():
+    used = {
+        f"{module[5:]}.{name}"
+        for path in modules()
+        if layer_of(name_of(path)[5:]) in (*WINGS, *ENGINE, *ZOO)
+        for module, name in imports(path)
+        if module.split(".")[1:] and module.split(".")[1] not in WINGS
+        if not (module[5:] in PUBLIC if name is None else home_of(module, name))
+    }
+    listed = [name for names in NOT_PUBLIC.values() for name in names.split()]
+    assert used == {*listed}
+    assert len(listed) == len({*listed})
+
+
+@pytest.mark.parametrize("module", PUBLIC)
+def test_what_is_public_is_documented(module):
+    folder = ROOT.parents[1] / "docs" / "api"
+    lines = [line for page in folder.glob("*.md") for line in page.read_text().splitlines()]
+    shown = {line.split(":: mbtl.")[-1] for line in lines if line.startswith(".. auto")}
+    shown |= {*re.findall(r"`mbtl\.([\w.]+)`", "\n".join(lines))}
+    whole = [module, module.rpartition(".")[0]] if "." in module else [module]
+    for one in {*whole} & shown:
+        shown |= {*importlib.import_module(f"mbtl.{one}").__all__}
+    known = importlib.import_module(f"mbtl.{module}").__all__
+    assert not [name for name in known if not {name, f"{module}.{name}"} & shown]
+
+
 def test_nothing_is_called_utils():
     assert not [path for path in modules() if path.stem == "utils"]
 
@@ -185,6 +282,33 @@ def test_importing_mbtl_is_light_and_changes_nothing():
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     ).stdout.split()
     assert not HEAVY & set(loaded)
+
+
+def test_importing_mbtl_loads_neither_of_the_other_wings():
+    program = "import sys, mbtl; print(*sorted(m for m in sys.modules if m.startswith('mbtl.')))"
+    loaded = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert loaded
+    assert not [name for name in loaded if name.split(".")[1] in WINGS]
+
+
+def test_the_metadata_declare_the_provider_that_source_trees_use():
+    project = tomllib.loads((ROOT.parents[1] / "pyproject.toml").read_text())["project"]
+    assert project["entry-points"][provider.GROUP] == {"zoo": provider._BESIDE}
+
+
+def test_no_word_of_the_tool_leads_to_another_wing_but_the_provider():
+    """Names of modules in strings count as imports, in documentation they do not."""
+    named = {
+        f"{name_of(path)}: {node.value}"
+        for path in modules()
+        if layer_of(name_of(path)[5:]) in TOOL
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        if re.fullmatch(r"mbtl\.(engine|zoo)[\w.]*(:\w+)?", node.value)
+    }
+    assert named == {"mbtl.provider: mbtl.zoo.provider"}
 
 
 def test_all_public_names_exist():

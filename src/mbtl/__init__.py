@@ -21,10 +21,10 @@ from mbtl.errors import (
     TrainingFailed,
     TrainingPruned,
 )
-from mbtl.laboratory import laboratory
 from mbtl.objective import Bounds, Objective
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import READERS
+from mbtl.provider import laboratory
 from mbtl.study import (
     Callback,
     Cost,

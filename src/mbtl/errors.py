@@ -9,6 +9,28 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 
+__all__ = [
+    "CheckFailed",
+    "ContextMismatch",
+    "InvalidInput",
+    "MbtlError",
+    "MissingExtra",
+    "Notice",
+    "SimulationFailed",
+    "StorageError",
+    "StudyError",
+    "StudyMismatch",
+    "TrainingFailed",
+    "TrainingPruned",
+    "UnknownName",
+    "Unreachable",
+    "UnsavedPolicies",
+    "cannot_write",
+    "few",
+    "missing_extra",
+    "unknown_name",
+]
+
 
 class MbtlError(Exception):
     """Root of every error this library raises on purpose."""

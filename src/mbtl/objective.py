@@ -23,6 +23,22 @@ from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.plain import LARGEST, is_finite, short
 
+__all__ = [
+    "Bounds",
+    "Direction",
+    "Objective",
+    "direction_named",
+    "generalisation_gap",
+    "generalisation_performance",
+    "k_star",
+    "marginal_gain",
+    "regret",
+    "value",
+    "value_curve",
+    "worst_share_mean",
+    "worst_share_weights",
+]
+
 Direction = Literal["maximize", "minimize"]
 
 

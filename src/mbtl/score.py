@@ -8,6 +8,10 @@ from typing import Any
 
 from mbtl.errors import InvalidInput, TrainingFailed
 
+__all__ = [
+    "Score",
+]
+
 
 @dataclass(frozen=True)
 class Score:

@@ -21,6 +21,21 @@ import numpy as np
 
 from mbtl.errors import InvalidInput
 
+__all__ = [
+    "MATRIX_TRIAL",
+    "PER_TARGET",
+    "Purpose",
+    "action_seed",
+    "checkpoint_seeds",
+    "derive_seed",
+    "episode_seed",
+    "episode_seeds",
+    "evaluation_seeds",
+    "seeds_in",
+    "selection_rng",
+    "training_seed",
+]
+
 _HASH_BITS = 28  # purpose (4 bits) + hash (28 bits) fit the 32-bit seeds that RL libraries accept
 
 

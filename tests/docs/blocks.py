@@ -155,8 +155,9 @@ def read(words: list[str], *, whole: bool = True) -> None:
 
     command: Any = get_command(app)
     while words and hasattr(command, "commands"):
-        assert words[0] in command.commands, f"mbtl knows no command {words}"
-        command, words = command.commands[words[0]], words[1:]
+        found = command.get_command(None, words[0])
+        assert found is not None, f"mbtl knows no command {words}"
+        command, words = found, words[1:]
     if "--help" in words or hasattr(command, "commands"):
         return
     try:

@@ -22,8 +22,8 @@ from mbtl.cli.run import run
 from mbtl.cli.study import study_app
 from mbtl.cli.worker import worker
 from mbtl.errors import InvalidInput, MbtlError, TrainingFailed, cannot_write
-from mbtl.laboratory import laboratory
 from mbtl.processes import end_children
+from mbtl.provider import laboratory
 from mbtl.version import __version__
 
 _PLAIN: dict[str, Any] = {

@@ -14,7 +14,7 @@ from rich.text import Text
 from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.cli.study import open_study
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.laboratory import laboratory
+from mbtl.provider import laboratory
 from mbtl.report import Subject, of_study, write_page
 from mbtl.study import Study
 from mbtl.study.database import check_path

@@ -20,6 +20,14 @@ from mbtl.contexts import Context
 from mbtl.envs.rollout import Actor, Job, play, play_counted
 from mbtl.score import Score
 
+__all__ = [
+    "ByItself",
+    "RandomActions",
+    "measured",
+    "reference_rows",
+    "ways_of",
+]
+
 RANDOM_ACTIONS = "random_actions"
 UNGUIDED = "unguided"
 

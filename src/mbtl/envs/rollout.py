@@ -28,6 +28,14 @@ from mbtl.portfolio.mlp import MLPPolicy
 from mbtl.score import Score
 from mbtl.seeds import action_seed
 
+__all__ = [
+    "ENDED",
+    "Actor",
+    "Env",
+    "Job",
+    "play",
+]
+
 ROWS = 32
 """Observations per forward pass. Of 64-64 networks 32 rows cost about twice one row; of the four
 layers of 400 of a traffic signal, which plays alone, they were half of an evaluation."""

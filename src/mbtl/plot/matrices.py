@@ -11,7 +11,6 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput
-from mbtl.objective import Bounds
 from mbtl.plot.style import axes_for, dress, edges, number, positions, styled
 
 
@@ -25,22 +24,17 @@ class Matrix(Protocol):
     def space(self) -> ContextSpace: ...  # noqa: D102
 
     @property
-    def returns(self) -> Any: ...  # noqa: D102
-
-    @property
-    def fresh_returns(self) -> Any: ...  # noqa: D102
-
-    @property
     def sources(self) -> Any: ...  # noqa: D102
-
-    @property
-    def bounds(self) -> Bounds: ...  # noqa: D102
 
     @property
     def n(self) -> int: ...  # noqa: D102
 
     @property
     def n_seeds(self) -> int: ...  # noqa: D102
+
+    def shown(self, seed: int | None) -> Array:
+        """(M, N) performance; of all seeds the mean."""
+        ...
 
 
 @styled
@@ -82,7 +76,7 @@ def matrix(
         x = positions(axis, matrix.space.values(axis.name))
     down, across = np.argsort(x[sources]), np.argsort(x)
     sides = [edges(axis if line else None, x[of]) for of in (across, sources[down])]
-    table = shown_performance(matrix, seed)[np.ix_(down, across)]
+    table = matrix.shown(seed)[np.ix_(down, across)]
     mesh = ax.pcolormesh(*sides, table, rasterized=True)
     ax.figure.colorbar(mesh, ax=ax, label="performance")
     if line:
@@ -95,10 +89,3 @@ def matrix(
     ax.set_title(f"{matrix.name}, {which}")
     number(ax, x[list(picks)], side="right", line="white")
     return ax
-
-
-def shown_performance(matrix: Matrix, seed: int | None = None) -> Array:
-    """(M, N) performance on the episodes that chose nothing, where there are such episodes."""
-    reported = matrix.returns if matrix.fresh_returns is None else matrix.fresh_returns
-    one: Array = reported.mean(axis=0, dtype=np.float64) if seed is None else reported[seed]
-    return matrix.bounds.normalise(one)

@@ -5,6 +5,7 @@ from mbtl.problems.check import check_cmdp
 from mbtl.problems.cmdp import CMDP, Preset
 from mbtl.problems.findings import Check, CheckReport
 from mbtl.problems.loading import cmdp_ids, get_cmdp, resolve_cmdp
+from mbtl.problems.plugins import plugin_ids
 
 __all__ = [
     "CMDP",
@@ -15,5 +16,6 @@ __all__ = [
     "cmdp_ids",
     "get_cmdp",
     "load_object",
+    "plugin_ids",
     "resolve_cmdp",
 ]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.laboratory import laboratory
 from mbtl.loading import load_object
 from mbtl.problems.cmdp import CMDP
 from mbtl.problems.plugins import plugin_cmdp, plugin_ids
+from mbtl.provider import laboratory
 
 
 def cmdp_ids() -> list[str]:

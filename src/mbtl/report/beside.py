@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.report.names import NAMES
+from mbtl.report.names import REFERENCE_NAMES
 from mbtl.seeds import Purpose
 from mbtl.study import Study
 
@@ -70,7 +70,7 @@ def sentences(folder: Path | None) -> list[str]:
     record = {} if folder is None else _read(folder)
     units: Mapping[str, str] = record.get("units", {})
     return [
-        f"{NAMES.get(who, who)}, mean over the contexts: "
+        f"{REFERENCE_NAMES.get(who, who)}, mean over the contexts: "
         + ", ".join([f"score {found['score']:.4g}",
                      *(f"{found[n]:.4g} {unit}" for n, unit in units.items() if n in found)])
         for who, found in record.get("measures", {}).items()

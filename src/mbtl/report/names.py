@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-NAMES: Mapping[str, str] = {
+REFERENCE_NAMES: Mapping[str, str] = {
     "random_actions": "random actions",
     "unguided": "unguided",
     "fixed_time": "fixed time",

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from mbtl.arrays import Array
-from mbtl.laboratory import laboratory
+from mbtl.provider import laboratory
 from mbtl.study import Study
 
 

@@ -1,9 +1,16 @@
 """Selectors: propose the next source from a problem and the rows seen so far."""
 
 from mbtl.selectors.auto import Auto
-from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, default_theta
+from mbtl.selectors.base import (
+    Exhausted,
+    Proposal,
+    SelectionProblem,
+    default_theta,
+    nearest_distance,
+    open_candidates,
+)
 from mbtl.selectors.clustering import KMeansSelector
-from mbtl.selectors.contract import Proposes, Selector, Traits
+from mbtl.selectors.contract import LearnedSelector, Proposes, Selector, Traits, traits_of
 from mbtl.selectors.equidistant import Equidistant
 from mbtl.selectors.gp_mbtl import GPMBTL
 from mbtl.selectors.greedy import Greedy
@@ -14,6 +21,7 @@ from mbtl.selectors.mbtl_release import MBTLRelease
 from mbtl.selectors.random import Random
 from mbtl.selectors.registry import get_selector, selector_names
 from mbtl.selectors.sd_mbtl import SDMBTL
+from mbtl.selectors.targets import spread_targets
 from mbtl.selectors.worst_first import WorstFirst
 
 __all__ = [
@@ -27,6 +35,7 @@ __all__ = [
     "Exhausted",
     "Greedy",
     "KMeansSelector",
+    "LearnedSelector",
     "MBTLRelease",
     "Proposal",
     "Proposes",
@@ -37,5 +46,9 @@ __all__ = [
     "WorstFirst",
     "default_theta",
     "get_selector",
+    "nearest_distance",
+    "open_candidates",
     "selector_names",
+    "spread_targets",
+    "traits_of",
 ]

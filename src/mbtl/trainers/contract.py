@@ -27,6 +27,26 @@ from mbtl.errors import InvalidInput, TrainingFailed, unknown_name
 from mbtl.plain import LARGEST, floats, refused
 from mbtl.settings import described, described_code
 
+__all__ = [
+    "Ability",
+    "CountingTrainer",
+    "FunctionTrainer",
+    "ManyTrainer",
+    "OnProgress",
+    "Progress",
+    "ReferenceTrainer",
+    "RehearsingTrainer",
+    "Trained",
+    "Trainer",
+    "check_asked",
+    "check_settings",
+    "checked_returns",
+    "completed",
+    "even_groups",
+    "recipe_of",
+    "refusal",
+]
+
 
 @dataclass(frozen=True)
 class Progress:

@@ -616,6 +616,16 @@ class TransferMatrix:
             )
         return "; ".join(said) or None
 
+    def shown(self, seed: int | None = None) -> Array:
+        """(M, N) performance on the episodes that chose nothing, where there are such episodes.
+
+        Args:
+            seed: matrix seed; None: the mean over all.
+        """
+        reported = self.returns if self.fresh_returns is None else self.fresh_returns
+        one = reported.mean(axis=0, dtype=np.float64) if seed is None else reported[seed]
+        return self.bounds.normalise(one)
+
     def performance(self, seed: int) -> Array:
         """(M, N) performance of one seed as a selector sees it, axis order (source, target)."""
         return self.bounds.normalise(self.returns[seed])

@@ -21,7 +21,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.errors import ContextMismatch, InvalidInput
 from mbtl.objective import value
-from mbtl.report.names import NAMES
+from mbtl.report.names import REFERENCE_NAMES
 from mbtl.zoo.benchmark.base import (
     BLOCK_BYTES,
     Levels,
@@ -54,7 +54,7 @@ def reference_levels(source: RowSource, seed: int) -> dict[str, float]:
         seed: matrix seed.
 
     Returns:
-        V by name, those of `NAMES` that are known, in its order.
+        V by name, those of `REFERENCE_NAMES` that are known, in its order.
     """
     found = {"random_policy": levels(source, seed).grand_mean}
     if isinstance(source, TransferMatrix):
@@ -64,7 +64,7 @@ def reference_levels(source: RowSource, seed: int) -> dict[str, float]:
         nominal = nominal_source(source)
         if nominal is not None:
             found["nominal_policy"] = float(source.fresh_rows(seed, [nominal])[0] @ weights)
-    return {name: found[name] for name in [*NAMES, *found] if name in found}
+    return {name: found[name] for name in [*REFERENCE_NAMES, *found] if name in found}
 
 
 def nominal_source(matrix: TransferMatrix) -> int | None:

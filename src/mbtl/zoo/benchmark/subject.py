@@ -6,8 +6,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.plot.matrices import shown_performance
-from mbtl.report.names import NAMES
+from mbtl.report.names import REFERENCE_NAMES
 from mbtl.report.reference import ReferenceCurves
 from mbtl.report.subject import PickFacts, Subject
 from mbtl.routing import Routing
@@ -48,7 +47,7 @@ def reference_curves(study: Study) -> ReferenceCurves | None:
         np.array([k.random for k in known]),
         greedy,
         np.array([k.oracle.curve for k in known]),
-        {NAMES.get(n, n): float(np.mean([one[n] for one in levels])) for n in levels[0]},
+        {REFERENCE_NAMES.get(n, n): float(np.mean([one[n] for one in levels])) for n in levels[0]},
     )
 
 
@@ -97,7 +96,7 @@ def of_matrix(
     routing = Routing(matrix.space, history.sources, history.rows)
     served = routing.served
     worst = int(served.argmin())
-    rows = {NAMES.get(n, n): v for n, v in known[seed].rows.items()}
+    rows = {REFERENCE_NAMES.get(n, n): v for n, v in known[seed].rows.items()}
     sentences = [
         f"{rule.name} reaches V = {values[-1]:.4f} with {len(values)} trainings on seed {seed}; "
         f"Random is expected to reach {known[seed].random[-1]:.4f}, the Sequential Oracle reaches "
@@ -123,7 +122,7 @@ def of_matrix(
         baselines,
         {"Independent": level.independent, "Oracle Transfer": level.oracle_transfer, **rows},
         tuple(sentences),
-        shown_performance(matrix, None),
+        matrix.shown(),
         problem.sources,
         {"matrix": matrix.name, "seeds": matrix.records},
     )

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mbtl.report.names import NAMES
+from mbtl.report.names import REFERENCE_NAMES
 
 if TYPE_CHECKING:
     from mbtl.zoo.benchmark.comparison import (
@@ -111,7 +111,7 @@ def show_comparison(screen: Console, comparison: Comparison, against: str | None
 
 def captions(one: MatrixSummary) -> list[str]:
     """What stands under a table of selectors: levels, and what must be said of them."""
-    rows = [f"{NAMES.get(key, key)} {v:.4f}" for key, v in one.references.items()]
+    rows = [f"{REFERENCE_NAMES.get(key, key)} {v:.4f}" for key, v in one.references.items()]
     levels = f"Independent {one.independent:.4f}, Oracle Transfer {one.oracle_transfer:.4f}"
     return [", ".join(rows), levels, *([] if one.caveat is None else [f"Note: {one.caveat}."])]
 

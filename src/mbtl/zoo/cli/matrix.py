@@ -14,7 +14,7 @@ from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, interruptible, print_json, printer
 from mbtl.problems import cmdp_ids
-from mbtl.report.names import NAMES
+from mbtl.report.names import REFERENCE_NAMES
 from mbtl.zoo.benchmark import (
     RowSource,
     TransferMatrix,
@@ -75,7 +75,7 @@ def show(
         return
     title = Text(f"{matrix}: N = {source.n}")
     table = Table(title=title, box=box.SIMPLE, padding=(0, 1), show_edge=False)  # 80 columns
-    heads = {**NAMES, "independent": "Independent", "oracle_transfer": "Oracle Transfer"}
+    heads = {**REFERENCE_NAMES, "independent": "Independent", "oracle_transfer": "Oracle Transfer"}
     shown = {key: head for key, head in heads.items() if key in rows[0]}
     for head in ("seed", *shown.values()):
         table.add_column(head.replace(" ", "\n"), justify="right", no_wrap=True)
@@ -120,7 +120,7 @@ def list_matrices(
             str(one.n_seeds),
             _episodes(one),
             "halves" if one.measures_apart else "older",
-            ", ".join(NAMES.get(key, key) for key in one.references) or "-",
+            ", ".join(REFERENCE_NAMES.get(key, key) for key in one.references) or "-",
         )
     screen = printer()
     screen.print(table)

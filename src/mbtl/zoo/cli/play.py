@@ -65,7 +65,7 @@ def play(
         raise InvalidInput(f"--episodes must be >= 1, got {episodes}")
     from mbtl.envs import rollout
     from mbtl.envs.references import ByItself, ways_of
-    from mbtl.report.names import NAMES
+    from mbtl.report.names import REFERENCE_NAMES
     from mbtl.trainers.watch import actor_for
 
     if film is not None:
@@ -101,9 +101,11 @@ def play(
     takes = {"choices at random" if portfolio is None else "guided": env}
     with status:
         for way in () if gui else ways_of(env):
-            told = partial(_aloud, says, f"{NAMES.get(way, way)}: ")
+            told = partial(_aloud, says, f"{REFERENCE_NAMES.get(way, way)}: ")
             alone = ByItself(make_env(context), way)
-            takes[NAMES.get(way, way)] = Watched(alone, film is not None, told, cmdp.beside)
+            takes[REFERENCE_NAMES.get(way, way)] = Watched(
+                alone, film is not None, told, cmdp.beside
+            )
         for take in takes.values():
             (scores,) = rollout.play(
                 [rollout.Job(partial(_same, take), seeds, counted)], actor, max_envs=1

@@ -11,7 +11,7 @@ from typing import Any
 
 from mbtl.errors import cannot_write
 from mbtl.files import whole_file
-from mbtl.report.names import NAMES
+from mbtl.report.names import REFERENCE_NAMES
 from mbtl.zoo.reproduction.bench import Bench
 from mbtl.zoo.reproduction.claims import NOT, OPEN, PARTLY, REPRODUCED, Claim
 from mbtl.zoo.reproduction.item import Numbers, Table
@@ -246,8 +246,8 @@ def _rows(table: Numbers) -> str:
         )
         rows.append((row["cmdp"], judged.verdict, checks, *both, *values))
         reasons.append(f"- *{row['cmdp']}*: {judged.reason}")
-    head = ("CMDP", "verdict", "checks passed", "MBTL", "MBTL (paper)", NAMES["unguided"],
-            NAMES["nominal_policy"])  # fmt: skip
+    head = ("CMDP", "verdict", "checks passed", "MBTL", "MBTL (paper)", REFERENCE_NAMES["unguided"],
+            REFERENCE_NAMES["nominal_policy"])  # fmt: skip
     said = "\n".join(reasons)
     return f"{Table('', head, tuple(rows)).markdown()}\nThe reasons:\n\n{said}\n"
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.plot.matrices import shown_performance
 from mbtl.plot.style import edges
 from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.reproduction.bench import Bench
@@ -31,7 +30,7 @@ def compute(bench: Bench) -> Numbers:
     for id in bench.available():
         matrix = bench.matrix(id)
         axis = matrix.space.axes[0]
-        table = shown_performance(matrix)
+        table = matrix.shown()
         found[id] = {
             "label": axis.label,
             "x": [float(v) for v in matrix.space.values(axis.name)],

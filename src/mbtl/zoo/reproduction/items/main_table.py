@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.plot.style import new_figure
-from mbtl.report.names import NAMES
+from mbtl.report.names import REFERENCE_NAMES
 from mbtl.zoo.reproduction.bench import Bench, Case
 from mbtl.zoo.reproduction.item import (
     COLOURS,
@@ -212,12 +212,12 @@ def _references(numbers: Numbers) -> Table:
     for line in numbers["rows"]:
         if line["ours"] is None:
             continue
-        cells = [_cell(line["references"].get(name)) for name in NAMES]
+        cells = [_cell(line["references"].get(name)) for name in REFERENCE_NAMES]
         rows.append((line["cmdp"], *cells, _cell(line["ours"]["mbtl"]), _cell(line["auto"])))
     return Table(
         "What stands without any selection: V of reference rows, beside MBTL and `auto` after "
         f"K = {numbers['budget']} trainings.",
-        ("CMDP", *NAMES.values(), "MBTL", "auto"),
+        ("CMDP", *REFERENCE_NAMES.values(), "MBTL", "auto"),
         tuple(rows),
         ("unguided: the system without a controller. nominal policy: of the nominal context.",),
     )

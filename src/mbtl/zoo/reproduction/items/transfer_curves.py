@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.plot.matrices import shown_performance
 from mbtl.plot.style import colours, new_figure
 from mbtl.zoo.reproduction.bench import Bench
 from mbtl.zoo.reproduction.item import Item, Numbers, Table, absent
@@ -23,7 +22,7 @@ def compute(bench: Bench) -> Numbers:
         axis = matrix.space.axes[0]
         everyone = matrix.problem(1).sources
         places = np.linspace(0, len(everyone) - 1, min(_SOURCES, len(everyone))).round().astype(int)
-        table = shown_performance(matrix)
+        table = matrix.shown()
         found[id] = {
             "label": axis.label,
             "x": [float(v) for v in matrix.space.values(axis.name)],
