@@ -22,7 +22,8 @@ import measure  # before mbtl, which loads numpy
 from measure import digits
 
 import mbtl
-from mbtl.report import of_matrix, of_study, write_page
+from mbtl.report import of_study, write_page
+from mbtl.zoo.benchmark.subject import of_matrix
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from report.browser import CHROMIUM, Browser

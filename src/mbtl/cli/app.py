@@ -42,10 +42,10 @@ class Commands(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of a name; None where there is none."""
-        own, theirs = super().get_command(ctx, cmd_name), laboratory().commands
-        if own is not None or cmd_name not in theirs:
+        own = super().get_command(ctx, cmd_name)
+        if own is not None or (home := laboratory().commands.get(cmd_name)) is None:
             return own
-        found, shell = pkgutil.resolve_name(theirs[cmd_name]), typer.Typer(**_PLAIN)
+        found, shell = pkgutil.resolve_name(home), typer.Typer(**_PLAIN)
         shell.callback()(lambda: None)  # with it, one command is a command of a group, too
         if isinstance(found, typer.Typer):
             shell.add_typer(found, name=cmd_name)
