@@ -17,10 +17,11 @@ from mbtl.engine.learners import a2c, rollout
 from mbtl.engine.learners.clock import clock_at
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.zoo.cmdps import cartpole
+from mbtl.zoo.worlds import CartPole, Pendulum
 
 TINY = engine.A2CRecipe(n_envs=32, n_steps=4, anneal=True)  # two rollouts in an update
-ENV = engine.Solo(engine.CartPole(horizon=9))  # shorter than an update: episodes are cut off
-CARTPOLE = engine.Solo(engine.CartPole())
+ENV = engine.Solo(CartPole(horizon=9))  # shorter than an update: episodes are cut off
+CARTPOLE = engine.Solo(CartPole())
 FAST = replace(engine.recipe_named("A2C", "fast"), anneal=False)  # compiled once, with P = 2
 PLAY, LEARN = (jax.jit(f, static_argnums=(0, 1)) for f in (rollout.play, a2c.learn))
 
@@ -120,7 +121,7 @@ def test_a_gradient_step_is_stable_baselines3s(time_limit):
     peer = pytest.importorskip("stable_baselines3")
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    env = engine.Solo(engine.CartPole(horizon=9, time_limit=time_limit))
+    env = engine.Solo(CartPole(horizon=9, time_limit=time_limit))
     recipe = engine.A2CRecipe(n_envs=2, n_steps=24, gae_lambda=0.9, entropy_coef=0.01)
     state, params = single(recipe, env)
     _, noise = rollout.draw(env, state.key, (24, 2))
@@ -207,7 +208,7 @@ def test_cartpole_is_learnt():
 def test_pendulum_takes_a_step_with_a_gaussian():
     from mbtl.zoo.cmdps import pendulum
 
-    env = engine.Solo(engine.Pendulum())
+    env = engine.Solo(Pendulum())
     constants = [pendulum.derive(pendulum.Pendulum({"mass": 1.0}).features)]
     training = engine.train(env, TINY, [0], engine.stack_params(env, constants), 256)
     assert np.asarray(training.state.weights.log_std)[0, 0] != 0.0

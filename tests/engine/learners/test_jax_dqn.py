@@ -18,14 +18,15 @@ from mbtl.engine.learners import dqn, networks
 from mbtl.engine.learners.clock import clock_at
 from mbtl.errors import InvalidInput
 from mbtl.zoo.cmdps import cartpole
+from mbtl.zoo.worlds import CartPole, Pendulum
 
 # one round is an update, and an update is shorter than the ring
 TINY = engine.DQNRecipe(
     n_envs=64, train_freq=4, batch_size=16, buffer_size=512, learning_starts=256, target_every=512,
     exploration_fraction=0.5, learning_rate=1e-3, hidden=(8,),
 )  # fmt: skip
-ENV = engine.Solo(engine.CartPole(horizon=7))  # episodes are cut off
-CARTPOLE = engine.Solo(engine.CartPole())
+ENV = engine.Solo(CartPole(horizon=7))  # episodes are cut off
+CARTPOLE = engine.Solo(CartPole())
 FAST = replace(  # compiled once, with P = 2; for fewer steps than the recipe is for
     engine.recipe_named("DQN", "fast"), batch_size=64, gradient_steps=4, learning_rate=1e-3,
     target_every=512, exploration_fraction=0.2,
@@ -138,7 +139,7 @@ def test_the_ring_wraps_and_keeps_the_latest_transitions():
     "time_limit", ["truncation", pytest.param("terminal", marks=pytest.mark.long)]
 )
 def test_truncated_transitions_bootstrap_and_end_where_they_were_cut_off(time_limit):
-    env = engine.Solo(engine.CartPole(horizon=7, time_limit=time_limit))
+    env = engine.Solo(CartPole(horizon=7, time_limit=time_limit))
     state, params = single(TINY, env)
     step = jax.jit(partial(dqn.update, env, TINY), compiler_options=AS_SHIPPED)
     steps = [state]
@@ -305,7 +306,7 @@ def test_bad_recipes_and_continuous_actions_are_refused():
         replace(TINY, buffer_size=600)
     with pytest.raises(InvalidInput, match="target_every must be >= 1, got 0"):
         replace(TINY, target_every=0)
-    env = engine.Solo(engine.Pendulum())
+    env = engine.Solo(Pendulum())
     params = engine.stack_params(env, [dict.fromkeys(env.params._fields[:-1], 1.0)])
     with pytest.raises(InvalidInput, match="DQN must have discrete actions"):
         engine.start(env, TINY, [0], params)

@@ -18,8 +18,9 @@ from mbtl.engine.learners.multitask.table import seen
 from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
 from mbtl.zoo.cmdps import cartpole
+from mbtl.zoo.worlds import CartPole
 
-WORLD = engine.Solo(engine.CartPole(horizon=12))
+WORLD = engine.Solo(CartPole(horizon=12))
 OBSERVATIONS = np.random.default_rng(0).normal(0.3, [2.0, 3.0, 0.2, 3.0, 1.0], (40, 5))
 
 BY_STEPS = {"n_envs": 2, "n_steps": 32, "batch_size": 32, "hidden": (8,)}

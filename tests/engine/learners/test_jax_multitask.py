@@ -23,10 +23,11 @@ from mbtl.engine.learners.rollout import draw, play
 from mbtl.engine.worlds.copies import take_turns
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.zoo.cmdps import cartpole, pendulum
+from mbtl.zoo.worlds import CartPole, Pendulum
 
 TINY = engine.PPORecipe(n_envs=3, n_steps=32, batch_size=48, n_epochs=1, learning_rate=1e-3)
-CARTPOLE = engine.Solo(engine.CartPole(horizon=60))
-PENDULUM = engine.Solo(engine.Pendulum(horizon=60))
+CARTPOLE = engine.Solo(CartPole(horizon=60))
+PENDULUM = engine.Solo(Pendulum(horizon=60))
 
 
 def cartpole_params(lengths=(0.1, 0.5, 1.0, 2.0, 5.0)):
@@ -216,7 +217,7 @@ class Learnt(NamedTuple):
     saved: dict[str, np.ndarray]
     scores: list[float]
 
-    env = engine.Solo(engine.CartPole(horizon=200))
+    env = engine.Solo(CartPole(horizon=200))
     params = cartpole_params((0.25, 0.5, 1.0))
 
     def train(self, **options):

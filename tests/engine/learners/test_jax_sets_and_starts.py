@@ -17,8 +17,9 @@ from mbtl.engine.learners import algorithms
 from mbtl.engine.learners.rollout import draw, play
 from mbtl.errors import InvalidInput
 from mbtl.zoo.cmdps import cartpole
+from mbtl.zoo.worlds import CartPole
 
-CARTPOLE = engine.Solo(engine.CartPole(horizon=60))
+CARTPOLE = engine.Solo(CartPole(horizon=60))
 TINY = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32, n_epochs=2, learning_rate=1e-3)
 ON_SETS = engine.MultiTaskRecipe("ppo", TINY)
 SMALL_REPLAY = engine.DQNRecipe(n_envs=2, buffer_size=800, learning_starts=0)

@@ -15,6 +15,7 @@ from mbtl.problems import get_cmdp
 from mbtl.seeds import evaluation_seeds
 from mbtl.trainers import SB3Trainer
 from mbtl.trainers.contract import CountingTrainer, refusal
+from mbtl.zoo.worlds import CartPole
 
 SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
 CARTPOLE = get_cmdp("cartpole-length", engine="jax").trainer_for(
@@ -163,7 +164,7 @@ def test_where_an_environment_does_not_say_its_episodes_are_counted_once_more():
 
 
 @dataclass(frozen=True)
-class _Double(engine.CartPole):
+class _Double(CartPole):
     """Two points per step, and no word of how long episodes are."""
 
     lasts = None

@@ -21,6 +21,7 @@ from mbtl.seeds import evaluation_seeds, training_seed
 from mbtl.study.rehearsal import rehearse
 from mbtl.trainers import SB3Trainer
 from mbtl.zoo.benchmark.build import Build
+from mbtl.zoo.worlds import CartPole
 
 SMALL = {"n_envs": 2, "n_steps": 64, "batch_size": 64}
 CMDP = get_cmdp("cartpole-length", engine="jax")
@@ -128,11 +129,11 @@ def test_training_ends_when_the_best_cannot_get_better(monkeypatch):
         return policies, [progress.metrics["episode_return"] for progress in heard]
 
     whole, returns = trained(("best", "final"))
-    monkeypatch.setattr(engine.CartPole, "max_return", max(returns))
+    monkeypatch.setattr(CartPole, "max_return", max(returns))
     only, seen = trained(("best",))
     assert seen == returns[: returns.index(max(returns)) + 1]
     assert same(only["best"][0], whole["best"][0])
-    monkeypatch.setattr(engine.CartPole, "max_return", returns[0])
+    monkeypatch.setattr(CartPole, "max_return", returns[0])
     assert trained(("best",))[1] == returns[:1]
     assert trained(("best", "final"))[1] == returns
 

@@ -25,10 +25,11 @@ from mbtl.engine.worlds.flags import settings
 from mbtl.errors import InvalidInput, StorageError, TrainingFailed, UnknownName
 from mbtl.portfolio import MLPPolicy
 from mbtl.zoo.cmdps import cartpole, pendulum
+from mbtl.zoo.worlds import CartPole, Pendulum
 
 TINY = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32, n_epochs=2, learning_rate=1e-3)
-CARTPOLE = engine.Solo(engine.CartPole())
-PENDULUM = engine.Solo(engine.Pendulum())
+CARTPOLE = engine.Solo(CartPole())
+PENDULUM = engine.Solo(Pendulum())
 # compiling a program takes longer than running it, so most tests share these, with P = 2
 RECIPE = {
     "cartpole": replace(engine.recipe_named("PPO", "fast"), anneal=False),
@@ -153,7 +154,7 @@ def test_bad_arguments_and_diverged_trainings_are_named():
 
 @pytest.mark.parametrize("time_limit", ["truncation", "terminal"])
 def test_advantages_follow_their_definition(time_limit):
-    env = engine.Solo(engine.CartPole(horizon=7, time_limit=time_limit))
+    env = engine.Solo(CartPole(horizon=7, time_limit=time_limit))
     recipe = replace(TINY, n_steps=24, n_envs=2, batch_size=48)
     params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), cartpole_params([0.05]))
     state = jax.tree.map(lambda x: x[0], ppo.init(env, recipe, [5], params))
@@ -376,8 +377,9 @@ def test_who_has_started_jax_without_them_is_told_so_once():
 HUNDRED = """
 import mbtl.engine.learners as engine
 from mbtl.engine.learners import evaluation
-env = engine.Solo(engine.CartPole())
 from mbtl.zoo.cmdps import cartpole
+from mbtl.zoo.worlds import CartPole
+env = engine.Solo(CartPole())
 constants = cartpole.derive(cartpole.CartPole.FEATURES)
 params = engine.stack_params(env, [constants] * 100)
 training = engine.train(env, engine.recipe_named("PPO", "fast"), range(100), params, 3_000)

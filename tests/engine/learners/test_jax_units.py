@@ -12,6 +12,7 @@ import mbtl.engine.learners as engine
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.units import Units
 from mbtl.zoo.cmdps import pendulum
+from mbtl.zoo.worlds import Pendulum
 
 RNG = np.random.default_rng(0)
 OBS = np.float32(RNG.normal([0.0, 5.0, -300.0, 0.7], [1.0, 0.01, 80.0, 0.0], (500, 4)))
@@ -39,7 +40,7 @@ def test_a_number_that_never_changes_is_taken_as_it_is():
 
 
 def test_the_first_rollout_only_shows_the_units():
-    world = engine.Solo(engine.Pendulum(horizon=50))
+    world = engine.Solo(Pendulum(horizon=50))
     params = engine.stack_params(world, [pendulum.Pendulum({}).constants])
     recipe = engine.PPORecipe(n_envs=4, n_steps=64, batch_size=64, n_epochs=2, standardize=True)
     new = engine.start(world, recipe, [3], params).state.weights

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import mbtl.engine.learners as engine  # before jax: it sets jax's flags
 from mbtl.errors import InvalidInput
 from mbtl.zoo.cmdps import cartpole, pendulum
+from mbtl.zoo.worlds import CartPole, Pendulum
 
 N = 10_000
 
@@ -45,8 +46,8 @@ def pendulum_pairs():
 
 
 FAMILIES = {
-    "cartpole": (engine.CartPole(), cartpole_pairs),
-    "pendulum": (engine.Pendulum(), pendulum_pairs),
+    "cartpole": (CartPole(), cartpole_pairs),
+    "pendulum": (Pendulum(), pendulum_pairs),
 }
 
 
@@ -132,7 +133,7 @@ def nominal(world):
 
 
 def test_a_seed_or_a_key_starts_episodes_within_the_reset_range():
-    world = engine.Solo(engine.CartPole())
+    world = engine.Solo(CartPole())
     params = nominal(world)
     for drawn in (jnp.arange(2000, dtype=jnp.uint32), world.noise(jax.random.key(0), (2000,))):
         states = np.stack(world.start(drawn, params).env)
@@ -142,7 +143,7 @@ def test_a_seed_or_a_key_starts_episodes_within_the_reset_range():
 
 
 def test_what_comes_after_a_terminal_state_does_not_count():
-    world = engine.Solo(engine.CartPole())
+    world = engine.Solo(CartPole())
     params = nominal(world)
     state = world.start(world.draws(np.arange(3, dtype=np.uint32)), params)
     pushed = jnp.ones((3, 1), jnp.int32)
@@ -160,7 +161,7 @@ def test_what_comes_after_a_terminal_state_does_not_count():
 
 
 def test_parameters_are_matched_by_name():
-    world = engine.Solo(engine.CartPole())
+    world = engine.Solo(CartPole())
     constants = cartpole.derive(cartpole.CartPole.FEATURES)
     named = dict(reversed(constants._asdict().items()))
     params = engine.stack_params(world, [constants, named])
@@ -175,4 +176,4 @@ def test_parameters_are_matched_by_name():
 def test_visible_features_need_one_row_per_context():
     constants = pendulum.derive(pendulum.Pendulum.FEATURES)
     with pytest.raises(InvalidInput, match="one row per context"):
-        engine.stack_params(engine.Pendulum(), [constants], [[1.0], [2.0]])
+        engine.stack_params(Pendulum(), [constants], [[1.0], [2.0]])

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 import mbtl.engine.learners as engine  # before jax: it sets jax's flags
 from mbtl.zoo.cmdps import pendulum
+from mbtl.zoo.worlds import Pendulum
 
 CALLS = []
 """Axes of each native step."""
@@ -26,11 +27,11 @@ class NumpyPendulum:
     horizon: int = 200
     shapes = (("t", ()), ("w", ()))
     time_limit = "truncation"
-    action = engine.Pendulum().action
+    action = Pendulum().action
     n_features = 3
     n_noise = 2
     max_return = 0.0
-    params = engine.Pendulum().params
+    params = Pendulum().params
 
     def initial(self, noise, params):
         spread = 2.0 * noise - 1.0
@@ -52,7 +53,7 @@ class NumpyPendulum:
 
 
 NATIVE = engine.hosted(NumpyPendulum(horizon=30))
-TRACED = engine.Solo(engine.Pendulum(horizon=30))
+TRACED = engine.Solo(Pendulum(horizon=30))
 TINY = engine.PPORecipe(n_envs=4, n_steps=32, batch_size=64, n_epochs=2, learning_rate=1e-3)
 
 
@@ -105,7 +106,7 @@ def test_learning_is_statistically_equal():
         engine.recipe_named("PPO", "fast"), n_envs=4, n_steps=512, n_epochs=2, learning_rate=1e-3,
         gamma=0.95, max_grad_norm=5.0,
     )  # fmt: skip
-    worlds = (engine.hosted(NumpyPendulum()), engine.Solo(engine.Pendulum()))
+    worlds = (engine.hosted(NumpyPendulum()), engine.Solo(Pendulum()))
     native, traced = (
         np.asarray(engine.train(world, recipe, range(8), params_of([1.0] * 8), 100_000).best_return)
         for world in worlds
