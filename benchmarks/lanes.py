@@ -28,7 +28,7 @@ def updates(id: str, lanes: int) -> tuple[Callable[[int], None], int]:
 
     import mbtl.engine.learners as engine
     from mbtl.engine.learners import algorithms
-    from mbtl.engine.learners.clock import clock_at
+    from mbtl.engine.learners.clock import Pace, clock_at
     from mbtl.problems import get_cmdp
 
     cmdp = get_cmdp(id)
@@ -40,7 +40,7 @@ def updates(id: str, lanes: int) -> tuple[Callable[[int], None], int]:
 
     @jax.jit
     def one(state: Any, params: Any, number: Any) -> Any:
-        clock = clock_at(number, jnp.int32(1000))
+        clock = clock_at(number, Pace.falling(1000))
         return algorithms.update(world, recipe, decisions, state, params, clock)
 
     done = 0

@@ -29,7 +29,7 @@ def division(id: str, preset: str, policies: int, rounds: int) -> dict[str, Any]
     import numpy as np
 
     from mbtl.engine.learners import algorithms
-    from mbtl.engine.learners.clock import clock_at
+    from mbtl.engine.learners.clock import Pace, clock_at
     from mbtl.engine.learners.episodic.episodes import actor_of, record, scores
     from mbtl.engine.worlds.world import of_simulations
     from mbtl.problems import get_cmdp
@@ -56,7 +56,7 @@ def division(id: str, preset: str, policies: int, rounds: int) -> dict[str, Any]
 
     @jax.jit
     def learnt(state: Any, params: Any) -> Any:
-        clock = clock_at(jnp.int32(0), jnp.int32(10))
+        clock = clock_at(jnp.int32(0), Pace.falling(10))
         return algorithms.update(world, recipe, length, state, params, clock)
 
     def least(work: Callable[..., Any], params: Any) -> float:

@@ -42,7 +42,7 @@ class Walker(Trainer):
             self.made[what] += steps
 
     def train(
-        self, contexts, seed, *, start=None, length=None, done=0.0, marks=(), state=None,
+        self, contexts, seed, *, start=None, length=None, done=0.0, state=None,
         on_progress=None,
     ):  # fmt: skip
         """A hundred steps at a time; each tenth of a unit it looks at itself."""

@@ -3,17 +3,15 @@
 Nothing of jax is imported before a training or evaluation, so the record can be made, printed and
 sent to another process anywhere.
 
-A training that was extended is, bit for bit, the one of the whole length: all that decides the
-future is in its state, and learning rates and exploration follow the whole length. How long one
-policy for many contexts should be trained nobody knows beforehand. So its learning rate falls to
-zero at each mark, and begins anew after it: the policy at a mark is a finished one, and the
-training can still go on.
+How long a training of a given length may become nobody knows beforehand, so its learning rate is
+constant, and falls to zero on a branch whose end is the policy: it is a finished one, and the
+training can still go on (`mbtl.training.jax.growing`). All that decides its future is in its state.
+A whole training follows the recipe: its length is known.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -48,11 +46,9 @@ _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every")
 
 _CPU_LANES = 25
 """Sources trained together on a CPU where one of them would not keep it busy."""
-_CHECKPOINTS, _EACH = 20, 2
-"""Evaluations of a policy for all contexts, and episodes of each on every context."""
-_CHECK_TIMES, _CHECK_SHARE = 50, 20
-_CHECKS, _CHECKED_AT, _REACHED = "checks", "checked_at", "reached"
-"""Numbers that are kept with the state of a training."""
+_SPENT, _FROM, _BRANCH = "spent", "from", "branch"
+"""Kept with the state of a training, in updates: spent before this stage, where on the trunk it
+began, and the branch of the stage before."""
 
 Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
 """contexts -> (`mbtl.engine.learners.World`, its parameters with one leading axis)."""
@@ -110,8 +106,8 @@ class WorldTrainer:
     policy_format = "mlp"
     on_sets: ClassVar[Mapping[str, str]] = {
         "contexts": "uniform, one per episode",
-        "checkpoint_every": f"1/{_CHECKPOINTS}",
-        "checkpoint_episodes": f"{_EACH} per context",
+        "schedule": "constant, then falling along a last fifth",
+        "checkpoint": "final",
     }
     """How the recipe of one policy for several contexts differs."""
 
@@ -238,22 +234,21 @@ class WorldTrainer:
         start: Any = None,
         length: float | None = None,
         done: float = 0.0,
-        marks: Sequence[float] = (),
         state: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Trained:
         """Train one policy (`mbtl.trainers.Trainer`), up to whole updates.
 
-        A training of a given `length` gives the latest weights, whatever `checkpoint` says: who
-        chooses lengths evaluates policies on the way, and the best of them serves. It evaluates
-        itself only where that can end it early, which is where a perfect return is one of episodes
-        that last. Where it may `start` from a policy, the critic, which no policy carries, begins
-        anew.
+        A whole training on one context follows the recipe, which may say that the best of periodic
+        evaluations counts. A training of a given `length`, and one on several contexts, takes a
+        constant learning rate and lets it fall along the last fifth of what is asked for
+        (`mbtl.training.jax.growing`); it has the latest weights and does not evaluate itself.
+        Where it begins with the policy of another one, the critic, which no policy carries, begins
+        anew, unless the state of that training is there.
 
-        On several contexts each episode of an update is in another of them. Whole it is judged on
-        all of them 20 times, two episodes each. Of a given length, where steps are counted, it is
-        context-conditioned PPO as in the multi-task baseline: its copies of the world take turns in
-        the contexts. Then it does not evaluate itself, and never ends early.
+        On several contexts each episode of an update is in another of them. Where steps are
+        counted, it is context-conditioned PPO as in the multi-task baseline: its copies of the
+        world take turns in the contexts.
 
         Raises:
             InvalidInput: there are no contexts, a hyper-parameter that the recipe does not have,
@@ -262,37 +257,16 @@ class WorldTrainer:
             MissingExtra: jax is not installed.
         """
         check_asked(self, contexts, start, length)
+        if length is not None or len(contexts) > 1:
+            return self._grow(contexts, seed, start, length or 1.0, done, state, on_progress)
         world, params = self._lessons(contexts)
-        file = engine.SavedTraining(state if getattr(world, "storable", True) else None)
-        begun = round(done * self.whole)
-        if len(contexts) > 1:
-            stops = None
-            if length is not None:
-                stops = [round(mark * self.whole) for mark in (*(marks or (done, length)), length)]
-            problem = contexts, world, params
-            return self._on_several(problem, seed, start, begun, stops, file, on_progress)
-        recipe, whole = self.learner, length is None
+        recipe = self.learner
         each = 1 if self.episodes is None else engine.counted.decisions_of(world, params)
-        checked = not whole and _may_end(world)
-        only_best, every = checked, _check_every(self, world) if checked else None
-        if whole:
-            only_best, every = self.checkpoint == "best", self.checkpoint_every
+        file = engine.SavedTraining(state if getattr(world, "storable", True) else None)
 
         def fresh() -> Any:
             weights = None if start is None else engine.taught(world, start, recipe.activation)
-            training = engine.start(world, recipe, [seed], params, weights)
-            return _advanced(training, -(-begun // self.update_length))
-
-        def on_block(block: Any) -> None:
-            at = int(block.training.updates)
-            latest = float(block.training.latest_return[0]) if checked else None
-            if latest is not None and at > file.notes.get(_CHECKED_AT, 0):
-                lasted = round(latest * self.checkpoint_episodes)
-                file.notes[_CHECKS] = file.notes.get(_CHECKS, 0) + lasted
-                file.notes[_CHECKED_AT] = at
-            if on_progress is not None:
-                metrics = {} if latest is None else {"episode_return": latest}
-                on_progress(Progress(block.steps * each, block.total * each, metrics))
+            return engine.start(world, recipe, [seed], params, weights)
 
         training = engine.train(
             world,
@@ -300,96 +274,134 @@ class WorldTrainer:
             [seed],
             params,
             self.length,
-            on_block=self._on_block(on_progress) if whole else on_block,
-            checkpoint_every=every,
+            on_block=self._on_block(on_progress),
+            checkpoint_every=self.checkpoint_every,
             checkpoint_episodes=self.checkpoint_episodes,
             acting=self._how,
-            only_best=only_best,
+            only_best=self.checkpoint == "best",
             resume=file.load(fresh) or fresh(),
             saved=file,
-            until=None if length is None else round(length * self.whole),
-            judging=whole or checked,
         )
-        best = whole and self.checkpoint == "best"
-        weights = training.best if best else training.state.weights
-        most = world.max_return
-        return Trained(
-            engine.export_policies(world, weights, recipe.activation)[0],
-            int(training.updates) * self.update_length * each,
-            file.notes.get(_CHECKS, 0),
-            ended=only_best and most is not None and float(training.best_return[0]) >= most,
-        )
+        weights = training.best if self.checkpoint == "best" else training.state.weights
+        policy = engine.export_policies(world, weights, recipe.activation)[0]
+        return Trained(policy, int(training.updates) * self.update_length * each)
 
-    def _on_several(
+    def _grow(
         self,
-        problem: tuple[Sequence[Context], Any, Any],
+        contexts: Sequence[Context],
         seed: int,
         start: Any,
-        begun: int,
-        stops: Sequence[int] | None,
-        file: Any,
+        length: float,
+        done: float,
+        state: Path | None,
         on_progress: OnProgress | None,
     ) -> Trained:
-        """To the last of `stops` by way of those before, its marks; None: a whole training."""
-        contexts, world, params = problem
-        by_steps, n, whole = self.episodes is None, len(contexts), stops is None
-        recipe = recipe_on_many(self, world, n) if by_steps and not whole else self.learner
-        unit = int(recipe.update_length)
-        *marks, until = (self.length, self.length) if stops is None else stops
-        # from mark to mark are the stages; `reached` is where the present one began
-        ends = [-(-mark // unit) for mark in (marks if by_steps else marks[-1:])]
-        last = min(-(-until // unit), ends[-1])
-        each = () if by_steps else engine.counted.each_of(self.problem, contexts)
-        tell = self._on_block(on_progress) if whole else None
+        """One training of a given length, from where it is."""
+        growing = self._growing([contexts], [seed])
+        world, recipe = growing.world, growing.recipe
+        n, by_steps, unit = len(contexts), self.episodes is None, int(recipe.update_length)
+        file = engine.SavedTraining(state if getattr(world, "storable", True) else None)
+        each: Any = () if by_steps else engine.counted.each_of(self.problem, contexts)
 
         def played(updates: int) -> int:
             many = updates * unit
-            return many if by_steps else int(engine.episodes_met(seed, updates, n, unit) @ each)
+            if by_steps:
+                return many
+            if n == 1:
+                return many * int(each[0])
+            return int(engine.episodes_met(seed, updates, n, unit) @ each)
 
         def fresh() -> Any:
             weights = None if start is None else engine.taught(world, start, recipe.activation)
-            return engine.start_multitask(world, recipe, [seed], params, weights)
+            return growing.start(weights)
+
+        training = file.load(fresh)
+        if training is None:
+            spent = -(-round(done * self.whole) // unit)
+            training = _advanced(fresh(), engine.Stage.of(spent).trunk if spent else 0)
+            file.notes |= {_SPENT: spent, _FROM: int(training.updates)}
+        spent, begin = file.notes[_SPENT], file.notes[_FROM]
+        planned = max(-(-round(length * self.whole) // unit), spent)
+        stage = engine.Stage.of(planned - spent)
+        branch, end = stage.branch, begin + stage.trunk
+        if planned == spent:  # there already; the policy is the one that it had
+            branch = file.notes.get(_BRANCH, 0)
 
         def on_block(block: Any) -> None:
-            if tell is not None:
-                tell(block)
-            elif on_progress is not None:
-                on_progress(Progress(played(reached + block.steps // unit), total))
-            if block.steps < block.total:  # the end of a stage is the beginning of the next one
+            if on_progress is not None:
+                updates = spent + block.steps // unit - begin
+                on_progress(Progress(played(updates), played(planned)))
+            if block.training.updates <= end:
                 file.save(block.training)
 
-        total = played(ends[-1])
-        training = file.load(fresh)  # its `updates` count from the last mark on
-        if training is None:
-            passed = -(-begun // unit)
-            file.notes[_REACHED] = max((end for end in ends if end <= passed), default=0)
-            training = _advanced(fresh(), passed - file.notes[_REACHED])
-        reached = file.notes.setdefault(_REACHED, 0)
-        judging: dict[str, Any] = {"judging": False}
-        if whole:
-            every = math.ceil(self.length / _CHECKPOINTS)
-            judging = {"checkpoint_every": every, "checkpoint_episodes": _EACH, "acting": self._how}
-        while reached + int(training.updates) < last:
-            length = min(end for end in ends if end > reached) - reached
-            training = engine.train_multitask(
-                world,
-                recipe,
-                [seed],
-                params,
-                length * unit,
-                on_block=on_block,
-                resume=training,
-                until=(last - reached) * unit,
-                **judging,
-            )
-            if int(training.updates) == length:
-                training = _advanced(training, -length)
-                reached = file.notes[_REACHED] = reached + length
+        training = growing.along(training, end, on_block)
+        file.save(training, done=True)  # whoever is interrupted on the branch begins it again
+        weights = growing.end(training, branch, on_block)
+        file.notes |= {_SPENT: planned, _FROM: end, _BRANCH: branch}
         file.save(training, done=True)
-        best = whole and self.checkpoint == "best"
-        weights = training.best if best else training.state.weights
         policy = engine.export_policies(world, weights, recipe.activation)[0]
-        return Trained(policy, played(reached + int(training.updates)))
+        return Trained(policy, played(planned))
+
+    def grow_many(
+        self,
+        sets: Sequence[Sequence[Context]],
+        seeds: Sequence[int],
+        marks: Sequence[float],
+        *,
+        parents: Any = None,
+        which: Sequence[int] = (),
+        trunk: Any = None,
+        skip: int = 0,
+        on_progress: OnProgress | None = None,
+    ) -> Iterator[tuple[float, list[MLPPolicy], Any]]:
+        """Train many policies at once, to each of several lengths.
+
+        Args:
+            sets: contexts of each of the P trainings, as many of each.
+            seeds: P of them.
+            marks: units, rising; each is where a training may end.
+            parents: trunks of other trainings to begin with; None: from scratch.
+            which: (P,) one of the parents for each.
+            trunk: of these trainings, to go on from; then so many marks are behind (`skip`).
+            skip: see there.
+            on_progress: told steps or episodes of one policy.
+
+        Yields:
+            Mark, the P policies there, and the trunk (an `mbtl.training.jax.Training`), whose
+            memory is used again when the next is asked for.
+        """
+        growing = self._growing(sets, seeds)
+        unit = int(growing.recipe.update_length)
+        training = growing.start() if trunk is None else trunk
+        if parents is not None:
+            training = engine.taking_over(training, parents, which)
+
+        def on_block(block: Any) -> None:
+            if on_progress is not None:
+                on_progress(Progress(block.steps, block.total, {}, self.counts))
+
+        spent = 0
+        for number, mark in enumerate(marks):
+            planned = -(-round(mark * self.whole) // unit)
+            stage, spent = engine.Stage.of(planned - spent), planned
+            if number < skip:
+                continue
+            training = growing.along(training, int(training.updates) + stage.trunk, on_block)
+            weights = growing.end(training, stage.branch, on_block)
+            policies = engine.export_policies(growing.world, weights, growing.recipe.activation)
+            yield mark, policies, training
+
+    def grown_from_scratch(self, sets: Sequence[Sequence[Context]], seeds: Sequence[int]) -> Any:
+        """Trainings of `grow_many` before their first update."""
+        return self._growing(sets, seeds).start()
+
+    def _growing(self, sets: Sequence[Sequence[Context]], seeds: Sequence[int]) -> Any:
+        n = len(sets[0])
+        world, params = self._lessons([context for some in sets for context in some])
+        recipe = self._on_many(world, n) if n > 1 else self.learner
+        unit = int(recipe.update_length)
+        spread = engine.in_sets(recipe, params, n)
+        return engine.Growing(world, recipe, list(seeds), spread, -(-self.whole // unit))
 
     def train_many(
         self,
@@ -549,6 +561,10 @@ class WorldTrainer:
         world, params = self.problem(contexts)
         return engine.reference_returns(world, params, each)
 
+    def _on_many(self, world: Any, n: int) -> Any:
+        """The learner of one policy for n contexts."""
+        return recipe_on_many(self, world, n) if self.episodes is None else self.learner
+
     @property
     def _why_no_sets(self) -> str | None:
         if self.episodes is not None or self.algorithm == "PPO":
@@ -591,16 +607,3 @@ def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo
     if name in engine.MULTI_TASK:
         return engine.multitask_recipe(method, name)  # type: ignore[arg-type]  # it checks the name
     return engine.spread_recipe(method, trainer.learner, n)  # type: ignore[arg-type]
-
-
-def _may_end(world: Any) -> bool:
-    """Whether a training can be found to have nothing left to gain."""
-    lasts = getattr(getattr(world, "env", None), "lasts", None)
-    return world.max_return is not None and lasts == "return"
-
-
-def _check_every(trainer: WorldTrainer, world: Any) -> int:
-    """Steps between two evaluations of itself: every 2 %, and they cost a twentieth at most."""
-    dearest = trainer.checkpoint_episodes * (int(world.env.horizon) if trainer.timesteps else 1)
-    often = -(-trainer.length // _CHECK_TIMES)
-    return trainer.checkpoint_every or max(often, _CHECK_SHARE * dearest)

@@ -142,7 +142,6 @@ class Trainer(Protocol):
         start: Any = None,
         length: float | None = None,
         done: float = 0.0,
-        marks: Sequence[float] = (),
         state: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Trained:
@@ -157,8 +156,6 @@ class Trainer(Protocol):
                 a whole training.
             done: units that this training has had already, where it goes on with its own latest
                 policy as `start`; 0 where the policy is another training's.
-            marks: units at which a training on several contexts may pause, rising, the last of
-                which is the longest it may become; schedules follow them. None given: `length`.
             state: file or folder of the training's state. Where it is there, the training goes on
                 from it, and `start` and `done` do not matter. With "state" it is there when a
                 training of a given `length` returns; with "resume" it is saved now and then.
@@ -367,7 +364,6 @@ class FunctionTrainer:
         start: Any = None,
         length: float | None = None,
         done: float = 0.0,
-        marks: Sequence[float] = (),
         state: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Trained:

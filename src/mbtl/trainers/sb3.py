@@ -163,7 +163,6 @@ class SB3Trainer:
         start: Any = None,
         length: float | None = None,
         done: float = 0.0,
-        marks: Sequence[float] = (),
         state: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> Trained:
@@ -186,11 +185,8 @@ class SB3Trainer:
         """
         check_asked(self, contexts, start, length)
         if len(contexts) > 1:
-            last = 1.0 if length is None else [length, *marks][-1]
-            to = None if length is None else length / last
             asked: dict[str, Any] = {"start": start, "state": state, "on_progress": on_progress}
-            one = self._everywhere(contexts, round(last * self.whole))
-            return one.train([{}], seed, length=to, done=done / last, **asked)
+            return self._everywhere(contexts).train([{}], seed, length=length, done=done, **asked)
         context, by_episodes = contexts[0], self.episodes is not None
         until = None if length is None else round(length * self.whole)
         begun, name = round(done * self.whole), run_name(context, seed)
@@ -243,14 +239,11 @@ class SB3Trainer:
         model.num_timesteps = done
         return model, None
 
-    def _everywhere(self, contexts: Sequence[Context], whole: int) -> SB3Trainer:
-        """The same in all contexts, for so long; what context it is given does not matter."""
+    def _everywhere(self, contexts: Sequence[Context]) -> SB3Trainer:
+        """The same in all contexts; what context it is given does not matter."""
         from mbtl.envs.everywhere import Everywhere  # needs Gymnasium
 
-        make_env = Everywhere(self.make_env, tuple(contexts))
-        if self.episodes is None:
-            return replace(self, make_env=make_env, timesteps=whole)
-        return replace(self, make_env=make_env, episodes=whole)
+        return replace(self, make_env=Everywhere(self.make_env, tuple(contexts)))
 
     def untrained(self, context: Context) -> Any:
         """A policy as a training begins with it (`mbtl.trainers.RehearsingTrainer`).

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.engine.learners import a2c, rollout
-from mbtl.engine.learners.clock import clock_at
+from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.zoo.cmdps import cartpole
 from mbtl.zoo.worlds import CartPole, Pendulum
@@ -102,14 +102,14 @@ def test_an_update_is_its_rollouts_one_after_another():
         part = jax.tree.map(lambda x, k=k: x[k], noise)
         by_hand, played = play(by_hand, params, part)
         by_hand = learn(by_hand, played, jnp.float32(1.0))
-    updated = update(state, params, clock_at(jnp.int32(0), jnp.int32(10)))
+    updated = update(state, params, clock_at(jnp.int32(0), Pace.falling(10)))
     for a, b in zip(jax.tree.leaves(updated), jax.tree.leaves(by_hand), strict=True):
         np.testing.assert_allclose(a, b, rtol=2e-4, atol=2e-6)
 
 
 def test_annealing_ends_at_no_learning():
     state, params = single(TINY)
-    updated = update(state, params, clock_at(jnp.int32(10), jnp.int32(10)))
+    updated = update(state, params, clock_at(jnp.int32(10), Pace.falling(10)))
     assert_same(updated.weights, state.weights)
     assert not np.array_equal(updated.copies.elapsed, state.copies.elapsed)
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from as_shipped import AS_SHIPPED
 
 from mbtl.engine.learners import dqn, networks
-from mbtl.engine.learners.clock import clock_at
+from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.errors import InvalidInput
 from mbtl.zoo.cmdps import cartpole
 from mbtl.zoo.worlds import CartPole, Pendulum
@@ -56,7 +56,7 @@ def states_of(recipe, updates, env=ENV):
     step = jax.jit(partial(dqn.update, env, recipe))
     states = [state]
     for k in range(updates):
-        states.append(step(states[-1], params, clock_at(jnp.int32(k), jnp.int32(10))))
+        states.append(step(states[-1], params, clock_at(jnp.int32(k), Pace.endless(10))))
     return states
 
 
@@ -144,7 +144,7 @@ def test_truncated_transitions_bootstrap_and_end_where_they_were_cut_off(time_li
     step = jax.jit(partial(dqn.update, env, TINY), compiler_options=AS_SHIPPED)
     steps = [state]
     for k in range(2):
-        steps.append(step(steps[-1], params, clock_at(jnp.int32(k), jnp.int32(10))))
+        steps.append(step(steps[-1], params, clock_at(jnp.int32(k), Pace.endless(10))))
     batch = dqn.unpack(steps[-1].replay, params.visible)
     obs, after = (x.reshape(8, 64, 5)[..., :4] for x in (batch.obs, batch.after))  # (T, E, f)
     terminated = np.asarray(batch.terminated).reshape(8, 64)
@@ -162,7 +162,7 @@ def test_the_ring_is_never_copied():
     params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params_of([0.4, 0.5]))
     state = dqn.init(ENV, recipe, [0, 1], params)
     every = jax.vmap(partial(dqn.update, ENV, recipe), in_axes=(0, 0, None))
-    clock = clock_at(jnp.int32(0), jnp.int32(10))
+    clock = clock_at(jnp.int32(0), Pace.endless(10))
     compiled = jax.jit(every, donate_argnums=0).lower(state, params, clock).compile()
     assert compiled.memory_analysis().temp_size_in_bytes < state.replay.nbytes / 10
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.engine.learners import networks
-from mbtl.engine.learners.clock import clock_at
+from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic import dqn
 from mbtl.engine.learners.episodic.episodes import Episodes
 from mbtl.engine.learners.episodic.recipes import EpisodicDQNRecipe
@@ -52,7 +52,7 @@ ONE = EVERYBODY.at[:, :, 1].set(False)
 
 
 def clock(number):
-    return clock_at(jnp.int32(number), jnp.int32(10))
+    return clock_at(jnp.int32(number), Pace.endless(10))
 
 
 def test_it_begins_at_random_and_ends_greedily():

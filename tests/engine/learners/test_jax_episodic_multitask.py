@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.engine.learners import saving
-from mbtl.engine.learners.clock import clock_at
+from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic import learning
 from mbtl.engine.learners.episodic.episodes import record
 from mbtl.engine.learners.episodic.learning import contexts_met
@@ -59,7 +59,7 @@ def test_an_update_is_of_the_contexts_that_were_met(monkeypatch):
     monkeypatch.setattr(learning, "record", kept)
     all_of_them = jax.tree.map(lambda x: jnp.asarray(x)[None], params)
     beats = world.decisions(params)
-    clock = clock_at(jnp.int32(3), jnp.int32(4))
+    clock = clock_at(jnp.int32(3), Pace.endless(4))
     with pytest.raises(Lived):
         learning.update(world, RECIPE, beats, state, all_of_them, clock)
     met = np.asarray(contexts_met(state.seed, jnp.uint32(3), 3, 2))[0]

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.engine.learners import networks
-from mbtl.engine.learners.clock import clock_at
+from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic import ppo
 from mbtl.engine.learners.episodic.episodes import Episodes
 from mbtl.engine.learners.episodic.recipes import TWIN_RECIPES, EpisodicPPORecipe
@@ -58,7 +58,8 @@ learn = jax.jit(ppo.learn, static_argnums=(0, 1))
 
 
 def updated(recipe, weights, lived, number=0):
-    clock = clock_at(jnp.int32(number), jnp.int32(10))
+    pace = (Pace.falling if recipe.falls else Pace.endless)(10)
+    clock = clock_at(jnp.int32(number), pace)
     return learn(BOX, recipe, weights, ppo.start(recipe, weights), lived, clock)
 
 

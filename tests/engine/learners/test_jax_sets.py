@@ -1,4 +1,4 @@
-"""Trainings on several contexts in jax pause and go on, and are then those of the whole length."""
+"""Trainings on several contexts in jax, and many at once."""
 
 from dataclasses import replace
 
@@ -22,69 +22,30 @@ def same(one, other):
     return all(np.array_equal(a, b) for a, b in zip(one.weights, other.weights, strict=True))
 
 
-def to(steps, marks, saved=None, **more):
-    marks = [mark / TRAINER.whole for mark in marks]
-    return TRAINER.train(
-        CONTEXTS, 3, length=steps / TRAINER.whole, marks=marks, state=saved, **more
-    )
+def to(updates, saved=None, **more):
+    return TRAINER.train(CONTEXTS, 3, length=updates * UNIT / TRAINER.whole, state=saved, **more)
 
 
-@pytest.mark.parametrize(
-    "marks", [(4 * UNIT,), (UNIT, 2 * UNIT, 4 * UNIT)], ids=["one stage", "stages"]
-)
-def test_a_training_extended_twice_is_the_whole_one(marks, tmp_path):
-    assert TRAINER.takes == {"sets", "start", "length", "state", "resume"}
-    whole = to(4 * UNIT, marks)
+def test_a_training_on_a_set_is_extended_and_is_whole_of_one_unit(tmp_path):
     file = tmp_path / "training.npz"
-    reached = [to(steps, marks, file) for steps in (UNIT, 2 * UNIT + 1, 4 * UNIT)]
-    assert [r.steps for r in reached] == [UNIT, 3 * UNIT, 4 * UNIT]
-    assert same(reached[-1].policy, whole.policy)
-    assert not same(reached[1].policy, whole.policy)
-
-
-def test_without_marks_each_length_asked_for_is_one(tmp_path):
-    file, marks = tmp_path / "training.npz", (UNIT, 2 * UNIT, 4 * UNIT)
-    reached = [to(length, (), file) for length in marks]
-    assert [r.steps for r in reached] == list(marks)
-    for r, length in zip(reached, marks, strict=True):
-        assert same(r.policy, to(length, marks).policy)
-    lost = {"start": reached[0].policy, "done": UNIT / TRAINER.whole}
-    assert same(to(2 * UNIT, (), **lost).policy, to(2 * UNIT, marks, **lost).policy)
-
-
-def test_of_one_stage_it_is_the_multi_task_baseline():
-    world, params = TRAINER.problem(CONTEXTS)
-    recipe = engine.multitask_recipe("ppo", "CartPole")
-    training = engine.train_multitask(world, recipe, [3], params, 3 * UNIT)
-    baseline = engine.export_policies(world, training.state.weights, recipe.activation)[0]
-    assert same(to(3 * UNIT, (3 * UNIT,)).policy, baseline)
-
-
-def test_the_learning_rate_falls_to_zero_at_each_mark():
-    early, late = to(2 * UNIT, (2 * UNIT, 4 * UNIT)), to(2 * UNIT, (4 * UNIT,))
-    alone = to(2 * UNIT, (2 * UNIT,))
-    assert same(early.policy, alone.policy)
-    assert not same(late.policy, alone.policy)
+    first, second = to(2, file), to(4, file)
+    assert (first.steps, second.steps) == (2 * UNIT, 4 * UNIT)
+    assert not same(first.policy, second.policy)
+    small = replace(TRAINER, timesteps=2 * UNIT)
+    assert same(small.train(CONTEXTS, 3).policy, small.train(CONTEXTS, 3, length=1.0).policy)
 
 
 def test_it_goes_on_from_a_policy_where_its_state_is_lost(tmp_path):
-    marks = (UNIT, 2 * UNIT, 4 * UNIT)
-    first, file = to(2 * UNIT, marks), tmp_path / "training.npz"
+    first, file = to(2), tmp_path / "training.npz"
     lost = {"start": first.policy, "done": 2 * UNIT / TRAINER.whole}
-    third = to(3 * UNIT, marks, file, **lost)
+    third = to(3, file, **lost)
     assert third.steps == 3 * UNIT
-    assert same(to(4 * UNIT, marks, file).policy, to(4 * UNIT, marks, **lost).policy)
+    assert same(third.policy, to(3, **lost).policy)
+    assert not same(third.policy, to(3).policy)
 
 
-def test_marks_within_one_update_are_one():
-    reached = to(UNIT, (UNIT // 4, UNIT // 2, UNIT))
-    assert reached.steps == UNIT
-    assert same(reached.policy, to(UNIT, (UNIT,)).policy)
-
-
-def test_a_training_goes_on_from_its_file_after_a_kill(tmp_path, monkeypatch):
+def test_a_training_on_a_set_goes_on_from_its_file_after_a_kill(tmp_path, monkeypatch):
     monkeypatch.setattr("mbtl.engine.learners.saving._SECONDS", 0.0)
-    marks = (2 * UNIT, 6 * UNIT)
 
     class Killed(Exception):
         pass
@@ -97,10 +58,41 @@ def test_a_training_goes_on_from_its_file_after_a_kill(tmp_path, monkeypatch):
             raise Killed
 
     with pytest.raises(Killed):
-        to(6 * UNIT, marks, tmp_path / "training.npz", on_progress=kill)
-    assert told[-1] == (4 * UNIT, 6 * UNIT)
-    resumed = to(6 * UNIT, marks, tmp_path / "training.npz")
-    assert same(resumed.policy, to(6 * UNIT, marks).policy)
+        to(10, tmp_path / "training.npz", on_progress=kill)
+    assert told[-1] == (4 * UNIT, 10 * UNIT)
+    assert same(to(10, tmp_path / "training.npz").policy, to(10).policy)
+
+
+def test_many_are_trained_at_once_as_each_of_them_alone():
+    """Up to the rounding of another program."""
+    unit, seeds = UNIT / TRAINER.whole, [3, 4]
+    sets = [CONTEXTS, CONTEXTS[::-1]]
+    (first, policies, _), (second, _, trunk) = TRAINER.grow_many(sets, seeds, [2 * unit, 4 * unit])
+    assert (first, second) == (2 * unit, 4 * unit)
+    for own, seed, policy in zip(sets, seeds, policies, strict=True):
+        alone = TRAINER.train(own, seed, length=2 * unit).policy
+        for a, b in zip(policy.weights, alone.weights, strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-3)
+    assert int(trunk.updates) == 4  # a branch of a fifth of two updates is none
+
+
+def test_copies_take_over_networks_and_optimiser_of_their_parents():
+    unit = UNIT / TRAINER.whole
+    *_, (_, parents, trunk) = TRAINER.grow_many([CONTEXTS] * 2, [3, 4], [3 * unit])
+    tuned = {"parents": trunk, "which": [1, 0]}
+    alone = [[CONTEXTS[0]], [CONTEXTS[3]]]
+    growing = TRAINER._growing(alone, [5, 6])
+    begun = engine.taking_over(growing.start(), trunk, [1, 0])
+    for mine, theirs in zip(begun.state.weights.actor, trunk.state.weights.actor, strict=True):
+        np.testing.assert_array_equal(mine[0], np.asarray(theirs[0])[[1, 0]])
+    assert float(np.abs(np.asarray(begun.state.optimizer[1].nu)).sum()) > 0
+    ((_, policies, _),) = TRAINER.grow_many(alone, [5, 6], [0.01], **tuned)
+    ((_, fresh, _),) = TRAINER.grow_many(alone, [5, 6], [0.01])
+
+    def moved(some, other):
+        return max(abs(a - b).max() for a, b in zip(some.weights, other.weights, strict=True))
+
+    assert 0 < moved(policies[0], parents[1]) < moved(fresh[0], parents[1])
 
 
 def test_what_cannot_be_trained_on_a_set_is_refused():

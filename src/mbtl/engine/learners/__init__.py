@@ -12,17 +12,21 @@ from __future__ import annotations
 from mbtl.engine.worlds import flags as flags  # isort: skip  # first: it starts jax
 from mbtl.engine.learners.algorithms import recipe_named
 from mbtl.engine.learners.blocks import Block, Training, from_arrays, to_arrays, weights_of
-from mbtl.engine.learners.episodic.episodes import actor_of, import_actor
+from mbtl.engine.learners.episodic.episodes import Actor, actor_of, import_actor
 from mbtl.engine.learners.episodic.learning import episodes_met
 from mbtl.engine.learners.evaluation import (
     evaluate,
+    evaluate_each,
     evaluate_multitask,
+    joined,
     measured,
     on_cpu,
     reference_returns,
+    taken,
 )
 from mbtl.engine.learners.export import export_policies, taught
-from mbtl.engine.learners.loop import start, start_multitask, train, train_multitask
+from mbtl.engine.learners.growing import Growing, Stage, taking_over
+from mbtl.engine.learners.loop import in_sets, start, start_multitask, train, train_multitask
 from mbtl.engine.learners.multitask.run import (
     Judged,
     MultiTaskRun,
@@ -50,11 +54,13 @@ __all__ = [
     "MULTI_TASK",
     "RECIPES",
     "A2CRecipe",
+    "Actor",
     "Block",
     "Box",
     "DQNRecipe",
     "Discrete",
     "Environment",
+    "Growing",
     "Judged",
     "MultiTaskRecipe",
     "MultiTaskRun",
@@ -62,6 +68,7 @@ __all__ = [
     "Recipe",
     "SavedTraining",
     "Solo",
+    "Stage",
     "Step",
     "Training",
     "World",
@@ -70,11 +77,14 @@ __all__ = [
     "counted",
     "episodes_met",
     "evaluate",
+    "evaluate_each",
     "evaluate_multitask",
     "export_policies",
     "from_arrays",
     "hosted",
     "import_actor",
+    "in_sets",
+    "joined",
     "measured",
     "multitask_recipe",
     "multitask_settings",
@@ -86,6 +96,8 @@ __all__ = [
     "stack_params",
     "start",
     "start_multitask",
+    "taken",
+    "taking_over",
     "taught",
     "to_arrays",
     "train",

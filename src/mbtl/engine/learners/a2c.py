@@ -27,7 +27,7 @@ def update(world: Solo, recipe: A2CRecipe, state: State, params: Tree, clock: Cl
     """`recipe.rollouts_per_update` rollouts with a gradient step on each."""
     shape = (recipe.rollouts_per_update, recipe.n_steps, recipe.n_envs)
     key, noise = draw(world, state.key, shape)
-    rate = clock.rate(recipe.anneal)
+    rate = clock.rate
 
     def one(state: State, drawn: Noise) -> tuple[State, None]:
         state, rollout = play(world, recipe, state, params, drawn)

@@ -2,12 +2,44 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 _ROOT = 0x6D62_746C  # of the clock's keys, the same in every training
+_NEVER = 1 << 30
+
+
+class Pace(NamedTuple):
+    """What the schedules of a training follow, in updates.
+
+    Attributes:
+        whole: exploration falls within a share of as many.
+        begin: from here on the learning rate falls linearly,
+        end: and is zero here.
+        slowing: before, it is that of the recipe over sqrt(1 + updates / slowing).
+    """
+
+    whole: int | jax.Array
+    begin: int | jax.Array
+    end: int | jax.Array
+    slowing: float | jax.Array = math.inf
+
+    @classmethod
+    def endless(cls, whole: int, slowing: float = math.inf) -> Pace:
+        """The learning rate never falls to zero."""
+        return cls(whole, _NEVER, _NEVER + 1, slowing)
+
+    @classmethod
+    def falling(cls, whole: int) -> Pace:
+        """It falls from the first update to the last."""
+        return cls(whole, 0, whole)
+
+    def branch(self, begin: int, end: int) -> Pace:
+        """It falls here, whatever it did before."""
+        return self._replace(begin=begin, end=end)
 
 
 class Clock(NamedTuple):
@@ -15,25 +47,28 @@ class Clock(NamedTuple):
 
     Attributes:
         number: updates done before this one.
-        total: updates planned.
+        pace: what schedules follow.
         key: random key, a function of `number` alone: what all policies draw from it they share,
             which is cheaper, and a policy still does not depend on its company.
     """
 
     number: jax.Array
-    total: jax.Array
+    pace: Pace
     key: jax.Array
 
     @property
     def progress(self) -> jax.Array:
-        """Share of the training that is done, 0 <= progress < 1."""
-        return self.number / self.total
+        """Share of the whole training that is done, >= 0."""
+        return self.number / self.pace.whole
 
-    def rate(self, anneal: bool) -> jax.Array:
-        """Share of the learning rate: it falls linearly to 0, or stays."""
-        return 1.0 - self.progress if anneal else jnp.float32(1.0)
+    @property
+    def rate(self) -> jax.Array:
+        """Share of the learning rate, from 0 to 1."""
+        _, begin, end, slowing = self.pace
+        before = 1.0 / jnp.sqrt(1.0 + jnp.minimum(self.number, begin) / slowing)
+        return before * jnp.clip(1.0 - (self.number - begin) / (end - begin), 0.0, 1.0)
 
 
-def clock_at(number: jax.Array, total: jax.Array) -> Clock:
+def clock_at(number: jax.Array, pace: Pace) -> Clock:
     """The clock after `number` updates."""
-    return Clock(number, total, jax.random.fold_in(jax.random.PRNGKey(_ROOT), number))
+    return Clock(number, pace, jax.random.fold_in(jax.random.PRNGKey(_ROOT), number))

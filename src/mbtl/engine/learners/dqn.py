@@ -115,8 +115,8 @@ def update(world: Solo, recipe: DQNRecipe, state: State, params: Tree, clock: Cl
         world.noise(reset_key, shape),
         jax.random.uniform(clock.key, (n_rounds, recipe.gradient_steps, recipe.batch_size)),
     )
-    rate = clock.rate(recipe.anneal)
-    total = clock.total * recipe.update_length
+    rate = clock.rate
+    total = clock.pace.whole * recipe.update_length
 
     def one(state: State, now: Round) -> tuple[State, None]:
         state, rows = explore(world, recipe, state, params, now, total)

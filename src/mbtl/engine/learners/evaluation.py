@@ -8,7 +8,7 @@ its seed and the moment: it is the same in any company.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
@@ -147,6 +147,63 @@ def evaluate(
             place[:, c] = np.asarray(part)[:count]
             on_part((c + 1) * height * n_episodes)
     return strata.merged(returns, shares)
+
+
+def evaluate_each(
+    world: World,
+    actor: Actor,
+    params: Tree,
+    where: NDArray[np.intp],
+    seeds: NDArray[np.uint32],
+    *,
+    activation: Activation = "tanh",
+    how: Acting = "mean",
+    rows: int = DEVICE_ROWS,
+    on_block: Callable[[int, int], None] | None = None,
+) -> Array:
+    """As `evaluate`, each policy on contexts and episodes of its own: for accelerators.
+
+    Args:
+        world: the dynamics.
+        actor: of P policies, leading axis.
+        params: of contexts, likewise.
+        where: (P, C) of them, of each policy.
+        seeds: (P, C, E) of the episodes.
+        activation: between the layers of the actors.
+        how: actions follow from a policy.
+        rows: episodes at a time.
+        on_block: called with (pairs of policy and context done, planned) now and then.
+
+    Returns:
+        (P, C, E).
+    """
+    params, shares = strata.of_each_kind(world, params)
+    kinds = shares.shape[1]
+    places = (where[..., None] * kinds + np.arange(kinds)).reshape(-1)
+    who = np.repeat(np.arange(len(where)), where.shape[1] * kinds)
+    own = np.repeat(seeds.reshape(-1, seeds.shape[-1]), kinds, axis=0)
+    step = min(len(who), max(1, rows // seeds.shape[-1]))
+    found = []
+    for first in range(0, len(who), step):
+        at = np.minimum(np.arange(first, first + step), len(who) - 1)
+        some, there = taken(actor, who[at]), taken(params, places[at])
+        part = own_scores(world, activation, how, some, own[at], there)
+        found.append(np.asarray(part)[: len(who) - first])
+        if on_block is not None:
+            on_block(min(first + step, len(who)), len(who))
+    each = np.concatenate(found).reshape(*where.shape, kinds, -1)
+    mean: Array = np.einsum("pcke,pck->pce", each, shares[where])
+    return mean
+
+
+def taken(tree: Tree, which: Any) -> Any:
+    """Members of the leading axis."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[which], tree)
+
+
+def joined(trees: Sequence[Tree]) -> Any:
+    """One tree, along the leading axis."""
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *trees)
 
 
 def evaluate_multitask(

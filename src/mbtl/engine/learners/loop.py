@@ -15,7 +15,7 @@ import numpy as np
 from mbtl.engine.learners import algorithms
 from mbtl.engine.learners.algorithms import AnyRecipe
 from mbtl.engine.learners.blocks import Block, Schedule, Training, beginning, in_blocks, keep_better
-from mbtl.engine.learners.clock import clock_at
+from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic.episodes import Acting, actor_of
 from mbtl.engine.learners.evaluation import own_scores
 from mbtl.engine.learners.multitask.table import seen
@@ -23,7 +23,7 @@ from mbtl.engine.learners.networks import Weights
 from mbtl.engine.learners.recipes import check_lengths
 from mbtl.engine.learners.saving import SavedTraining
 from mbtl.engine.worlds.environments import Length, Tree
-from mbtl.engine.worlds.world import World, in_a_row
+from mbtl.engine.worlds.world import World, context_of, in_a_row
 from mbtl.errors import InvalidInput
 from mbtl.seeds import checkpoint_seeds
 
@@ -75,6 +75,7 @@ def train(
     saved: SavedTraining | None = None,
     until: int | None = None,
     judging: bool = True,
+    pace: Pace | None = None,
 ) -> Training:
     """Train one policy per (context, seed), all of them together.
 
@@ -111,6 +112,7 @@ def train(
         until: steps or episodes after which to pause, rounded up to whole updates; `resume` goes on
             from there, and the training is the same as without a pause: schedules follow `length`.
         judging: evaluate on the way. Without, `best` and its returns mean nothing.
+        pace: what schedules follow; None: `length`, where the recipe's rate falls at all.
 
     Returns:
         Final and best weights.
@@ -128,13 +130,15 @@ def train(
             f"got {checkpoint_episodes}"
         )
     schedule = Schedule.of(length, recipe.update_length, checkpoint_every, marks)
+    if pace is None:
+        pace = (Pace.falling if recipe.falls else Pace.endless)(schedule.total)
     decisions = world.decisions(in_a_row(params))
     params = _in_jax(params)
     best = world.max_return
     tests = np.array([checkpoint_seeds(seed, checkpoint_episodes) for seed in seeds], np.uint32)
 
     def learn(training: Training, count: int) -> Training:
-        args = (world, recipe, decisions, training, params, count, schedule.total)
+        args = (world, recipe, decisions, training, params, count, pace)
         return cast(Training, _updates(*args))
 
     def judge(training: Training) -> Training:
@@ -163,6 +167,18 @@ def train(
     if saved is not None:
         saved.save(training, done=True)
     return training
+
+
+def in_sets(recipe: AnyRecipe, params: Tree, n_contexts: int) -> Tree:
+    """Parameters of P x N contexts, set by set, as P trainings take them; of N = 1: as given."""
+    if n_contexts == 1:
+        return params
+    count = len(params.visible) // n_contexts  # not -1: what is empty has any number of rows
+    every = jax.tree.map(lambda x: np.reshape(x, (count, n_contexts, *np.shape(x)[1:])), params)
+    if not getattr(recipe, "has_vectors", False):
+        return every
+    parts = [seen(recipe, context_of(every, p)) for p in range(len(every.visible))]
+    return jax.tree.map(lambda *each: np.stack(each), *parts)
 
 
 def start_multitask(
@@ -214,10 +230,10 @@ def _updates(
     training: Training,
     params: Tree,
     count: jax.Array,
-    total: jax.Array,
+    pace: Pace,
 ) -> Training:
     def one(i: jax.Array, state: Any) -> Any:
-        clock = clock_at(training.updates + i, total)
+        clock = clock_at(training.updates + i, pace)
         return algorithms.update(world, recipe, decisions, state, params, clock)
 
     state = jax.lax.fori_loop(0, count, one, training.state)

@@ -126,7 +126,7 @@ def either(first: jax.Array, one: Any, other: Any) -> Any:
 
 def learn(world: Solo, recipe: PPORecipe, state: State, rollout: Rollout, clock: Clock) -> State:
     """After the gradient steps on one rollout."""
-    batch, rate = learn_from(world, recipe, state.weights, rollout), clock.rate(recipe.anneal)
+    batch, rate = learn_from(world, recipe, state.weights, rollout), clock.rate
     of_state = (state.weights, state.optimizer)
     weights, moments, _ = descend(world.action, recipe, *of_state, batch, clock.key, rate)
     return state._replace(weights=weights, optimizer=moments)

@@ -49,6 +49,11 @@ class Learner:
         check_lengths(**{name: getattr(self, name) for name in counts})
 
     @property
+    def falls(self) -> bool:
+        """Whether the learning rate falls to 0 over a training of known length."""
+        return bool(getattr(self, "anneal", False))
+
+    @property
     def record(self) -> dict[str, object]:
         """JSON-able: what decides the policy."""
         values = {one.name: getattr(self, one.name) for one in fields(self)}
@@ -261,6 +266,11 @@ class MultiTaskRecipe:
     def activation(self) -> Activation:
         """Between the layers."""
         return self.ppo.activation
+
+    @property
+    def falls(self) -> bool:
+        """Whether the learning rate falls to 0 over a training of known length."""
+        return self.ppo.falls
 
     @property
     def has_vectors(self) -> bool:

@@ -75,7 +75,7 @@ def learn(
     replay, kept = entered(memory, lived)
     filled, learnt = jnp.minimum(kept, recipe.buffer_size), kept > 0
     draw = jax.random.uniform(clock.key, (recipe.gradient_steps, recipe.batch_size))
-    rate, target = clock.rate(recipe.anneal), weights.actor
+    rate, target = clock.rate, weights.actor
 
     def one(carry: tuple[Network, Tree], draw: jax.Array) -> tuple[tuple[Network, Tree], None]:
         batch = unpacked(replay[jnp.floor(draw * filled).astype(jnp.int32)])

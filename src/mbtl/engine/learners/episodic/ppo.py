@@ -44,7 +44,7 @@ def learn(
     """The gradient steps of one update; arguments as in `trpo.learn`."""
     batch, returns = rows_of(action, recipe, weights, memory.returns, lived, clock.key)
     limits = Limits(weights.log_std, memory.kl_coef, recipe.target_kl, recipe.value_clip)
-    rate = clock.rate(recipe.anneal)
+    rate = clock.rate
     weights, moments, apart = descend(
         action, recipe, weights, memory.moments, batch, clock.key, rate, limits
     )

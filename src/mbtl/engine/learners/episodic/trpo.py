@@ -49,8 +49,8 @@ def learn(
 ) -> tuple[Weights, Memory]:
     """One update of the actor and `critic_passes` steps of the critic, on all rows.
 
-    The episodes are without the axis of policies. Nothing is drawn and no rate falls, so the clock
-    does not matter.
+    The episodes are without the axis of policies. Nothing is drawn. The clock's rate is that of
+    the step, which goes as the root of `max_kl`; the critic's stays.
     """
     advantage, target, returns = advantages(recipe, memory.returns, lived)
     actions = lived.action
@@ -63,7 +63,7 @@ def learn(
     batch = Batch(*(x.reshape(-1, *x.shape[3:]) for x in rows))
     if recipe.normalize_advantage:
         batch = batch._replace(advantage=standard(batch.advantage, batch.weight))
-    actor, log_std = _natural_step(action, recipe, weights, batch)
+    actor, log_std = _natural_step(action, recipe, weights, batch, clock.rate)
     critic, moments = _fit_critic(recipe, weights.critic, memory.moments, batch)
     return Weights(actor, critic, log_std), Memory(moments, returns)
 
@@ -72,8 +72,9 @@ def learn(
 
 
 def _natural_step(
-    action: Discrete | Box, recipe: TRPORecipe, weights: Weights, batch: Batch
+    action: Discrete | Box, recipe: TRPORecipe, weights: Weights, batch: Batch, rate: jax.Array
 ) -> tuple[Network, jax.Array]:
+    max_kl = recipe.max_kl * jnp.square(rate)
     flat, unravel = ravel_pytree((weights.actor, weights.log_std))
 
     def outputs_of(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -97,7 +98,7 @@ def _natural_step(
         return jax.jvp(jax.grad(divergence), (flat,), (x,))[1] + recipe.damping * x
 
     direction = conjugate_gradients(curvature, gradient, recipe.cg_steps)
-    length = jnp.sqrt(2.0 * recipe.max_kl / jnp.maximum(direction @ curvature(direction), 1e-12))
+    length = jnp.sqrt(2.0 * max_kl / jnp.maximum(direction @ curvature(direction), 1e-12))
     step = length * direction
     expected = gradient @ step
 
@@ -106,7 +107,7 @@ def _natural_step(
         share = jnp.where(tries == 0, 1.0, share * recipe.backtrack)
         theta = flat + share * step
         gain = surrogate(theta) - before
-        good = (gain > recipe.accept * share * expected) & (divergence(theta) <= recipe.max_kl)
+        good = (gain > recipe.accept * share * expected) & (divergence(theta) <= max_kl)
         return tries + 1, share, good
 
     def going_on(carry: Search) -> jax.Array:

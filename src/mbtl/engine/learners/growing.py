@@ -1,0 +1,143 @@
+"""Trainings whose length nobody knows beforehand: a trunk, and a branch where they may end.
+
+Along the trunk the learning rate falls slowly, as one over the root of the updates. Where the
+training may end, a branch leaves it, along which the rate falls to zero; the policy is at its end.
+Whoever goes on goes on along the trunk, as if there had been no branch (Zhai et al. 2022, "Scaling
+Vision Transformers", section 3.5; Hu et al. 2024, "MiniCPM", section 4).
+The branch is the last fifth of what was asked for: a training of n updates costs n updates, and one
+of n more as many more.
+
+Notation (shapes): P trainings, leading axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mbtl.engine.learners.algorithms import AnyRecipe
+from mbtl.engine.learners.blocks import Block, Training
+from mbtl.engine.learners.clock import Pace
+from mbtl.engine.learners.loop import start, train
+from mbtl.engine.learners.networks import Weights
+from mbtl.engine.worlds.environments import Tree
+from mbtl.engine.worlds.world import World
+
+SHARE = 0.2
+"""Of a stage that is the branch (evidence/schedules.py)."""
+
+SLOWING = 0.1
+"""Units after which the rate along the trunk has fallen by sqrt(2) (evidence/schedules.py)."""
+
+_TAKEN = ("weights", "optimizer", "memory", "fresh")
+"""Of the state of a training: what another one can begin with."""
+
+
+class Stage(NamedTuple):
+    """Updates along the trunk, and along the branch that leaves it at their end."""
+
+    trunk: int
+    branch: int
+
+    @classmethod
+    def of(cls, updates: int, share: float = SHARE) -> Stage:
+        """So many in all; a single one is all trunk."""
+        branch = round(share * updates)
+        return cls(updates - branch, branch)
+
+
+class Growing(NamedTuple):
+    """P trainings that may become any length.
+
+    Attributes:
+        world: the dynamics.
+        recipe: hyper-parameters.
+        seeds: P training seeds.
+        params: of the P contexts, or sets of contexts.
+        whole: updates of one unit, within a share of which exploration falls.
+        slowing: units, see `SLOWING`.
+    """
+
+    world: World
+    recipe: AnyRecipe
+    seeds: Sequence[int]
+    params: Tree
+    whole: int
+    slowing: float = SLOWING
+
+    def start(self, weights: Weights | None = None) -> Training:
+        """Before the first update, from these weights or from scratch."""
+        return start(self.world, self.recipe, self.seeds, self.params, weights)
+
+    def along(
+        self, trunk: Training, until: int, on_block: Callable[[Block], None] | None = None
+    ) -> Training:
+        """The trunk up to so many updates from its root; its memory before is used again.
+
+        Raises:
+            TrainingFailed: weights are no longer finite.
+        """
+        return self._learn(trunk, until, self._endless, on_block)
+
+    def end(
+        self, trunk: Training, branch: int, on_block: Callable[[Block], None] | None = None
+    ) -> Weights:
+        """Weights at the end of a branch of so many updates; the trunk stays as it is.
+
+        Raises:
+            TrainingFailed: weights are no longer finite.
+        """
+        begin = int(trunk.updates)
+        pace = self._endless.branch(begin, begin + max(branch, 1))
+        copy = jax.tree.map(jnp.copy, trunk)
+        weights: Weights = self._learn(copy, begin + branch, pace, on_block).state.weights
+        return weights
+
+    @property
+    def _endless(self) -> Pace:
+        return Pace.endless(self.whole, self.slowing * self.whole)
+
+    def _learn(
+        self,
+        training: Training,
+        until: int,
+        pace: Pace,
+        on_block: Callable[[Block], None] | None,
+    ) -> Training:
+        n_contexts = self.params.visible.shape[1] if self.params.visible.ndim == 3 else 1
+        return train(
+            self.world,
+            self.recipe,
+            self.seeds,
+            self.params,
+            until * self.recipe.update_length,
+            on_block=on_block,
+            checkpoint_episodes=n_contexts,
+            resume=training,
+            judging=False,
+            pace=pace,
+        )
+
+
+def taking_over(training: Training, parent: Training, which: Sequence[int]) -> Training:
+    """Trainings before their first update, with networks, optimiser and statistics of others.
+
+    What belongs to the parents' contexts stays there: their simulations and replay.
+
+    Args:
+        training: P, as `start` gives them.
+        parent: trunks to begin from.
+        which: (P,) one of them for each.
+    """
+    index = np.asarray(which)
+    state: Any = training.state
+    names = [name for name in _TAKEN if name in state._fields]
+    given = {name: jax.tree.map(lambda x: x[index], getattr(parent.state, name)) for name in names}
+    if "target" in state._fields:
+        given["target"] = given["weights"].actor
+    state = jax.tree.map(jnp.copy, state._replace(**given))
+    return training._replace(state=state, best=jax.tree.map(jnp.copy, state.weights))

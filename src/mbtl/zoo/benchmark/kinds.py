@@ -1,0 +1,459 @@
+"""Building transfer data: trainings of every kind, and what they return on every context.
+
+CMDPs of one world and recipe, and all seeds, are trained in one program where lanes are many, which
+is what an accelerator is fast at; on a CPU a few are. Work is done in parts, each a file that
+appears whole or not at all: trainings first, which keep their policies, then evaluations. So an
+interrupted build goes on where it was.
+
+Notation (shapes): P trainings of a part, N contexts, M sources, E episodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.contexts import Context
+from mbtl.engine import lazy as engine
+from mbtl.engine.world_trainer import WorldTrainer
+from mbtl.errors import InvalidInput, unknown_name
+from mbtl.files import whole_file
+from mbtl.portfolio import MLPPolicy
+from mbtl.provenance import here
+from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, episode_seeds, evaluation_seeds, training_seed
+from mbtl.trainers.contract import OnProgress, Progress, even_groups
+from mbtl.zoo.benchmark.npz import read_npz, text_array, write_npz
+from mbtl.zoo.benchmark.transfers import KINDS, REFERENCE, save_transfers, summary
+
+GENERALIST_UNITS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)
+"""Marks of the policy for all contexts."""
+TUNED_UNITS = (0.5, 1.0)
+"""Marks of its copies."""
+PARENTS = (1.0, 4.0)
+"""Units of the policies for all that copies are tuned from."""
+
+_PAIRS = 1 << 17
+"""Episodes that are played at once on an accelerator."""
+
+
+@dataclass(frozen=True)
+class OfOneWorld:
+    """contexts of several CMDPs of one world -> world and parameters; they tell by their axes."""
+
+    problems: tuple[tuple[frozenset[str], Any], ...]
+
+    @property
+    def lanes(self) -> int | None:
+        """As the first one says."""
+        own = getattr(self.problems[0][1], "lanes", None)
+        return None if own is None else int(own)
+
+    def __call__(self, contexts: Sequence[Context]) -> tuple[Any, Any]:
+        """The world, and the parameters of `contexts` with one leading axis."""
+        by_axes, world, parts = dict(self.problems), None, []
+        for axes, some in groupby(contexts, frozenset):
+            world, params = by_axes[axes](list(some))
+            parts.append(params)
+        if len(parts) == 1:
+            return world, parts[0]
+        fields = zip(*parts, strict=True)
+        return world, type(parts[0])(*(np.concatenate(each) for each in fields))
+
+
+class Lane(NamedTuple):
+    """One training: of which CMDP of the build, which seed, and on which context (None: all)."""
+
+    cmdp: int
+    seed: int
+    source: int | None = None
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some trainings of one kind that are done together.
+
+    Attributes:
+        kind: of `KINDS`.
+        lanes: the P trainings.
+        number: of the part within its kind.
+        parent: units of the policies that copies are tuned from; 0 for other kinds.
+    """
+
+    kind: str
+    lanes: tuple[Lane, ...]
+    number: int
+    parent: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        parent = f"-from-{self.parent:g}" if self.parent else ""
+        return f"{self.kind}{parent}-{self.number:03d}"
+
+    @property
+    def marks(self) -> tuple[float, ...]:
+        """Units at which its policies are evaluated."""
+        if self.kind == "generalists":
+            return GENERALIST_UNITS
+        return TUNED_UNITS if self.kind == "tuned" else (1.0,)
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """A build of transfer data, of CMDPs that share a world and a recipe.
+
+    Attributes:
+        cmdps: the problems.
+        trainers: theirs; equal but for the contexts.
+        seeds: of the matrices.
+        folder: in which it grows.
+        every: sources are every n-th context.
+        lanes: trainings of one program; None: what is best here.
+        parents: units of the policies for all that copies are tuned from.
+
+    Raises:
+        InvalidInput: the problems differ in more than contexts.
+    """
+
+    cmdps: tuple[Any, ...]
+    trainers: tuple[WorldTrainer, ...]
+    seeds: tuple[int, ...]
+    folder: Path
+    every: int = 1
+    lanes: int | None = None
+    parents: tuple[float, ...] = PARENTS
+    _cache: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        pairs = zip(self.cmdps, self.trainers, strict=True)
+        one = [trainer.problem([dict(c.space.context(0))]) for c, trainer in pairs]
+        worlds = [(world, [np.shape(x) for x in params]) for world, params in one]
+        recipes = [trainer.recipe for trainer in self.trainers]
+        sizes = [cmdp.space.n for cmdp in self.cmdps]
+        alike = (worlds, recipes, sizes)
+        if any(one != each[0] for each in alike for one in each[1:]):
+            raise InvalidInput(
+                "CMDPs that are built together must have one world, recipe and number of contexts, "
+                f"got {', '.join(cmdp.id for cmdp in self.cmdps)}; build them one after the other"
+            )
+
+    # ---- what there is to do -----------------------------------------------------------------
+
+    @cached_property
+    def trainer(self) -> WorldTrainer:
+        """Of all the CMDPs."""
+        if len(self.trainers) == 1:
+            return self.trainers[0]
+        named = [
+            (frozenset(axis.name for axis in cmdp.space.axes), trainer.problem)
+            for cmdp, trainer in zip(self.cmdps, self.trainers, strict=True)
+        ]
+        return replace(self.trainers[0], problem=OfOneWorld(tuple(named)))
+
+    @property
+    def n(self) -> int:
+        """Number of contexts of each CMDP."""
+        return int(self.cmdps[0].space.n)
+
+    @property
+    def sources(self) -> range:
+        """Contexts of specialists and tuned copies."""
+        return range(0, self.n, self.every)
+
+    def parts(self, kinds: Sequence[str] = KINDS) -> list[Part]:
+        """In an order in which parents come first.
+
+        Raises:
+            UnknownName: no such kind.
+        """
+        for kind in kinds:
+            if kind not in KINDS:
+                raise unknown_name("kind of training", kind, KINDS)
+        each = [Lane(c, seed) for c in range(len(self.cmdps)) for seed in self.seeds]
+        one = [Lane(lane.cmdp, lane.seed, source) for lane in each for source in self.sources]
+        wanted: list[tuple[str, list[Lane], float]] = [("generalists", each, 0.0)]
+        wanted += [("specialists", one, 0.0)]
+        wanted += [("tuned", one, parent) for parent in self.parents]
+        found = []
+        for kind, lanes, parent in wanted:
+            if kind in kinds:
+                sizes, first = even_groups(len(lanes), self.lanes or self.trainer.lanes), 0
+                for number, size in enumerate(sizes):
+                    some = tuple(lanes[first : first + size])
+                    found.append(Part(kind, some, number, parent))
+                    first += size
+        return found
+
+    # ---- training ----------------------------------------------------------------------------
+
+    def train(self, part: Part, on_progress: OnProgress | None = None) -> None:
+        """Train what is missing of a part; its policies are kept in files, one per mark."""
+        left = [mark for mark in part.marks if not self._policies(part, mark).is_file()]
+        if not left:
+            return
+        contexts = [self._contexts(lane) for lane in part.lanes]
+        seeds = [self._training_seed(part, lane) for lane in part.lanes]
+        if part.kind == "specialists":
+            kept = "best" if self.trainer.checkpoint == "best" else "final"
+            own = [some[0] for some in contexts]
+            state = self.folder / f"{part.name}.partial.npz"
+            found = self.trainer.train_many(
+                own, seeds, keep=(kept,), state=state, on_progress=on_progress
+            )
+            self._keep(part, 1.0, found[kept])
+            state.unlink(missing_ok=True)
+            return
+        parents: Any = None
+        which: list[int] = []
+        trunk: Any = None
+        if part.kind == "tuned":
+            parents, which = self._parents(part)
+        elif len(left) < len(part.marks):
+            reached = part.marks[len(part.marks) - len(left) - 1]
+            trunk = self._trunk(part, reached)
+        grown = self.trainer.grow_many(
+            contexts,
+            seeds,
+            part.marks,
+            parents=parents,
+            which=which,
+            trunk=trunk,
+            skip=len(part.marks) - len(left) if trunk is not None else 0,
+            on_progress=on_progress,
+        )
+        for mark, policies, now in grown:
+            if part.kind == "generalists":  # whoever goes on needs it: copies, and later marks
+                with whole_file(self._trunk_file(part, mark)) as file:
+                    np.savez(file, **engine.to_arrays(now))  # type: ignore[arg-type]
+            self._keep(part, mark, policies)
+
+    def _training_seed(self, part: Part, lane: Lane) -> int:
+        """As in a study whose root is the seed of the lane."""
+        if lane.source is None:
+            return training_seed(lane.seed, MATRIX_TRIAL, range(self.n))
+        if part.kind == "specialists":
+            return training_seed(lane.seed, MATRIX_TRIAL, lane.source)
+        lineage = (self.n, *range(self.n), int(1000 * part.parent))
+        return training_seed(lane.seed, MATRIX_TRIAL, lane.source, lineage=lineage)
+
+    def _contexts(self, lane: Lane) -> list[Context]:
+        every = list(self.cmdps[lane.cmdp].space.contexts)
+        return every if lane.source is None else [every[lane.source]]
+
+    def _parents(self, part: Part) -> tuple[Any, list[int]]:
+        """Trunks that the copies of a part begin from, and which of them each takes."""
+        for other in self.parts(("generalists",)):
+            places = {lane: i for i, lane in enumerate(other.lanes)}
+            mine = [places.get(Lane(lane.cmdp, lane.seed)) for lane in part.lanes]
+            if all(place is not None for place in mine):
+                return self._trunk(other, part.parent), [int(place or 0) for place in mine]
+        raise InvalidInput("copies of one part must have parents of one part")
+
+    def _trunk(self, part: Part, mark: float) -> Any:
+        """The saved trunk of generalists."""
+        file = self._trunk_file(part, mark)
+        if not file.is_file():
+            raise InvalidInput(
+                f"copies are tuned from policies for all contexts, and there are none of {mark:g} "
+                "units; build the kind generalists first"
+            )
+        contexts = [self._contexts(lane) for lane in part.lanes]
+        seeds = [self._training_seed(part, lane) for lane in part.lanes]
+        template = self.trainer.grown_from_scratch(contexts, seeds)
+        return engine.from_arrays(template, read_npz(file))
+
+    def _trunk_file(self, part: Part, mark: float) -> Path:
+        return self.folder / f"{part.name}-trunk-{mark:g}.npz"
+
+    # ---- policies ----------------------------------------------------------------------------
+
+    def _policies(self, part: Part, mark: float) -> Path:
+        return self.folder / f"{part.name}-at-{mark:g}.npz"
+
+    def _keep(self, part: Part, mark: float, policies: Sequence[MLPPolicy]) -> None:
+        arrays: dict[str, NDArray[Any]] = {"origin": text_array(here())}
+        for k in range(len(policies[0].weights)):
+            arrays[f"weight_{k}"] = np.stack([policy.weights[k] for policy in policies])
+            arrays[f"bias_{k}"] = np.stack([policy.biases[k] for policy in policies])
+        stds = [getattr(policy.head, "log_std", None) for policy in policies]
+        if stds[0] is not None:
+            arrays["log_std"] = np.stack([std for std in stds if std is not None])
+        write_npz(self._policies(part, mark), arrays)
+
+    def _actor(self, part: Part, mark: float) -> Any:
+        """(P, ...) the acting part of kept policies."""
+        arrays = read_npz(self._policies(part, mark))
+        count = sum(name.startswith("weight_") for name in arrays)
+        network = tuple(
+            (arrays[f"weight_{k}"].swapaxes(1, 2), arrays[f"bias_{k}"]) for k in range(count)
+        )
+        size = len(arrays["weight_0"])
+        return engine.Actor(network, arrays.get("log_std", np.zeros((size, 0), np.float32)))
+
+    # ---- evaluation --------------------------------------------------------------------------
+
+    def evaluate(self, part: Part, on_progress: OnProgress | None = None) -> None:
+        """Returns of the policies of a part on all contexts of their CMDPs.
+
+        Kept are (marks, P, N, 3): the means of both halves of the episodes, and the deviation.
+        """
+        file = self._returns(part)
+        if file.is_file():
+            return
+        actors = [self._actor(part, mark) for mark in part.marks]
+        lanes = [lane for _ in part.marks for lane in part.lanes]
+        found = self._played(engine.joined(actors), lanes, on_progress)
+        shape = (len(part.marks), len(part.lanes), *found.shape[1:])
+        write_npz(file, {"returns": summary(found).reshape(*shape[:-1], 3)})
+
+    def _played(
+        self, actor: Any, lanes: Sequence[Lane], on_progress: OnProgress | None
+    ) -> NDArray[Any]:
+        """(P, N, E) returns of each policy on the contexts of its lane's CMDP."""
+        trainer = self.trainer
+        each = [
+            episode_seeds(
+                evaluation_seeds(lane.seed, MATRIX_TRIAL, range(self.n)),
+                self.n,
+                trainer.eval_episodes,
+            )
+            for lane in lanes
+        ]
+        every = [context for cmdp in self.cmdps for context in cmdp.space.contexts]
+        world, params = trainer.problem(every)
+        where = np.array([lane.cmdp * self.n + np.arange(self.n) for lane in lanes])
+        activation = trainer.learner.activation
+        if not engine.on_cpu():
+            seeds = np.array(each, np.uint32)
+            told = None
+            if on_progress is not None:
+                tell = on_progress
+
+                def told(done: int, total: int) -> None:
+                    tell(Progress(done, total, {}, "pairs"))
+
+            return engine.evaluate_each(
+                world,
+                actor,
+                params,
+                where,
+                seeds,
+                activation=activation,
+                how=trainer._how,
+                rows=_PAIRS,
+                on_block=told,
+            )
+        rows: list[Any] = []
+        for lane, who in groupby(range(len(lanes)), lambda i: lanes[i][:2]):
+            some = list(who)
+            first = lane[0] * self.n
+            part = engine.taken(params, slice(first, first + self.n))
+            own = engine.taken(actor, some)
+            rows.append(
+                engine.evaluate(
+                    world, own, part, each[some[0]], activation=activation, how=trainer._how
+                )
+            )
+            if on_progress is not None:
+                on_progress(Progress(some[-1] + 1, len(lanes), {}, "policies"))
+        return np.concatenate(rows)
+
+    def _returns(self, part: Part) -> Path:
+        return self.folder / f"{part.name}-returns.npz"
+
+    # ---- the whole ---------------------------------------------------------------------------
+
+    def run(
+        self,
+        kinds: Sequence[str] = KINDS,
+        on_part: Callable[[str, int, int], None] = lambda name, done, total: None,
+        on_progress: OnProgress | None = None,
+    ) -> None:
+        """Do what is missing of these kinds."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        parts = self.parts(kinds)
+        for done, part in enumerate(parts):
+            on_part(part.name, done, len(parts))
+            self.train(part, on_progress)
+            self.evaluate(part, on_progress)
+
+    def refer(self) -> None:
+        """Rows without any policy, of each CMDP and seed."""
+        for cmdp, trainer in zip(self.cmdps, self.trainers, strict=True):
+            for seed in self.seeds:
+                file = self._references(cmdp, seed)
+                if not file.is_file():
+                    own = evaluation_seeds(seed, MATRIX_TRIAL, range(self.n))
+                    rows = trainer.reference_rows(list(cmdp.space.contexts), own)
+                    write_npz(file, {k: summary(np.asarray(v)) for k, v in rows.items()})
+
+    def _references(self, cmdp: Any, seed: int) -> Path:
+        return self.folder / f"{cmdp.id}-references-{seed}.npz"
+
+    def save(self, out: Path, command: str, preset: str) -> list[Path]:
+        """Write the file of each CMDP and seed, from parts that are all there."""
+        found: dict[tuple[int, int], dict[tuple[str, float], list[Any]]] = {}
+        for kind, parent in [("generalists", 0.0), ("specialists", 0.0)] + [
+            ("tuned", parent) for parent in self.parents
+        ]:
+            for lane, returns in self._rows(kind, parent):
+                own = found.setdefault(lane[:2], {})
+                own.setdefault((kind, parent), []).append(returns)
+        files = []
+        for (c, seed), own in sorted(found.items()):
+            cmdp, trainer = self.cmdps[c], self.trainers[c]
+            (generalist,) = own["generalists", 0.0]
+            arrays = {
+                "generalists": generalist,
+                "specialists": np.stack([rows[0] for rows in own["specialists", 0.0]]),
+                "tuned": np.stack(
+                    [np.stack(own["tuned", parent], axis=1) for parent in self.parents]
+                ),
+            }
+            references = self._references(cmdp, seed)
+            if references.is_file():
+                arrays |= {f"{REFERENCE}{k}": row for k, row in read_npz(references).items()}
+            provenance = {
+                "problem": cmdp.id,
+                "version": cmdp.version,
+                "switches": dict(cmdp.settings),
+                "recipe": trainer.recipe,
+                "on_several": dict(trainer.on_sets),
+                "evaluation_seeds": PER_TARGET,
+                "preset": preset,
+                "seed": seed,
+                "command": command,
+                "together": [one.id for one in self.cmdps],
+                "origin": here(),
+            }
+            files.append(
+                save_transfers(
+                    out,
+                    cmdp,
+                    seed,
+                    arrays,
+                    episodes=trainer.eval_episodes,
+                    sources=list(self.sources),
+                    generalist_units=GENERALIST_UNITS,
+                    tuned_parents=self.parents,
+                    tuned_units=TUNED_UNITS,
+                    unit_steps=trainer.whole,
+                    provenance=provenance,
+                )
+            )
+        return files
+
+    def _rows(self, kind: str, parent: float) -> Iterator[tuple[Lane, NDArray[Any]]]:
+        """(marks, N, 3) of each lane of a kind, in order."""
+        for part in self.parts((kind,)):
+            if part.parent == parent:
+                returns = read_npz(self._returns(part))["returns"]
+                for i, lane in enumerate(part.lanes):
+                    yield lane, returns[:, i]

@@ -1,0 +1,252 @@
+"""What trainings of every kind returned on every context: transfer data.
+
+A file is called `<cmdp>-seed<k>.npz` and holds one seed. Kinds of trainings, and their entries:
+
+- `specialists` (half, source, target): whole trainings on one context from scratch.
+- `generalists` (mark, half, target): one training on all contexts that is extended, at the marks
+  `generalist_units`, which are the units paid so far.
+- `tuned` (parent, mark, half, source, target): copies of the generalist of `tuned_parents` units,
+  trained on one context for `tuned_units` units.
+
+Half 0 of the episodes is to choose by, half 1 to report; each target has evaluation seeds of its
+own, the same for all policies. `<kind>_std` has the deviation over all episodes, without the half.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbtl.arrays import Array
+from mbtl.contexts import ContextSpace
+from mbtl.errors import InvalidInput, StorageError, unknown_name
+from mbtl.objective import Bounds, direction_named
+from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
+
+FOLDER = "transfers"
+KINDS = ("specialists", "generalists", "tuned")
+REFERENCE = "reference_"
+
+_FILE = re.compile(r"(?P<id>.+)-seed(?P<seed>\d+)\.npz")
+
+
+@dataclass(frozen=True, eq=False)
+class TransferData:
+    """Trainings of every kind on one CMDP, S seeds; M sources, N targets, two halves of episodes.
+
+    Attributes:
+        name: id of the CMDP.
+        space: the N contexts.
+        sources: (M,) indices of the contexts of specialists and tuned copies, rising.
+        bounds: normalisation.
+        episodes: of the two halves.
+        specialists: (S, 2, M, N) mean raw returns of whole trainings from scratch.
+        generalists: units -> (S, 2, N), of one training on all contexts that is extended.
+        tuned: (parent's units, units) -> (S, 2, M, N), of copies tuned on one context.
+        std: kind -> deviations over all episodes, of the same shapes without the half, units first
+            where there are several: (S, M, N), (L, S, N) and (L', S, M, N), in the order of the
+            mappings.
+        references: name -> (S, 2, N), without any policy.
+        unit_steps: environment steps, or episodes, of one unit.
+        provenance: one record per seed.
+    """
+
+    name: str
+    space: ContextSpace
+    sources: NDArray[np.intp]
+    bounds: Bounds
+    episodes: tuple[int, int]
+    specialists: Array
+    generalists: Mapping[float, Array]
+    tuned: Mapping[tuple[float, float], Array]
+    std: Mapping[str, Array]
+    references: Mapping[str, Array]
+    unit_steps: int
+    provenance: tuple[Mapping[str, Any], ...]
+
+    @property
+    def n(self) -> int:
+        """Number of contexts."""
+        return self.space.n
+
+    @property
+    def n_seeds(self) -> int:
+        """Number of seeds."""
+        return len(self.specialists)
+
+    def __repr__(self) -> str:
+        parents = sorted({parent for parent, _ in self.tuned})
+        return (
+            f"TransferData({self.name!r}, {self.n_seeds} seeds, {len(self.sources)} sources, "
+            f"generalists at {few_units(list(self.generalists))} units, copies tuned from "
+            f"{few_units(parents)})"
+        )
+
+
+def few_units(units: Sequence[float]) -> str:
+    """As people write them."""
+    return ", ".join(f"{one:g}" for one in units)
+
+
+def transfer_ids(folder: str | Path | None = None) -> list[str]:
+    """CMDPs with transfer data in the package, or in `folder`, sorted."""
+    return sorted(_files(folder))
+
+
+def load_transfers(cmdp: str, *, folder: str | Path | None = None) -> TransferData:
+    """Transfer data of a CMDP, its seed files stacked.
+
+    Args:
+        cmdp: CMDP id, e.g. "cartpole-length".
+        folder: where to look instead of the package data.
+
+    Raises:
+        UnknownName: there are none.
+        StorageError: its files do not fit together.
+    """
+    files = _files(folder)
+    if cmdp not in files:
+        raise unknown_name("transfer data", cmdp, files)
+    by_seed = files[cmdp]
+    parts = [read_npz(by_seed[seed]) for seed in sorted(by_seed)]
+    first = parts[0]
+    for seed, part in zip(sorted(by_seed), parts, strict=True):
+        wrong = set(first.keys() ^ part.keys()) | {
+            key
+            for key in ("contexts", "sources", "bounds", "generalist_units", "tuned_units")
+            if key in first and key in part and not np.array_equal(first[key], part[key])
+        }
+        if wrong:
+            raise StorageError(
+                f"the files of {cmdp!r} must agree on {min(wrong)}, and seed {seed} does not; "
+                "build it again"
+            )
+
+    def stacked(key: str) -> Array:
+        return np.stack([part[key].astype(np.float64) for part in parts])
+
+    generalists, tuned = stacked("generalists"), stacked("tuned")
+    pairs = [
+        (float(parent), float(units))
+        for parent in first["tuned_parents"]
+        for units in first["tuned_units"]
+    ]
+    flat = tuned.reshape(len(parts), -1, *tuned.shape[3:])
+    deviations = {
+        "specialists": stacked("specialists_std"),
+        "generalists": stacked("generalists_std").swapaxes(0, 1),
+        "tuned": stacked("tuned_std").reshape(len(parts), -1, *tuned.shape[4:]).swapaxes(0, 1),
+    }
+    low, high = (float(x) for x in first["bounds"])
+    direction = direction_named(str(first["direction"]))
+    floor = float(first["floor"]) if "floor" in first else None
+    return TransferData(
+        name=cmdp,
+        space=ContextSpace.from_json(read_text(first["space"], "space")),
+        sources=first["sources"].astype(np.intp),
+        bounds=Bounds(low, high, direction, floor),
+        episodes=(int(first["episodes"][0]), int(first["episodes"][1])),
+        specialists=stacked("specialists"),
+        generalists={
+            float(units): generalists[:, i] for i, units in enumerate(first["generalist_units"])
+        },
+        tuned={pair: flat[:, i] for i, pair in enumerate(pairs)},
+        std=deviations,
+        references={
+            key.removeprefix(REFERENCE): stacked(key) for key in first if key.startswith(REFERENCE)
+        },
+        unit_steps=int(first["unit_steps"]),
+        provenance=tuple(read_text(part["provenance"], "provenance") for part in parts),
+    )
+
+
+def summary(episodes: NDArray[Any]) -> NDArray[np.float32]:
+    """(..., E) returns of episodes -> (..., 3): means of the two halves, and the deviation.
+
+    Raises:
+        InvalidInput: there are less than two episodes.
+    """
+    total = episodes.shape[-1]
+    if total < 2:
+        raise InvalidInput(f"transfer data need two episodes or more, got {total}")
+    exact, half = episodes.astype(np.float64), (total + 1) // 2
+    first, second = exact[..., :half].mean(-1), exact[..., half:].mean(-1)
+    return np.stack([first, second, exact.std(-1, ddof=1)], axis=-1).astype(np.float32)
+
+
+def save_transfers(
+    folder: str | Path,
+    cmdp: Any,
+    seed: int,
+    returns: Mapping[str, NDArray[Any]],
+    *,
+    episodes: int,
+    sources: Sequence[int],
+    generalist_units: Sequence[float],
+    tuned_parents: Sequence[float],
+    tuned_units: Sequence[float],
+    unit_steps: int,
+    provenance: Mapping[str, Any],
+) -> Path:
+    """Write one seed as float32.
+
+    Args:
+        folder: made where it is missing.
+        cmdp: the problem.
+        seed: of the file.
+        returns: `specialists` (M, N, 3), `generalists` (L, N, 3), `tuned` (P, U, M, N, 3), and
+            `reference_<name>` (N, 3), as of `summary`.
+        episodes: of each, E.
+        sources: (M,) indices of contexts.
+        generalist_units: (L,) marks of the generalist.
+        tuned_parents: (P,) units of the parents.
+        tuned_units: (U,) marks of the copies.
+        unit_steps: environment steps, or episodes, of a unit.
+        provenance: JSON-able.
+    """
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    path = place / f"{cmdp.id}-seed{seed}.npz"
+    half = (episodes + 1) // 2
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, each in returns.items():
+        before = {"generalists": 1, "tuned": 2}.get(name, 0)
+        arrays[name] = np.moveaxis(each[..., :2], -1, before)
+        if not name.startswith(REFERENCE):
+            arrays[f"{name}_std"] = each[..., 2]
+    bounds = cmdp.normalisation
+    arrays |= {
+        "space": text_array(cmdp.space.to_json()),
+        "sources": np.asarray(sources, np.int64),
+        "bounds": np.array([bounds.low, bounds.high]),
+        "direction": np.array("max" if bounds.direction == "maximize" else "min"),
+        "episodes": np.array([half, episodes - half]),
+        "generalist_units": np.asarray(generalist_units, np.float64),
+        "tuned_parents": np.asarray(tuned_parents, np.float64),
+        "tuned_units": np.asarray(tuned_units, np.float64),
+        "unit_steps": np.array(unit_steps),
+        "provenance": text_array(provenance),
+    }
+    if bounds.floor is not None:
+        arrays["floor"] = np.array(bounds.floor)
+    write_npz(path, arrays)
+    return path
+
+
+def _files(folder: str | Path | None) -> dict[str, dict[int, Path]]:
+    if folder is None:
+        place = Path(str(resources.files("mbtl.zoo.benchmark") / "data")) / FOLDER
+    else:
+        place = Path(folder)
+    found: dict[str, dict[int, Path]] = {}
+    for path in sorted(place.glob("*.npz")):
+        if match := _FILE.fullmatch(path.name):
+            found.setdefault(match["id"], {})[int(match["seed"])] = path
+    return found
