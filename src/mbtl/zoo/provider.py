@@ -19,6 +19,7 @@ names: Mapping[str, str] = {
     "TransferMatrix": "mbtl.zoo.benchmark.matrix:TransferMatrix",
     "compare": "mbtl.zoo.benchmark.compare:compare",
     "load_matrix": "mbtl.zoo.benchmark.shipped:load_matrix",
+    "load_transfers": "mbtl.zoo.benchmark.transfers:load_transfers",
 }
 
 commands: Mapping[str, str] = {

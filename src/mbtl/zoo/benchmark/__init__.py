@@ -23,6 +23,7 @@ from mbtl.zoo.benchmark.shipped import (
     synthetic_world,
 )
 from mbtl.zoo.benchmark.synthetic import SyntheticWorld, linear_gap_world
+from mbtl.zoo.benchmark.transfers import TransferData, load_transfers, transfer_ids
 
 __all__ = [
     "Comparison",
@@ -34,12 +35,14 @@ __all__ = [
     "Summary",
     "SyntheticWorld",
     "TransferCurves",
+    "TransferData",
     "TransferMatrix",
     "compare",
     "levels",
     "linear_gap_world",
     "load_curves",
     "load_matrix",
+    "load_transfers",
     "nominal_source",
     "open_matrix",
     "random_curve",
@@ -51,4 +54,5 @@ __all__ = [
     "summarise",
     "synthetic_ids",
     "synthetic_world",
+    "transfer_ids",
 ]

@@ -24,12 +24,12 @@ from mbtl.contexts import Context
 from mbtl.engine import lazy as engine
 from mbtl.engine.world_trainer import WorldTrainer
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.files import whole_file
+from mbtl.files import claimed_folder, whole_file
 from mbtl.portfolio import MLPPolicy
 from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, episode_seeds, evaluation_seeds, training_seed
-from mbtl.trainers.contract import OnProgress, Progress, even_groups
-from mbtl.zoo.benchmark.npz import read_npz, text_array, write_npz
+from mbtl.trainers.contract import OnProgress, Progress, even_groups, recipe_of
+from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
 from mbtl.zoo.benchmark.transfers import KINDS, REFERENCE, save_transfers, summary
 
 GENERALIST_UNITS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)
@@ -311,7 +311,15 @@ class Kinds:
         lanes = [lane for _ in part.marks for lane in part.lanes]
         found = self._played(engine.joined(actors), lanes, on_progress)
         shape = (len(part.marks), len(part.lanes), *found.shape[1:])
-        write_npz(file, {"returns": summary(found).reshape(*shape[:-1], 3)})
+        trained = [read_npz(self._policies(part, mark))["origin"] for mark in part.marks]
+        write_npz(
+            file,
+            {
+                "returns": summary(found).reshape(*shape[:-1], 3),
+                "origin": trained[-1],
+                "evaluated": text_array(here()),
+            },
+        )
 
     def _played(
         self, actor: Any, lanes: Sequence[Lane], on_progress: OnProgress | None
@@ -376,13 +384,31 @@ class Kinds:
         on_part: Callable[[str, int, int], None] = lambda name, done, total: None,
         on_progress: OnProgress | None = None,
     ) -> None:
-        """Do what is missing of these kinds."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        """Do what is missing of these kinds.
+
+        Raises:
+            InvalidInput: the folder holds another build, or parents of copies are missing.
+            StorageError: it cannot be written, or another process builds in it.
+            TrainingFailed: weights are no longer finite.
+        """
         parts = self.parts(kinds)
-        for done, part in enumerate(parts):
-            on_part(part.name, done, len(parts))
-            self.train(part, on_progress)
-            self.evaluate(part, on_progress)
+        with claimed_folder(self.folder, self.claim, "transfer data"):
+            for done, part in enumerate(parts):
+                on_part(part.name, done, len(parts))
+                self.train(part, on_progress)
+                self.evaluate(part, on_progress)
+
+    @property
+    def claim(self) -> dict[str, Any]:
+        """JSON-able; what a folder must have been begun with to go on."""
+        recipes = [recipe_of(trainer) for trainer in self.trainers]
+        each = [(cmdp.id, cmdp.version, dict(cmdp.settings)) for cmdp in self.cmdps]
+        groups = [len(part.lanes) for part in self.parts()]
+        return {"problems": each, "recipes": recipes, "seeds": self.seeds, "groups": groups}
+
+    def is_there(self, kind: str) -> bool:
+        """Whether everything of a kind was evaluated."""
+        return all(self._returns(part).is_file() for part in self.parts((kind,)))
 
     def refer(self) -> None:
         """Rows without any policy, of each CMDP and seed."""
@@ -431,7 +457,8 @@ class Kinds:
                 "seed": seed,
                 "command": command,
                 "together": [one.id for one in self.cmdps],
-                "origin": here(),
+                "origins": self._origins("origin"),
+                "evaluated": self._origins("evaluated"),
             }
             files.append(
                 save_transfers(
@@ -449,6 +476,18 @@ class Kinds:
                 )
             )
         return files
+
+    def _origins(self, key: str) -> list[dict[str, Any]]:
+        """The distinct places where policies were trained, or evaluated, with their kinds."""
+        found: list[dict[str, Any]] = []
+        for part in self.parts():
+            origin = read_text(read_npz(self._returns(part))[key], key)
+            same = [one for one in found if {**one, "kinds": None} == {**origin, "kinds": None}]
+            if not same:
+                found.append({**origin, "kinds": [part.kind]})
+            elif part.kind not in same[0]["kinds"]:
+                same[0]["kinds"].append(part.kind)
+        return found
 
     def _rows(self, kind: str, parent: float) -> Iterator[tuple[Lane, NDArray[Any]]]:
         """(marks, N, 3) of each lane of a kind, in order."""

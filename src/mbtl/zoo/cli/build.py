@@ -18,6 +18,7 @@ from mbtl.zoo.benchmark import TransferMatrix, levels
 from mbtl.zoo.benchmark.build import ONLY
 from mbtl.zoo.benchmark.shipped import DEFAULT
 from mbtl.zoo.cli.job import Job
+from mbtl.zoo.cli.kinds import build_kinds
 from mbtl.zoo.cmdps.families import FAMILIES
 from mbtl.zoo.cmdps.family import TwinFamily
 
@@ -85,6 +86,17 @@ def build(
     halvings: Annotated[
         int, typer.Option(help="Shortest length that --along keeps: 6 means 1/64 of a training.")
     ] = 6,
+    kinds: Annotated[
+        str | None,
+        typer.Option(
+            help="Trainings of every kind instead: specialists, generalists and tuned copies of "
+            "them (some of these, with commas between, or all)."
+        ),
+    ] = None,
+    beside: Annotated[
+        list[str] | None,
+        typer.Option("--with", help="With --kinds: a CMDP of the same world, trained together."),
+    ] = None,
     evaluate_again: Annotated[
         bool,
         typer.Option(
@@ -121,6 +133,7 @@ def build(
             f"{sources_every}"
         )
     keep = _checkpoints(checkpoint)
+    numbers = range(first_seed, first_seed + seeds)
     overrides = {
         "timesteps": timesteps,
         "episodes": episodes,
@@ -130,6 +143,25 @@ def build(
     }
     given = {k: v for k, v in overrides.items() if v is not None}
     trainer = cmdp.trainer_for(preset, **given)
+    if kinds is not None:
+        switches = {"visibility": visibility, "physics": physics, "score": score, "engine": engine}
+        others = [resolve_cmdp(name, **switches) for name in beside or ()]
+        if every != 1:
+            others = [other.every(every) for other in others]
+        built = build_kinds(
+            kinds,
+            [cmdp, *others],
+            [trainer, *(other.trainer_for(preset, **given) for other in others)],
+            numbers,
+            preset=preset,
+            every=sources_every,
+            lanes=lanes,
+            work=work,
+            out=out,
+        )
+        if as_json:
+            print_json({"transfers": built})
+        return
     usual = str(getattr(trainer, "checkpoint", "final"))
     if keep:
         trainer = cmdp.trainer_for(preset, **given, checkpoint=keep[0])
@@ -169,7 +201,6 @@ def build(
         along=Along(along, halvings) if along else None,
         every=sources_every,
     )
-    numbers = range(first_seed, first_seed + seeds)
     # before anything is trained
     there = {seed: {} if evaluate_again else job.there(out, seed) for seed in numbers}
     builds = {

@@ -1,0 +1,92 @@
+"""`mbtl matrix build --kinds`: transfer data of trainings of every kind."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+
+from mbtl.cli.common import LongWork, console
+from mbtl.engine.world_trainer import WorldTrainer
+from mbtl.errors import InvalidInput
+from mbtl.problems import CMDP
+from mbtl.trainers.contract import Progress
+from mbtl.zoo.benchmark.kinds import Kinds
+from mbtl.zoo.benchmark.transfers import FOLDER, KINDS
+
+ALL = "all"
+
+
+def build_kinds(
+    kinds: str,
+    cmdps: Sequence[CMDP],
+    trainers: Sequence[Any],
+    seeds: Sequence[int],
+    *,
+    preset: str | None,
+    every: int,
+    lanes: int | None,
+    work: Path,
+    out: Path,
+) -> list[dict[str, Any]]:
+    """Build what is missing and, once every kind is there, write the file of each CMDP and seed.
+
+    Args:
+        kinds: names of kinds, with commas between; or "all".
+        cmdps: the problems, of one world and recipe.
+        trainers: theirs.
+        seeds: of the matrices.
+        preset: of the recipe.
+        every: sources are every n-th context.
+        lanes: trainings of one program; None: what is best here.
+        work: folder of what is not finished.
+        out: folder of the finished files.
+
+    Raises:
+        InvalidInput: a trainer does not train many policies at once, or the problems differ.
+        UnknownName: no such kind.
+    """
+    wanted = KINDS if kinds == ALL else tuple(kinds.split(","))
+    own = [trainer for trainer in trainers if isinstance(trainer, WorldTrainer)]
+    if len(own) < len(cmdps):
+        raise InvalidInput(
+            "trainings of every kind are built by the jax engine, got a trainer that is "
+            f"{type(trainers[len(own)]).__name__}; choose --engine jax, or leave --kinds out"
+        )
+    names = [cmdp.id for cmdp in cmdps]
+    folder = work / FOLDER / "-and-".join(names)
+    build = Kinds(tuple(cmdps), tuple(own), tuple(seeds), folder, every=every, lanes=lanes)
+    columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
+    with Bar(*columns, console=console, transient=True) as bar:
+        task, log = bar.add_task(", ".join(names), total=None), LongWork(console)
+
+        def on_part(name: str, done: int, total: int) -> None:
+            now = f"{name} ({done + 1} of {total})"
+            bar.update(task, description=now, completed=0, total=None)
+            log.say(now)
+
+        def on_progress(progress: Progress) -> None:
+            bar.update(task, completed=progress.step, total=progress.total)
+
+        build.run(wanted, on_part, on_progress)
+    if left := [kind for kind in KINDS if not build.is_there(kind)]:
+        console.print(
+            f"kept in {folder}; the files are written once {' and '.join(left)} are there, too",
+            markup=False,
+            soft_wrap=True,
+        )
+        return []
+    build.refer()
+    command = ["mbtl", "matrix", "build", names[0], "--kinds", ALL]
+    command += [word for name in names[1:] for word in ("--with", name)]
+    command += [] if every == 1 else ["--sources-every", str(every)]
+    command += [] if lanes is None else ["--lanes", str(lanes)]
+    usual = preset or cmdps[0].default_preset
+    files = build.save(out / FOLDER, shlex.join(command), usual)
+    for file in files:
+        console.print(f"{file}: all kinds", markup=False, soft_wrap=True)
+    return [{"file": str(file), "kinds": list(KINDS)} for file in files]
