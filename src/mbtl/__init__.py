@@ -11,7 +11,7 @@ import pkgutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbtl import errors, selectors, strategies
+from mbtl import selectors, strategies
 from mbtl.contexts import Categorical, Context, ContextSpace, Integer, Linear, Log
 from mbtl.errors import (
     InvalidInput,
