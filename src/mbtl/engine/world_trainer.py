@@ -46,9 +46,9 @@ _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every")
 
 _CPU_LANES = 25
 """Sources trained together on a CPU where one of them would not keep it busy."""
-_SPENT, _FROM, _BRANCH = "spent", "from", "branch"
-"""Kept with the state of a training, in updates: spent before this stage, where on the trunk it
-began, and the branch of the stage before."""
+_SPENT, _FROM, _BRANCH, _SEED = "spent", "from", "branch", "seed"
+"""Kept with the state of a training: updates spent before this stage, where on the trunk it began,
+and the branch of the stage before; and whose it is."""
 
 Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
 """contexts -> (`mbtl.engine.learners.World`, its parameters with one leading axis)."""
@@ -180,7 +180,7 @@ class WorldTrainer:
         """Several contexts by episodes, or by PPO; no state where no file can hold it."""
         sets: set[Ability] = {"sets"} if self._why_no_sets is None else set()
         storable = getattr(self.problem, "storable", True)
-        stored: set[Ability] = {"state", "resume"} if storable else set()
+        stored: set[Ability] = {"state", "inherit", "resume"} if storable else set()
         return frozenset({*sets, *stored, "start", "length"})
 
     def why_not(self, ability: Ability) -> str:
@@ -243,8 +243,9 @@ class WorldTrainer:
         evaluations counts. A training of a given `length`, and one on several contexts, takes a
         constant learning rate and lets it fall along the last fifth of what is asked for
         (`mbtl.training.jax.growing`); it has the latest weights and does not evaluate itself.
-        Where it begins with the policy of another one, the critic, which no policy carries, begins
-        anew, unless the state of that training is there.
+        Where it begins with the policy of another one, whose state is there, it inherits the
+        latter's critic, optimiser and statistics, and its actor before it was finished; else the
+        critic, which no policy carries, begins anew.
 
         On several contexts each episode of an update is in another of them. Where steps are
         counted, it is context-conditioned PPO as in the multi-task baseline: its copies of the
@@ -316,10 +317,12 @@ class WorldTrainer:
             return growing.start(weights)
 
         training = file.load(fresh)
-        if training is None:
+        if training is None or file.notes.get(_SEED) != seed:  # nobody's, or the parent's
+            begun = fresh()
+            training = file.inherited(begun) or begun
             spent = -(-round(done * self.whole) // unit)
-            training = _advanced(fresh(), engine.Stage.of(spent).trunk if spent else 0)
-            file.notes |= {_SPENT: spent, _FROM: int(training.updates)}
+            training = _advanced(training, engine.Stage.of(spent).trunk if spent else 0)
+            file.notes = {_SPENT: spent, _FROM: int(training.updates), _SEED: seed}
         spent, begin = file.notes[_SPENT], file.notes[_FROM]
         planned = max(-(-round(length * self.whole) // unit), spent)
         stage = engine.Stage.of(planned - spent)

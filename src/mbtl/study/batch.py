@@ -275,7 +275,7 @@ class Batches:
         )
 
     def _begun_with(self, pick: Pick) -> tuple[Kept | None, Artifact | None]:
-        """The policy that a training begins with, and its state where it goes on."""
+        """The policy that a training begins with, and its state where it goes on or inherits."""
         if pick.start is None:
             return None, None
         place = self.study.state.place_of(pick.start)
@@ -287,7 +287,7 @@ class Batches:
         row = self.study.state.rows[place]
         kept = Artifact(row.policy, row.sha256 or "") if row.policy else None
         state = None
-        if pick.done and row.state:
+        if row.state and (pick.done or (pick.trains and "inherit" in self.trainer.takes)):
             state = Artifact(row.state, row.state_sha256 or "")
         policy = self.study.policies.get(place)
         return Kept(policy, kept, row.steps, checks=row.checks), state

@@ -84,7 +84,8 @@ class Job:
         start: the policy to begin with; None: from scratch.
         done: units that its training has had, where it goes on.
         length: units of the training in all; 0: `start` is only evaluated; None: a whole one.
-        state: of the training of `start`, where it goes on; None: it begins with the weights.
+        state: of the training of `start`, where it goes on, or the trainer inherits; None: it
+            begins with the weights.
         keeps_state: the training may go on later, so its state is kept.
         counts_steps: the steps of evaluations are counted, where the trainer can.
     """

@@ -68,13 +68,15 @@ class Progress:
 OnProgress = Callable[[Progress], None]
 
 
-Ability = Literal["sets", "start", "length", "state", "resume"]
+Ability = Literal["sets", "start", "length", "state", "inherit", "resume"]
 """What a trainer may be able to do.
 
 - "sets": train one policy on several contexts.
 - "start": begin with the weights of a policy.
 - "length": train for any length.
 - "state": hand out the state of a training of a given length, and go on from it exactly.
+- "inherit": begin on other contexts with that state, too: with all that the policy's training had
+  learnt beside the policy. The seed tells: a training that goes on has that of its beginning.
 - "resume": keep that state now and then in a whole training, too, so that another worker can go on.
 """
 
@@ -83,6 +85,7 @@ _DEEDS: Mapping[Ability, str] = {
     "start": "begin with the weights of a policy",
     "length": "train for a length that is chosen",
     "state": "go on from the state of a training",
+    "inherit": "begin with the state of another training",
     "resume": "go on with a training that was interrupted",
 }
 

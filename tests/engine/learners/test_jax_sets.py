@@ -95,6 +95,26 @@ def test_copies_take_over_networks_and_optimiser_of_their_parents():
     assert 0 < moved(policies[0], parents[1]) < moved(fresh[0], parents[1])
 
 
+def test_a_copy_inherits_what_its_parent_had_learnt_beside_the_policy(tmp_path):
+    """Its state is a file; the copy is the one of `grow_many`, up to rounding."""
+    unit, file = UNIT / TRAINER.whole, tmp_path / "parent.npz"
+    parent = TRAINER.train(CONTEXTS, 3, length=5 * unit, state=file).policy
+    (*_, (_, _, trunk)) = TRAINER.grow_many([CONTEXTS], [3], [5 * unit])
+    some = {"parents": trunk, "which": [0]}
+    ((_, (wanted,), _),) = TRAINER.grow_many([CONTEXTS[:1]], [5], [unit], **some)
+    given = {"start": parent, "length": unit}
+    inherited = TRAINER.train(CONTEXTS[:1], 5, state=file, **given).policy
+    without = TRAINER.train(CONTEXTS[:1], 5, **given).policy
+
+    def moved(one, other):
+        return max(abs(a - b).max() for a, b in zip(one.weights, other.weights, strict=True))
+
+    assert "inherit" in TRAINER.takes
+    assert moved(inherited, wanted) < 1e-3 < moved(without, wanted)
+    again = TRAINER.train(CONTEXTS[:1], 5, state=file, **given).policy  # the file is the copy's now
+    assert same(again, inherited)
+
+
 def test_what_cannot_be_trained_on_a_set_is_refused():
     other = replace(TRAINER, algorithm="DQN")
     assert "sets" not in other.takes

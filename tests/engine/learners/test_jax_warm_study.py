@@ -1,5 +1,7 @@
 """Studies with tuned copies in the jax engine: what is interrupted ends as what is not."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -52,6 +54,8 @@ def test_interrupted_a_tuned_copy_is_bit_for_bit_the_undisturbed_one(tmp_path):
         np.testing.assert_array_equal(one.returns, other.returns)
     tuned, context = study.pick(1), [study.space.context(0)]
     start = undisturbed[0]
-    alone = calm.trainer.train(context, tuned.seed, length=0.5, start=start).policy
+    parent, file = study.state.rows[0], tmp_path / "inherited"
+    shutil.copy(study.artifacts.read(parent.state, parent.state_sha256) / "state", file)
+    alone = calm.trainer.train(context, tuned.seed, length=0.5, start=start, state=file).policy
     assert same(alone, disturbed[1])
     assert not same(calm.trainer.train(context, tuned.seed, length=0.5).policy, alone)

@@ -25,7 +25,8 @@ from mbtl.engine.learners.evaluation import (
     taken,
 )
 from mbtl.engine.learners.export import export_policies, taught
-from mbtl.engine.learners.growing import Growing, Stage, taking_over
+from mbtl.engine.learners.growing import Growing, Stage
+from mbtl.engine.learners.inheritance import taking_over
 from mbtl.engine.learners.loop import in_sets, start, start_multitask, train, train_multitask
 from mbtl.engine.learners.multitask.run import (
     Judged,

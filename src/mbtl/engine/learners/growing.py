@@ -13,11 +13,10 @@ Notation (shapes): P trainings, leading axis.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from mbtl.engine.learners.algorithms import AnyRecipe
 from mbtl.engine.learners.blocks import Block, Training
@@ -32,9 +31,6 @@ SHARE = 0.2
 
 SLOWING = 0.1
 """Units after which the rate along the trunk has fallen by sqrt(2) (evidence/schedules.py)."""
-
-_TAKEN = ("weights", "optimizer", "memory", "fresh")
-"""Of the state of a training: what another one can begin with."""
 
 
 class Stage(NamedTuple):
@@ -121,23 +117,3 @@ class Growing(NamedTuple):
             judging=False,
             pace=pace,
         )
-
-
-def taking_over(training: Training, parent: Training, which: Sequence[int]) -> Training:
-    """Trainings before their first update, with networks, optimiser and statistics of others.
-
-    What belongs to the parents' contexts stays there: their simulations and replay.
-
-    Args:
-        training: P, as `start` gives them.
-        parent: trunks to begin from.
-        which: (P,) one of them for each.
-    """
-    index = np.asarray(which)
-    state: Any = training.state
-    names = [name for name in _TAKEN if name in state._fields]
-    given = {name: jax.tree.map(lambda x: x[index], getattr(parent.state, name)) for name in names}
-    if "target" in state._fields:
-        given["target"] = given["weights"].actor
-    state = jax.tree.map(jnp.copy, state._replace(**given))
-    return training._replace(state=state, best=jax.tree.map(jnp.copy, state.weights))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mbtl.engine.learners.blocks import Training, from_arrays, to_arrays
+from mbtl.engine.learners.inheritance import inheriting
 from mbtl.errors import MbtlError
 from mbtl.files import whole_file
 from mbtl.untrusted import read_arrays
@@ -41,6 +42,19 @@ class SavedTraining:
             notes = {_NOTE + name: np.int64(number) for name, number in self.notes.items()}
             np.savez(file, **to_arrays(training), **notes)  # type: ignore[arg-type]
         self._at = time.monotonic()
+
+    def inherited(self, begun: Training) -> Training | None:
+        """`begun`, a training before its first update, with what another one here had learnt.
+
+        None where there is nothing that fits.
+        """
+        if self._path is None:
+            return None
+        try:
+            with self._path.open("rb") as file:
+                return inheriting(begun, read_arrays(file))
+        except (MbtlError, ValueError, OSError):
+            return None
 
     def load(self, template: Callable[[], Training]) -> Training | None:
         """What was saved; None where there is nothing that fits: then it starts anew.
