@@ -14,22 +14,33 @@ import argparse
 from collections import defaultdict
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from mbtl.routing import Routing, last_route
 from mbtl.selectors.targets import spread_targets
-from mbtl.zoo.actions.base import filled_rows, nearest_filled
 from mbtl.zoo.benchmark import load_matrix, shipped_matrices
 
 SOURCES, DRAWS = 5, 4
 SHARES = (0.05, 0.1, 0.2, 0.5)
 
 
+def filled(rule: str, rows, steps):
+    """Rows where a gap counts as its nearest neighbour, or on one axis as the line between two."""
+    out = np.array(rows)
+    for row, known in zip(out, np.isfinite(rows), strict=True):
+        gaps, there = steps[~known], steps[known]
+        if rule == "linear" and steps.shape[1] == 1:
+            order = np.argsort(there[:, 0])
+            row[~known] = np.interp(gaps[:, 0], there[order, 0], row[known][order])
+        elif gaps.size:
+            row[~known] = row[known][KDTree(there).query(gaps)[1]]
+    return out
+
+
 def believed(rule: str, matrix, sources, rows):
     """(k, N) rows with all entries."""
-    if rule == "nearest":
-        return nearest_filled(rows, matrix.space.steps)
-    if rule == "linear":
-        return filled_rows(rows, matrix.space.steps)
+    if rule in ("nearest", "linear"):
+        return filled(rule, rows, matrix.space.steps)
     return Routing(matrix.space, sources, rows).believed
 
 

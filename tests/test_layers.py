@@ -53,7 +53,6 @@ TOOL = [
     "cli",
 ]
 ENGINE = [
-    "engine.checkpoints",
     "engine.elsewhere",
     "engine.worlds",
     "engine.scene",
@@ -65,7 +64,6 @@ ENGINE = [
 ZOO = [
     "zoo.worlds",
     "zoo.cmdps",
-    "zoo.actions",
     "zoo.benchmark",
     "zoo.reproduction",
     "zoo.cli",

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 import mbtl
 from flat import created
 from mbtl.plot.style import distinct
-from mbtl.zoo.benchmark import TransferMatrix, load_curves
+from mbtl.zoo.benchmark import TransferMatrix
 
 N = 20
 LINE = mbtl.ContextSpace.grid({mbtl.Log("mass", 0.1, 10.0, unit="kg"): N})
@@ -303,6 +303,5 @@ def test_what_people_print_in_a_notebook_is_short():
         "ContextSpace(mass [kg]; 20 contexts))"
     )
     study = study_on(LINE, 2)
-    curves = load_curves("pendulum-length-hidden")
-    for shown in (matrix, study, study.portfolio(), curves):
+    for shown in (matrix, study, study.portfolio()):
         assert len(repr(shown)) < 200

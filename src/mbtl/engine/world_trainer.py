@@ -3,9 +3,9 @@
 Nothing of jax is imported before a training or evaluation, so the record can be made, printed and
 sent to another process anywhere.
 
-How long a training of a given length may become nobody knows beforehand, so its learning rate is
-constant, and falls to zero on a branch whose end is the policy: it is a finished one, and the
-training can still go on (`mbtl.training.jax.growing`). All that decides its future is in its state.
+How long a training of a given length may become nobody knows beforehand, so its learning rate falls
+slowly, and to zero on a branch whose end is the policy: it is a finished one, and the training can
+still go on (`mbtl.training.jax.growing`). All that decides its future is in its state.
 A whole training follows the recipe: its length is known.
 """
 
@@ -21,7 +21,6 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.engine import lazy as engine
-from mbtl.engine.checkpoints import Checkpoint, shares_of
 from mbtl.errors import unknown_name
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seeds
@@ -106,7 +105,7 @@ class WorldTrainer:
     policy_format = "mlp"
     on_sets: ClassVar[Mapping[str, str]] = {
         "contexts": "uniform, one per episode",
-        "schedule": "constant, then falling along a last fifth",
+        "schedule": "falling slowly, and to zero along a last fifth",
         "checkpoint": "final",
     }
     """How the recipe of one policy for several contexts differs."""
@@ -240,8 +239,8 @@ class WorldTrainer:
         """Train one policy (`mbtl.trainers.Trainer`), up to whole updates.
 
         A whole training on one context follows the recipe, which may say that the best of periodic
-        evaluations counts. A training of a given `length`, and one on several contexts, takes a
-        constant learning rate and lets it fall along the last fifth of what is asked for
+        evaluations counts. A training of a given `length`, and one on several contexts, has a
+        learning rate that falls slowly, and to zero along the last fifth of what is asked for
         (`mbtl.training.jax.growing`); it has the latest weights and does not evaluate itself.
         Where it begins with the policy of another one, whose state is there, it inherits the
         latter's critic, optimiser and statistics, and its actor before it was finished; else the
@@ -422,7 +421,7 @@ class WorldTrainer:
         training may need fewer of them.
         """
         world, params = self._lessons(contexts)
-        recipe, marks = self.learner, shares_of(keep)
+        recipe = self.learner
         training = engine.train(
             world,
             recipe,
@@ -434,12 +433,10 @@ class WorldTrainer:
             checkpoint_episodes=self.checkpoint_episodes,
             acting=self._how,
             only_best="final" not in keep,
-            marks=marks,
             saved=engine.SavedTraining(state if getattr(world, "storable", True) else None),
         )
-        kept = [engine.weights_of(training, Checkpoint.named(name), marks) for name in keep]
-        each = [engine.export_policies(world, weights, recipe.activation) for weights in kept]
-        return dict(zip(keep, each, strict=True))
+        kept = {"best": training.best, "final": training.state.weights}
+        return {name: engine.export_policies(world, kept[name], recipe.activation) for name in keep}
 
     def untrained(self, context: Context) -> MLPPolicy:
         """A policy as a training begins with it (`mbtl.trainers.RehearsingTrainer`)."""

@@ -260,7 +260,7 @@ class ManyTrainer(Protocol):
         state: Path | None = None,
         on_progress: OnProgress | None = None,
     ) -> dict[str, list[Any]]:
-        """One policy per (context, seed), for each name of `keep` (`mbtl.engine.checkpoints`).
+        """One policy per (context, seed), for each name of `keep`: "best", "final".
 
         `state` is a file for the state of an interrupted training, to go on from; the caller
         removes it once the policies are safe.

@@ -1,6 +1,5 @@
-"""Blocks: evaluations and marks take turns, and marks change nothing but what is kept."""
+"""Blocks: learning and evaluations take turns, and the best weights are kept."""
 
-from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,6 @@ pytest.importorskip("jax", reason="the jax extra is not installed")
 import jax
 import jax.numpy as jnp
 
-from mbtl.engine.checkpoints import Checkpoint
 from mbtl.engine.learners.blocks import (
     Schedule,
     beginning,
@@ -19,17 +17,13 @@ from mbtl.engine.learners.blocks import (
     in_blocks,
     keep_better,
     to_arrays,
-    weights_of,
 )
 from mbtl.engine.learners.networks import Weights
-from mbtl.errors import InvalidInput, TrainingFailed
+from mbtl.errors import TrainingFailed
 
 
 class _State(NamedTuple):
     weights: Weights
-
-
-MARKS = [Fraction(1, 8), Fraction(1, 4), Fraction(1, 2)]
 
 
 class Counter:
@@ -38,12 +32,11 @@ class Counter:
     def __init__(self, returns):
         self.returns, self.calls = returns, []
 
-    def start(self, marks=0):
+    def start(self):
         weights = Weights((), (), jnp.zeros((1, 1)))
-        return beginning(_State(weights), marks)
+        return beginning(_State(weights))
 
     def learn(self, training, count):
-        assert training.along is None  # compiled programs never see it
         now = int(training.updates) + count
         self.calls.append(now)
         weights = Weights((), (), jnp.full((1, 1), float(now) if now < 90 else np.nan))
@@ -61,59 +54,30 @@ def number(weights):
     return float(weights.log_std[0, 0])
 
 
-def test_marks_between_evaluations_keep_weights_and_are_not_judged():
-    returns = {4: 1.0, 5: 9.0, 8: 3.0, 10: 9.0, 12: 2.0, 40: 2.0}  # 5 and 10 are marks only
-    with_marks, without = Counter(returns), Counter(returns)
-    schedule = Schedule(total=40, every=4, unit=100, marks=tuple(MARKS))
-    told = []
-    marked = in_blocks(
-        schedule, with_marks.start(3), *with_marks.both(), lambda block: told.append(block.steps)
-    )
-    plain = in_blocks(schedule._replace(marks=()), without.start(), *without.both())
-
-    assert with_marks.calls == [4, 5, 8, 10, 12, 16, 20, 24, 28, 32, 36, 40]
-    assert without.calls == told_updates(told) == list(range(4, 41, 4))
-    assert number(marked.best) == number(plain.best) == 8.0
-    assert number(marked.state.weights) == 40.0
-
-    def kept(name):
-        return number(weights_of(marked, Checkpoint.named(name), MARKS))
-
-    assert [kept(f"last@{share}") for share in MARKS] == [5.0, 10.0, 20.0]
-    assert [kept(f"best@{share}") for share in MARKS] == [4.0, 8.0, 8.0]
-    assert (kept("best"), kept("final"), kept("last@1")) == (8.0, 40.0, 40.0)
+def test_the_best_is_that_of_the_best_evaluation_the_earliest_of_equals():
+    one, told = Counter({4: 1.0, 8: 3.0, 12: 2.0, 16: 3.0, 40: 2.0}), []
+    schedule = Schedule(total=40, every=4, unit=100)
+    ended = in_blocks(schedule, one.start(), *one.both(), lambda block: told.append(block.steps))
+    assert one.calls == [steps // 100 for steps in told] == list(range(4, 41, 4))
+    assert number(ended.best) == 8.0
+    assert number(ended.state.weights) == 40.0
 
 
-def told_updates(told):
-    return [steps // 100 for steps in told]
-
-
-def test_before_the_first_evaluation_the_best_is_the_latest():
-    one = Counter({})
-    training = in_blocks(
-        Schedule(40, 20, 1, (Fraction(1, 8), Fraction(1, 2))), one.start(2), *one.both()
-    )
-    early = weights_of(training, Checkpoint.named("best@1/8"), [Fraction(1, 8), Fraction(1, 2)])
-    assert number(early) == 5.0
-
-
-def test_weights_at_an_early_end_stand_for_all_marks_to_come():
+def test_a_training_ends_early_where_nothing_is_left_to_gain():
     one = Counter({8: 1.0})
-    training = in_blocks(
-        Schedule(40, 4, 1, tuple(MARKS)),
-        one.start(3),
+    in_blocks(
+        Schedule(40, 4, 1),
+        one.start(),
         *one.both(),
         nothing_to_gain=lambda training: float(training.best_return[0]) >= 1.0,
     )
-    assert one.calls == [4, 5, 8]
-    for share, expected in zip(MARKS, (5.0, 8.0, 8.0), strict=True):
-        assert number(weights_of(training, Checkpoint("last", share), MARKS)) == expected
+    assert one.calls == [4, 8]
 
 
-def test_a_training_goes_on_from_its_arrays_with_its_marks():
+def test_a_training_goes_on_from_its_arrays():
     whole, first, second = Counter({8: 2.0, 16: 3.0}), Counter({8: 2.0}), Counter({16: 3.0})
-    schedule = Schedule(40, 4, 1, tuple(MARKS))
-    expected = in_blocks(schedule, whole.start(3), *whole.both())
+    schedule = Schedule(40, 4, 1)
+    expected = in_blocks(schedule, whole.start(), *whole.both())
 
     class Stopped(Exception):
         pass
@@ -126,8 +90,8 @@ def test_a_training_goes_on_from_its_arrays_with_its_marks():
             raise Stopped
 
     with pytest.raises(Stopped):
-        in_blocks(schedule, first.start(3), *first.both(), stop)
-    resumed = in_blocks(schedule, from_arrays(second.start(3), saved), *second.both())
+        in_blocks(schedule, first.start(), *first.both(), stop)
+    resumed = in_blocks(schedule, from_arrays(second.start(), saved), *second.both())
     for a, b in zip(jax.tree.leaves(expected), jax.tree.leaves(resumed), strict=True):
         assert np.array_equal(a, b)
 
@@ -144,9 +108,3 @@ def test_lost_weights_are_an_error_that_says_when():
     one = Counter({})
     with pytest.raises(TrainingFailed, match="NaN or infinity by step 1000 in policies 0"):
         in_blocks(Schedule(200, 100, 10), one.start(), *one.both())
-
-
-@pytest.mark.parametrize("mark", [Fraction(0), Fraction(3, 2)])
-def test_a_mark_is_a_share(mark):
-    with pytest.raises(InvalidInput, match="marks are shares of a training"):
-        Schedule.of(1000, 10, marks=[mark])

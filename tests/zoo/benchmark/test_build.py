@@ -1,18 +1,15 @@
 """Building matrices: the same rows as a study's, in pieces, resumed, in one process or several."""
 
 import json
-from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from mbtl.contexts import ContextSpace, Linear
-from mbtl.engine.checkpoints import Along, Checkpoint
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
 from mbtl.provenance import here
 from mbtl.seeds import evaluation_seeds, training_seed
-from mbtl.trainers import FunctionTrainer, Progress
+from mbtl.trainers import FunctionTrainer
 from mbtl.zoo.benchmark.build import ONLY, Build
 
 SPACE = ContextSpace.grid({Linear("x", 0.0, 4.0): [0.0, 1.0, 2.0, 3.0, 4.0]})
@@ -51,36 +48,6 @@ class Several:
 
     def evaluate_many(self, policies, contexts, seeds):
         return np.stack([evaluate(policy, contexts, seeds) for policy in policies])
-
-
-@dataclass(frozen=True)
-class OnTheWay:
-    """A trainer that gets closer to home with every step and ends early on the last contexts."""
-
-    eval_episodes: int = 4
-    lanes = 2
-    update_length = 10
-    played: ClassVar[list[int]] = []
-
-    def train_many(self, contexts, seeds, *, keep=(), state=None, on_progress=None):
-        on_progress(Progress(300 if contexts[0]["x"] > 1 else 800, 800))
-        shares = [float(Checkpoint.named(name).share) for name in keep]
-        early = 300 / 800 if contexts[0]["x"] > 1 else 1.0
-        return {
-            name: [Point(c["x"] - (1.0 - min(share, early))) for c in contexts]
-            for name, share in zip(keep, shares, strict=True)
-        }
-
-    def evaluate_many(self, policies, contexts, seeds):
-        self.played.append(len(policies))
-        x = np.array([c["x"] for c in contexts])
-        rows = [np.repeat(-abs(p.x - x)[:, None], self.eval_episodes, axis=1) for p in policies]
-        return np.stack(rows)
-
-
-class Point:
-    def __init__(self, x):
-        self.x, self.weights, self.biases = x, (np.array([x]),), ()
 
 
 def expected(shift=0.0):
@@ -215,30 +182,6 @@ def test_bad_numbers_are_refused(tmp_path):
         building(tmp_path, Several(), lanes=0)
     with pytest.raises(InvalidInput, match="workers"):
         building(tmp_path, Several()).run(0)
-
-
-def test_rows_along_a_training_are_of_the_weights_on_the_way(tmp_path):
-    build = building(
-        tmp_path, OnTheWay(), keep=("best",), lanes=2, along=Along(episodes=2, halvings=2)
-    )
-    OnTheWay.played.clear()
-    build.run()
-    x = np.arange(5.0)
-    ended = np.where(x > 1, 300 / 800, 1.0)  # the piece of contexts 0 and 1 goes to its end
-    assert np.array_equal(build.lasted(), np.stack([800 * ended, 800 + 0 * x, 10 + 0 * x], axis=1))
-    for rows in build.along_returns():
-        for share, row in zip((0.25, 0.5, 1.0), rows, strict=True):
-            home = x - (1.0 - np.minimum(share, ended))
-            assert np.array_equal(row, np.repeat(-abs(home[:, None] - x)[..., None], 2, axis=2))
-    assert build.returns("best").shape == (5, 5, 4)
-    # of the same weights a row is played once: at the end, best and latest are one policy
-    assert OnTheWay.played == [2, 6, 2, 4, 1, 2]
-    assert building(tmp_path, OnTheWay(), keep=("best",), lanes=2).claim != build.claim
-
-
-def test_rows_along_a_training_need_a_trainer_that_keeps_weights(tmp_path):
-    with pytest.raises(InvalidInput, match="keeps weights on the way"):
-        building(tmp_path, FunctionTrainer(train, evaluate), along=Along(2))
 
 
 def test_every_second_context_is_trained_on_and_all_are_targets(tmp_path):

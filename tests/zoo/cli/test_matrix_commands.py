@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from mbtl.zoo.benchmark import TransferMatrix, load_curves, load_matrix
+from mbtl.zoo.benchmark import TransferMatrix, load_matrix
 
 PROBLEM = """
 from mbtl import ContextSpace
@@ -88,26 +88,6 @@ def test_two_checkpoints_are_two_files_whose_command_builds_both(mbtl_command, p
         assert "--checkpoint both" in record["command"]
         assert record["recipe"]["checkpoint"] == checkpoint
         assert matrix.measures_apart
-
-
-def test_rows_along_a_training_go_into_a_file_of_their_own(mbtl_command, tmp_path):
-    pytest.importorskip("jax", reason="the jax extra is not installed")
-    build = (
-        "matrix", "build", "cartpole-length", "--preset", "quick", "--timesteps", 4096, "--every",
-        50, "--seeds", 1, "--workers", 1, "--eval-episodes", 4, "--checkpoint", "both",
-        "--along", 2, "--halvings", 2,
-    )  # fmt: skip
-    code, _, err = mbtl_command(*build)
-    assert code == 0, err
-    curves = load_curves("cartpole-length", "every50", folder=tmp_path / "matrices" / "curves")
-    assert curves.lengths.tolist() == [1024, 2048, 4096]
-    assert curves.steps.tolist() == [[[1024] * 2, [2048] * 2, [4096] * 2]]
-    assert "--along 2 --halvings 2 --seeds 1" in curves.provenance["seeds"][0]["command"]
-    end = np.load(tmp_path / "runs/matrix-cartpole-length-every50-quick-seed0/sources-00000.npz")
-    for kind, checkpoint in (("best", "best"), ("last", "final")):  # the first of the episodes
-        row = end[f"{checkpoint}_returns"][0, :, 0]
-        np.testing.assert_allclose(curves.returns[kind][0, -1, 0, 0], row, rtol=1e-3)
-    assert "there already" in mbtl_command(*build)[2]
 
 
 def test_policies_are_evaluated_again_with_other_episodes_but_not_of_another_training(

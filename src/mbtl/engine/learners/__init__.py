@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from mbtl.engine.worlds import flags as flags  # isort: skip  # first: it starts jax
 from mbtl.engine.learners.algorithms import recipe_named
-from mbtl.engine.learners.blocks import Block, Training, from_arrays, to_arrays, weights_of
+from mbtl.engine.learners.blocks import Block, Training, from_arrays, to_arrays
 from mbtl.engine.learners.episodic.episodes import Actor, actor_of, import_actor
 from mbtl.engine.learners.episodic.learning import episodes_met
 from mbtl.engine.learners.evaluation import (
@@ -103,5 +103,4 @@ __all__ = [
     "to_arrays",
     "train",
     "train_multitask",
-    "weights_of",
 ]

@@ -7,8 +7,7 @@ it with the same result as if it had not been.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from fractions import Fraction
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple, cast
 
@@ -17,20 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.engine.checkpoints import Checkpoint
 from mbtl.engine.learners.networks import Weights
 from mbtl.engine.worlds.environments import Tree
-from mbtl.errors import InvalidInput, StorageError, TrainingFailed, few
+from mbtl.errors import StorageError, TrainingFailed, few
 
 BLOCKS = 50
 """Evaluations per training unless told otherwise: one every 2 % of it."""
-
-
-class Along(NamedTuple):
-    """Weights kept on the way, (L, P); before the first evaluation the best are the latest."""
-
-    best: Weights
-    latest: Weights
 
 
 class Training(NamedTuple):
@@ -42,7 +33,6 @@ class Training(NamedTuple):
         best_return: (P,) mean return of that evaluation; optimistic, being a maximum.
         latest_return: (P,) mean return of the last evaluation.
         updates: updates done.
-        along: weights at the marks that have been passed; None without marks.
     """
 
     state: Any
@@ -50,7 +40,6 @@ class Training(NamedTuple):
     best_return: jax.Array
     latest_return: jax.Array
     updates: jax.Array
-    along: Along | None = None
 
 
 class Block(NamedTuple):
@@ -70,53 +59,26 @@ class Schedule(NamedTuple):
     Attributes:
         total: of the whole training.
         every: between two evaluations.
-        marks: (L,) at which weights are kept, as shares of the training, 0 < share <= 1.
         unit: environment steps or episodes of an update.
     """
 
     total: int
     every: int
     unit: int
-    marks: Sequence[Fraction] = ()
 
     @classmethod
-    def of(
-        cls, length: int, unit: int, every: int | None = None, marks: Sequence[Fraction] = ()
-    ) -> Schedule:
-        """From steps or episodes, rounded up to whole updates; `every` None: each 2 % of them.
-
-        Raises:
-            InvalidInput: a mark is not a share.
-        """
-        if not all(0 < mark <= 1 for mark in marks):
-            raise InvalidInput(f"marks are shares of a training, > 0 and <= 1, got {list(marks)}")
+    def of(cls, length: int, unit: int, every: int | None = None) -> Schedule:
+        """From steps or episodes, rounded up to whole updates; `every` None: each 2 % of them."""
         every = every or math.ceil(length / BLOCKS)
-        return cls(math.ceil(length / unit), math.ceil(every / unit), unit, tuple(marks))
-
-    def between(self, done: int, end: int) -> list[int]:
-        """Updates in done < update <= end after which there is a mark, and `end` itself."""
-        marked = {math.ceil(self.total * mark) for mark in self.marks}
-        return sorted({update for update in marked if done < update < end} | {end})
-
-    def marks_at(self, update: int, *, over: bool = False) -> list[int]:
-        """Indices of the marks after `update`, and of all later ones if the training is over."""
-        at = [math.ceil(self.total * mark) for mark in self.marks]
-        return [i for i, mark in enumerate(at) if mark == update or (over and mark > update)]
+        return cls(math.ceil(length / unit), math.ceil(every / unit), unit)
 
 
-def beginning(state: Any, marks: int = 0) -> Training:
-    """Before the first update, with room for the weights at as many marks."""
+def beginning(state: Any) -> Training:
+    """Before the first update."""
     weights = state.weights
     nothing = jnp.full(len(weights.log_std), -jnp.inf, dtype=jnp.float32)
-    room = jax.tree.map(lambda x: jnp.zeros((marks, *x.shape), x.dtype), weights)
-    return Training(
-        state,
-        jax.tree.map(jnp.copy, weights),
-        nothing,
-        jnp.copy(nothing),
-        jnp.int32(0),
-        Along(room, jax.tree.map(jnp.copy, room)) if marks else None,
-    )
+    best = jax.tree.map(jnp.copy, weights)
+    return Training(state, best, nothing, jnp.copy(nothing), jnp.int32(0))
 
 
 def in_blocks(
@@ -129,9 +91,6 @@ def in_blocks(
     until: int | None = None,
 ) -> Training:
     """Learn and be judged in turns, and keep the best weights.
-
-    A mark between two evaluations stops the learning there, but nobody judges then: with and
-    without marks the same weights are the best.
 
     Args:
         schedule: when.
@@ -152,33 +111,15 @@ def in_blocks(
         on_block(Block(done * schedule.unit, planned, training))
     while not over:
         end = min(done - done % schedule.every + schedule.every, schedule.total)
-        for stop in schedule.between(done, min(end, last)):
-            along, count, done = training.along, stop - done, stop
-            training = learn(training._replace(along=None), count)
-            if judge is not None and done == end:
-                training = judge(training)
-            check_finite(training.state.weights, done * schedule.unit)
-            training = _marked(training._replace(along=along), schedule.marks_at(done))
+        stop = min(end, last)
+        training, done = learn(training, stop - done), stop
+        if judge is not None and done == end:
+            training = judge(training)
+        check_finite(training.state.weights, done * schedule.unit)
         if on_block is not None and done == end:
             on_block(Block(done * schedule.unit, planned, training))
         over = done == last or nothing_to_gain(training)
-    return _marked(training, schedule.marks_at(done, over=done == schedule.total or last > done))
-
-
-def _marked(training: Training, marks: Sequence[int]) -> Training:
-    """With the weights of this moment at some marks."""
-    if training.along is None or not marks:
-        return training
-    at = np.array(marks)
-    judged = training.best_return > -jnp.inf
-
-    def so_far(best: jax.Array, latest: jax.Array) -> jax.Array:
-        return jnp.where(judged.reshape(-1, *[1] * (best.ndim - 1)), best, latest)
-
-    latest = training.state.weights
-    now = Along(jax.tree.map(so_far, training.best, latest), latest)
-    put = jax.tree.map(lambda room, now: room.at[at].set(now), training.along, now)
-    return training._replace(along=put)
+    return training
 
 
 @partial(jax.jit)
@@ -211,16 +152,6 @@ def check_finite(weights: Tree, step: int) -> None:
             f"{', '.join(map(str, bad[:10]))} ({len(bad)} in all); lower the learning rate, or "
             "check the contexts"
         )
-
-
-def weights_of(training: Training, checkpoint: Checkpoint, shares: Sequence[Fraction]) -> Weights:
-    """The weights that a checkpoint names, (P, ...); `shares` are the marks of the training."""
-    if checkpoint.on_the_way and training.along is not None:
-        mark = shares.index(checkpoint.share)
-        kept = training.along.best if checkpoint.kind == "best" else training.along.latest
-        return cast(Weights, jax.tree.map(lambda x: x[mark], kept))
-    latest: Weights = training.state.weights
-    return training.best if checkpoint.kind == "best" else latest
 
 
 def to_arrays(training: Training) -> dict[str, NDArray[Any]]:

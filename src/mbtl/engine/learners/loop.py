@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from fractions import Fraction
 from functools import partial
 from typing import Any, cast
 
@@ -37,7 +36,6 @@ def start(
     seeds: Sequence[int],
     params: Tree,
     weights: Weights | None = None,
-    marks: Sequence[Fraction] = (),
 ) -> Training:
     """Trainings before their first update; arguments as in `train`.
 
@@ -54,7 +52,7 @@ def start(
     state = init()
     if weights is not None:
         state = init(_fitting(weights, state.weights))
-    return beginning(state, len(marks))
+    return beginning(state)
 
 
 def train(
@@ -70,7 +68,6 @@ def train(
     acting: Acting = "mean",
     only_best: bool = False,
     weights: Weights | None = None,
-    marks: Sequence[Fraction] = (),
     resume: Training | None = None,
     saved: SavedTraining | None = None,
     until: int | None = None,
@@ -104,8 +101,6 @@ def train(
         weights: P networks to begin from, e.g. `best` of trainings on other contexts; the optimiser
             knows nothing of their past, and they are no checkpoint themselves. Without a critic,
             (), that is fresh; None: all are.
-        marks: (L,) shares of the training at which weights are kept, `along`; where it ends early,
-            those of its end stand for all that were to come.
         resume: what an interrupted call had reached (given again with the same arguments).
         saved: file to go on from, and to save the training in now and then and at the end; where
             states mean nothing in another process (`storable`), only at the end.
@@ -129,7 +124,7 @@ def train(
             f"checkpoint_episodes must be a multiple of the {shared_by} contexts of each policy, "
             f"got {checkpoint_episodes}"
         )
-    schedule = Schedule.of(length, recipe.update_length, checkpoint_every, marks)
+    schedule = Schedule.of(length, recipe.update_length, checkpoint_every)
     if pace is None:
         pace = (Pace.falling if recipe.falls else Pace.endless)(schedule.total)
     decisions = world.decisions(in_a_row(params))
@@ -157,7 +152,7 @@ def train(
         if saved is not None and getattr(world, "storable", True):
             saved.save(block.training)
 
-    fresh = partial(start, world, recipe, seeds, params, weights, marks)
+    fresh = partial(start, world, recipe, seeds, params, weights)
     if resume is None and saved is not None:
         resume = saved.load(fresh)
     pause = None if until is None else math.ceil(until / recipe.update_length)

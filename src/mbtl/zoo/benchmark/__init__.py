@@ -3,7 +3,6 @@
 from mbtl.zoo.benchmark.base import Levels, RowSource, levels
 from mbtl.zoo.benchmark.compare import compare
 from mbtl.zoo.benchmark.comparison import Comparison, Run, Summary, summarise
-from mbtl.zoo.benchmark.curves import TransferCurves, load_curves
 from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.benchmark.oracle import (
     OracleRun,
@@ -34,13 +33,11 @@ __all__ = [
     "Run",
     "Summary",
     "SyntheticWorld",
-    "TransferCurves",
     "TransferData",
     "TransferMatrix",
     "compare",
     "levels",
     "linear_gap_world",
-    "load_curves",
     "load_matrix",
     "load_transfers",
     "nominal_source",

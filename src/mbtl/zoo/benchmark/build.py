@@ -14,18 +14,16 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
-from mbtl.engine.checkpoints import Along
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed, cannot_write, few
 from mbtl.files import claimed_folder, whole_file
 from mbtl.processes import worker_pool
@@ -33,7 +31,6 @@ from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds, training_seed
 from mbtl.trainers.contract import (
     ManyTrainer,
-    Progress,
     ReferenceTrainer,
     Trainer,
     checked_returns,
@@ -69,7 +66,6 @@ class Piece:
         path: where its rows go.
         policies: folder of the policies kept.
         train: train where policies are not kept.
-        along: rows along the trainings, if any. Their policies are not kept.
     """
 
     trainer: Trainer
@@ -82,13 +78,6 @@ class Piece:
     path: Path
     policies: Path
     train: bool = True
-    along: Along | None = None
-
-    @property
-    def checkpoints(self) -> tuple[str, ...]:
-        """All that its trainings must leave behind."""
-        more = self.along.names.values() if self.along else ()
-        return tuple(dict.fromkeys([*self.keep, *(name for names in more for name in names)]))
 
     @property
     def note(self) -> Path:
@@ -105,10 +94,8 @@ def perform(piece: Piece) -> None:
     begin = time.perf_counter()
     policies = _kept(piece)
     if policies is None:
-        policies, lasted = _train(piece)
-        note: dict[str, Any] = {
-            "origin": here(), "seconds": time.perf_counter() - begin, "lasted": lasted
-        }  # fmt: skip
+        policies = _train(piece)
+        note: dict[str, Any] = {"origin": here(), "seconds": time.perf_counter() - begin}
         _write_note(piece, note)
     else:
         note = _read_note(piece)
@@ -116,9 +103,6 @@ def perform(piece: Piece) -> None:
         f"{checkpoint}_returns": _evaluate(piece, policies[checkpoint]).astype(np.float32)
         for checkpoint in piece.keep
     }
-    if piece.along:
-        arrays["along_returns"] = _along(piece, piece.along, policies).astype(np.float32)
-        arrays["lasted"] = np.array(note["lasted"])
     arrays["seconds"] = np.array(time.perf_counter() - begin)
     arrays["train_seconds"] = np.array(note["seconds"])
     arrays["origin"] = text_array(note["origin"])
@@ -136,26 +120,20 @@ def _partial(piece: Piece) -> Path:
     return piece.path.with_suffix(".partial.npz")
 
 
-def _train(piece: Piece) -> tuple[Policies, list[list[int]]]:
-    """Policies, and of each training: done, planned, and of one update; in steps or episodes."""
+def _train(piece: Piece) -> Policies:
+    """Its policies, each kept where its trainer can save it."""
     if not piece.train:
         raise StudyError(
             f"evaluating again needs the policy of every source, got none of source "
             f"{piece.sources[0]} in {piece.policies}; build without --evaluate-again"
         )
     trainer = piece.trainer
-    lasted = [0, 0]
-
-    def on_progress(progress: Progress) -> None:
-        lasted[:] = progress.step, progress.total
-
     if isinstance(trainer, ManyTrainer):
         policies: Policies = trainer.train_many(
             piece.contexts,
             piece.seeds,
-            keep=piece.checkpoints,
+            keep=piece.keep,
             state=_partial(piece),
-            on_progress=on_progress,
         )
     else:
         pairs = zip(piece.contexts, piece.seeds, strict=True)
@@ -163,8 +141,7 @@ def _train(piece: Piece) -> tuple[Policies, list[list[int]]]:
     for checkpoint in piece.keep:
         for source, policy in zip(piece.sources, policies[checkpoint], strict=True):
             _keep(trainer, policy, piece.policy_folder(checkpoint, source))
-    lasted.append(getattr(trainer, "update_length", 1))
-    return policies, [lasted] * len(piece.sources)
+    return policies
 
 
 def _keep(trainer: Any, policy: Any, place: Path) -> None:
@@ -207,7 +184,7 @@ def _read_note(piece: Piece) -> dict[str, Any]:
 
 def _kept(piece: Piece) -> Policies | None:
     """The policies of a piece, if all were kept."""
-    folders = {c: [piece.policy_folder(c, s) for s in piece.sources] for c in piece.checkpoints}
+    folders = {c: [piece.policy_folder(c, s) for s in piece.sources] for c in piece.keep}
     if not all(folder.is_dir() for some in folders.values() for folder in some):
         return None
     load = piece.trainer.load
@@ -222,23 +199,6 @@ def _evaluate(piece: Piece, policies: Sequence[Any]) -> Array:
     else:
         rows = [trainer.evaluate(policy, targets, piece.evaluation) for policy in policies]
     return np.stack([checked_returns(row, len(targets), whole=True) for row in rows])
-
-
-def _along(piece: Piece, along: Along, policies: Policies) -> Array:
-    """(2, L, P, N, E) returns of the rows along the trainings; equal policies play once."""
-    trainer = replace(piece.trainer, eval_episodes=along.episodes)  # type: ignore[type-var]
-    few = replace(piece, trainer=trainer)
-    distinct: dict[bytes, Any] = {}
-    names: list[list[list[bytes]]] = []
-    for kind in along.names.values():
-        names.append([])
-        for checkpoint in kind:
-            some = policies[checkpoint]
-            keys = [b"".join(x.tobytes() for x in (*p.weights, *p.biases)) for p in some]
-            distinct |= dict(zip(keys, some, strict=True))
-            names[-1].append(keys)
-    rows = dict(zip(distinct, _evaluate(few, list(distinct.values())), strict=True))
-    return np.array([[[rows[key] for key in keys] for keys in kind] for kind in names])
 
 
 # ---- the whole -------------------------------------------------------------------------------
@@ -257,7 +217,6 @@ class Build:
         keep: checkpoints to evaluate, of a trainer that offers several (`ManyTrainer`).
         lanes: sources trained together, P.
         kept: folder of policies that are only to be evaluated again; None: train.
-        along: rows along the trainings, of a `ManyTrainer`, if any.
         every: train only on every n-th context, beginning with the first; all are targets.
     """
 
@@ -269,7 +228,6 @@ class Build:
     keep: tuple[str, ...] = (ONLY,)
     lanes: int = 1
     kept: Path | None = None
-    along: Along | None = None
     every: int = 1
 
     def __post_init__(self) -> None:
@@ -279,17 +237,12 @@ class Build:
             )
         if self.lanes < 1:
             raise InvalidInput(f"lanes must be >= 1, got {self.lanes}")
-        if self.along and not isinstance(self.trainer, ManyTrainer):
-            raise InvalidInput(
-                "rows along a training need a trainer that keeps weights on the way (the jax "
-                f"engine and the traffic twins do), got {type(self.trainer).__name__}"
-            )
 
     @property
     def claim(self) -> dict[str, Any]:
         """JSON-able; what a folder must have been begun with to go on."""
         own = {"seed": self.seed, "lanes": self.lanes, "keep": self.keep}
-        more: dict[str, Any] = {"along": asdict(self.along)} if self.along else {}
+        more: dict[str, Any] = {}
         if self.every != 1:
             more["every"] = self.every
         if self._sizes != even_groups(len(self.sources), self.lanes):
@@ -327,7 +280,6 @@ class Build:
                 self.folder / f"sources-{some[0]:05d}.npz",
                 self.kept or self.folder / "policies",
                 self.kept is None,
-                self.along,
             )
             for some in groups
         ]
@@ -372,14 +324,6 @@ class Build:
             StorageError: pieces are missing, or were written by an older version.
         """
         return np.concatenate(self._entries(f"{checkpoint}_returns"))
-
-    def along_returns(self) -> Floats:
-        """(2, L, M, N, E) of the rows along the trainings, in the order of `Along.names`."""
-        return np.concatenate(self._entries("along_returns"), axis=2)
-
-    def lasted(self) -> NDArray[np.int64]:
-        """(M, 3) environment steps, or episodes, of each training: done, planned, of an update."""
-        return np.concatenate(self._entries("lasted"))
 
     def seconds(self, key: str = "seconds") -> float:
         """Wall time of all pieces together, seconds of one process; of the training alone by

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import typer
 
 from mbtl.cli.common import JsonFlag, console, print_json
-from mbtl.engine.checkpoints import Along
 from mbtl.errors import InvalidInput
 from mbtl.problems import CMDP, cmdp_ids, get_cmdp, resolve_cmdp
 from mbtl.trainers.contract import ManyTrainer
@@ -76,16 +75,6 @@ def build(
             help="Policies to evaluate: best, final, or both (two sets from one training)."
         ),
     ] = None,
-    along: Annotated[
-        int,
-        typer.Option(
-            help="Also rows along each training, at 1/64, 1/32, ... of its length, of so many "
-            "episodes; into the folder `curves`. 0: none."
-        ),
-    ] = 0,
-    halvings: Annotated[
-        int, typer.Option(help="Shortest length that --along keeps: 6 means 1/64 of a training.")
-    ] = 6,
     kinds: Annotated[
         str | None,
         typer.Option(
@@ -193,12 +182,9 @@ def build(
                 "algorithm": algorithm,
                 "recipe": recipe,
                 "checkpoint": checkpoint,
-                "along": along or None,
-                "halvings": halvings if along else None,
             },
         ),
         usual=usual,
-        along=Along(along, halvings) if along else None,
         every=sources_every,
     )
     # before anything is trained

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mbtl.cli.common import LongWork, console
-from mbtl.engine.checkpoints import Along
-from mbtl.errors import InvalidInput, cannot_write
+from mbtl.errors import InvalidInput
 from mbtl.files import claim_of
 from mbtl.problems import CMDP
 from mbtl.processes import usable_cores
@@ -24,7 +21,6 @@ from mbtl.settings import first_difference
 from mbtl.trainers.contract import Trainer, recipe_of
 from mbtl.zoo.benchmark import TransferMatrix, save_shipped
 from mbtl.zoo.benchmark.build import ONLY, Build
-from mbtl.zoo.benchmark.curves import FOLDER, TransferCurves
 from mbtl.zoo.benchmark.shipped import DEFAULT, matrix_id, shipped_file
 
 
@@ -41,7 +37,6 @@ class Job:
         variant: name of the set.
         command: that builds it, but for the seed.
         usual: the checkpoint that the preset keeps; the file of another is named after it.
-        along: rows along the trainings, if any.
         every: every n-th context is a source; all are targets.
     """
 
@@ -53,7 +48,6 @@ class Job:
     variant: str
     command: str
     usual: str
-    along: Along | None = None
     every: int = 1
 
     @property
@@ -89,10 +83,6 @@ class Job:
             return self.variant
         return checkpoint if self.variant == DEFAULT else f"{self.variant}-{checkpoint}"
 
-    def curves_file(self, out: Path, seed: int) -> Path:
-        """Where the rows along its trainings are to be saved."""
-        return shipped_file(out / FOLDER, self.cmdp.id, self.variant, seed)
-
     def there(self, out: Path, seed: int) -> dict[Path, TransferMatrix]:
         """The finished files of a seed; empty unless all are there.
 
@@ -111,10 +101,7 @@ class Job:
                         f"{file} has {there} sources and this build {wanted}; name the set with "
                         "--variant, or move the file away"
                     )
-        complete = len(found) == len(self.checkpoints)
-        if self.along and not self.curves_file(out, seed).is_file():
-            complete = False
-        return found if complete else {}
+        return found if len(found) == len(self.checkpoints) else {}
 
     def run(self, building: Build, out: Path, workers: int | None) -> dict[Path, TransferMatrix]:
         """Train and evaluate what is missing, and write the files of a seed."""
@@ -137,8 +124,6 @@ class Job:
                 name=file.name,
             )
             save_shipped(built[file], out, self.cmdp.id, self._named(checkpoint), first_seed=seed)
-        if building.along is not None:
-            self._write_curves(building, building.along, out)
         if building.kept is not None:  # its pieces would pass for a later evaluation
             shutil.rmtree(building.folder, ignore_errors=True)
         return built
@@ -157,26 +142,6 @@ class Job:
             "evaluated": building.origins("evaluated"),
         }
 
-    def _write_curves(self, building: Build, along: Along, out: Path) -> None:
-        file = self.curves_file(out, building.seed)
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise cannot_write(file, error) from error
-        done, (planned, *_), (update, *_) = building.lasted().T.tolist()
-        TransferCurves.of_episodes(
-            building.along_returns(),
-            np.array(done),
-            [math.ceil(planned // update * share) * update for share in along.shares],
-            name=file.name,
-            space=self.cmdp.space,
-            bounds=self.cmdp.normalisation,
-            theta=self.cmdp.theta,
-            unit="steps" if "timesteps" in self.settings["recipe"] else "episodes",
-            provenance={**self.settings, **self._record(building)},
-            sources=None if self.every == 1 else np.array(self.sources),
-        ).save(file)
-
     def building(self, work: Path, seed: int) -> Build:
         """In its folder below `work`."""
         name = matrix_id(self.cmdp.id, self.variant)
@@ -188,7 +153,6 @@ class Job:
             self.settings,
             self.checkpoints,
             self.lanes,
-            along=self.along,
             every=self.every,
         )
 
@@ -216,7 +180,7 @@ class Job:
                 f"evaluated again: {name} was {was!r}, got {got!r}"
             )
         folder, kept = begun.folder / "evaluated-again", begun.folder / "policies"
-        return replace(begun, folder=folder, kept=kept, along=None)
+        return replace(begun, folder=folder, kept=kept)
 
 
 def _perform(building: Build, workers: int, label: str) -> None:
