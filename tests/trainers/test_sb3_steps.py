@@ -119,6 +119,22 @@ def test_a_training_that_begins_from_another_model_acts_as_that_until_it_learns(
 
 @pytest.mark.parametrize("algorithm", ["PPO", "DQN"])
 @pytest.mark.parametrize("unit", ["timesteps", "episodes"])
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_training_may_become_longer_than_a_unit(algorithm, unit, count, tmp_path):
+    one, contexts = trainer(algorithm=algorithm), [POLE, {"length": 1.0}][:count]
+    if unit == "episodes":
+        one = replace(one, timesteps=None, episodes=12)
+    file = tmp_path / "training"
+    first, second = (one.train(contexts, 3, length=each, state=file) for each in (1.0, 1.5))
+    straight = one.train(contexts, 3, length=1.5)
+    assert first.steps < second.steps
+    assert not same(first.policy, second.policy)
+    if unit == "timesteps":
+        assert second.steps == straight.steps == 1.5 * one.whole
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "DQN"])
+@pytest.mark.parametrize("unit", ["timesteps", "episodes"])
 def test_without_its_state_a_training_goes_on_from_its_latest_policy(algorithm, unit):
     left, told = [], []
     one = trainer(algorithm=algorithm)

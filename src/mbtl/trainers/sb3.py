@@ -171,7 +171,8 @@ class SB3Trainer:
         On several contexts one is drawn uniformly for every episode, which any algorithm learns
         from unchanged. A training of a given `length` goes up to whole rollouts, and its policy has
         the latest weights, whatever `checkpoint` says: who chooses lengths evaluates policies on
-        the way, and the best of them serves. A `start` is a model of this algorithm.
+        the way, and the best of them serves. Its schedules follow one unit, or the length where
+        that is more; the library's own rates are constant. A `start` is a model of this algorithm.
 
         Returns:
             The policy is the library's model, without its environments and buffers; in an
@@ -190,6 +191,7 @@ class SB3Trainer:
         context, by_episodes = contexts[0], self.episodes is not None
         until = None if length is None else round(length * self.whole)
         begun, name = round(done * self.whole), run_name(context, seed)
+        planned = max(self.whole, until or 0)
         algorithm = self._algorithm()  # before torch is needed
         with ExitStack() as stack:
             stack.enter_context(isolated(self.threads))
@@ -208,7 +210,7 @@ class SB3Trainer:
             told = on_progress
             if by_episodes and until is not None:
                 told = in_steps(on_progress, played)
-            watch = Watch(model, self.whole, told, best, episodes, self._score)
+            watch = Watch(model, planned, told, best, episodes, self._score)
             anew = found is None and begun == 0
             if until is None:
                 learn(model, self.timesteps, watch, name, anew=anew)
@@ -219,7 +221,7 @@ class SB3Trainer:
             else:
                 if watch.done < until:
                     with pausing(model, watch, until, state):
-                        learn(model, self.timesteps, watch, name, anew=anew)
+                        learn(model, None if by_episodes else planned, watch, name, anew=anew)
                     if state is not None:
                         freeze(model, watch, state)
                 watch.report(watch.done)
