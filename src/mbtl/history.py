@@ -71,6 +71,8 @@ class History:
         under_way: trainings of other kinds that others are at.
         given_up: likewise, that gave nothing.
         paid: units of the budget that are spent or set aside; what is left pays for trainings.
+        others: (N,) the best performance of policies that are not among the rows; None: there are
+            none.
     """
 
     n_targets: int
@@ -84,6 +86,7 @@ class History:
     under_way: tuple[Training, ...] = ()
     given_up: tuple[Training, ...] = ()
     paid: float = 0.0
+    others: Array | None = None
 
     def __post_init__(self) -> None:
         if self.rows.size == 0 and not self.sources:
@@ -113,10 +116,14 @@ class History:
         return (*done, *self.under_way, *self.given_up, *alone)
 
     def specialists(self) -> History:
-        """The same without all other trainings: what a selector may see."""
+        """The same without all other trainings: what a selector may see.
+
+        Of those it knows the best performance alone, which a specialist must exceed to be of use.
+        """
         kept = [i for i, one in enumerate(self.trainings) if one.is_specialist]
         if len(kept) == len(self.trainings):
             return self
+        left_out = np.delete(self.rows, kept, axis=0)
         return replace(
             self,
             sources=tuple(self.sources[i] for i in kept),
@@ -125,7 +132,12 @@ class History:
             trainings=(),
             under_way=(),
             given_up=(),
+            others=self.at_least(generalisation_performance(left_out)),
         )
+
+    def at_least(self, best: Array | float) -> Array:
+        """(N,) or (..., N) `best`, or that of the other policies where it is higher."""
+        return np.asarray(best if self.others is None else np.maximum(best, self.others))
 
     def with_row(self, source: int, row: Array) -> History:
         """The history after one more training; `row` is (N,) performance, taken as exact."""
@@ -161,7 +173,7 @@ class History:
     @cached_property
     def best(self) -> Array:
         """(N,) generalisation performance so far; -inf before the first row."""
-        return generalisation_performance(self.rows)
+        return self.at_least(generalisation_performance(self.rows))
 
     @cached_property
     def training_performance(self) -> Array:

@@ -56,6 +56,8 @@ class Beliefs:
         if self.model.noisy or not np.isfinite(self.history.rows[:, targets]).all():
             # the best of noisy or missing entries is what the model believes them to be
             best = self._believed(targets).max(axis=0)
+            if self.history.others is not None:
+                best = np.maximum(best, self.history.others[targets])
         waiting = np.asarray(self.history.pending, dtype=np.intp)
         if len(waiting):
             best = np.maximum(best, self.model.means(waiting, targets).max(axis=0))
@@ -68,6 +70,8 @@ class Beliefs:
         known = None if told.errors is None else np.square(told.errors[:, targets])
         sources, waiting = (np.asarray(s, dtype=np.intp) for s in (told.sources, told.pending))
         best = self.trend.believed(sources, targets, rows, known).max(axis=0)
+        if told.others is not None:
+            best = np.maximum(best, told.others[targets])
         if len(waiting):
             best = np.maximum(best, self.trend.predict(waiting, targets)[0].max(axis=0))
         return np.asarray(best)

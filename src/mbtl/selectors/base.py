@@ -242,7 +242,7 @@ def served(problem: SelectionProblem, history: History) -> Array:
         return history.best
     believed = Beliefs(problem, history.sources, history.rows, history.errors)
     filled = np.where(seen, history.rows, believed.on(np.arange(problem.n))[0])
-    return generalisation_performance(filled)
+    return history.at_least(generalisation_performance(filled))
 
 
 _USUAL = 0.9

@@ -22,7 +22,7 @@ class AllFirst:
     takes one context at a time, or that training gives nothing, there are only specialists.
 
     Attributes:
-        selector: chooses their contexts; it does not see the policy for all.
+        selector: chooses their contexts; of the policy for all it knows what that is worth.
         name: what results call it.
     """
 
@@ -36,7 +36,7 @@ class AllFirst:
         """All contexts, if that was not tried; else what the selector says."""
         if (first := on_all(problem, history)) is not None:
             return first
-        units = min(problem.budget, problem.n)
+        units = min(problem.budget, len(problem.sources))
         alone = replace(problem, budget=units, abilities=None)
         return self.selector.propose(alone, history.specialists(), rng)
 
