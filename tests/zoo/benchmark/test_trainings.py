@@ -1,0 +1,112 @@
+"""Replay of strategies on transfer data: what is asked for is rounded, charged and answered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import transfer_worlds
+from mbtl.history import Training
+from mbtl.selectors import Exhausted, Proposal, Traits, get_selector
+from mbtl.zoo.benchmark.replay import replay
+from mbtl.zoo.benchmark.trainings import TransferWorld, replay_trainings, specialists_of
+
+DATA = transfer_worlds.tuning_pays()
+ALL = tuple(DATA.sources.tolist())
+X = DATA.space.unit[:, 0]
+
+
+@dataclass(frozen=True)
+class Scripted:
+    """Asks for one after the other, whatever came of it."""
+
+    script: tuple
+    name: str = "scripted"
+    traits: ClassVar[Traits] = Traits(any_training=True)
+
+    def propose(self, problem, history, rng):
+        asked = len(history.asked)
+        if asked == len(self.script):
+            raise Exhausted("the script is over")
+        return self.script[asked]
+
+
+def asked(*script, budget=15):
+    return replay_trainings(Scripted(script), TransferWorld(DATA, 0), budget)
+
+
+def everybody(length, start=None):
+    return Proposal(20, "", length=length, start=start, sources=ALL)
+
+
+def test_what_is_asked_for_is_rounded_to_a_mark_and_charged_from_where_it_began():
+    run = asked(
+        everybody(0.3),  # to .5
+        everybody(3.0, start=0),  # on to 4
+        Proposal(10, "", start=1, length=0.4),  # a copy of the policy of 4 units, for .5
+        Proposal(10, "", start=2, length=0.8),  # and on to 1
+        Proposal(12, "", start=0, length=0.5),  # no parent is as short
+        everybody(8.0, start=1),
+        Proposal(12, "", start=4, length=1.0),  # of 8 units: that of 4 answers
+        Proposal(11, ""),  # none of the sources
+        Proposal(14, ""),
+        everybody(15.0, start=4),  # 7 units, and 4 are left
+    )
+    assert run.trainings == (
+        Training(ALL, None, 0.5),
+        Training(ALL, 0, 4.0, goes_on=True),
+        Training((10,), 1, 0.5),
+        Training((10,), 2, 1.0, goes_on=True),
+        Training(ALL, 1, 8.0, goes_on=True),
+        Training((12,), 4, 1.0),
+        Training((14,)),
+    )
+    assert run.units == pytest.approx([0.5, 4.0, 4.5, 5.0, 9.0, 10.0, 11.0])
+    rows = run.history.rows
+    assert rows[1] == pytest.approx(DATA.generalists[4.0][0, 0])
+    gain = 0.4 * np.maximum(1 - np.abs(X - X[10]) / 0.15, 0.0)
+    assert rows[2] - rows[1] == pytest.approx(0.5 * gain)
+    assert rows[3] - rows[1] == pytest.approx(gain)
+    assert rows[5] - rows[1] == pytest.approx(0.4 * np.maximum(1 - np.abs(X - X[12]) / 0.15, 0.0))
+    assert run.value == pytest.approx([rows[: k + 1].max(axis=0).mean() for k in range(len(rows))])
+    assert (run.at(0.4), run.at(4.4), run.at(15)) == pytest.approx(
+        (np.nan, run.value[1], run.value[-1]), nan_ok=True
+    )
+
+
+def test_what_cannot_be_answered_gave_nothing_and_cost_nothing():
+    run = asked(Proposal(8, "", sources=(8, 10)), Proposal(11, ""), Proposal(10, ""))
+    assert run.history.given_up == (Training((8, 10)),)
+    assert run.history.failed == (11,)
+    assert run.history.sources == (10,)
+    assert run.units == pytest.approx([1.0])
+
+
+@pytest.mark.parametrize("name", ["mbtl", "m-mbtl", "auto"])
+def test_a_selector_is_replayed_as_on_the_matrix_of_specialists(name):
+    data = transfer_worlds.one_for_all_fails(noise=0.05, seeds=(0, 1))
+    matrix, selector = specialists_of(data), get_selector(name)
+    run = replay_trainings(selector, TransferWorld(data, 1), 5)
+    assert run.value == pytest.approx(
+        [float(v) for v in measured(matrix, [one.contexts[0] for one in run.trainings])]
+    )
+    if name != "auto":  # that one heeds the noise, which the other replay does not tell
+        plain = replay(selector, matrix.problem(5), lambda x: matrix.rows(1, [x])[0])
+        assert [one.contexts[0] for one in run.trainings] == list(plain.history.sources)
+
+
+def measured(matrix, sources):
+    from mbtl.zoo.benchmark.base import measured_curve
+
+    return measured_curve(matrix, 1, sources)
+
+
+def test_noise_is_told_as_standard_errors_and_v_is_of_the_other_episodes():
+    data = transfer_worlds.one_policy_suffices(noise=0.2)
+    run = replay_trainings(Scripted((everybody(1.0),)), TransferWorld(data, 0), 1)
+    assert run.history.errors[0] == pytest.approx(0.2 / np.sqrt(10))
+    assert run.history.rows[0] == pytest.approx(data.generalists[1.0][0, 0])
+    assert run.value == pytest.approx([data.generalists[1.0][0, 1].mean()])
