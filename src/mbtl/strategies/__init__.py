@@ -4,7 +4,8 @@ A selector is the strategy that only says on which context to train next, from s
 """
 
 from mbtl.strategies.all_first import AllFirst
+from mbtl.strategies.auto import Auto
 from mbtl.strategies.one_policy import OnePolicy
 from mbtl.strategies.registry import get_strategy, strategy_names
 
-__all__ = ["AllFirst", "OnePolicy", "get_strategy", "strategy_names"]
+__all__ = ["AllFirst", "Auto", "OnePolicy", "get_strategy", "strategy_names"]

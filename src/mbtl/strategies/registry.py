@@ -8,9 +8,15 @@ from mbtl.errors import unknown_name
 from mbtl.selectors import get_selector, selector_names
 from mbtl.selectors.contract import Proposes, Selector
 from mbtl.strategies.all_first import AllFirst
+from mbtl.strategies.auto import Auto
 from mbtl.strategies.one_policy import OnePolicy
 
-_FACTORIES: dict[str, Callable[[], Selector]] = {"all-first": AllFirst, "one-policy": OnePolicy}
+_FACTORIES: dict[str, Callable[[], Selector]] = {
+    "all-first": AllFirst,
+    "one-policy": OnePolicy,
+    # "auto" names the selector so far; it becomes "specialists" when this one is the default
+    "auto-trainings": Auto,
+}
 
 
 def strategy_names() -> list[str]:

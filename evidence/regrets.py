@@ -1,0 +1,278 @@
+"""Regrets of `auto`: V at every budget, minus that of the best rival there.
+
+    python evidence/regrets.py [--folder runs/transfers] [--cmdps a b] [--without] [--json]
+
+Trainings of every kind are replayed on transfer data. Rivals, each by the mean over seeds: the
+paper's MBTL, Greedy, Random's mean, m-mbtl, the chooser of specialists alone; one policy for all
+with all the units; that policy with one unit and then random specialists. A regret is negative
+where a rival is ahead. Shares are of the way from one random specialist (0) to Oracle
+Transfer of all specialists (1). "upper" knows all rows: the policy for all to the best mark, and
+then copies and specialists by gain per unit. Independent has as many units as there are contexts,
+so it stands beside the table.
+
+`--without` leaves out each device of `auto` in turn. The model of the chooser has not seen the
+family; the shares that are usual were chosen on all of these data.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.errors import UnknownName
+from mbtl.history import History
+from mbtl.selectors import Proposal, SelectionProblem, Selector, get_selector
+from mbtl.strategies import OnePolicy
+from mbtl.strategies.auto import Auto
+from mbtl.zoo.benchmark import levels
+from mbtl.zoo.benchmark.oracle import random_curve
+from mbtl.zoo.benchmark.trainings import (
+    TransferWorld,
+    replay_trainings,
+    specialists_of,
+)
+from mbtl.zoo.benchmark.transfers import TransferData, load_transfers, transfer_ids
+from mbtl.zoo.cmdps import get_cmdp
+
+BUDGETS = tuple(range(1, 16))
+CHOOSERS = ("mbtl", "greedy", "m-mbtl", "auto")
+ORDERS = 200
+"""Random orders of specialists after the policy for all."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """One CMDP, seeds stacked; V at every budget.
+
+    Attributes:
+        rivals: name -> (S, B).
+        low, high, independent: (S,) one random specialist, Oracle Transfer, Independent.
+        upper: (S, B).
+    """
+
+    rivals: Mapping[str, Array]
+    low: Array
+    high: Array
+    independent: Array
+    upper: Array
+
+    def share(self, value: Array) -> Array:
+        """(B,) of the way, seeds as a ratio of sums."""
+        return (value - self.low[:, None]).sum(0) / (self.high - self.low).sum()
+
+    def regret(self, value: Array) -> Array:
+        """(B,) V minus that of the best rival."""
+        return value.mean(0) - np.max([rows.mean(0) for rows in self.rivals.values()], axis=0)
+
+
+@dataclass(frozen=True)
+class Remembering:
+    """A chooser that is not asked twice in the same situation, by runs of other budgets."""
+
+    chooser: Selector
+    name: str = "remembering"
+    answers: dict[bytes, Proposal] = field(default_factory=dict)
+
+    def propose(
+        self, problem: SelectionProblem, history: History, rng: np.random.Generator
+    ) -> Proposal:
+        """As it was answered before, or as the chooser says."""
+        entries = (history.rows, history.others, history.pending, history.failed, problem.weights)
+        arrays = [np.asarray(() if one is None else one, dtype=float) for one in entries]
+        key = b"|".join(one.tobytes() for one in (*arrays, np.array(history.sources)))
+        if key not in self.answers:
+            self.answers[key] = self.chooser.propose(problem, history, rng)
+        return self.answers[key]
+
+
+def theta_of(name: str) -> float | None:
+    try:
+        return get_cmdp(name).theta
+    except UnknownName:
+        return None
+
+
+def world_of(data: TransferData, seed: int) -> TransferWorld:
+    return TransferWorld(data, seed, theta_of(data.name))
+
+
+def table_of(data: TransferData) -> Table:
+    theta = theta_of(data.name)
+    matrix, family = specialists_of(data, theta), data.name.split("-")[0]
+    rivals: dict[str, list[list[float]]] = {}
+    upper, most = [], min(len(data.sources), BUDGETS[-1])
+    for seed in range(data.n_seeds):
+        world = world_of(data, seed)
+        for name in CHOOSERS:
+            selector = get_selector(name)
+            selector = selector.without(family) if hasattr(selector, "without") else selector
+            run = replay_trainings(selector, world, BUDGETS[-1])
+            known = "specialists" if name == "auto" else name
+            rivals.setdefault(known, []).append([run.at(b) for b in BUDGETS])
+        curve = random_curve(matrix, seed, most)
+        rivals.setdefault("random", []).append([curve[min(b, most) - 1] for b in BUDGETS])
+        run = replay_trainings(OnePolicy(), world, BUDGETS[-1])
+        rivals.setdefault("one policy", []).append([run.at(b) for b in BUDGETS])
+        rivals.setdefault("all, then random", []).append(all_then_random(data, seed))
+        upper.append([upper_value(data, seed, budget) for budget in BUDGETS])
+    known = [levels(matrix, seed) for seed in range(data.n_seeds)]
+    return Table(
+        {name: np.array(rows) for name, rows in rivals.items()},
+        np.array([one.grand_mean for one in known]),
+        np.array([one.oracle_transfer for one in known]),
+        np.array([one.independent for one in known]),
+        np.array(upper),
+    )
+
+
+def all_then_random(data: TransferData, seed: int) -> list[float]:
+    """Mean V over orders of the policy for all with one unit and specialists."""
+    weights, rng = data.space.weights, np.random.default_rng(0)
+    seen, fresh = data.bounds.normalise(data.specialists[seed])
+    total = np.zeros(len(BUDGETS))
+    for _ in range(ORDERS):
+        best, now = (row.copy() for row in data.bounds.normalise(data.generalists[1.0][seed]))
+        order = rng.permutation(len(seen))
+        for i, budget in enumerate(BUDGETS):
+            if 1 < budget <= len(order) + 1:
+                row = order[budget - 2]
+                wins = seen[row] > best
+                now[wins], best[wins] = fresh[row][wins], seen[row][wins]
+            total[i] += now @ weights
+    return (total / ORDERS).tolist()
+
+
+def upper_value(data: TransferData, seed: int, budget: float) -> float:
+    """V of who knows all rows: greedy by gain per unit, after each length of the policy for all."""
+    weights, normalise = data.space.weights, data.bounds.normalise
+    lone = normalise(data.specialists[seed])
+    found = []
+    for mark in (0.0, *data.generalists):
+        if mark > budget + 1e-9:
+            continue
+        seen = [(row, fresh) for row, fresh in zip(*lone, strict=True)]
+        price = [1.0] * len(seen)
+        for (parent, units), rows in data.tuned.items():
+            if parent <= mark:
+                seen += list(zip(*normalise(rows[seed]), strict=True))
+                price += [units] * rows.shape[2]
+        rows, fresh = (np.array(each) for each in zip(*seen, strict=True))
+        prices, left = np.array(price), budget - mark
+        best = np.full(data.n, -np.inf)
+        now = np.full(data.n, np.nan)
+        for own in sorted(data.generalists):
+            if own <= mark:
+                row, new = normalise(data.generalists[own][seed])
+                wins = row > best
+                best[wins], now[wins] = row[wins], new[wins]
+        while (prices <= left + 1e-9).any():
+            base = best if np.isfinite(best).all() else np.zeros(data.n)
+            gain = np.where(
+                prices <= left + 1e-9, (np.maximum(rows, best) - base) @ weights / prices, -np.inf
+            )
+            chosen = int(gain.argmax())
+            wins = rows[chosen] > best
+            best[wins], now[wins] = rows[chosen][wins], fresh[chosen][wins]
+            left -= prices[chosen]
+        found.append((float(best @ weights), float(now @ weights)))
+    return max(found)[1] if found else float("nan")
+
+
+def values(strategy: Auto, data: TransferData, budgets: tuple[int, ...]) -> Array:
+    """(S, B) V of a strategy that knows its budget, a run for each."""
+    honest, found = strategy.without(data.name.split("-")[0]), []
+    for seed in range(data.n_seeds):
+        once = replace(honest, chooser=Remembering(honest.chooser))
+        runs = [replay_trainings(once, world_of(data, seed), budget) for budget in budgets]
+        found.append([run.at(budget) for run, budget in zip(runs, budgets, strict=True)])
+    return np.array(found)
+
+
+def variants() -> dict[str, Auto]:
+    """`auto`, and without each of its devices."""
+    auto = Auto()
+    return {
+        "auto": auto,
+        "no early look": replace(auto, first=1.0),
+        "whole copies": replace(auto, copy=1.0),
+        "no copies": replace(auto, copy=np.inf),
+        "nothing is usual": replace(auto, doubt=1e-3),
+        "the last doubling is all": replace(auto, double_share=0.0),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--folder", help="of transfer data; those of the package when missing")
+    parser.add_argument("--cmdps", nargs="+", help="some of them")
+    parser.add_argument("--without", action="store_true", help="leave out each device, too")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    names = args.cmdps or transfer_ids(args.folder)
+    strategies = variants() if args.without else {"auto": Auto()}
+    found: dict[str, dict[str, dict[str, list[float]]]] = {label: {} for label in strategies}
+    for name in names:
+        data = load_transfers(name, folder=args.folder)
+        table = table_of(data)
+        for label, strategy in strategies.items():
+            value = values(strategy, data, BUDGETS)
+            best = [
+                max(table.rivals, key=lambda who: table.rivals[who].mean(0)[i])
+                for i in range(len(BUDGETS))
+            ]
+            found[label][name] = {
+                "regret": table.regret(value).round(4).tolist(),
+                "error": (value.std(0, ddof=1) / np.sqrt(len(value))).round(4).tolist(),
+                "share": table.share(value).round(3).tolist(),
+                "upper": table.share(table.upper).round(3).tolist(),
+                "independent": [round(float((value[:, -1] - table.independent).mean()), 3)],
+                "rival": best,
+                "seeds": [len(value)],
+            }
+        print(name, file=sys.stderr, flush=True)
+    if args.json:
+        print(json.dumps(found))
+        return
+    for label, rows in found.items():
+        print(f"\n{label}" if args.without else "")
+        if label == "auto":
+            show(rows)
+        total(rows)
+
+
+def show(rows: Mapping[str, Mapping[str, list[float]]]) -> None:
+    """One line per CMDP."""
+    print(
+        "| CMDP | seeds | worst regret | at units | behind | mean | share at 3 | at 15 "
+        "| upper at 3 | at 15 | V - Independent |\n|---|---|---|---|---|---|---|---|---|---|---|"
+    )
+    for name, row in rows.items():
+        regret = np.array(row["regret"])
+        at = int(regret.argmin())
+        print(
+            f"| {name} | {row['seeds'][0]} | {regret[at]:.3f} | {BUDGETS[at]} | {row['rival'][at]}"
+            f" | {regret.mean():.3f} | {row['share'][2]:.2f} | {row['share'][-1]:.2f} | "
+            f"{row['upper'][2]:.2f} | {row['upper'][-1]:.2f} | {row['independent'][0]:+.3f} |"
+        )
+
+
+def total(rows: Mapping[str, Mapping[str, list[float]]]) -> None:
+    """In one line."""
+    regrets = np.array([row["regret"] for row in rows.values()])
+    shares = np.array([row["share"] for row in rows.values()])
+    print(
+        f"\n{len(rows)} CMDPs: worst {regrets.min():.3f}, mean {regrets.mean():.3f}, mean of the "
+        f"worst {regrets.min(1).mean():.3f}, behind by more than .01 at "
+        f"{(regrets < -0.01).mean():.0%} of budgets; median share at 3 units "
+        f"{np.median(shares[:, 2]):.2f}, at 15 {np.median(shares[:, -1]):.2f}"
+    )
+
+
+if __name__ == "__main__":
+    main()

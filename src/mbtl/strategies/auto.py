@@ -1,0 +1,400 @@
+"""Auto: all contexts first, then each unit where it is expected to add most to V.
+
+Three kinds of trainings compete at every pick, by the gain in V per unit that each is expected to
+bring:
+
+    all contexts, longer    the gain of the last doubling, a little less of it
+    a copy, tuned on x      what a chooser of contexts expects of copies so far, their rows taken
+                            relative to their parent's
+    x alone, from scratch   what the same chooser expects of specialists so far
+
+Both choosers know what the other policies are worth (`History.others`). Before the first copy, and
+the first specialist, a share of the headroom stands for what it brings. What the trainer cannot do
+is left out, and so is what was tried and gave nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from mbtl.arrays import Array
+from mbtl.history import History, Training
+from mbtl.models.beliefs import Beliefs
+from mbtl.objective import generalisation_performance, worst_share_mean, worst_share_weights
+from mbtl.selectors.auto import Auto as Specialists
+from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem
+from mbtl.selectors.contract import LearnedSelector, Selector, Traits
+from mbtl.strategies.all_first import on_all
+
+_LEAST = 1e-3
+"""Units that are worth training for."""
+_LAST = 3
+"""Trainings of a kind that say how much its next one adds at most."""
+_LITTLE = 0.05
+"""Headroom that there always is: performance may exceed 1."""
+_ONE_AT_A_TIME = (
+    "this trainer takes one context at a time, so no policy for several is tried; "
+    "train(contexts, seed, *, start=None, length=None) can do all"
+)
+_FROM_SCRATCH = "this trainer cannot begin with a policy, so none is tuned or trained longer"
+
+
+class Option(NamedTuple):
+    """A training that could be next: expected gain in V, and price in units of mean cost."""
+
+    proposal: Proposal
+    gain: float
+    price: float
+
+
+class Kind(NamedTuple):
+    """Trainings on one context, of which a chooser says the next one.
+
+    Attributes:
+        name: for people.
+        problem: as the chooser sees it.
+        known: likewise, those so far.
+        units: what one costs.
+        usual: gain in V that is usual.
+        most: gain in V that is to be expected at most.
+        start: row of the policy it begins with.
+        length: units that are asked for.
+    """
+
+    name: str
+    problem: SelectionProblem
+    known: History
+    units: float
+    usual: float
+    most: float
+    start: int | None = None
+    length: float | None = None
+
+
+@dataclass(frozen=True)
+class Auto:
+    """The best of three kinds of trainings, beginning with all contexts.
+
+    Attributes:
+        chooser: of contexts, for specialists and for copies.
+        first: units after which the policy for all is looked at for the first time.
+        copy: units of a copy.
+        slows: gain of a doubling, as a share of that of the one before.
+        double_share: gain that is usual of a doubling, as a share of the headroom.
+        copy_share, fresh_share: gain of the first copy and of the first specialist per unit, as a
+            share of the headroom.
+        doubt: trainings that what is usual counts as much as.
+        name: what results call it.
+    """
+
+    chooser: Selector = field(default_factory=Specialists)
+    first: float = 0.5
+    copy: float = 0.5
+    slows: float = 0.6
+    double_share: float = 0.2
+    copy_share: float = 0.1
+    fresh_share: float = 0.1
+    doubt: float = 0.5
+    name: str = "auto-trainings"
+    traits: ClassVar[Traits] = Traits(deterministic=True, predicts_chances=True, any_training=True)
+
+    def without(self, family: str) -> Auto:
+        """The same, had it never seen a family of problems; for honest benchmarks."""
+        if not isinstance(self.chooser, LearnedSelector):
+            return self
+        return replace(self, chooser=self.chooser.without(family))
+
+    def propose(
+        self, problem: SelectionProblem, history: History, rng: np.random.Generator
+    ) -> Proposal:
+        """All contexts, if that was not tried; else what is expected to pay most.
+
+        Raises:
+            Exhausted: nothing can be trained, or the policy for all is still in training.
+        """
+        standing = Standing(problem, history)
+        if (first := on_all(problem, history)) is not None:
+            # a look on the way says how fast it learns
+            early = standing.can_go_on and standing.left > 1.0
+            length = min(self.first, 1.0) if early else first.length
+            return replace(first, length=length, notes=standing.missing)
+        if standing.begins and any(standing.is_for_all(one) for one in history.under_way):
+            raise Exhausted("what is best next depends on the policy for all, in training now")
+        if standing.everybody is None:
+            chosen = self.chooser.propose(standing.alone, history.specialists(), rng)
+            return replace(chosen, notes=(*chosen.notes, *standing.missing))
+        options = self._options(standing, rng)
+        if not options:
+            raise Exhausted("of the budget there is nothing left that a training could be had for")
+        best = max(options, key=lambda one: one.gain / one.price).proposal
+        chance = _likeliest([one.proposal.chance for one in options])
+        left = _likeliest([one.proposal.chance_left for one in options])
+        return replace(best, chance=chance, chance_left=left)
+
+    def _options(self, standing: Standing, rng: np.random.Generator) -> list[Option]:
+        """Of each kind the best, but for kinds that cannot be the best: a chooser takes time."""
+        options = [] if (longer := self._longer(standing)) is None else [longer]
+        problem, kinds = standing.problem, (self._fresh(standing), self._copy(standing))
+        every = problem.least_gain is not None or problem.least_left is not None
+        for kind in sorted(kinds, key=lambda one: -one.most / one.units):
+            rate = max((one.gain / one.price for one in options), default=-np.inf)
+            if kind.units > standing.left + _LEAST or (kind.most / kind.units < rate and not every):
+                continue
+            try:
+                chosen = self.chooser.propose(kind.problem, kind.known, rng)
+            except Exhausted:
+                continue
+            done, gain = len(kind.known), kind.usual
+            if chosen.acquisition is not None:
+                gain = (self.doubt * gain + done * chosen.acquisition) / (self.doubt + done)
+            gain = min(gain, kind.most) * (done + 1.0) / (done + len(kind.known.failed) + 1.0)
+            proposal = replace(
+                chosen,
+                reason=f"{kind.name}: {chosen.reason}",
+                acquisition=gain,
+                start=kind.start,
+                length=kind.length,
+            )
+            options.append(Option(proposal, gain, kind.units * standing.cost(chosen.source)))
+        return options
+
+    def _longer(self, standing: Standing) -> Option | None:
+        """Twice as long, or as far as the budget goes."""
+        row, history, problem = standing.everybody, standing.history, standing.problem
+        assert row is not None
+        made = history.made(row)
+        more = min(made.length, standing.left)
+        if standing.begins:
+            more = min(1.0 - made.length, more)
+        if not standing.can_go_on or more < _LEAST:
+            return None
+        if any(one.start == row and one.goes_on for one in history.asked):
+            return None
+        reason, length = "all contexts, longer", made.length + more
+        gain, scatter, in_all = 1.0, np.inf, np.inf
+        if not standing.begins:
+            rise, seen = self.double_share * standing.headroom, len(standing.doublings)
+            if seen:
+                last, error = standing.doublings[-1]
+                reason += f": the last doubling added {last:.3f}"
+                rise = (self.doubt * rise + seen * self.slows * last) / (self.doubt + seen)
+                scatter = max(abs(last) / 2.0, error)
+            gain = standing.gained(standing.rows[row] + rise * np.log2(length / made.length))
+            in_all = rise * np.log2((made.length + standing.left) / made.length)
+        proposal = Proposal(
+            history.sources[row], reason, gain, start=row, length=length, sources=made.contexts,
+            chance=_chance(problem.least_gain, gain, scatter),
+            chance_left=_chance(problem.least_left, in_all, scatter),
+        )  # fmt: skip
+        return Option(proposal, gain, more)
+
+    def _copy(self, standing: Standing) -> Kind:
+        """Copies of the policy for all, tuned where the chooser says."""
+        any_length = "length" in standing.abilities
+        units = self.copy if any_length else 1.0
+        if "start" not in standing.abilities:
+            units = np.inf
+        # what counts are the targets that are worst today, not those that copies change least
+        weights = worst_share_weights(standing.best, standing.problem.weights, standing.alone.risk)
+        usual, known = self.copy_share * standing.usual * min(units, 1.0), standing.copies
+        return Kind(
+            "a copy of the policy for all",
+            replace(standing.alone, weights=weights, risk=1.0),
+            known,
+            units,
+            *self._expected(usual, known, standing.added[standing.copied]),
+            standing.everybody,
+            units if any_length else None,
+        )
+
+    def _fresh(self, standing: Standing) -> Kind:
+        """Specialists from scratch, where the chooser says."""
+        known, made = standing.history.specialists(), standing.history.made
+        rows = [row for row in range(len(standing.history)) if made(row).is_specialist]
+        expected = self._expected(self.fresh_share * standing.usual, known, standing.added[rows])
+        return Kind("from scratch", standing.alone, known, 1.0, *expected)
+
+    def _expected(self, usual: float, known: History, added: Array) -> tuple[float, float]:
+        """Gain that is usual of the next one of a kind, and the most that is to be expected of it.
+
+        That is what the last ones `added` to V, for the best comes first. While the first one is
+        under way, which will show what the kind is worth, another one is worth less.
+        """
+        if not len(known):
+            usual /= 1.0 + len(known.pending)
+        last = added[-_LAST:]
+        most = (self.doubt * usual + last.sum()) / (self.doubt + len(last))
+        return usual, float(most)
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How things stand at a pick."""
+
+    problem: SelectionProblem
+    history: History
+
+    @cached_property
+    def abilities(self) -> frozenset[str]:
+        """Of the trainer."""
+        return self.problem.abilities or frozenset()
+
+    @property
+    def can_go_on(self) -> bool:
+        """Whether a training can be made longer."""
+        return {"start", "length"} <= self.abilities
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What this trainer cannot try, in a sentence, beside the first pick."""
+        if self.history.asked or len(self.problem.sources) < 2:
+            return ()
+        if "sets" not in self.abilities:
+            return (_ONE_AT_A_TIME,)
+        return () if "start" in self.abilities else (_FROM_SCRATCH,)
+
+    @cached_property
+    def alone(self) -> SelectionProblem:
+        """The problem as a selector has it."""
+        units = min(self.problem.budget, len(self.problem.sources))
+        return replace(self.problem, budget=units, abilities=None)
+
+    @property
+    def left(self) -> float:
+        """Units of mean cost."""
+        problem, left = self.problem, self.problem.budget - self.history.paid
+        if problem.costs is None or problem.cost_budget is None:
+            return left
+        mean = float(problem.costs[problem.sources].mean())
+        return min(left, (problem.cost_budget - self.history.spent) / mean)
+
+    def is_for_all(self, training: Training) -> bool:
+        """On all that one may train on."""
+        return training.contexts == tuple(self.problem.sources.tolist())
+
+    @cached_property
+    def for_all(self) -> list[int]:
+        """Rows of policies for all contexts, the shortest training first."""
+        made = self.history.made
+        found = [row for row in range(len(self.history)) if self.is_for_all(made(row))]
+        return sorted(found, key=lambda row: (made(row).length, row))
+
+    @property
+    def everybody(self) -> int | None:
+        """Row of the policy for all that was trained longest."""
+        return self.for_all[-1] if self.for_all else None
+
+    @property
+    def begins(self) -> bool:
+        """Whether the policy for all has had less than a unit."""
+        return self.everybody is None or self.history.made(self.everybody).length < 1.0
+
+    @cached_property
+    def rows(self) -> Array:
+        """(k, N) performance, what was not evaluated as the transfer model believes it."""
+        rows = self.history.rows
+        seen = np.isfinite(rows)
+        if seen.all() or not seen.any():
+            return rows
+        believed = Beliefs(self.problem, self.history.sources, rows, self.history.errors)
+        return np.where(seen, rows, believed.on(np.arange(self.problem.n))[0])
+
+    @cached_property
+    def best(self) -> Array:
+        """(N,) of all policies."""
+        return generalisation_performance(self.rows)
+
+    def value(self, best: Array) -> float:
+        """V."""
+        return float(worst_share_mean(best, self.problem.weights, self.problem.risk))
+
+    def gained(self, row: Array) -> float:
+        """V that a policy with this row would add."""
+        return self.value(np.maximum(row, self.best)) - self.value(self.best)
+
+    @cached_property
+    def headroom(self) -> float:
+        """How far V is from performance 1, and no less than a little."""
+        return max(1.0 - self.value(self.best), _LITTLE)
+
+    @property
+    def usual(self) -> float:
+        """Headroom, less of it the longer the policy for all was trained."""
+        assert self.everybody is not None
+        return self.headroom / max(self.history.made(self.everybody).length, 1.0)
+
+    @cached_property
+    def doublings(self) -> list[tuple[float, float]]:
+        """Gains in mean performance when the policy for all was trained twice as long; errors."""
+        weights, errors, found = self.problem.weights, self.history.errors, []
+        for before, now in pairwise(self.for_all):
+            longer = self.history.made(now).length / self.history.made(before).length
+            if longer > 1.0:
+                gain = (self.rows[now] - self.rows[before]) @ weights
+                noise = 0.0 if errors is None else np.linalg.norm(errors[[before, now]] * weights)
+                found.append((float(gain / np.log2(longer)), float(noise / np.log2(longer))))
+        return found
+
+    @cached_property
+    def added(self) -> Array:
+        """(k,) V that each training added when it was told."""
+        best = np.maximum.accumulate(self.rows, axis=0)
+        values = worst_share_mean(best, self.problem.weights, self.problem.risk)
+        return np.diff(values, prepend=values[0] if len(values) else 0.0)
+
+    def is_copy(self, training: Training) -> bool:
+        """Of a policy for all, tuned on one context."""
+        return len(training.contexts) == 1 and training.start in self.for_all
+
+    @property
+    def copied(self) -> list[int]:
+        """Rows of copies."""
+        return [row for row in range(len(self.history)) if self.is_copy(self.history.made(row))]
+
+    @cached_property
+    def copies(self) -> History:
+        """Copies as if they were specialists, whose performance is what they add to their parent.
+
+        What the best of all policies has, relative to the policy for all of today, is `others`.
+        """
+        assert self.everybody is not None
+        history, rows, errors = self.history, self.copied, self.history.errors
+        starts = [history.made(row).start or 0 for row in rows]
+        if errors is not None:
+            errors = np.hypot(errors[rows], errors[starts])
+        return History(
+            self.problem.n,
+            tuple(history.sources[row] for row in rows),
+            history.rows[rows] - self.rows[starts],
+            tuple(one.contexts[0] for one in history.under_way if self.is_copy(one)),
+            tuple(one.contexts[0] for one in history.given_up if self.is_copy(one)),
+            errors,
+            history.spent,
+            others=self.best - self.rows[self.everybody],
+        )
+
+    def cost(self, source: int) -> float:
+        """Of a unit on a context, relative to the mean."""
+        costs = self.problem.costs
+        return 1.0 if costs is None else float(costs[source] / costs.mean())
+
+
+def _chance(least: float | None, gain: float, scatter: float) -> float | None:
+    """That a gain is `least` or more, where somebody asks."""
+    if least is None:
+        return None
+    from scipy.special import ndtr  # kept out of `import mbtl`
+
+    return float(ndtr((gain - least) / max(scatter, 1e-12))) if np.isfinite(gain) else 1.0
+
+
+def _likeliest(chances: Sequence[float | None]) -> float | None:
+    """The largest chance; None: of some training nothing is known, so it may be worth it."""
+    known = [chance for chance in chances if chance is not None]
+    return max(known) if known and len(known) == len(chances) else None

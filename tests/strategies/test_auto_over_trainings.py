@@ -1,0 +1,213 @@
+"""Auto over trainings: worlds in closed form, and live studies."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import mbtl
+import transfer_worlds
+from flat import created, ran
+from mbtl.history import History, Training
+from mbtl.selectors import Exhausted, get_selector
+from mbtl.strategies import OnePolicy
+from mbtl.strategies.auto import Auto
+from mbtl.zoo.benchmark.trainings import TransferWorld, replay_trainings
+
+N = 9
+SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})
+ALL = tuple(range(N))
+
+
+def run(data, strategy, budget=15):
+    return replay_trainings(strategy, TransferWorld(data, 0), budget)
+
+
+def kinds(trainings):
+    """E: for all, C: a copy, S: a specialist."""
+    return "".join(
+        "E" if len(one.contexts) > 1 else "S" if one.start is None else "C" for one in trainings
+    )
+
+
+# ---- worlds in closed form ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_where_one_policy_suffices_nearly_all_units_go_into_it(noise):
+    data = transfer_worlds.one_policy_suffices(noise=noise)
+    for budget in (1, 2, 4, 8):
+        auto, one = run(data, Auto(), budget), run(data, OnePolicy(), budget)
+        assert auto.at(budget) > one.at(budget) - 0.01
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_where_tuning_pays_copies_take_over(noise):
+    data = transfer_worlds.tuning_pays(noise=noise)
+    found = run(data, Auto(), 8)
+    assert "C" in kinds(found.trainings)
+    assert found.at(5) > run(data, OnePolicy(), 5).at(5) + 0.1
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_where_one_policy_for_all_fails_specialists_take_over_soon(noise):
+    data = transfer_worlds.one_for_all_fails(noise=noise)
+    found, alone = run(data, Auto()), run(data, get_selector("auto"))
+    assert found.at(3) > alone.at(2) - 0.01  # one unit shows it
+    for budget in range(3, 16):  # and one more goes into copies
+        assert found.at(budget) > alone.at(budget - 2) - 0.01
+    assert kinds(found.trainings).count("S") >= 10
+    assert len([one for one in found.trainings if len(one.contexts) > 1]) == 2
+
+
+# ---- live ---------------------------------------------------------------------------------------
+
+
+class Simulator:
+    """A policy is a row and its units; one for all learns slowly, a copy fast at home."""
+
+    def __init__(self, slow=0.5, home=0.4):
+        self.slow, self.home, self.calls = slow, home, []
+
+    def train(self, contexts, seed, *, start=None, length=None):
+        units = 1.0 if length is None else length
+        at = np.array([context["x"] for context in contexts])
+        self.calls.append((len(at), None if start is None else start["units"], units))
+        before = start or {"units": 0.0, "for_all": 0.0, "row": np.zeros(N)}
+        x = np.linspace(0.0, 1.0, N)
+        if len(at) > 1:
+            done = before["for_all"] + units
+            row = np.full(N, 0.6 * done / (done + self.slow))
+            return {"units": before["units"] + units, "for_all": done, "row": row}
+        bump = self.home * min(units, 1.0) * np.maximum(1.0 - np.abs(x - at[0]) / 0.2, 0.0)
+        return {**before, "units": before["units"] + units, "row": before["row"] + bump}
+
+    def evaluate(self, policy, contexts, seeds):
+        return [policy["row"][round(context["x"] * (N - 1))] for context in contexts]
+
+
+def test_a_live_study_says_in_each_line_what_is_trained_and_why():
+    simulator = Simulator()
+    study = created(SPACE, budget=8, strategy=Auto(), bounds=(0.0, 1.0))
+    study.run(simulator.train, simulator.evaluate, progress=False)
+    reasons = [pick.reason for pick in study.state.picks]
+    assert reasons[0] == "all contexts first"
+    assert reasons[1] == "all contexts, longer"
+    assert reasons[2] == "all contexts, longer: the last doubling added 0.100"
+    assert any(reason.startswith("a copy of the policy for all: ") for reason in reasons)
+    assert study.state.paid == pytest.approx(8.0)
+    assert study.value > 0.6
+
+
+def test_a_trainer_of_one_context_gets_what_the_chooser_says_and_one_sentence():
+    simulator = Simulator()
+    study, alone = (
+        created(SPACE, budget=4, strategy=s, bounds=(0.0, 1.0)) for s in (Auto(), "auto")
+    )
+    for one in (study, alone):
+        one.run(lambda context, seed: simulator.train([context], seed), simulator.evaluate,
+                progress=False)  # fmt: skip
+    assert [p.sources for p in study.state.picks] == [p.sources for p in alone.state.picks]
+    (note,), *others = [pick.notes for pick in study.state.picks]
+    assert note.startswith("this trainer takes one context at a time, so no policy for several")
+    assert others == [()] * 3
+
+
+def test_a_trainer_without_start_is_asked_for_no_copy_and_nothing_longer():
+    simulator = Simulator()
+    study = created(SPACE, budget=4, strategy=Auto(), bounds=(0.0, 1.0))
+    study.run(lambda contexts, seed: simulator.train(contexts, seed), simulator.evaluate,
+              progress=False)  # fmt: skip
+    assert [len(pick.sources) for pick in study.state.picks] == [N, 1, 1, 1]
+    sentence = "this trainer cannot begin with a policy, so none is tuned or trained longer"
+    assert [pick.notes for pick in study.state.picks] == [(sentence,), (), (), ()]
+
+
+def test_two_workers_spend_the_budget_and_end_as_well():
+    values = []
+    for parallel in (1, 2):
+        study, simulator = created(SPACE, budget=6, strategy=Auto(), bounds=(0.0, 1.0)), Simulator()
+        how = {"parallel": parallel, "executor": ThreadPoolExecutor(2), "deterministic": True}
+        ran(study, simulator.train, simulator.evaluate, report=False, progress=False, **how)
+        assert study.state.paid == pytest.approx(6.0)
+        assert [len(pick.sources) for pick in study.state.picks[:2]] == [N, N]
+        values.append(study.value)
+    assert values[1] > values[0] - 0.05
+
+
+def test_a_study_ends_when_no_training_is_likely_to_gain_what_was_asked_for():
+    simulator = Simulator(slow=0.05, home=0.0)  # .57 after a unit, and then hardly more
+    study = created(SPACE, budget=15, strategy=Auto(), bounds=(0.0, 1.0), stop_gain=0.05)
+    study.run(simulator.train, simulator.evaluate, progress=False)
+    assert "gains less than 0.05" in study.stop_reason
+    assert study.state.paid < 5.0
+
+
+# ---- what is known at a pick --------------------------------------------------------------------
+
+
+def problem(budget=8, abilities=("sets", "start", "length"), **wishes):
+    return mbtl.selectors.SelectionProblem.of(
+        SPACE, budget=budget, abilities=frozenset(abilities), **wishes
+    )
+
+
+def told(*trainings, rows, **more):
+    middle = [4 if len(one.contexts) > 1 else one.contexts[0] for one in trainings]
+    paid = sum(
+        one.length - (trainings[one.start].length if one.goes_on else 0.0) for one in trainings
+    )
+    return History(
+        N, tuple(middle), np.array(rows, dtype=float), trainings=trainings, paid=paid, **more
+    )
+
+
+HALF, WHOLE = Training(ALL, None, 0.5), Training(ALL, 0, 1.0, goes_on=True)
+SLOW = [np.full(N, 0.40), np.full(N, 0.41)]
+RNG = np.random.default_rng(0)
+
+
+def test_another_worker_waits_for_the_first_policy_and_then_does_something_else():
+    with pytest.raises(Exhausted, match="in training now"):
+        Auto().propose(problem(), History(N, under_way=(HALF,), paid=0.5), RNG)
+    longer = Training(ALL, 1, 2.0, goes_on=True)
+    fast = told(HALF, WHOLE, rows=[np.full(N, 0.3), np.full(N, 0.5)])
+    assert Auto().propose(problem(), fast, RNG).contexts == ALL
+    busy = replace(fast, under_way=(longer,), paid=2.0)
+    assert len(Auto().propose(problem(), busy, RNG).contexts) == 1
+
+
+def test_copies_that_failed_are_not_asked_for_again():
+    copies_first = Auto(copy_share=0.2)
+    history = told(HALF, WHOLE, rows=SLOW)
+    first = copies_first.propose(problem(), history, RNG)
+    assert (first.start, first.contexts) == (1, (4,))
+    failed = replace(history, given_up=(Training((4,), 1, 0.5),))
+    again = copies_first.propose(problem(), failed, RNG)
+    assert (again.start, again.contexts) != (1, (4,))
+
+
+def test_a_policy_for_all_that_failed_leaves_the_chooser():
+    history = History(N, given_up=(HALF,), paid=0.5)
+    found = Auto().propose(problem(), history, RNG)
+    assert (found.contexts, found.start) == ((4,), None)
+
+
+def test_unevaluated_targets_are_filled_in():
+    rows = [row.copy() for row in SLOW]
+    rows[1][::2] = np.nan
+    found = Auto().propose(problem(), told(HALF, WHOLE, rows=rows), RNG)
+    assert len(found.contexts) == 1
+
+
+def test_dear_contexts_are_copied_last():
+    costs = np.ones(N)
+    costs[4:] = 50.0
+    copy = Training((2,), 1, 0.5)
+    row = SLOW[1] + 0.3 * np.maximum(1.0 - np.abs(np.arange(N) - 2) / 2.0, 0.0)
+    history = told(HALF, WHOLE, copy, rows=[*SLOW, row])
+    found = Auto().propose(problem(costs=costs, cost_budget=1000.0), history, RNG)
+    assert found.contexts[0] < 4
