@@ -50,7 +50,7 @@ def test_a_function_is_given_what_it_takes():
         None,
         told,
     )
-    asked = {"start": "policy", "length": 0.5, "marks": (0.5, 1.0), "state": Path("nowhere")}
+    asked = {"start": "policy", "length": 0.5, "state": Path("nowhere")}
     assert of(everything).train(ONE, 7, **asked) == Trained(([1.0], 7, "policy", 0.5, None))
 
 

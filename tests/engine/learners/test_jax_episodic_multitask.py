@@ -93,7 +93,7 @@ def test_the_policy_is_told_the_context_and_a_file_cut_off_only_costs_time(tmp_p
     file.write_bytes(b"of another run, cut off")
     policy = trainer.train(HOLDS, 3, on_progress=heard.append, state=file).policy
     assert policy.weights[0].shape[1] == 3 + 1
-    assert heard[-1].step == heard[-1].total == 4
+    assert (heard[-1].step, heard[-1].unit) == (heard[-1].total, "steps")
     assert trainer.evaluate(policy, HOLDS, [1, 2, 3]).shape == (3, 2)
     with pytest.raises(InvalidInput, match="at least one context"):
         trainer.train([], 3)

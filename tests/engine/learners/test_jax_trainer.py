@@ -138,15 +138,6 @@ def test_training_ends_when_the_best_cannot_get_better(monkeypatch):
     assert trained(("best", "final"))[1] == returns
 
 
-def test_weights_on_the_way_change_nothing_and_are_those_of_their_moment():
-    whole = TRAINER.train_many(CONTEXTS, [0, 1])
-    named = TRAINER.train_many(CONTEXTS, [0, 1], keep=("best", "final", "best@1/4", "last@1/2"))
-    for checkpoint in ("best", "final"):
-        assert all(map(same, whole[checkpoint], named[checkpoint]))
-    assert not same(named["last@1/2"][0], named["final"][0])
-    assert not same(named["best@1/4"][0], named["last@1/2"][0])
-
-
 def test_a_matrix_row_is_the_row_of_a_study(tmp_path):
     building = Build(
         TRAINER,

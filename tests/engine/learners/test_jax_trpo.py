@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.engine.learners import networks, saving
+from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic import trpo
 from mbtl.engine.learners.episodic.episodes import Episodes, actor_of, record
 from mbtl.engine.learners.episodic.recipes import TRPORecipe
@@ -142,7 +143,7 @@ def one_update(bounds=1e9, **changes):
     data = lived(np.zeros(50))._replace(obs=obs[:, 0, 0], outputs=outputs, action=action)
     data = data._replace(reward=jnp.clip(action[..., 0], -1.0, 1.0))  # larger actions pay
     memory = trpo.start(recipe, weights)
-    new, _ = learn(BOX, recipe, weights, memory, data, jnp.int32(0))
+    new, _ = learn(BOX, recipe, weights, memory, data, clock_at(jnp.int32(0), Pace.endless(1)))
     after = networks.apply(new.actor, obs)
     moved = kl(outputs, weights.log_std, after, new.log_std, BOX).mean()
     return float(moved), float((after - outputs).mean())
