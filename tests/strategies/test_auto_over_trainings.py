@@ -116,6 +116,14 @@ def test_a_trainer_of_one_context_gets_what_the_chooser_says_and_one_sentence():
     assert others == [()] * 3
 
 
+def test_what_a_trainer_cannot_do_is_said_once(capsys):
+    simulator = Simulator()
+    study = created(SPACE, budget=3, strategy=Auto(), bounds=(0.0, 1.0))
+    study.run(lambda context, seed: simulator.train([context], seed), simulator.evaluate)
+    printed = capsys.readouterr()
+    assert (printed.out + printed.err).count("this trainer takes one context at a time") == 1
+
+
 def test_a_trainer_without_start_is_asked_for_no_copy_and_nothing_longer():
     simulator = Simulator()
     study = created(SPACE, budget=4, strategy=Auto(), bounds=(0.0, 1.0))

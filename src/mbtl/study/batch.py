@@ -70,6 +70,7 @@ class Batches:
     _given_up: set[int] = field(default_factory=set)
     _ending: bool = False
     _failed: tuple[Pick, Trouble] | None = None
+    _said: set[str] = field(default_factory=set)
 
     def do(self, batch: Sequence[Pick]) -> None:
         """Train a batch and tell it all; on any interrupt give the unanswered picks back.
@@ -155,7 +156,7 @@ class Batches:
     def _outcomes(self, batch: Sequence[Pick]) -> Generator[tuple[Pick, Outcome | Trouble | None]]:
         """What each pick gave, in pick order; None where its training was stopped."""
         for pick in batch:
-            self._announce("on_pick", pick)
+            self._announce_pick(pick)
         if self.executor is None:
             for pick in batch:
                 yield self._perform_here(pick)
@@ -181,7 +182,7 @@ class Batches:
                         break
                     self._asked += 1
                     waiting.append(pick)
-                    self._announce("on_pick", pick)
+                    self._announce_pick(pick)
                     flights.begin(pick, self._job(pick))
                 if not len(flights):
                     return
@@ -379,6 +380,14 @@ class Batches:
                 return
             except StudyError:  # somebody else answered it
                 continue
+
+    def _announce_pick(self, pick: Pick) -> None:
+        self._announce("on_pick", pick)
+        if self.study.spec.any_training:  # what a strategy cannot try is said once
+            for note in self.study.state.picks[pick.number].notes:
+                if note not in self._said:
+                    self._said.add(note)
+                    self._announce("on_note", note)
 
     def _announce_told(self, pick: Pick) -> None:
         self._announce("on_told", pick)
