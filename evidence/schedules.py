@@ -27,7 +27,7 @@ def policies(trainer, contexts, seeds, marks, way):
     """Mark -> P policies, one per seed."""
     growing = trainer._growing([contexts] * len(seeds), seeds)
     unit = growing.recipe.update_length
-    ends = [-(-round(mark * trainer.whole) // unit) for mark in marks]
+    ends = [trainer._updates(mark, unit) for mark in marks]
     found, done = {}, 0
     if way in ("anew", "whole"):
         training = growing.start()
@@ -36,19 +36,14 @@ def policies(trainer, contexts, seeds, marks, way):
                 training, done = growing.start(), 0
             pace = Pace.endless(growing.whole).branch(done, end)
             training = growing._learn(training, end, pace, None)
-            found[mark], done = training.state.weights, end
-            found[mark] = engine.export_policies(
-                growing.world, found[mark], growing.recipe.activation
-            )
+            found[mark], done = growing.policies(training.state.weights), end
         return found
     slowing, share = map(float, way.split("/"))
     growing, training = growing._replace(slowing=slowing), growing.start()
     for mark, end in zip(marks, ends, strict=True):
         stage = engine.Stage.of(end - done, share)
         training = growing.along(training, int(training.updates) + stage.trunk)
-        weights = growing.end(training, stage.branch)
-        found[mark] = engine.export_policies(growing.world, weights, growing.recipe.activation)
-        done = end
+        found[mark], done = growing.policies(growing.end(training, stage.branch)), end
     return found
 
 

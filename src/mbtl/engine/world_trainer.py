@@ -5,7 +5,7 @@ sent to another process anywhere.
 
 How long a training of a given length may become nobody knows beforehand, so its learning rate falls
 slowly, and to zero on a branch whose end is the policy: it is a finished one, and the training can
-still go on (`mbtl.training.jax.growing`). All that decides its future is in its state.
+still go on (`mbtl.engine.learners.growing`). All that decides its future is in its state.
 A whole training follows the recipe: its length is known.
 """
 
@@ -165,7 +165,7 @@ class WorldTrainer:
             "recipe": self.recipe_name,
             "hyperparameters": dict(sorted(self.hyperparameters.items())),
             self.unit: self.length,
-            **({} if by_steps and self._how == "mean" else {"acting": self._how}),
+            **({} if by_steps and self.how == "mean" else {"acting": self.how}),
             "checkpoint": self.checkpoint,
             "checkpoint_every": self.checkpoint_every,
             "checkpoint_episodes": self.checkpoint_episodes,
@@ -241,7 +241,7 @@ class WorldTrainer:
         A whole training on one context follows the recipe, which may say that the best of periodic
         evaluations counts. A training of a given `length`, and one on several contexts, has a
         learning rate that falls slowly, and to zero along the last fifth of what is asked for
-        (`mbtl.training.jax.growing`); it has the latest weights and does not evaluate itself.
+        (`mbtl.engine.learners.growing`); it has the latest weights and does not evaluate itself.
         Where it begins with the policy of another one, whose state is there, it inherits the
         latter's critic, optimiser and statistics, and its actor before it was finished; else the
         critic, which no policy carries, begins anew.
@@ -277,7 +277,7 @@ class WorldTrainer:
             on_block=self._on_block(on_progress),
             checkpoint_every=self.checkpoint_every,
             checkpoint_episodes=self.checkpoint_episodes,
-            acting=self._how,
+            acting=self.how,
             only_best=self.checkpoint == "best",
             resume=file.load(fresh) or fresh(),
             saved=file,
@@ -319,11 +319,11 @@ class WorldTrainer:
         if training is None or file.notes.get(_SEED) != seed:  # nobody's, or the parent's
             begun = fresh()
             training = file.inherited(begun) or begun
-            spent = -(-round(done * self.whole) // unit)
+            spent = self._updates(done, unit)
             training = _advanced(training, engine.Stage.of(spent).trunk if spent else 0)
             file.notes = {_SPENT: spent, _FROM: int(training.updates), _SEED: seed}
         spent, begin = file.notes[_SPENT], file.notes[_FROM]
-        planned = max(-(-round(length * self.whole) // unit), spent)
+        planned = max(self._updates(length, unit), spent)
         stage = engine.Stage.of(planned - spent)
         branch, end = stage.branch, begin + stage.trunk
         if planned == spent:  # there already; the policy is the one that it had
@@ -341,8 +341,7 @@ class WorldTrainer:
         weights = growing.end(training, branch, on_block)
         file.notes |= {_SPENT: planned, _FROM: end, _BRANCH: branch}
         file.save(training, done=True)
-        policy = engine.export_policies(world, weights, recipe.activation)[0]
-        return Trained(policy, played(planned))
+        return Trained(growing.policies(weights)[0], played(planned))
 
     def grow_many(
         self,
@@ -353,7 +352,7 @@ class WorldTrainer:
         parents: Any = None,
         which: Sequence[int] = (),
         trunk: Any = None,
-        skip: int = 0,
+        done: float = 0.0,
         on_progress: OnProgress | None = None,
     ) -> Iterator[tuple[float, list[MLPPolicy], Any]]:
         """Train many policies at once, to each of several lengths.
@@ -364,13 +363,13 @@ class WorldTrainer:
             marks: units, rising; each is where a training may end.
             parents: trunks of other trainings to begin with; None: from scratch.
             which: (P,) one of the parents for each.
-            trunk: of these trainings, to go on from; then so many marks are behind (`skip`).
-            skip: see there.
+            trunk: of these trainings, to go on from.
+            done: mark that it was left at; those behind it are not trained again.
             on_progress: told steps or episodes of one policy.
 
         Yields:
-            Mark, the P policies there, and the trunk (an `mbtl.training.jax.Training`), whose
-            memory is used again when the next is asked for.
+            Mark, the P policies there, and the trunk (an `mbtl.engine.learners.Training`),
+            whose memory is used again when the next is asked for.
         """
         growing = self._growing(sets, seeds)
         unit = int(growing.recipe.update_length)
@@ -383,15 +382,14 @@ class WorldTrainer:
                 on_progress(Progress(block.steps, block.total, {}, self.counts))
 
         spent = 0
-        for number, mark in enumerate(marks):
-            planned = -(-round(mark * self.whole) // unit)
+        for mark in marks:
+            planned = self._updates(mark, unit)
             stage, spent = engine.Stage.of(planned - spent), planned
-            if number < skip:
+            if mark <= done:
                 continue
             training = growing.along(training, int(training.updates) + stage.trunk, on_block)
             weights = growing.end(training, stage.branch, on_block)
-            policies = engine.export_policies(growing.world, weights, growing.recipe.activation)
-            yield mark, policies, training
+            yield mark, growing.policies(weights), training
 
     def grown_from_scratch(self, sets: Sequence[Sequence[Context]], seeds: Sequence[int]) -> Any:
         """Trainings of `grow_many` before their first update."""
@@ -400,10 +398,15 @@ class WorldTrainer:
     def _growing(self, sets: Sequence[Sequence[Context]], seeds: Sequence[int]) -> Any:
         n = len(sets[0])
         world, params = self._lessons([context for some in sets for context in some])
-        recipe = self._on_many(world, n) if n > 1 else self.learner
-        unit = int(recipe.update_length)
+        by_one = n == 1 or self.episodes is not None
+        recipe = self.learner if by_one else recipe_on_many(self, world, n)
         spread = engine.in_sets(recipe, params, n)
-        return engine.Growing(world, recipe, list(seeds), spread, -(-self.whole // unit))
+        whole = self._updates(1.0, int(recipe.update_length))
+        return engine.Growing(world, recipe, list(seeds), spread, whole)
+
+    def _updates(self, units: float, unit: int) -> int:
+        """Whole updates of `unit` steps or episodes that so many units are, rounded up."""
+        return -(-round(units * self.whole) // unit)
 
     def train_many(
         self,
@@ -431,7 +434,7 @@ class WorldTrainer:
             on_block=self._on_block(on_progress),
             checkpoint_every=self.checkpoint_every,
             checkpoint_episodes=self.checkpoint_episodes,
-            acting=self._how,
+            acting=self.how,
             only_best="final" not in keep,
             saved=engine.SavedTraining(state if getattr(world, "storable", True) else None),
         )
@@ -503,7 +506,7 @@ class WorldTrainer:
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         world, params = self.problem(contexts)
         actor, activation = engine.import_actor(list(policies)), policies[0].activation
-        return engine.evaluate(world, actor, params, each, activation=activation, how=self._how)
+        return engine.evaluate(world, actor, params, each, activation=activation, how=self.how)
 
     def beside(
         self,
@@ -532,7 +535,7 @@ class WorldTrainer:
             from mbtl.envs.references import measured
             from mbtl.envs.rollout import Actor
 
-            make_env, sampled = getattr(self.problem, "make_env", None), self._how == "sampled"
+            make_env, sampled = getattr(self.problem, "make_env", None), self.how == "sampled"
             if make_env is None:
                 return {}
             pairs = zip(policies, contexts, strict=True)
@@ -545,7 +548,7 @@ class WorldTrainer:
                 end = first + len(some)
                 part = type(params)(*(field[first:end] for field in params))
                 actor, activation = engine.import_actor([policy]), policy.activation
-                acts: Any = {"activation": activation, "how": self._how}
+                acts: Any = {"activation": activation, "how": self.how}
                 parts.append(engine.measured(world, actor, part, own[first:end], **acts))
                 first = end
         found = {"policies": {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}}
@@ -561,10 +564,6 @@ class WorldTrainer:
         world, params = self.problem(contexts)
         return engine.reference_returns(world, params, each)
 
-    def _on_many(self, world: Any, n: int) -> Any:
-        """The learner of one policy for n contexts."""
-        return recipe_on_many(self, world, n) if self.episodes is None else self.learner
-
     @property
     def _why_no_sets(self) -> str | None:
         if self.episodes is not None or self.algorithm == "PPO":
@@ -575,7 +574,8 @@ class WorldTrainer:
         )
 
     @property
-    def _how(self) -> Literal["sampled", "mean"]:
+    def how(self) -> Literal["sampled", "mean"]:
+        """Actions follow from a policy in all evaluations."""
         if self.algorithm == "DQN":
             return "mean"
         return self.acting or "mean"  # settled when it was made

@@ -60,7 +60,7 @@ def test_a_training_is_extended_exactly_and_pays_only_for_what_is_new(trainer, t
 
 
 def exported(growing, weights):
-    return engine.export_policies(growing.world, weights, growing.recipe.activation)[0]
+    return growing.policies(weights)[0]
 
 
 def test_the_rate_falls_slowly_on_the_trunk_and_to_zero_on_a_branch():

@@ -125,7 +125,7 @@ def evaluate(
     returns = np.empty((n_policies, n_contexts, n_episodes))
     told = on_block or (lambda done, planned: None)
     for p in range(0, n_policies, height):
-        some, place = _take(actor, p, height), returns[p : p + height]
+        some, place = _take(actor, p, height, n_policies), returns[p : p + height]
         count, done = len(place), p * n_contexts
 
         def on_part(ended: int, height: int = height, count: int = count, done: int = done) -> None:
@@ -185,9 +185,9 @@ def evaluate_each(
     step = min(len(who), max(1, rows // seeds.shape[-1]))
     found = []
     for first in range(0, len(who), step):
-        at = np.minimum(np.arange(first, first + step), len(who) - 1)
-        some, there = taken(actor, who[at]), taken(params, places[at])
-        part = own_scores(world, activation, how, some, own[at], there)
+        whose, at, episodes = _take((who, places, own), first, step, len(who))
+        some, there = taken(actor, whose), taken(params, at)
+        part = own_scores(world, activation, how, some, episodes, there)
         found.append(np.asarray(part)[: len(who) - first])
         if on_block is not None:
             on_block(min(first + step, len(who)), len(who))
@@ -281,11 +281,6 @@ def reference_returns(world: World, params: Tree, seeds: ArrayLike) -> dict[str,
     return rows
 
 
-def _take(tree: Tree, first: int, count: int) -> Tree:
+def _take(tree: Tree, first: int, count: int, size: int) -> Any:
     """Members first..first+count-1; the last one repeats, so that there is one shape to compile."""
-
-    def part(leaf: jax.Array) -> NDArray[Any]:
-        at = np.minimum(np.arange(first, first + count), len(leaf) - 1)
-        return np.asarray(leaf)[at]
-
-    return jax.tree.map(part, tree)
+    return taken(tree, np.minimum(np.arange(first, first + count), size - 1))

@@ -21,10 +21,12 @@ import jax.numpy as jnp
 from mbtl.engine.learners.algorithms import AnyRecipe
 from mbtl.engine.learners.blocks import Block, Training
 from mbtl.engine.learners.clock import Pace
+from mbtl.engine.learners.export import export_policies
 from mbtl.engine.learners.loop import start, train
 from mbtl.engine.learners.networks import Weights
 from mbtl.engine.worlds.environments import Tree
 from mbtl.engine.worlds.world import World
+from mbtl.portfolio import MLPPolicy
 
 SHARE = 0.2
 """Of a stage that is the branch (evidence/schedules.py)."""
@@ -96,6 +98,10 @@ class Growing(NamedTuple):
     @property
     def _endless(self) -> Pace:
         return Pace.endless(self.whole, self.slowing * self.whole)
+
+    def policies(self, weights: Weights) -> list[MLPPolicy]:
+        """The P policies that such weights are."""
+        return export_policies(self.world, weights, self.recipe.activation)
 
     def _learn(
         self,

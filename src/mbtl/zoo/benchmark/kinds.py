@@ -10,8 +10,8 @@ Notation (shapes): P trainings of a part, N contexts, M sources, E episodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
@@ -29,8 +29,9 @@ from mbtl.portfolio import MLPPolicy
 from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, episode_seeds, evaluation_seeds, training_seed
 from mbtl.trainers.contract import OnProgress, Progress, even_groups, recipe_of
+from mbtl.zoo.benchmark.matrix import REFERENCE
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
-from mbtl.zoo.benchmark.transfers import KINDS, REFERENCE, save_transfers, summary
+from mbtl.zoo.benchmark.transfers import KINDS, save_transfers, summary
 
 GENERALIST_UNITS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)
 """Marks of the policy for all contexts."""
@@ -63,8 +64,7 @@ class OfOneWorld:
             parts.append(params)
         if len(parts) == 1:
             return world, parts[0]
-        fields = zip(*parts, strict=True)
-        return world, type(parts[0])(*(np.concatenate(each) for each in fields))
+        return world, engine.joined(parts)
 
 
 class Lane(NamedTuple):
@@ -129,7 +129,6 @@ class Kinds:
     every: int = 1
     lanes: int | None = None
     parents: tuple[float, ...] = PARENTS
-    _cache: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         pairs = zip(self.cmdps, self.trainers, strict=True)
@@ -212,12 +211,12 @@ class Kinds:
             return
         parents: Any = None
         which: list[int] = []
-        trunk: Any = None
+        trunk, done = None, 0.0
         if part.kind == "tuned":
             parents, which = self._parents(part)
         elif len(left) < len(part.marks):
-            reached = part.marks[len(part.marks) - len(left) - 1]
-            trunk = self._trunk(part, reached)
+            done = part.marks[-len(left) - 1]
+            trunk = self._trunk(part, done)
         grown = self.trainer.grow_many(
             contexts,
             seeds,
@@ -225,7 +224,7 @@ class Kinds:
             parents=parents,
             which=which,
             trunk=trunk,
-            skip=len(part.marks) - len(left) if trunk is not None else 0,
+            done=done,
             on_progress=on_progress,
         )
         for mark, policies, now in grown:
@@ -244,8 +243,8 @@ class Kinds:
         return training_seed(lane.seed, MATRIX_TRIAL, lane.source, lineage=lineage)
 
     def _contexts(self, lane: Lane) -> list[Context]:
-        every = list(self.cmdps[lane.cmdp].space.contexts)
-        return every if lane.source is None else [every[lane.source]]
+        space = self.cmdps[lane.cmdp].space
+        return list(space.contexts) if lane.source is None else [space.context(lane.source)]
 
     def _parents(self, part: Part) -> tuple[Any, list[int]]:
         """Trunks that the copies of a part begin from, and which of them each takes."""
@@ -278,24 +277,18 @@ class Kinds:
         return self.folder / f"{part.name}-at-{mark:g}.npz"
 
     def _keep(self, part: Part, mark: float, policies: Sequence[MLPPolicy]) -> None:
-        arrays: dict[str, NDArray[Any]] = {"origin": text_array(here())}
-        for k in range(len(policies[0].weights)):
-            arrays[f"weight_{k}"] = np.stack([policy.weights[k] for policy in policies])
-            arrays[f"bias_{k}"] = np.stack([policy.biases[k] for policy in policies])
-        stds = [getattr(policy.head, "log_std", None) for policy in policies]
-        if stds[0] is not None:
-            arrays["log_std"] = np.stack([std for std in stds if std is not None])
+        actor = engine.import_actor(list(policies))
+        arrays = {"origin": text_array(here()), "log_std": np.asarray(actor.log_std)}
+        for k, (weight, bias) in enumerate(actor.network):
+            arrays |= {f"weight_{k}": np.asarray(weight), f"bias_{k}": np.asarray(bias)}
         write_npz(self._policies(part, mark), arrays)
 
     def _actor(self, part: Part, mark: float) -> Any:
         """(P, ...) the acting part of kept policies."""
         arrays = read_npz(self._policies(part, mark))
         count = sum(name.startswith("weight_") for name in arrays)
-        network = tuple(
-            (arrays[f"weight_{k}"].swapaxes(1, 2), arrays[f"bias_{k}"]) for k in range(count)
-        )
-        size = len(arrays["weight_0"])
-        return engine.Actor(network, arrays.get("log_std", np.zeros((size, 0), np.float32)))
+        network = tuple((arrays[f"weight_{k}"], arrays[f"bias_{k}"]) for k in range(count))
+        return engine.Actor(network, arrays["log_std"])
 
     # ---- evaluation --------------------------------------------------------------------------
 
@@ -311,12 +304,11 @@ class Kinds:
         lanes = [lane for _ in part.marks for lane in part.lanes]
         found = self._played(engine.joined(actors), lanes, on_progress)
         shape = (len(part.marks), len(part.lanes), *found.shape[1:])
-        trained = [read_npz(self._policies(part, mark))["origin"] for mark in part.marks]
         write_npz(
             file,
             {
                 "returns": summary(found).reshape(*shape[:-1], 3),
-                "origin": trained[-1],
+                "origin": _entry(self._policies(part, part.marks[-1]), "origin"),
                 "evaluated": text_array(here()),
             },
         )
@@ -326,20 +318,17 @@ class Kinds:
     ) -> NDArray[Any]:
         """(P, N, E) returns of each policy on the contexts of its lane's CMDP."""
         trainer = self.trainer
-        each = [
-            episode_seeds(
-                evaluation_seeds(lane.seed, MATRIX_TRIAL, range(self.n)),
-                self.n,
-                trainer.eval_episodes,
-            )
-            for lane in lanes
-        ]
+        own = {
+            seed: episode_seeds(self._evaluation_seeds(seed), self.n, trainer.eval_episodes)
+            for seed in self.seeds
+        }
         every = [context for cmdp in self.cmdps for context in cmdp.space.contexts]
         world, params = trainer.problem(every)
         where = np.array([lane.cmdp * self.n + np.arange(self.n) for lane in lanes])
         activation = trainer.learner.activation
         if not engine.on_cpu():
-            seeds = np.array(each, np.uint32)
+            by_seed = {seed: np.array(each, np.uint32) for seed, each in own.items()}
+            seeds = np.stack([by_seed[lane.seed] for lane in lanes])
             told = None
             if on_progress is not None:
                 tell = on_progress
@@ -354,24 +343,25 @@ class Kinds:
                 where,
                 seeds,
                 activation=activation,
-                how=trainer._how,
+                how=trainer.how,
                 rows=_PAIRS,
                 on_block=told,
             )
         rows: list[Any] = []
-        for lane, who in groupby(range(len(lanes)), lambda i: lanes[i][:2]):
-            some = list(who)
-            first = lane[0] * self.n
+        for (cmdp, seed), who in groupby(range(len(lanes)), lambda i: lanes[i][:2]):
+            some, first = list(who), cmdp * self.n
             part = engine.taken(params, slice(first, first + self.n))
-            own = engine.taken(actor, some)
+            acting, how = engine.taken(actor, some), trainer.how
             rows.append(
-                engine.evaluate(
-                    world, own, part, each[some[0]], activation=activation, how=trainer._how
-                )
+                engine.evaluate(world, acting, part, own[seed], activation=activation, how=how)
             )
             if on_progress is not None:
                 on_progress(Progress(some[-1] + 1, len(lanes), {}, "policies"))
         return np.concatenate(rows)
+
+    def _evaluation_seeds(self, seed: int) -> list[int]:
+        """One per target."""
+        return evaluation_seeds(seed, MATRIX_TRIAL, range(self.n))
 
     def _returns(self, part: Part) -> Path:
         return self.folder / f"{part.name}-returns.npz"
@@ -416,7 +406,7 @@ class Kinds:
             for seed in self.seeds:
                 file = self._references(cmdp, seed)
                 if not file.is_file():
-                    own = evaluation_seeds(seed, MATRIX_TRIAL, range(self.n))
+                    own = self._evaluation_seeds(seed)
                     rows = trainer.reference_rows(list(cmdp.space.contexts), own)
                     write_npz(file, {k: summary(np.asarray(v)) for k, v in rows.items()})
 
@@ -426,12 +416,11 @@ class Kinds:
     def save(self, out: Path, command: str, preset: str) -> list[Path]:
         """Write the file of each CMDP and seed, from parts that are all there."""
         found: dict[tuple[int, int], dict[tuple[str, float], list[Any]]] = {}
-        for kind, parent in [("generalists", 0.0), ("specialists", 0.0)] + [
-            ("tuned", parent) for parent in self.parents
-        ]:
-            for lane, returns in self._rows(kind, parent):
+        for part in self.parts():
+            returns = _entry(self._returns(part), "returns")
+            for i, lane in enumerate(part.lanes):
                 own = found.setdefault(lane[:2], {})
-                own.setdefault((kind, parent), []).append(returns)
+                own.setdefault((part.kind, part.parent), []).append(returns[:, i])
         files = []
         for (c, seed), own in sorted(found.items()):
             cmdp, trainer = self.cmdps[c], self.trainers[c]
@@ -481,7 +470,7 @@ class Kinds:
         """The distinct places where policies were trained, or evaluated, with their kinds."""
         found: list[dict[str, Any]] = []
         for part in self.parts():
-            origin = read_text(read_npz(self._returns(part))[key], key)
+            origin = read_text(_entry(self._returns(part), key), key)
             same = [one for one in found if {**one, "kinds": None} == {**origin, "kinds": None}]
             if not same:
                 found.append({**origin, "kinds": [part.kind]})
@@ -489,10 +478,7 @@ class Kinds:
                 same[0]["kinds"].append(part.kind)
         return found
 
-    def _rows(self, kind: str, parent: float) -> Iterator[tuple[Lane, NDArray[Any]]]:
-        """(marks, N, 3) of each lane of a kind, in order."""
-        for part in self.parts((kind,)):
-            if part.parent == parent:
-                returns = read_npz(self._returns(part))["returns"]
-                for i, lane in enumerate(part.lanes):
-                    yield lane, returns[:, i]
+
+def _entry(file: Path, key: str) -> NDArray[Any]:
+    """One array of a file, without the others."""
+    return read_npz(file, key.__eq__)[key]

@@ -7,10 +7,8 @@ steps), "paco", "moore".
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +17,9 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.errors import cannot_write
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
+from mbtl.zoo.benchmark.shipped import data_folder, seed_files
 
-_FILE = re.compile(r"(?P<id>.+)-seed(?P<seed>\d+)\.npz")
+FOLDER = "multitask"
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +44,13 @@ def load_multitask(cmdp: str, *, folder: str | Path | None = None) -> dict[str, 
         cmdp: CMDP id.
         folder: where to look instead of the package data.
     """
-    place = _shipped() if folder is None else Path(folder)
-    found: dict[str, dict[int, Path]] = {}
-    for path in sorted(place.glob(f"{cmdp}-*.npz")):
-        match = _FILE.fullmatch(path.name)
-        if match:
-            method = match["id"].removeprefix(f"{cmdp}-")
-            found.setdefault(method, {})[int(match["seed"])] = path
-    return {method: _stack(files) for method, files in found.items()}
+    place = data_folder() / FOLDER if folder is None else Path(folder)
+    methods = {
+        name.removeprefix(f"{cmdp}-"): files
+        for name, files in seed_files(place).items()
+        if name.startswith(f"{cmdp}-")
+    }
+    return {method: _stack(files) for method, files in methods.items()}
 
 
 def save_multitask(
@@ -103,7 +101,3 @@ def _stack(files: Mapping[int, Path]) -> MultiTask:
         np.stack([part["std"].astype(np.float64) for part in parts]),
         tuple(read_text(part["provenance"], "provenance") for part in parts),
     )
-
-
-def _shipped() -> Path:
-    return Path(str(resources.files("mbtl.zoo.benchmark") / "data")) / "multitask"

@@ -14,10 +14,8 @@ own, the same for all policies. `<kind>_std` has the deviation over all episodes
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +26,14 @@ from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace
 from mbtl.errors import InvalidInput, StorageError, unknown_name
 from mbtl.objective import Bounds, direction_named
+from mbtl.zoo.benchmark.matrix import REFERENCE, halves
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
+from mbtl.zoo.benchmark.shipped import data_folder, seed_files
 
 FOLDER = "transfers"
 KINDS = ("specialists", "generalists", "tuned")
-REFERENCE = "reference_"
-
-_FILE = re.compile(r"(?P<id>.+)-seed(?P<seed>\d+)\.npz")
+_SHARED = ("space", "sources", "bounds", "generalist_units", "tuned_parents", "tuned_units")
+"""What the files of a CMDP must agree on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +119,7 @@ def load_transfers(cmdp: str, *, folder: str | Path | None = None) -> TransferDa
     for seed, part in zip(sorted(by_seed), parts, strict=True):
         wrong = set(first.keys() ^ part.keys()) | {
             key
-            for key in ("contexts", "sources", "bounds", "generalist_units", "tuned_units")
+            for key in _SHARED
             if key in first and key in part and not np.array_equal(first[key], part[key])
         }
         if wrong:
@@ -176,9 +175,8 @@ def summary(episodes: NDArray[Any]) -> NDArray[np.float32]:
     total = episodes.shape[-1]
     if total < 2:
         raise InvalidInput(f"transfer data need two episodes or more, got {total}")
-    exact, half = episodes.astype(np.float64), (total + 1) // 2
-    first, second = exact[..., :half].mean(-1), exact[..., half:].mean(-1)
-    return np.stack([first, second, exact.std(-1, ddof=1)], axis=-1).astype(np.float32)
+    deviation = episodes.std(-1, ddof=1, dtype=np.float64)
+    return np.stack([*halves(episodes)[0], deviation], axis=-1).astype(np.float32)
 
 
 def save_transfers(
@@ -214,7 +212,6 @@ def save_transfers(
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
     path = place / f"{cmdp.id}-seed{seed}.npz"
-    half = (episodes + 1) // 2
     arrays: dict[str, NDArray[Any]] = {}
     for name, each in returns.items():
         before = {"generalists": 1, "tuned": 2}.get(name, 0)
@@ -227,7 +224,7 @@ def save_transfers(
         "sources": np.asarray(sources, np.int64),
         "bounds": np.array([bounds.low, bounds.high]),
         "direction": np.array("max" if bounds.direction == "maximize" else "min"),
-        "episodes": np.array([half, episodes - half]),
+        "episodes": np.array(halves(np.zeros(episodes))[1]),
         "generalist_units": np.asarray(generalist_units, np.float64),
         "tuned_parents": np.asarray(tuned_parents, np.float64),
         "tuned_units": np.asarray(tuned_units, np.float64),
@@ -241,12 +238,4 @@ def save_transfers(
 
 
 def _files(folder: str | Path | None) -> dict[str, dict[int, Path]]:
-    if folder is None:
-        place = Path(str(resources.files("mbtl.zoo.benchmark") / "data")) / FOLDER
-    else:
-        place = Path(folder)
-    found: dict[str, dict[int, Path]] = {}
-    for path in sorted(place.glob("*.npz")):
-        if match := _FILE.fullmatch(path.name):
-            found.setdefault(match["id"], {})[int(match["seed"])] = path
-    return found
+    return seed_files(data_folder() / FOLDER if folder is None else Path(folder))

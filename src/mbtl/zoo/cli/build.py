@@ -17,7 +17,7 @@ from mbtl.zoo.benchmark import TransferMatrix, levels
 from mbtl.zoo.benchmark.build import ONLY
 from mbtl.zoo.benchmark.shipped import DEFAULT
 from mbtl.zoo.cli.job import Job
-from mbtl.zoo.cli.kinds import build_kinds
+from mbtl.zoo.cli.kinds import ALL, build_kinds
 from mbtl.zoo.cmdps.families import FAMILIES
 from mbtl.zoo.cmdps.family import TwinFamily
 
@@ -113,9 +113,13 @@ def build(
     """
     if seeds < 1:
         raise InvalidInput(f"--seeds must be >= 1, got {seeds}")
-    cmdp = resolve_cmdp(problem, visibility=visibility, physics=physics, score=score, engine=engine)
-    if every != 1:
-        cmdp = cmdp.every(every)
+    switches = {"visibility": visibility, "physics": physics, "score": score, "engine": engine}
+    cmdp, *others = [
+        resolve_cmdp(name, **switches)
+        if every == 1
+        else resolve_cmdp(name, **switches).every(every)
+        for name in (problem, *(beside or ()))
+    ]
     if not 1 <= sources_every <= cmdp.space.n:
         raise InvalidInput(
             f"--sources-every must be from 1 to the number of contexts ({cmdp.space.n}), got "
@@ -132,17 +136,35 @@ def build(
     }
     given = {k: v for k, v in overrides.items() if v is not None}
     trainer = cmdp.trainer_for(preset, **given)
+    command = _command(
+        problem,
+        {
+            "kinds": None if kinds is None else ALL,
+            "with": beside,
+            "preset": preset,
+            "visibility": visibility,
+            "physics": physics,
+            "engine": engine,
+            "score": score,
+            "every": None if every == 1 else every,
+            "sources-every": None if sources_every == 1 else sources_every,
+            "lanes": lanes,
+            "timesteps": timesteps,
+            "episodes": episodes,
+            "eval-episodes": eval_episodes,
+            "algorithm": algorithm,
+            "recipe": recipe,
+            "checkpoint": checkpoint,
+        },
+    )
     if kinds is not None:
-        switches = {"visibility": visibility, "physics": physics, "score": score, "engine": engine}
-        others = [resolve_cmdp(name, **switches) for name in beside or ()]
-        if every != 1:
-            others = [other.every(every) for other in others]
         built = build_kinds(
             kinds,
             [cmdp, *others],
             [trainer, *(other.trainer_for(preset, **given) for other in others)],
             numbers,
-            preset=preset,
+            preset=preset or cmdp.default_preset,
+            command=command,
             every=sources_every,
             lanes=lanes,
             work=work,
@@ -165,25 +187,7 @@ def build(
         lanes=min(lanes or best_lanes, -(-cmdp.space.n // sources_every)),
         preset=preset or cmdp.default_preset,
         variant=variant or _variant(cmdp, given),
-        command=_command(
-            problem,
-            {
-                "preset": preset,
-                "visibility": visibility,
-                "physics": physics,
-                "engine": engine,
-                "score": score,
-                "every": None if every == 1 else every,
-                "sources-every": None if sources_every == 1 else sources_every,
-                "lanes": lanes,
-                "timesteps": timesteps,
-                "episodes": episodes,
-                "eval-episodes": eval_episodes,
-                "algorithm": algorithm,
-                "recipe": recipe,
-                "checkpoint": checkpoint,
-            },
-        ),
+        command=command,
         usual=usual,
         every=sources_every,
     )
@@ -264,6 +268,6 @@ def _command(problem: str, options: Mapping[str, Any]) -> str:
     """The command that builds the same again; folders and processes do not matter to it."""
     words = ["mbtl", "matrix", "build", problem]
     for name, value in options.items():
-        if value is not None:
-            words += [f"--{name}", str(value)]
+        for one in value if isinstance(value, list) else [value]:
+            words += [] if one is None else [f"--{name}", str(one)]
     return shlex.join(words)

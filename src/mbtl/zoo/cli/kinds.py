@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,8 @@ def build_kinds(
     trainers: Sequence[Any],
     seeds: Sequence[int],
     *,
-    preset: str | None,
+    preset: str,
+    command: str,
     every: int,
     lanes: int | None,
     work: Path,
@@ -41,6 +41,7 @@ def build_kinds(
         trainers: theirs.
         seeds: of the matrices.
         preset: of the recipe.
+        command: that builds the same, all kinds and seeds, again.
         every: sources are every n-th context.
         lanes: trainings of one program; None: what is best here.
         work: folder of what is not finished.
@@ -81,12 +82,7 @@ def build_kinds(
         )
         return []
     build.refer()
-    command = ["mbtl", "matrix", "build", names[0], "--kinds", ALL]
-    command += [word for name in names[1:] for word in ("--with", name)]
-    command += [] if every == 1 else ["--sources-every", str(every)]
-    command += [] if lanes is None else ["--lanes", str(lanes)]
-    usual = preset or cmdps[0].default_preset
-    files = build.save(out / FOLDER, shlex.join(command), usual)
+    files = build.save(out / FOLDER, command, preset)
     for file in files:
         console.print(f"{file}: all kinds", markup=False, soft_wrap=True)
     return [{"file": str(file), "kinds": list(KINDS)} for file in files]
