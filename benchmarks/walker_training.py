@@ -10,10 +10,9 @@ per second of processor time, added up over cores, with learning and all else.
 with the walker in jax; `same`, Stable-Baselines3's PPO with that recipe on Gymnasium's environment;
 and `default`, its PPO with its defaults. It prints, --looks times on the way, what policies return
 in Gymnasium's environment (mean actions, the same ten fresh episodes of 1000 steps) and the seconds
-of processor time that the trainings took, with compiling, without these looks. Of ours it prints as
-much for the best of the evaluations on the way, which the recipe keeps, and what the latest
-policies return where they were trained, in other episodes. Trainings of the same kind take turns,
-so that an interrupted run has equal steps of all.
+of processor time that the trainings took, with compiling, without these looks. Ours is extended
+from look to look, and it prints what the policies return where they were trained, too, in other
+episodes. Trainings of the same kind take turns, so that an interrupted run has equal steps of all.
 """
 
 from __future__ import annotations
@@ -25,6 +24,8 @@ import os
 import time
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -134,36 +135,26 @@ def judged(policy: Any, shown: Any = ()) -> float:
 
 
 def our_learning(seed: int, steps: int, looks: int) -> Iterator[Look]:
-    """Of the engine."""
+    """Of the engine: one training that goes on."""
     os.environ["NPROC"] = "1"
-    import mbtl.engine.learners as engine
-    from mbtl.engine.checkpoints import Checkpoint
     from mbtl.problems import get_cmdp
 
-    trainer = get_cmdp("walker-gravity", engine="jax").trainer
-    recipe, (world, params) = trainer.learner, trainer.problem([NOMINAL])
-    total, every = looks_of(recipe, steps, looks)
-    training, spent = None, 0.0
-    shown = params.visible[0]
-
-    def policy(kept: str) -> Any:
-        weights = engine.weights_of(training, Checkpoint.named(kept), ())
-        return engine.export_policies(world, weights, recipe.activation)[0]
-
-    for done in range(every, total + 1, every):
-        begin = time.process_time()
-        training = engine.train(
-            world, recipe, [seed], params, total,
-            resume=training, until=done, checkpoint_every=trainer.checkpoint_every,
-            checkpoint_episodes=trainer.checkpoint_episodes,
-        )  # fmt: skip
-        spent += time.process_time() - begin
-        latest = policy("final")
-        yield done, spent, {
-            "latest": judged(latest, shown),
-            "latest, at home": float(trainer.evaluate(latest, [NOMINAL], [0]).mean()),
-            "best so far": judged(policy("best"), shown),
-        }  # fmt: skip
+    trainer: Any = get_cmdp("walker-gravity", engine="jax").trainer
+    total, every = looks_of(trainer.learner, steps, looks)
+    (shown,) = trainer.problem([NOMINAL])[1].visible
+    policy, spent = None, 0.0
+    with TemporaryDirectory() as folder:
+        for done in range(every, total + 1, every):
+            begin = time.process_time()
+            policy = trainer.train(
+                [NOMINAL], seed, start=policy, length=done / trainer.whole,
+                done=(done - every) / trainer.whole, state=Path(folder) / "state",
+            ).policy  # fmt: skip
+            spent += time.process_time() - begin
+            yield done, spent, {
+                "latest": judged(policy, shown),
+                "latest, at home": float(trainer.evaluate(policy, [NOMINAL], [0]).mean()),
+            }  # fmt: skip
 
 
 def sb3_learning(same: bool, seed: int, steps: int, looks: int) -> Iterator[Look]:

@@ -13,6 +13,7 @@ import mbtl.engine.learners as engine  # isort: skip  # before jax: it sets jax'
 import jax
 
 from mbtl.engine.learners import networks
+from mbtl.engine.learners.clock import Pace
 from mbtl.engine.learners.episodic.recipes import TWIN_RECIPES, EpisodicPPORecipe, TRPORecipe
 from mbtl.engine.learners.multitask.table import seen
 from mbtl.errors import InvalidInput
@@ -102,7 +103,8 @@ def test_extended_or_tuned_it_acts_as_before_until_it_learns(name):
     train = partial(engine.train, WORLD, judging=False)
     own, unit = params_of(recipe, [0.4, 1.0]), recipe.update_length
     whole = train(recipe, [3, 5], own, 3 * unit)
-    half = train(recipe, [3, 5], own, 3 * unit, until=unit)
+    pace = (Pace.falling if recipe.falls else Pace.endless)(3)
+    half = train(recipe, [3, 5], own, unit, pace=pace)
     kept = engine.from_arrays(engine.start(WORLD, recipe, [3, 5], own), engine.to_arrays(half))
     end = train(recipe, [3, 5], own, 3 * unit, resume=kept)
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(end), strict=True):

@@ -88,7 +88,6 @@ def in_blocks(
     judge: Callable[[Training], Training] | None,
     on_block: Callable[[Block], None] | None = None,
     nothing_to_gain: Callable[[Training], bool] = lambda training: False,
-    until: int | None = None,
 ) -> Training:
     """Learn and be judged in turns, and keep the best weights.
 
@@ -99,26 +98,23 @@ def in_blocks(
         judge: training -> training after an evaluation and `keep_better`; None: nobody judges.
         on_block: told after each judgement, and once where nothing is left to do.
         nothing_to_gain: whether to end before the last update.
-        until: updates after which to pause; None: the end.
 
     Raises:
         TrainingFailed: weights are no longer finite.
     """
     done, planned = int(training.updates), schedule.total * schedule.unit
-    last = schedule.total if until is None else min(until, schedule.total)
-    over = done >= last or nothing_to_gain(training)
+    over = done >= schedule.total or nothing_to_gain(training)
     if over and on_block is not None:  # it went on from its end
         on_block(Block(done * schedule.unit, planned, training))
     while not over:
         end = min(done - done % schedule.every + schedule.every, schedule.total)
-        stop = min(end, last)
-        training, done = learn(training, stop - done), stop
-        if judge is not None and done == end:
+        training, done = learn(training, end - done), end
+        if judge is not None:
             training = judge(training)
         check_finite(training.state.weights, done * schedule.unit)
-        if on_block is not None and done == end:
+        if on_block is not None:
             on_block(Block(done * schedule.unit, planned, training))
-        over = done == last or nothing_to_gain(training)
+        over = done == schedule.total or nothing_to_gain(training)
     return training
 
 

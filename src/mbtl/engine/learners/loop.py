@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, cast
@@ -70,7 +69,6 @@ def train(
     weights: Weights | None = None,
     resume: Training | None = None,
     saved: SavedTraining | None = None,
-    until: int | None = None,
     judging: bool = True,
     pace: Pace | None = None,
 ) -> Training:
@@ -104,8 +102,6 @@ def train(
         resume: what an interrupted call had reached (given again with the same arguments).
         saved: file to go on from, and to save the training in now and then and at the end; where
             states mean nothing in another process (`storable`), only at the end.
-        until: steps or episodes after which to pause, rounded up to whole updates; `resume` goes on
-            from there, and the training is the same as without a pause: schedules follow `length`.
         judging: evaluate on the way. Without, `best` and its returns mean nothing.
         pace: what schedules follow; None: `length`, where the recipe's rate falls at all.
 
@@ -155,10 +151,9 @@ def train(
     fresh = partial(start, world, recipe, seeds, params, weights)
     if resume is None and saved is not None:
         resume = saved.load(fresh)
-    pause = None if until is None else math.ceil(until / recipe.update_length)
     judged = judge if judging else None
     training = fresh() if resume is None else resume
-    training = in_blocks(schedule, training, learn, judged, told, nothing_to_gain, pause)
+    training = in_blocks(schedule, training, learn, judged, told, nothing_to_gain)
     if saved is not None:
         saved.save(training, done=True)
     return training
