@@ -45,9 +45,9 @@ _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every")
 
 _CPU_LANES = 25
 """Sources trained together on a CPU where one of them would not keep it busy."""
-_SPENT, _FROM, _BRANCH, _SEED = "spent", "from", "branch", "seed"
+_SPENT, _FROM, _BRANCH, _SEED, _BEFORE = "spent", "from", "branch", "seed", "before"
 """Kept with the state of a training: updates spent before this stage, where on the trunk it began,
-and the branch of the stage before; and whose it is."""
+and the branch of the stage before; whose it is; and updates of what it was tuned from."""
 
 Problem = Callable[[Sequence[Context]], tuple[Any, Any]]
 """contexts -> (`mbtl.engine.learners.World`, its parameters with one leading axis)."""
@@ -243,8 +243,8 @@ class WorldTrainer:
         learning rate that falls slowly, and to zero along the last fifth of what is asked for
         (`mbtl.engine.learners.growing`); it has the latest weights and does not evaluate itself.
         Where it begins with the policy of another one, whose state is there, it inherits the
-        latter's critic, optimiser and statistics, and its actor before it was finished; else the
-        critic, which no policy carries, begins anew.
+        latter's critic, optimiser, statistics and learning rate, and its actor before it was
+        finished; else the critic, which no policy carries, begins anew.
 
         On several contexts each episode of an update is in another of them. Where steps are
         counted, it is context-conditioned PPO as in the multi-task baseline: its copies of the
@@ -318,11 +318,14 @@ class WorldTrainer:
         training = file.load(fresh)
         if training is None or file.notes.get(_SEED) != seed:  # nobody's, or the parent's
             begun = fresh()
-            training = file.inherited(begun) or begun
+            training, before = file.inherited(begun) or (begun, 0)
+            before += file.notes.get(_BEFORE, 0)
             spent = self._updates(done, unit)
             training = _advanced(training, engine.Stage.of(spent).trunk if spent else 0)
-            file.notes = {_SPENT: spent, _FROM: int(training.updates), _SEED: seed}
+            now = int(training.updates)
+            file.notes = {_SPENT: spent, _FROM: now, _SEED: seed, _BEFORE: before}
         spent, begin = file.notes[_SPENT], file.notes[_FROM]
+        growing = growing._replace(before=file.notes[_BEFORE])
         planned = max(self._updates(length, unit), spent)
         stage = engine.Stage.of(planned - spent)
         branch, end = stage.branch, begin + stage.trunk
@@ -376,6 +379,7 @@ class WorldTrainer:
         training = growing.start() if trunk is None else trunk
         if parents is not None:
             training = engine.taking_over(training, parents, which)
+            growing = growing._replace(before=int(parents.updates))
 
         def on_block(block: Any) -> None:
             if on_progress is not None:

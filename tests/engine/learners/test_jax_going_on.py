@@ -13,7 +13,7 @@ import mbtl.engine.learners as engine  # isort: skip  # before jax: it sets jax'
 import jax
 
 from mbtl.engine.learners import networks
-from mbtl.engine.learners.clock import Pace
+from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic.recipes import TWIN_RECIPES, EpisodicPPORecipe, TRPORecipe
 from mbtl.engine.learners.multitask.table import seen
 from mbtl.errors import InvalidInput
@@ -94,6 +94,18 @@ def test_a_policy_that_would_act_otherwise_is_refused():
         engine.taught(WORLD, policy, "relu")
     with pytest.raises(InvalidInput, match="with the activation tanh, got str"):
         engine.taught(WORLD, "policy.zip", "tanh")
+
+
+def test_a_copy_learns_as_slowly_as_its_parent_did():
+    """Half a unit of copies at the full rate was behind a fresh unit at home."""
+    own, parents = Pace.endless(10, 1.0), Pace.endless(10, 1.0, before=8)
+    rates = [
+        float(clock_at(number, pace).rate) for number, pace in [(0, own), (8, own), (0, parents)]
+    ]
+    np.testing.assert_allclose(rates, [1.0, 1 / 3, 1 / 3], rtol=1e-6)
+    ending = parents.branch(7, 9)  # counts from its own first update
+    rates = [float(clock_at(number, ending).rate) for number in (7, 8, 9)]
+    np.testing.assert_allclose(rates, [0.25, 0.125, 0.0], rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", RECIPES)

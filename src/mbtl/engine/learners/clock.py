@@ -20,17 +20,20 @@ class Pace(NamedTuple):
         begin: from here on the learning rate falls linearly,
         end: and is zero here.
         slowing: before, it is that of the recipe over sqrt(1 + updates / slowing).
+        before: updates of the training that this one is tuned from: all of the above go on from
+            them, but begin and end count from its own first update.
     """
 
     whole: int | jax.Array
     begin: int | jax.Array
     end: int | jax.Array
     slowing: float | jax.Array = math.inf
+    before: int | jax.Array = 0
 
     @classmethod
-    def endless(cls, whole: int, slowing: float = math.inf) -> Pace:
+    def endless(cls, whole: int, slowing: float = math.inf, before: int = 0) -> Pace:
         """The learning rate never falls to zero."""
-        return cls(whole, _NEVER, _NEVER + 1, slowing)
+        return cls(whole, _NEVER, _NEVER + 1, slowing, before)
 
     @classmethod
     def falling(cls, whole: int) -> Pace:
@@ -59,14 +62,14 @@ class Clock(NamedTuple):
     @property
     def progress(self) -> jax.Array:
         """Share of the whole training that is done, >= 0."""
-        return self.number / self.pace.whole
+        return (self.pace.before + self.number) / self.pace.whole
 
     @property
     def rate(self) -> jax.Array:
         """Share of the learning rate, from 0 to 1."""
-        _, begin, end, slowing = self.pace
-        before = 1.0 / jnp.sqrt(1.0 + jnp.minimum(self.number, begin) / slowing)
-        return before * jnp.clip(1.0 - (self.number - begin) / (end - begin), 0.0, 1.0)
+        _, begin, end, slowing, before = self.pace
+        slowed = 1.0 / jnp.sqrt(1.0 + (before + jnp.minimum(self.number, begin)) / slowing)
+        return slowed * jnp.clip(1.0 - (self.number - begin) / (end - begin), 0.0, 1.0)
 
 
 def clock_at(number: jax.Array, pace: Pace) -> Clock:

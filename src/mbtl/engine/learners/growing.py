@@ -58,6 +58,7 @@ class Growing(NamedTuple):
         params: of the P contexts, or sets of contexts.
         whole: updates of one unit, within a share of which exploration falls.
         slowing: units, see `SLOWING`.
+        before: updates of the trainings that these are tuned from (evidence/schedules.py).
     """
 
     world: World
@@ -66,6 +67,7 @@ class Growing(NamedTuple):
     params: Tree
     whole: int
     slowing: float = SLOWING
+    before: int = 0
 
     def start(self, weights: Weights | None = None) -> Training:
         """Before the first update, from these weights or from scratch."""
@@ -97,7 +99,7 @@ class Growing(NamedTuple):
 
     @property
     def _endless(self) -> Pace:
-        return Pace.endless(self.whole, self.slowing * self.whole)
+        return Pace.endless(self.whole, self.slowing * self.whole, self.before)
 
     def policies(self, weights: Weights) -> list[MLPPolicy]:
         """The P policies that such weights are."""

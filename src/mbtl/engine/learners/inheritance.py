@@ -38,8 +38,11 @@ def taking_over(training: Training, parent: Training, which: Sequence[int]) -> T
     return _begun_with(training, given)
 
 
-def inheriting(training: Training, arrays: Mapping[str, NDArray[Any]]) -> Training:
+def inheriting(training: Training, arrays: Mapping[str, NDArray[Any]]) -> tuple[Training, int]:
     """The same from the saved arrays of one parent, whatever contexts that was trained on.
+
+    Returns:
+        The trainings, and the updates that the parent had done.
 
     Raises:
         StorageError: they belong to another recipe.
@@ -61,7 +64,8 @@ def inheriting(training: Training, arrays: Mapping[str, NDArray[Any]]) -> Traini
                 )
             given[name] = jax.tree.unflatten(structure, [jnp.asarray(x) for x in found])
         first += len(leaves)
-    return _begun_with(training, given)
+    last = sum(name.startswith("leaf_") for name in arrays) - 1  # the last field of a `Training`
+    return _begun_with(training, given), int(arrays[f"leaf_{last}"])
 
 
 def _taken(state: Any) -> list[str]:

@@ -5,14 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbtl.engine.learners.blocks import Training, from_arrays, to_arrays
 from mbtl.engine.learners.inheritance import inheriting
 from mbtl.errors import MbtlError
 from mbtl.files import whole_file
 from mbtl.untrusted import read_arrays
+
+T = TypeVar("T")
 
 _NOTE = "note_"
 _SECONDS = 30.0
@@ -43,30 +47,28 @@ class SavedTraining:
             np.savez(file, **to_arrays(training), **notes)  # type: ignore[arg-type]
         self._at = time.monotonic()
 
-    def inherited(self, begun: Training) -> Training | None:
+    def inherited(self, begun: Training) -> tuple[Training, int] | None:
         """`begun`, a training before its first update, with what another one here had learnt.
 
-        None where there is nothing that fits.
+        With it the updates that the other one had done; its notes are found. None where there is
+        nothing that fits.
         """
-        if self._path is None:
-            return None
-        try:
-            with self._path.open("rb") as file:
-                return inheriting(begun, read_arrays(file))
-        except (MbtlError, ValueError, OSError):
-            return None
+        return self._read(lambda arrays: inheriting(begun, arrays))
 
     def load(self, template: Callable[[], Training]) -> Training | None:
         """What was saved; None where there is nothing that fits: then it starts anew.
 
         The template gives the same training before its first update.
         """
+        return self._read(lambda arrays: from_arrays(template(), arrays))
+
+    def _read(self, made_of: Callable[[dict[str, NDArray[Any]]], T]) -> T | None:
         if self._path is None:
             return None
         try:
             with self._path.open("rb") as file:
                 arrays = read_arrays(file)
-            found = from_arrays(template(), arrays)
+            found = made_of(arrays)
             noted = (name for name in arrays if name.startswith(_NOTE))
             self.notes = {name.removeprefix(_NOTE): int(arrays[name]) for name in noted}
             return found
