@@ -30,11 +30,11 @@ from mbtl.zoo.benchmark.oracle import sequential_oracle
 
 CMDP = "cartpole-masses-length"
 RANDOM, ORACLE, INDEPENDENT = "random", "oracle", "independent"
-SELECTORS = (RANDOM, "mbtl", "gp-mbtl", "m-mbtl", "sd-mbtl", "auto", ORACLE)
+SELECTORS = (RANDOM, "mbtl", "gp-mbtl", "m-mbtl", "sd-mbtl", "specialists", ORACLE)
 METHODS = (INDEPENDENT, *SELECTORS)
 NAMES = {
     INDEPENDENT: "Independent", RANDOM: "Random", "mbtl": "MBTL", "gp-mbtl": "GP-MBTL",
-    "m-mbtl": "M-MBTL", "sd-mbtl": "M/GP-MBTL", "auto": "`auto`", ORACLE: "oracle",
+    "m-mbtl": "M-MBTL", "sd-mbtl": "M/GP-MBTL", "specialists": "`auto`", ORACLE: "oracle",
 }  # fmt: skip
 K_TABLE, K_CURVE, BUDGET = 12, 15, 30
 SHOWN = (1, 2, 3, 4, 6, K_TABLE, K_CURVE, BUDGET)

@@ -29,7 +29,8 @@ from mbtl.zoo.benchmark.comparison import Estimate, Summary, Trainings, training
 from mbtl.zoo.benchmark.shipped import load_by_id, open_matrices, shipped_matrices
 
 SELECTORS = (
-    "random", "greedy", "mbtl", "mbtl-release", "gp-mbtl", "m-mbtl", "sd-mbtl", "auto", "oracle",
+    "random", "greedy", "mbtl", "mbtl-release", "gp-mbtl", "m-mbtl", "sd-mbtl",
+    "specialists", "oracle",
 )  # fmt: skip
 SMOOTH = 2.0
 """Grid steps over which the rows of the other seeds are averaged."""

@@ -33,7 +33,7 @@ SHIPPED = (
 )  # fmt: skip
 
 SELECTORS = {
-    "random": "Random", "greedy": "Greedy", "mbtl": "MBTL", "auto": "auto",
+    "random": "Random", "greedy": "Greedy", "mbtl": "MBTL", "specialists": "auto",
     "oracle": "Sequential Oracle",
 }  # fmt: skip
 ALL_AT_ONCE = "one policy for all"

@@ -78,7 +78,7 @@ def gap(ax: Any = None) -> Any:
 
 def compared(ax: Any = None) -> Any:
     """Selectors side by side."""
-    names = ["random", "greedy", "mbtl", "auto", "oracle"]
+    names = ["random", "greedy", "mbtl", "specialists", "oracle"]
     return mbtl.compare(names, [mbtl.load_matrix(COMPARED)], 15, seeds=1).plot(ax=ax)
 
 
@@ -87,9 +87,9 @@ def readme() -> Any:
     with plot.style():
         left, right = new_figure(10.6, 3.6).subplots(1, 2)
         matrix = mbtl.load_matrix(README)
-        mbtl.compare(["random", "greedy", "auto", "mbtl", "oracle"], [matrix], 15, seeds=1).plot(
-            ax=left
-        )
+        mbtl.compare(
+            ["random", "greedy", "specialists", "mbtl", "oracle"], [matrix], 15, seeds=1
+        ).plot(ax=left)
         left.set_title(f"{README}: {matrix.n} contexts, {matrix.n_seeds} seeds")
         left.legend(loc="lower right", fontsize=7)
         plot.policy_map(replayed(15, README), ax=right)

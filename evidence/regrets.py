@@ -41,7 +41,7 @@ from mbtl.zoo.benchmark.transfers import TransferData, load_transfers, transfer_
 from mbtl.zoo.cmdps import get_cmdp
 
 BUDGETS = tuple(range(1, 16))
-CHOOSERS = ("mbtl", "greedy", "m-mbtl", "auto")
+CHOOSERS = ("mbtl", "greedy", "m-mbtl", "specialists")
 ORDERS = 200
 """Random orders of specialists after the policy for all."""
 
@@ -113,8 +113,7 @@ def table_of(data: TransferData) -> Table:
             selector = get_selector(name)
             selector = selector.without(family) if hasattr(selector, "without") else selector
             run = replay_trainings(selector, world, BUDGETS[-1])
-            known = "specialists" if name == "auto" else name
-            rivals.setdefault(known, []).append([run.at(b) for b in BUDGETS])
+            rivals.setdefault(name, []).append([run.at(b) for b in BUDGETS])
         curve = random_curve(matrix, seed, most)
         rivals.setdefault("random", []).append([curve[min(b, most) - 1] for b in BUDGETS])
         run = replay_trainings(OnePolicy(), world, BUDGETS[-1])

@@ -30,11 +30,11 @@ from mbtl.zoo.benchmark.replay import replay
 
 BUDGET, PUBLISHED_TRIALS = 50, 100
 METHODS = ("random", "gp-mbtl", "m-mbtl", "sd-mbtl", "oracle")
-SELECTORS = ("gp-mbtl", "m-mbtl", "sd-mbtl", "auto")
+SELECTORS = ("gp-mbtl", "m-mbtl", "sd-mbtl", "specialists")
 OWN_ORACLE = "oracle of each trial"
 NAMES = {
     "random": "Random", "gp-mbtl": "GP-MBTL", "m-mbtl": "M-MBTL", "sd-mbtl": "M/GP-MBTL",
-    "oracle": "oracle", OWN_ORACLE: "own oracle", "auto": "auto",
+    "oracle": "oracle", OWN_ORACLE: "own oracle", "specialists": "auto",
 }  # fmt: skip
 PUBLISHED = {  # V after 50 trainings, in the order of METHODS, by world and noise
     "const-lin-nd": {

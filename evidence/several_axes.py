@@ -30,7 +30,7 @@ from mbtl.contexts import Axis, Categorical, ContextSpace, Integer, Linear, Log
 from mbtl.selectors import SelectionProblem
 from mbtl.zoo.benchmark import compare
 
-SELECTORS = ("random", "kmeans", "mbtl", "m-mbtl", "sd-mbtl", "auto", "oracle")
+SELECTORS = ("random", "kmeans", "mbtl", "m-mbtl", "sd-mbtl", "specialists", "oracle")
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ import pages
 
 from mbtl.zoo.benchmark import TransferMatrix, compare, levels, load_matrix, shipped_matrices
 
-SELECTORS = ("greedy", "mbtl", "auto", "oracle")
+SELECTORS = ("greedy", "mbtl", "specialists", "oracle")
 
 
 def measured(matrix: TransferMatrix, budget: int) -> dict[str, float]:

@@ -57,7 +57,8 @@ def record(folder: Path) -> None:
         if not rows.exists():
             with tempfile.TemporaryDirectory() as place:
                 study = str(Path(place) / problem)
-                mbtl("run", problem, "--preset", "quick", "--study", study)
+                recipe = ("--preset", "quick", "--strategy", "specialists")
+                mbtl("run", problem, *recipe, "--study", study)
                 mbtl("study", "export", study, f"{place}/rows.json")
                 found = json.loads((Path(place) / "rows.json").read_text())["rows"]
             rows.write_text(json.dumps(found, indent=1))

@@ -162,7 +162,7 @@ def test_a_matrix_of_fewer_sources_is_replayed_beside_others():
     item = content(of_matrix(matrix, "mbtl", budget=4, seed=1))
     assert set(item["sources"]) <= set(matrix.sources)
     assert item["matrix"]["values"].shape == (7, N)
-    assert {"Random", "Sequential Oracle", "auto"} <= set(item["baselines"])
+    assert {"Random", "Sequential Oracle", "specialists"} <= set(item["baselines"])
     assert item["curve"]["values"][-1] <= item["levels"]["Oracle Transfer"] + 1e-9
 
 

@@ -108,7 +108,7 @@ def test_three_axes_are_maps_that_can_be_sliced_and_pairs_and_a_phone_needs_no_s
     )
     study = study_on(space, picks=3)
     found = probe(
-        page([of_study(study), of_matrix(matrix_on(space), "auto", budget=3)]),
+        page([of_study(study), of_matrix(matrix_on(space), "specialists", budget=3)]),
         """
         await plotted("policies");
         const box = seen("policies"), selects = [...box.parentElement.querySelectorAll("select")];

@@ -39,21 +39,21 @@ def test_what_was_seen_later_does_not_change_what_was_believed_before():
         outlook(PROBLEM, late, after=5)
 
 
-def test_a_selector_without_a_model_gets_that_of_auto_whose_samples_have_its_stated_mean():
+def test_a_selector_without_a_model_gets_that_of_specialists_whose_samples_have_its_stated_mean():
     history = history_of([14, 29, 0])
     found = outlook(PROBLEM, history, "random")
-    assert found.model == "auto"
+    assert found.model == "specialists"
     assert outlook(PROBLEM, history, "no/such.py:Mine").mean == pytest.approx(found.mean)
     source = int(np.nanargmax(found.gain))
     assert (found.drawn(source) >= 0).all()
-    proposal = get_selector("auto").propose(PROBLEM, history, np.random.default_rng(0))
+    proposal = get_selector("specialists").propose(PROBLEM, history, np.random.default_rng(0))
     assert found.drawn(proposal.source).mean() == pytest.approx(proposal.acquisition, rel=0.03)
 
 
 def test_the_gain_shown_with_a_pick_is_the_one_that_picks_are_ranked_by():
     history = history_of([14, 29])
     proposal = Auto(cover=0).propose(PROBLEM, history, np.random.default_rng(0))
-    gain = np.where(history.open_mask(N), outlook(PROBLEM, history, "auto").gain, -1.0)
+    gain = np.where(history.open_mask(N), outlook(PROBLEM, history, "specialists").gain, -1.0)
     assert proposal.acquisition == pytest.approx(gain.max(), abs=1e-9)
     assert proposal.acquisition == pytest.approx(gain[proposal.source], abs=1e-9)
 

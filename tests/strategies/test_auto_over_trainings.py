@@ -55,7 +55,7 @@ def test_where_tuning_pays_copies_take_over(noise):
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 def test_where_one_policy_for_all_fails_specialists_take_over_soon(noise):
     data = transfer_worlds.one_for_all_fails(noise=noise)
-    found, alone = run(data, Auto()), run(data, get_selector("auto"))
+    found, alone = run(data, Auto()), run(data, get_selector("specialists"))
     assert found.at(3) > alone.at(2) - 0.01  # one unit shows it
     for budget in range(3, 16):  # and one more goes into copies
         assert found.at(budget) > alone.at(budget - 2) - 0.01
@@ -105,7 +105,7 @@ def test_a_live_study_says_in_each_line_what_is_trained_and_why():
 def test_a_trainer_of_one_context_gets_what_the_chooser_says_and_one_sentence():
     simulator = Simulator()
     study, alone = (
-        created(SPACE, budget=4, strategy=s, bounds=(0.0, 1.0)) for s in (Auto(), "auto")
+        created(SPACE, budget=4, strategy=s, bounds=(0.0, 1.0)) for s in (Auto(), "specialists")
     )
     for one in (study, alone):
         one.run(lambda context, seed: simulator.train([context], seed), simulator.evaluate,
@@ -114,6 +114,21 @@ def test_a_trainer_of_one_context_gets_what_the_chooser_says_and_one_sentence():
     (note,), *others = [pick.notes for pick in study.state.picks]
     assert note.startswith("this trainer takes one context at a time, so no policy for several")
     assert others == [()] * 3
+
+
+def test_whoever_trains_by_hand_is_asked_for_one_context_until_a_trainer_is_known():
+    """Else `train(pick.context)` would be told as a policy for all of them."""
+    simulator = Simulator()
+    study = created(SPACE, budget=4, bounds=(0.0, 1.0))
+    assert study.spec.selector["name"] == "auto"
+    by_hand = study.ask()
+    assert (len(by_hand.sources), by_hand.start, by_hand.length) == (1, None, None)
+    (note,) = study.state.picks[0].notes
+    assert "no trainer is known so far" in note
+    made = simulator.train([by_hand.context], by_hand.seed)
+    study.tell(by_hand, simulator.evaluate(made, SPACE.contexts, None))
+    study.equip(mbtl.trainers.FunctionTrainer(simulator.train, simulator.evaluate))
+    assert study.ask().sources == tuple(range(SPACE.n))
 
 
 def test_what_a_trainer_cannot_do_is_said_once(capsys):

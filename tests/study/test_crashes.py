@@ -85,7 +85,14 @@ def test_the_chance_of_success_is_one_before_a_failure_and_local_after_it():
 
 @pytest.mark.parametrize(
     ("selector", "most"),
-    [("auto", 6), ("mbtl", 6), ("mbtl-ei", 6), ("gp-mbtl", 6), ("m-mbtl", 3), ("sd-mbtl", 3)],
+    [
+        ("specialists", 6),
+        ("mbtl", 6),
+        ("mbtl-ei", 6),
+        ("gp-mbtl", 6),
+        ("m-mbtl", 3),
+        ("sd-mbtl", 3),
+    ],
 )
 def test_a_region_where_trainings_crash_is_left_after_some(selector, most):
     """30 % of the contexts crash, in one region: of 15 picks at random 4.5 are spent there."""

@@ -31,7 +31,7 @@ def test_a_cmdp_is_made_with_its_switches():
 
 
 def test_what_is_no_matrix_is_left_to_others(tmp_path):
-    assert laboratory().subject(str(tmp_path), selector="auto", budget=2, seed=0) is None
+    assert laboratory().subject(str(tmp_path), selector="specialists", budget=2, seed=0) is None
 
 
 def test_commands_of_the_tool_import_none_of_the_laboratory():

@@ -37,7 +37,7 @@ def report(
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")] = Path("report.html"),
     selector: Annotated[
         str, typer.Option(help="Rule that is replayed on a matrix; of a study its own is shown.")
-    ] = "auto",
+    ] = "specialists",
     budget: Annotated[int, typer.Option(help="Number of trainings K on a matrix.")] = 15,
     seed: Annotated[int, typer.Option(help="Matrix seed that is replayed.")] = 0,
     live: Annotated[

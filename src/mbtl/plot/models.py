@@ -27,7 +27,7 @@ def model(study: Study, step: int | None = None, *, show: Quantity = "mean", ax:
 
     On one axis: mean and 95 % band of the training performance, the policies as dots, and along
     the bottom, on a scale of its own, the expected gain; a triangle is the pick that came next. On
-    two axes: a map of `show`. Selectors without a model are drawn with that of `auto`.
+    two axes: a map of `show`. Selectors without a model are drawn with that of `specialists`.
 
     Args:
         study: with one or more rows.

@@ -92,7 +92,7 @@ class Auto:
     finalists: int = 10
     final_targets: int = 150
     cover: int = 3
-    name: str = "auto"
+    name: str = "specialists"
     traits: ClassVar[Traits] = Traits(deterministic=True, predicts_chances=True)
 
     def __post_init__(self) -> None:
@@ -130,7 +130,7 @@ class Auto:
         gain = np.full(problem.n, np.nan)
         row_gain = self._judged(problem, beliefs)
         gain[candidates] = row_gain.expected(candidates)
-        return Outlook("auto", *row_gain.model.predict_pairs(own), gain, row_gain.drawn)
+        return Outlook("specialists", *row_gain.model.predict_pairs(own), gain, row_gain.drawn)
 
     def _choose(
         self, problem: SelectionProblem, history: History, mask: Mask, beliefs: Beliefs

@@ -44,6 +44,7 @@ class SelectionProblem:
         abilities: what the trainer can do beside specialists: train on several contexts ("sets"),
             begin from a policy ("start"), train for any length ("length"); None: specialists are
             all that is asked for, and each context is one.
+        assumed: whether these are only assumed, as no trainer is known so far.
     """
 
     unit: Array
@@ -59,6 +60,7 @@ class SelectionProblem:
     axes: tuple[Axis, ...] = ()
     trainable: NDArray[np.bool_] | None = None
     abilities: frozenset[str] | None = None
+    assumed: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "budget", whole("budget", self.budget))
@@ -102,7 +104,7 @@ class SelectionProblem:
             budget: number of trainings K.
             theta: slope of the linear gap.
             **wishes: `costs`, `cost_budget`, `risk`, `least_gain`, `least_left`,
-                `trainable`, `abilities`.
+                `trainable`, `abilities`, `assumed`.
         """
         slope = default_theta(space.n) if theta is None else theta
         return cls(space.unit, space.steps, space.weights, budget, slope, axes=space.axes, **wishes)
@@ -133,7 +135,7 @@ class SelectionProblem:
             axes = ", ".join(axis.name for axis in self.axes) or f"{self.steps.shape[1]} of them"
             raise InvalidInput(
                 f"this selector needs contexts on one numeric axis, got {axes}; choose one that "
-                "takes any, such as 'auto'"
+                "takes any, such as 'specialists'"
             )
         return self.steps[:, 0]
 

@@ -19,14 +19,14 @@ MOST = 200
 def outlook(
     problem: SelectionProblem,
     history: History,
-    selector: Selector | str = "auto",
+    selector: Selector | str = "specialists",
     *,
     after: int | None = None,
 ) -> Outlook | None:
     """What the model of a selector believed after so many trainings.
 
     A selector without a model of its own (Random, Greedy, one whose name is not known here) gets
-    that of `auto`. A selector has one if it has a method `outlook(problem, history, candidates)`.
+    that of `specialists`. It has one if it has a method `outlook(problem, history, candidates)`.
 
     Args:
         problem: the contexts.

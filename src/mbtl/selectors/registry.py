@@ -22,7 +22,7 @@ from mbtl.selectors.sd_mbtl import SDMBTL
 from mbtl.selectors.worst_first import WorstFirst
 
 _FACTORIES: dict[str, Callable[[], Selector]] = {
-    "auto": Auto,
+    "specialists": Auto,
     "mbtl": MBTL,
     "mbtl-release": MBTLRelease,
     "mbtl-ei": MBTLEI,

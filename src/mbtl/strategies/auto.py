@@ -42,6 +42,10 @@ _ONE_AT_A_TIME = (
     "this trainer takes one context at a time, so no policy for several is tried; "
     "train(contexts, seed, *, start=None, length=None) can do all"
 )
+_UNKNOWN = (
+    "no trainer is known so far, so each pick is one context from scratch; study.equip(trainer) "
+    "says what else can be trained"
+)
 _FROM_SCRATCH = "this trainer cannot begin with a policy, so none is tuned or trained longer"
 
 
@@ -101,7 +105,7 @@ class Auto:
     copy_share: float = 0.1
     fresh_share: float = 0.1
     doubt: float = 0.5
-    name: str = "auto-trainings"
+    name: str = "auto"
     traits: ClassVar[Traits] = Traits(deterministic=True, predicts_chances=True, any_training=True)
 
     def without(self, family: str) -> Auto:
@@ -118,6 +122,8 @@ class Auto:
         Raises:
             Exhausted: nothing can be trained, or the policy for all is still in training.
         """
+        if problem.assumed:  # whoever trains by hand reads one context off a pick
+            problem = replace(problem, abilities=frozenset())
         standing = Standing(problem, history)
         if (first := on_all(problem, history)) is not None:
             # a look on the way says how fast it learns
@@ -256,7 +262,7 @@ class Standing:
         if self.history.asked or len(self.problem.sources) < 2:
             return ()
         if "sets" not in self.abilities:
-            return (_ONE_AT_A_TIME,)
+            return (_UNKNOWN if self.problem.assumed else _ONE_AT_A_TIME,)
         return () if "start" in self.abilities else (_FROM_SCRATCH,)
 
     @cached_property

@@ -12,10 +12,9 @@ from mbtl.strategies.auto import Auto
 from mbtl.strategies.one_policy import OnePolicy
 
 _FACTORIES: dict[str, Callable[[], Selector]] = {
+    "auto": Auto,
     "all-first": AllFirst,
     "one-policy": OnePolicy,
-    # "auto" names the selector so far; it becomes "specialists" when this one is the default
-    "auto-trainings": Auto,
 }
 
 

@@ -71,11 +71,14 @@ class StudySpec:
     unit: int | None = None
     target_steps: int | None = None
 
-    def selection_problem(self, abilities: frozenset[str] = frozenset()) -> SelectionProblem:
+    def selection_problem(
+        self, abilities: frozenset[str] = frozenset(), *, assumed: bool = False
+    ) -> SelectionProblem:
         """What the strategy may know before any training.
 
         Args:
             abilities: of the trainer, beside specialists; selectors ask for none.
+            assumed: whether no trainer is known so far.
         """
         return SelectionProblem.of(
             self.space,
@@ -87,6 +90,7 @@ class StudySpec:
             least_gain=self.stop_gain,
             least_left=self.stop_left,
             abilities=abilities if self.any_training else None,
+            assumed=assumed,
         )
 
     def to_json(self) -> dict[str, Any]:

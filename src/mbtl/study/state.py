@@ -101,7 +101,9 @@ class StudyState:
     def problem(self) -> SelectionProblem:
         """What the strategy may know before any training, and of the trainer."""
         assert self.spec is not None
-        return self.spec.selection_problem(self.abilities)
+        return self.spec.selection_problem(
+            self.abilities, assumed="abilities" not in (self.equipment or {})
+        )
 
     def history(self) -> History:
         """What a strategy may see: rows as performance under the bounds of this moment.

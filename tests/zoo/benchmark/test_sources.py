@@ -74,7 +74,7 @@ def test_every_selector_proposes_sources_only_and_all_of_them(matrix, name):
 
 def test_pending_sources_count_and_others_are_refused(matrix):
     history = History(8).with_pending(0).with_pending(2).with_failure(5)
-    pick = get_selector("auto").propose(matrix.problem(2), history, np.random.default_rng(0))
+    pick = get_selector("specialists").propose(matrix.problem(2), history, np.random.default_rng(0))
     assert pick.source == 7
 
     class Stubborn:
@@ -88,7 +88,7 @@ def test_pending_sources_count_and_others_are_refused(matrix):
 
 
 def test_a_comparison_runs_on_it(matrix):
-    found = compare(["auto", "random", "oracle"], [matrix], budget=3, seeds=2)
+    found = compare(["specialists", "random", "oracle"], [matrix], budget=3, seeds=2)
     assert all(set(run.sources) <= set(SOURCES) for run in found.results)
     with pytest.raises(InvalidInput, match=r"trainable contexts \(4\)"):
         matrix.problem(5)

@@ -85,7 +85,7 @@ def test_what_cannot_be_answered_gave_nothing_and_cost_nothing():
     assert run.units == pytest.approx([1.0])
 
 
-@pytest.mark.parametrize("name", ["mbtl", "m-mbtl", "auto"])
+@pytest.mark.parametrize("name", ["mbtl", "m-mbtl", "specialists"])
 def test_a_selector_is_replayed_as_on_the_matrix_of_specialists(name):
     data = transfer_worlds.one_for_all_fails(noise=0.05, seeds=(0, 1))
     matrix, selector = specialists_of(data), get_selector(name)
@@ -93,7 +93,7 @@ def test_a_selector_is_replayed_as_on_the_matrix_of_specialists(name):
     assert run.value == pytest.approx(
         [float(v) for v in measured(matrix, [one.contexts[0] for one in run.trainings])]
     )
-    if name != "auto":  # that one heeds the noise, which the other replay does not tell
+    if name != "specialists":  # that one heeds the noise, which the other replay does not tell
         plain = replay(selector, matrix.problem(5), lambda x: matrix.rows(1, [x])[0])
         assert [one.contexts[0] for one in run.trainings] == list(plain.history.sources)
 

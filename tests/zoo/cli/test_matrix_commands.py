@@ -325,7 +325,7 @@ def test_odd_provenance_breaks_no_command(mbtl_command, tmp_path, record):
     matrix = TransferMatrix.of(returns, contexts=np.arange(4.0)[:, None], provenance=record)
     matrix.save(tmp_path / "m.npz")
     assert matrix.records[0].get("problem", "") == matrix.cmdp == ""
-    bench = ("bench", "--matrix", "m.npz", "--budget", "2", "--selectors", "random,auto")
+    bench = ("bench", "--matrix", "m.npz", "--budget", "2", "--selectors", "random,specialists")
     for command in (("matrix", "show", "m.npz"), bench, ("report", "m.npz")):
         code, _, err = mbtl_command(*command)
         assert code == 0, (command, err)

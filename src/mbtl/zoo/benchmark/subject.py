@@ -51,7 +51,9 @@ def reference_curves(study: Study) -> ReferenceCurves | None:
     )
 
 
-def of_file(given: str, selector: str = "auto", *, budget: int = 15, seed: int = 0) -> Subject:
+def of_file(
+    given: str, selector: str = "specialists", *, budget: int = 15, seed: int = 0
+) -> Subject:
     """`of_matrix` of a file, or of a shipped matrix by id.
 
     Raises:
@@ -67,7 +69,7 @@ def of_file(given: str, selector: str = "auto", *, budget: int = 15, seed: int =
 
 
 def of_matrix(
-    matrix: TransferMatrix, selector: str = "auto", *, budget: int = 15, seed: int = 0
+    matrix: TransferMatrix, selector: str = "specialists", *, budget: int = 15, seed: int = 0
 ) -> Subject:
     """A selector replayed on a matrix seed, beside others and what the matrix allows."""
     problem = matrix.problem(min(budget, len(matrix.problem(1).sources)))
@@ -86,7 +88,7 @@ def of_matrix(
         "Random": np.array([one.random for one in known]),
         "Sequential Oracle": np.array([one.oracle.curve for one in known]),
     }
-    others = [n for n in ("greedy", "mbtl", "auto") if n != selector]
+    others = [n for n in ("greedy", "mbtl", "specialists") if n != selector]
     others = [name for name in others if name != "greedy" or problem.is_line]
     runs = compare(others, [matrix], problem.budget, 1).results
     for name in others:

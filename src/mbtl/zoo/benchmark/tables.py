@@ -102,9 +102,9 @@ def show_comparison(screen: Console, comparison: Comparison, against: str | None
         )
     if "random" in summary.pooled:
         notes.append("random: exact expectation over all orders.")
-    if "auto" in summary.pooled:
+    if "specialists" in summary.pooled:
         notes.append(
-            "auto: its prior has not seen the family of a matrix, where provenance names its CMDP."
+            "specialists: its prior has not seen the family of a matrix, where provenance names it."
         )
     screen.print("\n".join(notes), style="dim", markup=False, highlight=False)
 

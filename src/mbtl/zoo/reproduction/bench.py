@@ -36,7 +36,7 @@ OWN = ("ppo", "trpo", "dqn")
 SEARCHED = 100
 """Trainings until which k* is looked for, all of every CMDP of the paper."""
 
-SELECTORS = ("greedy", "mbtl", "mbtl-ei", "mbtl-release", "auto")
+SELECTORS = ("greedy", "mbtl", "mbtl-ei", "mbtl-release", "specialists")
 """Replayed on every matrix; greedy needs one axis."""
 
 

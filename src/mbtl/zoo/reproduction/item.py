@@ -242,7 +242,7 @@ COLOURS = {
     "mbtl": "#0072B2",
     "mbtl-ei": "#56B4E9",
     "mbtl-release": "#CC79A7",
-    "auto": "#D55E00",
+    "specialists": "#D55E00",
     "sequential_oracle": "#000000",
     "independent": "#E69F00",
     "multitask": "#CC79A7",

@@ -11,7 +11,7 @@ from mbtl.zoo.reproduction.item import COLOURS, DASHES, Item, Numbers, Table, ab
 from mbtl.zoo.reproduction.paper import HEADS
 
 SHOWN = ("random", "greedy", "mbtl", "sequential_oracle")
-_KEPT = (*SHOWN, "auto")
+_KEPT = (*SHOWN, "specialists")
 
 
 def compute(bench: Bench) -> Numbers:

@@ -78,7 +78,9 @@ def _line(id: str, case: Case | None, paper: Published | None) -> dict[str, Any]
             "n_seeds": case.n_seeds,
             "multitask": _plain({n: Value.of(v) for n, v in case.multitask.items()}),
             "references": _plain({n: Value.of(v) for n, v in case.references.items()}),
-            "auto": _plain({"auto": Value.of(case.curves["auto"][:, -1])})["auto"],
+            "specialists": _plain({"specialists": Value.of(case.curves["specialists"][:, -1])})[
+                "specialists"
+            ],
             "apart": case.apart,
             "caveat": case.caveat,
         }
@@ -114,7 +116,7 @@ def _aggregate(cases: Mapping[str, Case]) -> dict[str, Any]:
     if not cases:
         return {}
     found: dict[str, Any] = {}
-    every = {**{m: m for m in METHODS}, "auto": "auto"}
+    every = {**{m: m for m in METHODS}, "specialists": "specialists"}
     mbtl = [case.per_seed["mbtl"] for case in cases.values()]
     for method in every:
         scores = [_scores(case, method) for case in cases.values()]
@@ -135,7 +137,9 @@ def _aggregate(cases: Mapping[str, Case]) -> dict[str, Any]:
 
 
 def _scores(case: Case, method: str) -> Any:
-    return case.curves["auto"][:, -1] if method == "auto" else case.per_seed.get(method)
+    return (
+        case.curves["specialists"][:, -1] if method == "specialists" else case.per_seed.get(method)
+    )
 
 
 def _marks_agree(paper: Mapping[str, Published]) -> int:
@@ -213,11 +217,11 @@ def _references(numbers: Numbers) -> Table:
         if line["ours"] is None:
             continue
         cells = [_cell(line["references"].get(name)) for name in REFERENCE_NAMES]
-        rows.append((line["cmdp"], *cells, _cell(line["ours"]["mbtl"]), _cell(line["auto"])))
+        rows.append((line["cmdp"], *cells, _cell(line["ours"]["mbtl"]), _cell(line["specialists"])))
     return Table(
-        "What stands without any selection: V of reference rows, beside MBTL and `auto` after "
-        f"K = {numbers['budget']} trainings.",
-        ("CMDP", *REFERENCE_NAMES.values(), "MBTL", "auto"),
+        "What stands without any selection: V of reference rows, beside MBTL and `specialists` "
+        f"after K = {numbers['budget']} trainings.",
+        ("CMDP", *REFERENCE_NAMES.values(), "MBTL", "specialists"),
         tuple(rows),
         ("unguided: the system without a controller. nominal policy: of the nominal context.",),
     )
