@@ -49,12 +49,10 @@ bench: .venv/rivals.stamp
 release-check: .venv/run.stamp
 	$(BIN)/python tools/release_check.py
 
-# the pictures of README, of concepts, calibration and the reproduction, with the pages of the last two;
-# all from shipped matrices
+# the pictures of README, of concepts and the reproduction, with the page of the last; from shipped matrices
 pictures: .venv/run.stamp
 	$(BIN)/mbtl reproduce --page docs/reproduction.md
 	$(BIN)/python evidence/pictures.py --write
-	$(BIN)/python evidence/calibration.py --write
 
 # the films and film strips of docs, of policies kept in runs/ (evidence/films.py says by which commands)
 films: .venv/dev.stamp

@@ -1,6 +1,6 @@
 """Advice that nobody has learned: what drives traffic where a measurement needs the same in all.
 
-Shared by the scripts of `benchmarks/` and `evidence/`.
+Shared by the scripts of this folder.
 """
 
 from __future__ import annotations

@@ -16,14 +16,12 @@ from typing import Any
 
 import films
 import numpy as np
-import pages
 
 from mbtl.problems import CMDP, cmdp_ids, get_cmdp
 from mbtl.zoo.benchmark import load_matrix, shipped_matrices
 from mbtl.zoo.cmdps.engines import EnvFactory
-from mbtl.zoo.cmdps.registry import engines_of
 
-FILE = pages.DOCS / "catalogue.md"
+FILE = films.DOCS / "catalogue.md"
 FAMILIES = {
     "cartpole": ("CartPole", "Balance a pole on a cart; Gymnasium's physics, step for step."),
     "pendulum": ("Pendulum", "Swing a pendulum up and hold it; Gymnasium's physics."),
@@ -36,19 +34,18 @@ FAMILIES = {
 }
 INTRODUCTION = """# The catalogue of CMDPs
 
-`mbtl run ID` trains on any of these. What varies between their contexts is in the tables, with the
-number of contexts N and the nominal one, on which people train without help.
+**`mbtl run ID` trains on any of these problems.** A *CMDP* is a problem with contexts: what varies
+between them is in the tables, with their number N and the nominal one, on which people train
+without help.
 
 - *Steps* is the longest episode, in decisions.
-- *Scale* is the return that counts as performance 0, and the one that counts as 1.
-- *Engines* can simulate it; the first one is used where it is installed.
-- *Matrix* says whether a transfer matrix is shipped, and how many contexts were trained on where
-  not all were. Where there is one, selectors can be compared in seconds: `mbtl bench --matrix ID`.
+- *Scale* has the returns that count as performance 0 and 1.
+- *Matrix* says whether a transfer matrix is shipped, and on how many contexts policies were trained
+  if not on all. With one, selectors are compared in seconds: `mbtl bench --matrix ID`.
 
-The pictures show five moments of an episode at the nominal context: of a trained policy in the
-first four families, of choices at random in traffic.
-
-`python evidence/catalogue.py --write` wrote this page from the registry.
+Control is simulated in jax or Gymnasium, traffic in jax or SUMO (`--engine`). The pictures show
+five moments at the nominal context: of a trained policy in control, of choices at random in
+traffic. `python evidence/catalogue.py --write` wrote this page from the registry.
 """
 TRAINED = {
     "cartpole": "cartpole-length",
@@ -69,10 +66,10 @@ def page() -> str:
     shipped = set(shipped_matrices())
     for family, (title, text) in FAMILIES.items():
         lines += [f"## {title}", "", text, ""]
-        if (pages.DOCS / "images" / f"film-{family}.png").exists():
+        if (films.DOCS / "images" / f"film-{family}.png").exists():
             lines += [f"![five moments of {title}](images/film-{family}.png)", ""]
-        lines += ["| id | what varies | N | nominal | steps | scale | engines | matrix |"]
-        lines += ["|---|---|---|---|---|---|---|---|"]
+        lines += ["| id | what varies | N | nominal | steps | scale | matrix |"]
+        lines += ["|---|---|---|---|---|---|---|"]
         lines += [row(cmdp, shipped) for cmdp in every if _family(cmdp.id) == family] + [""]
     return "\n".join(lines).rstrip() + "\n"
 
@@ -82,11 +79,9 @@ def row(cmdp: CMDP, shipped: set[str]) -> str:
     low, high = cmdp.bounds or (0.0, 1.0)
     varies = "; ".join(_span(cmdp, axis.name) for axis in cmdp.space.axes)
     nominal = ", ".join(f"{value:g}" for value in (cmdp.nominal or {}).values())
-    own = cmdp.settings["engine"]
-    engines = ", ".join([own, *(e for e in engines_of(cmdp.id) if e != own)])
     matrix = _matrix(cmdp.id) if cmdp.id in shipped else "-"
     cells = [f"`{cmdp.id}`", varies, cmdp.space.n, nominal, cmdp.horizon, f"{low:g} to {high:g}"]
-    return "| " + " | ".join(map(str, [*cells, engines, matrix])) + " |"
+    return "| " + " | ".join(map(str, [*cells, matrix])) + " |"
 
 
 def _matrix(id: str) -> str:
@@ -159,7 +154,7 @@ def main() -> None:
     for family in FAMILIES if args.films == [] else args.films or ():
         id = TRAINED.get(family) or next(id for id in cmdp_ids() if _family(id) == family)
         moments = of_policy(id, args.policies) if family in TRAINED else at_random(id)
-        strip(moments).save(pages.DOCS / "images" / f"film-{family}.png", optimize=True)
+        strip(moments).save(films.DOCS / "images" / f"film-{family}.png", optimize=True)
     if args.write:
         FILE.write_text(page(), encoding="utf-8")
     else:

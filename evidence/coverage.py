@@ -23,6 +23,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -145,13 +146,10 @@ def measured(setting: Setting, studies: int) -> dict[str, Array]:
 
 def settings() -> Iterator[Setting]:
     """All that are printed."""
-    for targets in (N, FEW):
-        for episodes in (2, 5, 20, 100):
-            for skewed in (False, True):
-                yield Setting(episodes, skewed, targets)
-    for targets in (N, FEW):
-        for episodes in (2, 5, 20):
-            yield Setting(episodes, True, targets, risk=0.1)
+    for targets, episodes, skewed in product((N, FEW), (2, 5, 20, 100), (False, True)):
+        yield Setting(episodes, skewed, targets)
+    for targets, episodes in product((N, FEW), (2, 5, 20)):
+        yield Setting(episodes, True, targets, risk=0.1)
 
 
 def reports() -> Iterator[Setting]:

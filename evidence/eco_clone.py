@@ -9,16 +9,14 @@ example: python evidence/eco_clone.py --write src/mbtl/zoo/worlds/traffic/rules/
 
 from __future__ import annotations
 
-import measure  # first: threads
-
-from functools import partial  # isort: skip
+import argparse
+from functools import partial
 from typing import Any
 
 import numpy as np
-from eco_causes import BEST, RULES
-from eco_play import glide_speed
 
-import jax  # isort: skip  # after eco_play, which sets the flags of jax
+import mbtl.engine.learners  # noqa: F401  isort: skip  # first: flags of jax
+import jax
 import jax.numpy as jnp
 import optax
 
@@ -27,6 +25,8 @@ from mbtl.engine.worlds.environments import Box
 from mbtl.zoo.cmdps.traffic import eco
 from mbtl.zoo.worlds.traffic.eco import Light
 
+GLIDE = {"margin": 1.0, "share": 0.55, "floor": 1.7, "tries": -2.7, "reach": 250.0}
+"""Seconds, a share, m/s, seconds and metres of the rule."""
 HIDDEN = (64, 64)
 ROWS = 512
 ALONE = 1.15
@@ -63,10 +63,25 @@ def made_up(key: Any, n: int) -> Any:
     return jnp.stack([jnp.asarray(column, jnp.float32) for column in columns], axis=-1)
 
 
+def glide(obs: Any) -> tuple[Any, Any]:
+    """Speeds [m/s] that the rule wishes, and where it does.
+
+    Arrive at the light when it turns green: v = max(floor, share d / (time to green + margin)),
+    at d metres from the line, nearer than reach; who can make this green drives on. A share below 1
+    is slow first and catches up.
+    """
+    speed, left = eco.SPEED_SCALE * obs[..., 0], eco.LENGTH_SCALE * obs[..., 1]
+    green, changes = obs[..., 2] > 0.0, eco.TIME_SCALE * obs[..., 5:7]
+    ride = jnp.maximum(left, 0.0) / (0.5 * (speed + 14.0))
+    makes = green & (ride + GLIDE["tries"] < changes[..., 0])
+    wait = jnp.where(green, changes[..., 1], changes[..., 0]) + GLIDE["margin"]
+    wish = jnp.maximum(GLIDE["share"] * left / jnp.maximum(wait, 0.5), GLIDE["floor"])
+    return wish, (left > 0.0) & (left < GLIDE["reach"]) & ~makes
+
+
 def wanted(obs: Any) -> tuple[Any, Any]:
     """(n,) advice as a share of the limit, and whether there is any."""
-    numbers = jnp.asarray(RULES[BEST][None, 1:], jnp.float32)
-    wish, acts = (x[0] for x in glide_speed(obs[None], numbers))
+    wish, acts = glide(obs)
     acts &= wish < eco.LIMIT
     return jnp.where(acts, wish / eco.LIMIT, ALONE), acts
 
@@ -97,7 +112,9 @@ def fitted(actor: Any, steps: int) -> Any:
 
 def main() -> None:
     """Fit, print and write."""
-    parser = measure.parser(__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--steps", type=int, default=3000, help="of Adam")
     parser.add_argument("--write", help="file for the layers")
     args = parser.parse_args()
@@ -113,11 +130,7 @@ def main() -> None:
         layers = [np.asarray(x, np.float32) for x in jax.tree.leaves(actor)]
         names = [f"{what}_{k}" for k in range(len(layers) // 2) for what in ("weight", "bias")]
         np.savez(args.write, **dict(zip(names, layers, strict=True)))
-    measure.show(
-        {"error": error, "slowed": slowed, "machine": measure.machine("jax")},
-        [f"error {error:.2f} m/s where the rule advises; advises {100 * slowed:.1f} % of the rest"],
-        as_json=args.json,
-    )
+    print(f"error {error:.2f} m/s where the rule advises; advises {100 * slowed:.1f} % of the rest")
 
 
 if __name__ == "__main__":

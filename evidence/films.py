@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pages
 
 from mbtl.envs import rollout
 from mbtl.portfolio.archive import load_policy
@@ -29,6 +28,7 @@ from mbtl.zoo.cli.film import Watched, save_film
 from mbtl.zoo.cmdps.engines import EnvFactory
 from mbtl.zoo.cmdps.registry import engines_of
 
+DOCS = Path(__file__).parents[1] / "docs"
 FILMS = {
     "walker-gravity": ({"gravity": 4.0}, {"gravity": 10.0}, {"gravity": 16.0}),
     "cheetah-gravity": ({"gravity": 0.981}, {"gravity": 5.886}, {"gravity": 10.791}),
@@ -107,12 +107,11 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--policies", type=Path, default=Path("runs"), help="where they are kept")
-    parser.add_argument("--only", choices=FILMS, help="one of them")
     parser.add_argument("--write", action="store_true", help="docs/images/film-*.gif")
     args = parser.parse_args()
-    for id in [args.only] if args.only else FILMS:
+    for id in FILMS:
         name = f"film-{id.partition('-')[0]}.gif"
-        file = pages.DOCS / "images" / name if args.write else Path(name)
+        file = DOCS / "images" / name if args.write else Path(name)
         print(f"{file}: {film(id, args.policies, file) / 1e6:.2f} MB")
 
 

@@ -85,13 +85,6 @@ def jax_curves(algorithm: str, name: str, every: int, seeds: int) -> np.ndarray:
     return np.stack(curves, axis=1)
 
 
-def per_update(algorithm: str) -> int:
-    """Environment steps of an update in jax; whole rollouts in Stable-Baselines3 too."""
-    import mbtl.engine.learners as engine
-
-    return engine.recipe_named(algorithm, "sb3").update_length
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--algorithm", choices=["PPO", "A2C", "DQN"], default="PPO")
@@ -99,7 +92,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--steps", type=int, default=50_000)
     args = parser.parse_args()
-    update = per_update(args.algorithm)
+    import mbtl.engine.learners as engine  # here: the other processes need no jax
+
+    update = engine.recipe_named(args.algorithm, "sb3").update_length
     every = update * max(1, round(args.steps / CHECKPOINTS / update))
     ours = jax_curves(args.algorithm, args.cmdp, every, args.seeds)
     cores = usable_cores()

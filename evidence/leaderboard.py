@@ -1,15 +1,14 @@
 """The leaderboard of selectors on all shipped matrices.
 
-    .venv/bin/python evidence/leaderboard.py [--budget 30] [--selectors a,b] [--write]
+    .venv/bin/python evidence/leaderboard.py [--budget 30]
 
-Nothing that was learned has seen what it is judged on: `auto` runs with the prior fitted without
-the family of each matrix. Beside the selectors stands "told", which is none: it owns the whole
-matrices of the *other seeds* of the same CMDP, smoothed over sources, and picks by their mean gain.
-What separates it from the Sequential Oracle is luck of single trainings, which nobody can foresee.
+Nothing that was learned has seen what it is judged on: `specialists` runs with the prior fitted without
+the family of each matrix. Beside the selectors stands "the other seeds", which is none: it owns
+the whole matrices of the other seeds of the same CMDP, smoothed over sources, and picks by their
+mean gain. What separates it from the Sequential Oracle is luck of single trainings, which nobody
+can foresee.
 
 Sets with several axes have a table of their own, without the selectors that need one axis (n/a).
-
-`--write` puts the tables into docs/appendix/leaderboard.md.
 """
 
 from __future__ import annotations
@@ -18,10 +17,8 @@ import argparse
 from collections.abc import Sequence
 
 import numpy as np
-import pages
 from scipy.ndimage import gaussian_filter
 
-from mbtl.report import REFERENCE_NAMES as NAMES
 from mbtl.zoo.benchmark import compare, levels
 from mbtl.zoo.benchmark.base import measured_curve
 from mbtl.zoo.benchmark.compare import default_selectors
@@ -85,51 +82,22 @@ def pooled(summary: Summary, known: np.ndarray | None) -> list[str]:
     if known is None:
         return lines
     values = " | ".join(f"{v:.1f}" for v in np.exp(known))
-    return [*lines, f"| *told the other seeds* | {values} | | |"]
+    return [*lines, f"| *the other seeds* | {values} | | |"]
 
 
-def each(names: Sequence[str], summaries: Sequence[Summary]) -> list[str]:
-    """k95 of every selector on every matrix."""
-    lines = [f"| k95 | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
-    for summary in summaries:
-        for matrix, found in sorted(summary.matrices.items()):
-            by = found.selectors
-            cells = [
-                trainings(by[name].k95, summary.budget) if name in by else "n/a" for name in names
-            ]
-            lines.append(f"| {matrix} | {' | '.join(cells)} |")
-    return lines
-
-
-def beside(summaries: Sequence[Summary]) -> list[str]:
-    """V of the reference rows and the levels of every matrix; older ones are marked."""
-    heads = [*NAMES.values(), "Independent", "Oracle Transfer"]
-    lines = [f"| V | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
-    for matrix, found in sorted(item for s in summaries for item in s.matrices.items()):
-        values = [found.references.get(key) for key in NAMES]
-        values += [found.independent, found.oracle_transfer]
-        cells = ["-" if v is None else f"{v:.3f}" for v in values]
-        lines.append(f"| {matrix}{'*' if found.caveat else ''} | {' | '.join(cells)} |")
-    older = "* of the older protocol: selection and report used the same evaluation episodes."
-    return [*lines, "", older]
-
-
-def board(names: Sequence[str], ids: Sequence[str], budget: int) -> tuple[Summary, list[str]]:
-    """Summary and pooled table of matrices that all these selectors can run on."""
+def board(names: Sequence[str], ids: Sequence[str], budget: int) -> list[str]:
+    """Pooled table of matrices that all these selectors can run on."""
     summary = compare(names, ids, budget).summary
     # the others' matrices tell of every context only where all were trained on
     several = [i for i in ids if (m := load_by_id(i)).n_seeds > 1 and m.sources is None]
     known = np.mean([told(i, budget) for i in several], axis=0) if several else None
-    return summary, pooled(summary, known)
+    return pooled(summary, known)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--budget", type=int, default=30)
-    parser.add_argument("--selectors", default=",".join(SELECTORS))
-    parser.add_argument("--write", action="store_true")
     args = parser.parse_args()
-    names = args.selectors.split(",")
     lines_of = open_matrices(["all"])
     whole = {  # one seed would leave the pool without intervals, few sources without a budget of 30
         i: matrix.n_seeds > 1 and matrix.returns.shape[1] > args.budget
@@ -141,21 +109,16 @@ def main() -> None:
         "several axes": [i for i in shipped_matrices() if load_by_id(i).space.d > 1],
     }
     lines: list[str] = []
-    summaries = []
     for axes, ids in sets.items():
         if not ids:
             continue
         able = default_selectors(ids)
         few = min(load_by_id(i).returns.shape[1] for i in ids)
         budget = min(args.budget, 3 * few // 4)  # of nearly all of them every rule is right
-        summary, table = board([n for n in names if n in able], ids, budget)
+        table = board([n for n in SELECTORS if n in able], ids, budget)
         count = f"{len(ids)} set{'s' * (len(ids) > 1)}"
         lines += [f"{count} of matrices with {axes}, K = {budget}", "", *table, ""]
-        summaries.append(summary)
-    lines += [*each(names, summaries), "", *beside(summaries), ""]
     print("\n".join(lines))
-    if args.write:
-        pages.write_appendix("leaderboard", "Leaderboard: all tables", "leaderboard.md", lines)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Choose the prior of `auto`: once on all shipped families, and once without each of them.
+"""Choose the prior of `specialists`: once on all shipped families, and once without each of them.
 
-    .venv/bin/python evidence/learn_prior.py [--budget 25] [--write]
+    .venv/bin/python evidence/learn_prior.py [--budget 25]
 
 Every candidate of mbtl.models.priors picks, without covering picks, on the shipped matrices of one
 axis (of 100 contexts every second; coarser grids are left out), on all cores. What counts is the
@@ -8,7 +8,8 @@ mean logarithm of the trainings to 90, 95 and 99 % of the way to Oracle Transfer
 level is not reached. For each family the candidate that is best on the *other* families is kept,
 each family counting once; `mbtl bench` uses it there. Judges are CartPole and Pendulum alone:
 elsewhere rows are luck more than contexts. How much worse the runner-up is, with one standard
-error, is printed beside each choice. `--write` puts the result into src/mbtl/models/priors.py.
+error, is printed beside each choice. The lines with colons are `CHOSEN` of
+src/mbtl/models/priors.py.
 
 Then, on all families: of how many picks one should cover, each number against the shipped one.
 
@@ -17,13 +18,10 @@ The likelihood was tried first, and chose worse: it rewards calibrated rows, not
 
 from __future__ import annotations
 
-import measure  # noqa: F401  first: threads
-
-import argparse  # isort: skip
+import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor as Pool
 from multiprocessing import get_context
-from pathlib import Path
 
 import numpy as np
 
@@ -38,11 +36,10 @@ from mbtl.zoo.benchmark.shipped import family_of, load_by_id, open_matrices
 
 JUDGES = ("cartpole", "pendulum")
 COVERING = (0, 2, 3, 4, 6)
-FILE = Path(__file__).parents[1] / "src/mbtl/models/priors.py"
 
 
-def halved(matrix_id: str, budget: int) -> tuple[SelectionProblem, list[Array]]:
-    """Problem on at most 50 contexts of a line, and the performance of each seed on them."""
+def small(matrix_id: str, budget: int) -> Iterator[tuple[SelectionProblem, Array]]:
+    """Problem and performance, seed by seed, on at most 50 contexts of a line."""
     matrix = load_by_id(matrix_id)
     problem = matrix.problem(budget)
     skip = 1 if problem.n <= 50 else 2
@@ -51,14 +48,8 @@ def halved(matrix_id: str, budget: int) -> tuple[SelectionProblem, list[Array]]:
     part = SelectionProblem(
         problem.unit[kept], problem.steps[kept] / skip, weights, budget, problem.theta * skip
     )
-    return part, [matrix.rows(seed, kept)[:, kept] for seed in range(matrix.n_seeds)]
-
-
-def small(matrix_id: str, budget: int) -> Iterator[tuple[SelectionProblem, Array]]:
-    """Problem and performance, seed by seed, on at most 50 contexts."""
-    part, seeds = halved(matrix_id, budget)
-    for rows in seeds:
-        yield part, rows
+    for seed in range(matrix.n_seeds):
+        yield part, matrix.rows(seed, kept)[:, kept]
 
 
 def trainings(selector: Auto, problem: SelectionProblem, rows: Array) -> Array:
@@ -115,7 +106,6 @@ def choices(found: Found, families: Sequence[str]) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--budget", type=int, default=25)
-    parser.add_argument("--write", action="store_true")
     args = parser.parse_args()
     ids = [
         i for i, matrix in open_matrices(["all"]).items()
@@ -128,19 +118,12 @@ def main() -> None:
     with Pool(mp_context=get_context("spawn")) as pool:
         judging = {f: stock[f] for f in JUDGES}
         priors = {label: Auto(prior=prior, cover=0) for label, prior in CANDIDATES.items()}
-        lines = choices(table(pool, judging, priors), families)
+        print("\n".join(choices(table(pool, judging, priors), families)))
         print("covering picks, with the shipped priors that have not seen the family")
         found = table(pool, stock, {str(n): Auto(cover=n) for n in COVERING})
     shipped = str(Auto().cover)
     for label in found:
         print(against(found, label, shipped, families))
-    if args.write:
-        marks = ("# begin: evidence/learn_prior.py --write\n", "# end\n")
-        head, rest = FILE.read_text(encoding="utf-8").split(marks[0])
-        tail = rest.split(marks[1])[1]
-        rows = "\n".join(lines)
-        body = f"CHOSEN: Mapping[str, str] = {{\n{rows}\n}}\n"
-        FILE.write_text(f"{head}{marks[0]}{body}{marks[1]}{tail}", encoding="utf-8")
 
 
 if __name__ == "__main__":

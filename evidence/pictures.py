@@ -11,15 +11,16 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pages
 
 import mbtl
 from mbtl import plot
 from mbtl.plot.style import axes_for, dress, new_figure
 
+DOCS = Path(__file__).parents[1] / "docs"
 NAME, SEED = "cartpole-length-dqn", 0
 COMPARED = "pendulum-length-hidden"
 README = "ramp-acc"
@@ -117,7 +118,7 @@ def main() -> None:
         drawn = draw()
         if args.write:
             file = "hero" if name == "readme" else f"concepts-{name}"
-            print(plot.save(drawn, pages.DOCS / "images" / f"{file}.png"))
+            print(plot.save(drawn, DOCS / "images" / f"{file}.png"))
 
 
 if __name__ == "__main__":

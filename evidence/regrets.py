@@ -1,14 +1,12 @@
 """Regrets of `auto`: V at every budget, minus that of the best rival there.
 
-    python evidence/regrets.py [--folder runs/transfers] [--cmdps a b] [--without] [--json]
+    python evidence/regrets.py [--folder runs/transfers] [--cmdps a b] [--without]
 
 Trainings of every kind are replayed on transfer data. Rivals, each by the mean over seeds: the
 paper's MBTL, Greedy, Random's mean, m-mbtl, the chooser of specialists alone; one policy for all
 with all the units; that policy with one unit and then random specialists. A regret is negative
 where a rival is ahead. Shares are of the way from one random specialist (0) to Oracle
-Transfer of all specialists (1). "upper" knows all rows: the policy for all to the best mark, and
-then copies and specialists by gain per unit. Independent has as many units as there are contexts,
-so it stands beside the table.
+Transfer of all specialists (1).
 
 `--without` leaves out each device of `auto` in turn. The model of the chooser has not seen the
 family; the shares that are usual were chosen on all of these data.
@@ -17,10 +15,10 @@ family; the shares that are usual were chosen on all of these data.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -52,15 +50,12 @@ class Table:
 
     Attributes:
         rivals: name -> (S, B).
-        low, high, independent: (S,) one random specialist, Oracle Transfer, Independent.
-        upper: (S, B).
+        low, high: (S,) one random specialist, Oracle Transfer.
     """
 
     rivals: Mapping[str, Array]
     low: Array
     high: Array
-    independent: Array
-    upper: Array
 
     def share(self, value: Array) -> Array:
         """(B,) of the way, seeds as a ratio of sums."""
@@ -106,7 +101,7 @@ def table_of(data: TransferData) -> Table:
     theta = theta_of(data.name)
     matrix, family = specialists_of(data, theta), data.name.split("-")[0]
     rivals: dict[str, list[list[float]]] = {}
-    upper, most = [], min(len(data.sources), BUDGETS[-1])
+    most = min(len(data.sources), BUDGETS[-1])
     for seed in range(data.n_seeds):
         world = world_of(data, seed)
         for name in CHOOSERS:
@@ -119,14 +114,11 @@ def table_of(data: TransferData) -> Table:
         run = replay_trainings(OnePolicy(), world, BUDGETS[-1])
         rivals.setdefault("one policy", []).append([run.at(b) for b in BUDGETS])
         rivals.setdefault("all, then random", []).append(all_then_random(data, seed))
-        upper.append([upper_value(data, seed, budget) for budget in BUDGETS])
     known = [levels(matrix, seed) for seed in range(data.n_seeds)]
     return Table(
         {name: np.array(rows) for name, rows in rivals.items()},
         np.array([one.grand_mean for one in known]),
         np.array([one.oracle_transfer for one in known]),
-        np.array([one.independent for one in known]),
-        np.array(upper),
     )
 
 
@@ -145,42 +137,6 @@ def all_then_random(data: TransferData, seed: int) -> list[float]:
                 now[wins], best[wins] = fresh[row][wins], seen[row][wins]
             total[i] += now @ weights
     return (total / ORDERS).tolist()
-
-
-def upper_value(data: TransferData, seed: int, budget: float) -> float:
-    """V of who knows all rows: greedy by gain per unit, after each length of the policy for all."""
-    weights, normalise = data.space.weights, data.bounds.normalise
-    lone = normalise(data.specialists[seed])
-    found = []
-    for mark in (0.0, *data.generalists):
-        if mark > budget + 1e-9:
-            continue
-        seen = [(row, fresh) for row, fresh in zip(*lone, strict=True)]
-        price = [1.0] * len(seen)
-        for (parent, units), rows in data.tuned.items():
-            if parent <= mark:
-                seen += list(zip(*normalise(rows[seed]), strict=True))
-                price += [units] * rows.shape[2]
-        rows, fresh = (np.array(each) for each in zip(*seen, strict=True))
-        prices, left = np.array(price), budget - mark
-        best = np.full(data.n, -np.inf)
-        now = np.full(data.n, np.nan)
-        for own in sorted(data.generalists):
-            if own <= mark:
-                row, new = normalise(data.generalists[own][seed])
-                wins = row > best
-                best[wins], now[wins] = row[wins], new[wins]
-        while (prices <= left + 1e-9).any():
-            base = best if np.isfinite(best).all() else np.zeros(data.n)
-            gain = np.where(
-                prices <= left + 1e-9, (np.maximum(rows, best) - base) @ weights / prices, -np.inf
-            )
-            chosen = int(gain.argmax())
-            wins = rows[chosen] > best
-            best[wins], now[wins] = rows[chosen][wins], fresh[chosen][wins]
-            left -= prices[chosen]
-        found.append((float(best @ weights), float(now @ weights)))
-    return max(found)[1] if found else float("nan")
 
 
 def values(strategy: Auto, data: TransferData, budgets: tuple[int, ...]) -> Array:
@@ -211,11 +167,10 @@ def main() -> None:
     parser.add_argument("--folder", help="of transfer data; those of the package when missing")
     parser.add_argument("--cmdps", nargs="+", help="some of them")
     parser.add_argument("--without", action="store_true", help="leave out each device, too")
-    parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     names = args.cmdps or transfer_ids(args.folder)
     strategies = variants() if args.without else {"auto": Auto()}
-    found: dict[str, dict[str, dict[str, list[float]]]] = {label: {} for label in strategies}
+    found: dict[str, dict[str, dict[str, Any]]] = {label: {} for label in strategies}
     for name in names:
         data = load_transfers(name, folder=args.folder)
         table = table_of(data)
@@ -226,18 +181,11 @@ def main() -> None:
                 for i in range(len(BUDGETS))
             ]
             found[label][name] = {
-                "regret": table.regret(value).round(4).tolist(),
-                "error": (value.std(0, ddof=1) / np.sqrt(len(value))).round(4).tolist(),
-                "share": table.share(value).round(3).tolist(),
-                "upper": table.share(table.upper).round(3).tolist(),
-                "independent": [round(float((value[:, -1] - table.independent).mean()), 3)],
+                "regret": table.regret(value).round(4),
+                "share": table.share(value).round(3),
                 "rival": best,
-                "seeds": [len(value)],
             }
         print(name, file=sys.stderr, flush=True)
-    if args.json:
-        print(json.dumps(found))
-        return
     for label, rows in found.items():
         print(f"\n{label}" if args.without else "")
         if label == "auto":
@@ -245,23 +193,20 @@ def main() -> None:
         total(rows)
 
 
-def show(rows: Mapping[str, Mapping[str, list[float]]]) -> None:
+def show(rows: Mapping[str, Mapping[str, Any]]) -> None:
     """One line per CMDP."""
-    print(
-        "| CMDP | seeds | worst regret | at units | behind | mean | share at 3 | at 15 "
-        "| upper at 3 | at 15 | V - Independent |\n|---|---|---|---|---|---|---|---|---|---|---|"
-    )
+    print("| CMDP | worst regret | at units | behind | mean | share at 3 | at 15 |")
+    print(f"|{'---|' * 7}")
     for name, row in rows.items():
-        regret = np.array(row["regret"])
+        regret = row["regret"]
         at = int(regret.argmin())
         print(
-            f"| {name} | {row['seeds'][0]} | {regret[at]:.3f} | {BUDGETS[at]} | {row['rival'][at]}"
-            f" | {regret.mean():.3f} | {row['share'][2]:.2f} | {row['share'][-1]:.2f} | "
-            f"{row['upper'][2]:.2f} | {row['upper'][-1]:.2f} | {row['independent'][0]:+.3f} |"
+            f"| {name} | {regret[at]:.3f} | {BUDGETS[at]} | {row['rival'][at]} "
+            f"| {regret.mean():.3f} | {row['share'][2]:.2f} | {row['share'][-1]:.2f} |"
         )
 
 
-def total(rows: Mapping[str, Mapping[str, list[float]]]) -> None:
+def total(rows: Mapping[str, Mapping[str, Any]]) -> None:
     """In one line."""
     regrets = np.array([row["regret"] for row in rows.values()])
     shares = np.array([row["share"] for row in rows.values()])

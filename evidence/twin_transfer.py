@@ -1,7 +1,7 @@
 """Do policies of a twin transfer in its simulator as they do in the twin? One sub-matrix in both.
 
     .venv/bin/python evidence/twin_transfer.py [--cmdp ring-acc] [--sources 6] [--targets 8]
-        [--episodes 5] [--train 300] [--train-in jax|sumo] [--policies FOLDER] [--out FILE.npz]
+        [--episodes 5] [--train 300] [--train-in jax|sumo] [--policies FOLDER]
 
 The simulator is SUMO or, of walkers, Box2D. Trains each source in the twin, or in SUMO (preset
 `quick`, with as many training episodes as `--train`), or takes the policies that the build of a
@@ -9,17 +9,12 @@ matrix kept (`--policies runs/matrix-.../policies/best`: the sources nearest to 
 walkers are not trained here). Then evaluates every policy on every target in the twin, and twice in
 the simulator with other seeds. Printed: the mean score of each source, the correlation of all
 entries, and Spearman's rank correlation of the source means, of the twin against the simulator and
-of that against itself; scores below the CMDP's floor count as the floor. `--out` keeps the
-sub-matrices, unclipped: arrays "twin", "sumo", "sumo_again" (or "box2d", ...) (source, target) and
-"sources", "targets".
+of that against itself; scores below the CMDP's floor count as the floor.
 """
 
 from __future__ import annotations
 
-import measure  # noqa: F401  first: threads
-
-import argparse  # isort: skip
-import time
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +34,6 @@ def main() -> None:
     parser.add_argument("--train", type=int, default=300)
     parser.add_argument("--train-in", choices=["jax", "sumo"], default="jax")
     parser.add_argument("--policies", type=Path)
-    parser.add_argument("--out")
     args = parser.parse_args()
     walks = args.cmdp.startswith("walker")
     if walks and not args.policies:
@@ -58,7 +52,6 @@ def main() -> None:
     there = [twin.space.contexts[i] for i in targets]
     length = {} if args.policies else {"episodes": args.train}
     trainer = twin.trainer_for("quick", **length, eval_episodes=10 * args.episodes)
-    begin = time.perf_counter()
     seeds = [training_seed(0, 0, int(i)) for i in sources]
     lessons = [twin.space.contexts[i] for i in sources]
     if args.policies:
@@ -71,8 +64,6 @@ def main() -> None:
         policies = [
             school.train([one], seed).policy for one, seed in zip(lessons, seeds, strict=True)
         ]
-    where = args.policies or args.train_in
-    print(f"{len(policies)} policies of {where}: {time.perf_counter() - begin:.0f} s", flush=True)
     if args.train_in == "sumo":
         policies = [export_mlp(policy) for policy in policies]
     acting = {} if walks else {"acting": trainer.acting}
@@ -84,12 +75,7 @@ def main() -> None:
     found = {"twin": _means(trainer, policies, there, seeds[Purpose.EVALUATION])}
     again = f"{name} again"
     for one, purpose in zip((name, again), purposes, strict=True):
-        begin = time.perf_counter()
         found[one] = _means(judge, policies, there, seeds[purpose])
-        print(f"{one}: {time.perf_counter() - begin:.0f} s", flush=True)
-        if args.out:  # what was simulated so far is not lost
-            stored = {key.lower().replace(" ", "_"): matrix for key, matrix in found.items()}
-            np.savez(args.out, sources=sources, targets=targets, **stored)
     floor = twin.bounds.floor  # none is worse, as in a matrix
     found = {
         key: matrix if floor is None else np.maximum(matrix, floor) for key, matrix in found.items()

@@ -1,4 +1,4 @@
-"""What to believe of a policy on a context where it was not evaluated: three rules compared.
+"""What to believe of a policy on a context where it was not evaluated: two rules compared.
 
     python evidence/unevaluated.py
 
@@ -10,7 +10,6 @@ where its routes are (real), and honest where it claims what is real (bias).
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 
 import numpy as np
@@ -24,33 +23,21 @@ SOURCES, DRAWS = 5, 4
 SHARES = (0.05, 0.1, 0.2, 0.5)
 
 
-def filled(rule: str, rows, steps):
-    """Rows where a gap counts as its nearest neighbour, or on one axis as the line between two."""
-    out = np.array(rows)
-    for row, known in zip(out, np.isfinite(rows), strict=True):
-        gaps, there = steps[~known], steps[known]
-        if rule == "linear" and steps.shape[1] == 1:
-            order = np.argsort(there[:, 0])
-            row[~known] = np.interp(gaps[:, 0], there[order, 0], row[known][order])
-        elif gaps.size:
-            row[~known] = row[known][KDTree(there).query(gaps)[1]]
-    return out
-
-
 def believed(rule: str, matrix, sources, rows):
-    """(k, N) rows with all entries."""
-    if rule in ("nearest", "linear"):
-        return filled(rule, rows, matrix.space.steps)
-    return Routing(matrix.space, sources, rows).believed
+    """(k, N) rows with all entries; a gap counts as its nearest neighbour, or as the model says."""
+    if rule != "nearest":
+        return Routing(matrix.space, sources, rows).believed
+    out, steps = np.array(rows), matrix.space.steps
+    for row, known in zip(out, np.isfinite(rows), strict=True):
+        if not known.all():
+            row[~known] = row[known][KDTree(steps[known]).query(steps[~known])[1]]
+    return out
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", help="id of one matrix")
-    only = parser.parse_args().only
     found: dict[tuple[str, float], list[tuple[float, float]]] = defaultdict(list)
-    for name in [only] if only else shipped_matrices():
+    for name in shipped_matrices():
         matrix = load_matrix(name)
         if not matrix.measures_apart:
             continue
@@ -66,12 +53,10 @@ def main() -> None:
                     for row, source in enumerate(sources):
                         at = list(spread_targets(problem, int(source), count))
                         rows[row, at] = full[row, at]
-                    for rule in ("nearest", "linear", "posterior mean", "all evaluated"):
-                        known = (
-                            full
-                            if rule == "all evaluated"
-                            else believed(rule, matrix, tuple(sources.tolist()), rows)
-                        )
+                    for rule in ("nearest", "posterior mean", "all evaluated"):
+                        known = full
+                        if rule != "all evaluated":
+                            known = believed(rule, matrix, tuple(sources.tolist()), rows)
                         route = last_route(known, sources.tolist(), problem.steps)
                         every = np.arange(problem.n)
                         claimed = float(known[route, every] @ problem.weights)

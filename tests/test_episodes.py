@@ -19,7 +19,7 @@ UNIT = Bounds(0.0, 1.0)
 
 
 def coverage():
-    """The module that measures coverage for docs/honest-numbers.md."""
+    """The module that measures coverage for docs/results.md."""
     place = Path(__file__).parents[1] / "evidence" / "coverage.py"
     spec = importlib.util.spec_from_file_location("coverage_of_intervals", place)
     module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)

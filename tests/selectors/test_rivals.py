@@ -4,7 +4,6 @@ import itertools
 
 import numpy as np
 import pytest
-from sd_worlds import sd_world
 
 from mbtl.contexts import Categorical, ContextSpace, Linear
 from mbtl.errors import InvalidInput
@@ -47,7 +46,7 @@ def piecewise(sources, targets, left, right):
 
 
 def test_gp_mbtl_starts_in_the_middle_and_then_where_it_is_worst():
-    world = sd_world(3, f="linear", h="l1", noise=0.0)
+    world = synthetic_world("synthetic:3d-lin-none-l1-eta0")
     history, _ = play("gp-mbtl", world, 3)
     middle = world.space.steps[history.sources[0]]
     assert middle.tolist() == [4, 4, 4]  # 3.5 rounded half to even, as published
@@ -59,7 +58,7 @@ def test_gp_mbtl_starts_in_the_middle_and_then_where_it_is_worst():
 
 
 def test_gp_mbtl_picks_the_argmax_of_the_published_formula():
-    world = sd_world(3, f="linear", g="linear", h="nd", noise=5.0, n_seeds=1)
+    world = synthetic_world("synthetic:3d-lin-lin-nd-eta5@1")
     history, _ = play("gp-mbtl", world, 7)
     problem, steps = world.problem(10), world.space.steps
     gp = fit_constant_mean(steps[list(history.sources)], history.training_performance, WIDE)
@@ -75,14 +74,14 @@ def test_gp_mbtl_picks_the_argmax_of_the_published_formula():
 
 
 def test_gp_mbtl_nearly_reaches_the_oracle_where_its_model_holds():
-    world = sd_world(3, f="linear", h="l1", noise=0.0)
+    world = synthetic_world("synthetic:3d-lin-none-l1-eta0")
     history, _ = play("gp-mbtl", world, 10)
     oracle = sequential_oracle(world, 0, 10).curve[-1]
     assert history.best.mean() == pytest.approx(oracle, rel=0.01)
 
 
 def test_pending_picks_are_believed_and_not_crowded():
-    world = sd_world(3, f="linear", h="l1", noise=0.0)
+    world = synthetic_world("synthetic:3d-lin-none-l1-eta0")
     problem, (history, _) = world.problem(20), play("gp-mbtl", world, 6)
     first = GPMBTL().propose(problem, history, np.random.default_rng(0))
     second = GPMBTL().propose(problem, history.with_pending(first.source), np.random.default_rng(0))
@@ -94,8 +93,8 @@ def test_a_failed_fit_is_noted():
     def broken(points, y, settings) -> FittedGP:
         raise np.linalg.LinAlgError("no convergence")
 
-    history, _ = play("gp-mbtl", sd_world(3, noise=0.0), 4)
-    problem = sd_world(3, noise=0.0).problem(10)
+    history, _ = play("gp-mbtl", synthetic_world("synthetic:3d-const-none-l1-eta0"), 4)
+    problem = synthetic_world("synthetic:3d-const-none-l1-eta0").problem(10)
     proposal = GPMBTL(fitter=broken).propose(problem, history, np.random.default_rng(0))
     assert "no convergence" in proposal.notes[0]
 
@@ -129,8 +128,8 @@ def test_m_mbtl_takes_the_centre_and_then_the_best_start_of_a_plain_search():
 
 
 def test_m_mbtl_never_reads_a_return():
-    first, _ = play("m-mbtl", sd_world(3, f="linear", h="nd", noise=0.0), 12)
-    other, _ = play("m-mbtl", sd_world(3, h="l1", noise=0.0), 12)
+    first, _ = play("m-mbtl", synthetic_world("synthetic:3d-lin-none-nd-eta0"), 12)
+    other, _ = play("m-mbtl", synthetic_world("synthetic:3d-const-none-l1-eta0"), 12)
     assert first.sources == other.sources
 
 
@@ -180,17 +179,17 @@ def covered(world, k=8, seed=0):
 
 @pytest.mark.parametrize(("f", "g", "h", "noise"), [
     (*parts, noise)
-    for parts in itertools.product(("constant", "linear"), ("none", "linear"), ("l1", "nd"))
-    for noise in (0.0, 5.0)
+    for parts in itertools.product(("const", "lin"), ("none", "lin"), ("l1", "nd"))
+    for noise in (0, 5)
 ])  # fmt: skip
 def test_only_constant_quality_with_a_distance_is_a_mountain(f, g, h, noise):
-    world = sd_world(3, f=f, g=g, h=h, noise=noise, n_seeds=1)
+    world = synthetic_world(f"synthetic:3d-{f}-{g}-{h}-eta{noise}@1")
     found = detect(world.problem(10), covered(world))
-    assert found.is_mountain() == (f == "constant" and h == "l1")
+    assert found.is_mountain() == (f == "const" and h == "l1")
 
 
 def test_the_slopes_of_a_directional_world_are_found_exactly():
-    world = sd_world(3, g="linear", h="nd", noise=0.0)
+    world = synthetic_world("synthetic:3d-const-lin-nd-eta0")
     found = detect(world.problem(10), covered(world))
     span = world.bounds(0).high - world.bounds(0).low
     assert found.gap.left * span == pytest.approx([-1, -1, 3])
@@ -198,7 +197,7 @@ def test_the_slopes_of_a_directional_world_are_found_exactly():
 
 
 def test_centred_rows_against_differences_that_are_not_hide_the_direction():
-    world = sd_world(3, g="linear", h="nd", noise=0.0)
+    world = synthetic_world("synthetic:3d-const-lin-nd-eta0")
     history, steps = covered(world), world.space.steps
     centred = history.rows - history.rows.mean(axis=0)
     published = fit_directional_gap(steps[list(history.sources)], steps, centred)
@@ -223,13 +222,13 @@ def test_a_valley_is_no_mountain():
 
 
 def test_sd_mbtl_covers_for_six_rounds_and_then_judges():
-    mountain = sd_world(3, g="linear", h="l1", noise=0.0)
+    mountain = synthetic_world("synthetic:3d-const-lin-l1-eta0")
     history, reasons = play("sd-mbtl", mountain, 9)
     assert history.sources == covered(mountain, 9).sources
     assert [why.split(":")[0] for why in reasons] == ["too early to judge"] * 6 + [
         "looks like a mountain"
     ] * 3
-    slope = sd_world(3, f="linear", h="l1", noise=0.0)
+    slope = synthetic_world("synthetic:3d-lin-none-l1-eta0")
     history, reasons = play("sd-mbtl", slope, 8)
     assert history.sources[:6] == covered(slope, 6).sources
     assert all(why.startswith("no mountain") for why in reasons[6:])
@@ -315,7 +314,7 @@ def test_categories_are_axes_too(name):
 
 @pytest.mark.parametrize("name", RIVALS)
 def test_picks_follow_from_the_history_alone(name):
-    world = sd_world(3, g="linear", h="nd", noise=5.0, n_seeds=1)
+    world = synthetic_world("synthetic:3d-const-lin-nd-eta5@1")
     history, _ = play(name, world, 9)
     problem = world.problem(9)
     for k in (3, 8):

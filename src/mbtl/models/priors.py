@@ -32,7 +32,7 @@ CANDIDATES: Mapping[str, TransferPrior] = {
 """How far a policy reaches is a matter of the ratio of contexts, of their difference, or both; or
 targets are hard or easy whatever the source."""
 
-# begin: evidence/learn_prior.py --write
+# what evidence/learn_prior.py prints
 CHOSEN: Mapping[str, str] = {
     "all": "ratio",
     "cartpole": "ratio",
@@ -42,7 +42,6 @@ CHOSEN: Mapping[str, str] = {
     "ring": "ratio",
     "signal": "ratio",
 }
-# end
 
 PRIORS: Mapping[str, TransferPrior] = {f: CANDIDATES[label] for f, label in CHOSEN.items()}
 

@@ -33,7 +33,7 @@ Indices = NDArray[np.intp]
 CHEAP, SHARE = 200, 0.25
 """Evaluations that a report may cost where the study cost as many, and the share of the study's
 that it may cost beyond. 100 contexts make V's interval less than half as wide as the running
-estimate's, 50 do not (docs/honest-numbers.md)."""
+estimate's, 50 do not (docs/results.md)."""
 
 
 @dataclass(frozen=True)

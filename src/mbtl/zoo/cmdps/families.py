@@ -229,7 +229,8 @@ _RING_TRPO = {**_TRPO, "learning_rate": 1e-4, "batch_size": 400}
 _RAMP_TRPO = {**_TRPO, "learning_rate": 1e-3}
 _NEAR_SIGHTED = {"gamma": 0.9, "n_critic_updates": 10, "normalize_advantage": True}
 """For few episodes on the ramp: what an instruction does to the traffic shows within ten of them,
-and all that comes later is noise. `evidence/sumo_learning.py` has what it is worth."""
+and all that comes later is noise. `evidence/recipes.py ramp-acc --engine sumo`
+has what it is worth."""
 
 _IN_TWIN = Preset(
     budget=15,
@@ -384,7 +385,7 @@ _DQN_OF_FEW: Mapping[str, Any] = {
     "policy_kwargs": {"net_arch": [128] * 2, "activation_fn": "Mish"},
 }
 """For few episodes: what was seen is turned by quarters, and learnt from by a small network at a
-rate that falls. `evidence/sumo_learning.py --cmdp signal-inflow` has what each is worth."""
+rate that falls. `evidence/recipes.py signal-inflow --engine sumo` has what each is worth."""
 
 
 def _signal(hyperparameters: Mapping[str, Any], **changes: Any) -> Preset:

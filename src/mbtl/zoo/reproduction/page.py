@@ -217,7 +217,7 @@ def _conclusion(table: Numbers, claims: Sequence[Claim]) -> list[str]:
     lines.append(
         "Recipes were chosen for how well they train and never to meet the published numbers. "
         "Why levels differ is said line by line below, and by family in "
-        "[control-results.md](control-results.md) and [traffic-results.md](traffic-results.md)."
+        "[differences.md](differences.md)."
     )
     return lines
 

@@ -191,7 +191,7 @@ SCORES: Mapping[str, Limits] = {
     "paper": Limits(-100.0, -1000.0, "(accumulated waiting per second)"),
 }
 """The first is the default. The paper's lower bound is -100; the published values cannot hold any
-below it (docs/traffic.md)."""
+below it (docs/differences.md)."""
 WAYS: Mapping[str, int] = {"fixed_time": 0, "actuated": 3}
 """Lights of SUMO's own, and its numbers of their kinds."""
 _CYCLE = (30.0, 10.0, 30.0, 10.0)

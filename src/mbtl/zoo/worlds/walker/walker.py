@@ -1026,7 +1026,7 @@ def _feet(state: WalkerState, first: jax.Array, touching: jax.Array) -> jax.Arra
 
 
 FILE = Path(__file__).parent / "starts.npz"
-"""`evidence/walker_twin.py --part start --write` wrote it: per axis its values, (s,), and states
+"""`evidence/walker_twin.py --write` wrote it: per axis its values, (s,), and states
 after the first action, (s, L**4, 24), of gravity and friction as differences; and per scale what is
 seen before it, (s, 7)."""
 AXES = ("gravity", "friction", "scale")

@@ -1,1 +1,0 @@
-../benchmarks/fixed_advice.py
