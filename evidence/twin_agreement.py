@@ -137,44 +137,41 @@ def episode(env: Any, seed: int, policy: Policy | None) -> dict[str, float]:
     return dict(env.summary)
 
 
-def in_twin(family: str, seeds: int) -> Callable[[dict[str, float], Policy | None], Measures]:
-    """A function that runs episodes with seeds 0, 1, ...; one compiled program per policy."""
-    problem = TWINS[family]
-    twin = problem([CONTEXTS[family][0]])[0]
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def played(twin: Any, policy: Policy | None, seeds: int, params: Any, decisions: Any) -> Measures:
+    """Episodes with seeds 0, 1, ..."""
+    numbers = jnp.arange(seeds, dtype=jnp.uint32)
 
-    @partial(jax.jit, static_argnums=0)
-    def run(policy: Policy | None, params: Any, decisions: Any) -> Any:
-        numbers = jnp.arange(seeds, dtype=jnp.uint32)
+    def one(moment: Any, state: Any) -> Any:
+        if policy is None:
+            return twin.drive(state, params).state
+        if policy is at_random:
+            action = twin.any_actions(numbers, moment)
+        elif policy is in_turn:
+            action = jnp.full((seeds, 1), in_turn(moment))
+        else:
+            action = policy(twin.observe(state, params).obs)
+        return twin.step(state, action, params).state
 
-        def one(moment: Any, state: Any) -> Any:
-            if policy is None:
-                return twin.drive(state, params).state
-            if policy is at_random:
-                action = twin.any_actions(numbers, moment)
-            elif policy is in_turn:
-                action = jnp.full((seeds, 1), in_turn(moment))
-            else:
-                action = policy(twin.observe(state, params).obs)
-            return twin.step(state, action, params).state
+    state = jax.lax.fori_loop(0, decisions, one, twin.start(numbers, params))
+    others = twin.measures(state) if hasattr(twin, "measures") else {}
+    return others | {"score": twin.score(state)}
 
-        state = jax.lax.fori_loop(0, decisions, one, twin.start(numbers, params))
-        return {"score": twin.score(state)} if family == "ring" else twin.measures(state)
 
-    def episodes(context: dict[str, float], policy: Policy | None) -> Measures:
-        (params,) = problem([context])[1]
-        found = run(policy, params, twin.decisions(params))
-        return {name: np.asarray(found[name], float) for name in NAMES if name in found}
-
-    return episodes
+def in_twin(family: str, context: dict[str, float], policy: Policy | None, seeds: int) -> Measures:
+    """The same; one compiled program per policy."""
+    twin, (params,) = TWINS[family]([context])
+    found = played(twin, policy, seeds, params, twin.decisions(params))
+    return {name: np.asarray(found[name], float) for name in NAMES if name in found}
 
 
 def lines(family: str, sumo_seeds: int, twin_seeds: int) -> Iterator[str]:
     """One per context, policy and measure."""
-    twin, ways = in_twin(family, twin_seeds), policies(family)
+    ways = policies(family)
     for context in CONTEXTS[family]:
         place = ", ".join(f"{name} {value:g}" for name, value in context.items()) or "nominal"
         for way, policy in ways.items():
-            ours = twin(context, policy)
+            ours = in_twin(family, context, policy, twin_seeds)
             for name, theirs in in_sumo(family, context, policy, sumo_seeds).items():
                 both = theirs, ours[name]
                 means = [float(x.mean()) for x in both]
