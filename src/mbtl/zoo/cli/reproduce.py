@@ -63,9 +63,9 @@ def reproduce_command(
     ] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Regenerate the paper's tables and figures from transfer matrices: nothing is trained.
+    """Regenerate the tables and claims of the paper from transfer matrices: nothing is trained.
 
-    Tables are CSV, Markdown and LaTeX, figures PDF and PNG, all drawn from numbers in JSON.
+    Tables are CSV and Markdown, figures PDF and PNG, all drawn from numbers in JSON.
     Finished items are kept; interrupt it at any time, the same command goes on where it was.
 
     Example: mbtl reproduce cartpole-length --item 1 --item curves
