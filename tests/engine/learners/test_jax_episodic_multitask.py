@@ -46,7 +46,8 @@ def test_every_episode_is_in_a_context_of_its_own_and_all_have_their_turn():
 
 def test_an_update_is_of_the_contexts_that_were_met(monkeypatch):
     world, params = ring()
-    state = engine.start_multitask(world, RECIPE, [5], params).state
+    all_of_them = jax.tree.map(lambda x: jnp.asarray(x)[None], params)
+    state = engine.start(world, RECIPE, [5], all_of_them).state
     lived = []
 
     class Lived(Exception):
@@ -57,7 +58,6 @@ def test_an_update_is_of_the_contexts_that_were_met(monkeypatch):
         raise Lived  # what is learnt of it is another test's
 
     monkeypatch.setattr(learning, "record", kept)
-    all_of_them = jax.tree.map(lambda x: jnp.asarray(x)[None], params)
     beats = world.decisions(params)
     clock = clock_at(jnp.int32(3), Pace.endless(4))
     with pytest.raises(Lived):
@@ -71,16 +71,16 @@ def test_an_update_is_of_the_contexts_that_were_met(monkeypatch):
 
 def test_a_training_goes_on_where_it_was():
     world, params = ring()
-    saved = []
+    sets, saved = engine.in_sets(RECIPE, params, len(HOLDS)), []
 
     def train(**options):
-        return engine.train_multitask(
-            world, RECIPE, [7], params, 8, checkpoint_every=4, checkpoint_episodes=1,
+        return engine.train(
+            world, RECIPE, [7], sets, 8, checkpoint_every=4, checkpoint_episodes=len(HOLDS),
             acting="sampled", **options,
         )  # fmt: skip
 
     whole = train(on_block=lambda block: saved.append(engine.to_arrays(block.training)))
-    template = engine.start_multitask(world, RECIPE, [7], params)
+    template = engine.start(world, RECIPE, [7], sets)
     rest = train(resume=engine.from_arrays(template, saved[0]))
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(rest), strict=True):
         np.testing.assert_array_equal(a, b)

@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array
-from mbtl.engine.learners.episodic.episodes import Acting, Actor, actor_of, go_on, measures
-from mbtl.engine.learners.multitask.table import seen
-from mbtl.engine.learners.recipes import Activation, MultiTaskRecipe
+from mbtl.engine.learners.episodic.episodes import Acting, Actor, go_on, measures
+from mbtl.engine.learners.recipes import Activation
 from mbtl.engine.worlds import ends, strata
 from mbtl.engine.worlds.environments import Tree
 from mbtl.engine.worlds.world import Solo, World, context_of, in_a_row, of_simulations
@@ -204,29 +203,6 @@ def taken(tree: Tree, which: Any) -> Any:
 def joined(trees: Sequence[Tree]) -> Any:
     """One tree, along the leading axis."""
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *trees)
-
-
-def evaluate_multitask(
-    world: World,
-    recipe: MultiTaskRecipe,
-    weights: Any,
-    params: Tree,
-    seeds: ArrayLike,
-    *,
-    places: ArrayLike | None = None,
-    on_block: Callable[[int, int], None] | None = None,
-) -> Array:
-    """Undiscounted returns of deterministic episodes, (S, C, E); see `evaluate`.
-
-    `places` are (C,) positions of the contexts on the axis in steps of the training's grid, e.g.
-    0.5 halfway between the first two; None where they are that grid.
-
-    Raises:
-        InvalidInput: there are no policies, contexts or episodes, or seeds of another shape.
-    """
-    contexts, actor = seen(recipe, params, places), actor_of(weights)
-    activation = recipe.activation
-    return evaluate(world, actor, contexts, seeds, activation=activation, on_block=on_block)
 
 
 def measured(

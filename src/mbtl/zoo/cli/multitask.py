@@ -17,9 +17,15 @@ from mbtl.problems import CMDP, get_cmdp
 from mbtl.provenance import check_made_by, here
 from mbtl.seeds import seeds_in
 from mbtl.trainers import SB3Trainer
-from mbtl.zoo.benchmark.multitask import multitask_file, read_multitask, save_multitask
-from mbtl.zoo.benchmark.multitask_run import InJax, Method
-from mbtl.zoo.benchmark.on_all import InSimulator
+from mbtl.zoo.benchmark.multitask import (
+    InJax,
+    InSimulator,
+    Method,
+    multitask_file,
+    read_multitask,
+    save_multitask,
+    train_on_all,
+)
 from mbtl.zoo.cmdps.registry import preset_on_all, visibility_on_all
 
 
@@ -202,7 +208,7 @@ def _one(
             log.say(f"{label}: {done:,} of {total:,}  {note}")
 
         folder = work / f"multitask-{cmdp}-{name}-seed{seed}"
-        returns, std, record = job.run(seed, folder, on_step)
+        returns, std, record = train_on_all(job, seed, folder, on_step)
     provenance = {
         **code,
         **record,
