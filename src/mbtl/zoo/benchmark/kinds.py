@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -371,10 +371,13 @@ class Kinds:
     def run(
         self,
         kinds: Sequence[str] = KINDS,
-        on_part: Callable[[str, int, int], None] = lambda name, done, total: None,
-        on_progress: OnProgress | None = None,
+        on_progress: Callable[[str, Progress | None], None] = lambda part, progress: None,
     ) -> None:
         """Do what is missing of these kinds.
+
+        Args:
+            kinds: of `KINDS`.
+            on_progress: told which part is at work, and how far it is once that is known.
 
         Raises:
             InvalidInput: the folder holds another build, or parents of copies are missing.
@@ -384,9 +387,10 @@ class Kinds:
         parts = self.parts(kinds)
         with claimed_folder(self.folder, self.claim, "transfer data"):
             for done, part in enumerate(parts):
-                on_part(part.name, done, len(parts))
-                self.train(part, on_progress)
-                self.evaluate(part, on_progress)
+                tell = partial(on_progress, f"{part.name} ({done + 1} of {len(parts)})")
+                tell(None)
+                self.train(part, tell)
+                self.evaluate(part, tell)
 
     @property
     def claim(self) -> dict[str, Any]:

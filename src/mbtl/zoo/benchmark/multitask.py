@@ -136,10 +136,8 @@ OnStep = Callable[[int, int, str], None]
 
 _TOGETHER = 10
 """Contexts evaluated at once in a simulator, between two signs of life."""
-_EPISODES = 100
-"""Per context, where an episode costs next to nothing."""
 _JUDGED = 2
-"""Episodes per context, likewise, where a policy is judged on the way."""
+"""Episodes per context where a policy is judged on the way and they cost next to nothing."""
 _MOST, _LEAST = 50, 5
 """How often a policy is judged on all contexts, which is to cost no more than its training."""
 
@@ -224,7 +222,6 @@ class InJax:
         contexts: the N contexts.
         method: which of the three.
         length: environment steps, over all contexts together.
-        eval_episodes: E; None: those of one source, of CartPole and Pendulum 100.
 
     Raises:
         InvalidInput: the trainer does not learn by PPO.
@@ -234,7 +231,6 @@ class InJax:
     contexts: Sequence[Context]
     method: Method
     length: int
-    eval_episodes: int | None = None
 
     def __post_init__(self) -> None:
         if why := refusal(self.trainer, "sets"):
@@ -250,7 +246,7 @@ class InJax:
             "recipe": one.recipe.record,
             "contexts": _digest(one.params),
             "timesteps": self.length,
-            "episodes": one.episodes,
+            "episodes": self.trainer.eval_episodes,
             "evaluation_seeds": PER_TARGET,
             "checkpoint_episodes": one.judged,
             **every,
@@ -289,7 +285,7 @@ class InJax:
     def played(self, policy: Any, seeds: Sequence[int], on_step: OnStep) -> Array:
         """(N, E) returns."""
         one = self._problem()
-        each = episode_seeds(seeds, len(self.contexts), one.episodes)
+        each = episode_seeds(seeds, len(self.contexts), self.trainer.eval_episodes)
         seen, actor = engine.context_of(one.sets, 0), engine.actor_of(policy)
         activation = one.recipe.activation
         returns: Array = engine.evaluate(one.world, actor, seen, each, activation=activation)[0]
@@ -301,12 +297,10 @@ class InJax:
         recipe = recipe_on_many(self.trainer, world, n, self.method)
         sets = engine.in_sets(recipe, params, n)
         if name in engine.MULTI_TASK:
-            episodes = self.eval_episodes or _EPISODES
-            return _Problem(world, recipe, params, sets, _JUDGED, None, episodes)
+            return _Problem(world, recipe, params, sets, _JUDGED, None)
         once = n * int(world.decisions(params))
         every = min(max(once, math.ceil(self.length / _MOST)), math.ceil(self.length / _LEAST))
-        episodes = self.eval_episodes or self.trainer.eval_episodes
-        return _Problem(world, recipe, params, sets, 1, every, episodes)
+        return _Problem(world, recipe, params, sets, 1, every)
 
 
 class _Problem(NamedTuple):
@@ -319,7 +313,6 @@ class _Problem(NamedTuple):
         sets: the same, as a training of one policy takes them.
         judged: episodes per context of an evaluation on the way.
         every: environment steps between two of these; None: each 2 % of the training.
-        episodes: E.
     """
 
     world: Any
@@ -328,7 +321,6 @@ class _Problem(NamedTuple):
     sets: Any
     judged: int
     every: int | None
-    episodes: int
 
 
 def train_on_all(
