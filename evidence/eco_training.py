@@ -16,7 +16,8 @@ import jax.numpy as jnp
 
 from mbtl.engine.learners import loop, networks
 from mbtl.engine.learners.episodic import learning
-from mbtl.engine.learners.episodic.episodes import actor_of, import_actor, scores, watched
+from mbtl.engine.learners.episodic.episodes import actor_of, import_actor, watched
+from mbtl.engine.learners.episodic.episodes import measures as of_episodes
 from mbtl.engine.learners.episodic.recipes import TWIN_RECIPES
 from mbtl.engine.worlds.world import of_simulations
 from mbtl.zoo.cmdps.traffic.twins import EcoProblem
@@ -155,9 +156,9 @@ def acting(weights: Any, context: Mapping[str, float], seeds: int, ways: str) ->
     params = stacked([context] * n, seeds)
     found = play(rule, twin, jnp.asarray(drawn.reshape(-1)), params, jnp.zeros((drawn.size, 0)))
     actor = actor_of(weights)._replace(critic=())
-    sampled = scores(
+    sampled = of_episodes(
         twin, "tanh", "sampled", actor, jnp.asarray(drawn), twin.draws(drawn), params, twin.horizon
-    )
+    )["score"]
     shaped = {name: np.asarray(x, float).reshape(n, seeds) for name, x in found.items()}
     return shaped | {"sampled": np.asarray(sampled, float)}
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 import mbtl.engine.learners as engine  # before jax: it sets jax's flags
 from mbtl.engine.learners import algorithms, networks
-from mbtl.engine.learners.evaluation import own_scores
+from mbtl.engine.learners.evaluation import own_measures
 from mbtl.engine.learners.multitask import moore, paco, table
 from mbtl.engine.learners.networks import Weights
 from mbtl.engine.learners.rollout import draw, play
@@ -278,9 +278,9 @@ def test_a_checkpoint_is_scored_on_every_context_from_different_states():
     weights = engine.start(CARTPOLE, recipe, [4], sets).state.weights
     actor, seeds = engine.actor_of(weights), np.arange(10, dtype=np.uint32)
     stacked = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), sets)
-    dealt = np.asarray(own_scores(CARTPOLE, "tanh", "mean", actor, seeds[None], stacked)).reshape(
-        5, 2
-    )
+    dealt = np.asarray(
+        own_measures(CARTPOLE, "tanh", "mean", actor, seeds[None], stacked)["score"]
+    ).reshape(5, 2)
     assert len(np.unique(dealt)) > 2
     played = engine.evaluate(CARTPOLE, actor, params, seeds.reshape(5, 2))[0]
     np.testing.assert_array_equal(dealt, played)

@@ -115,7 +115,7 @@ def test_what_is_charged_is_what_ran(monkeypatch):
         return updates(*given)
 
     monkeypatch.setattr(loop, "_updates", updating)
-    monkeypatch.setattr(loop, "own_scores", None)
+    monkeypatch.setattr(loop, "own_measures", None)
     reached = CARTPOLE.train([POLE], 2, length=1_000 / CARTPOLE.whole)
     assert reached.steps == ran["updates"] * CARTPOLE.update_length
 

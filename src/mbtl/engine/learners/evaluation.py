@@ -38,22 +38,6 @@ def on_cpu() -> bool:
     return bool(jax.default_backend() == "cpu")
 
 
-def own_scores(
-    world: World,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: NDArray[np.uint32],
-    params: Tree,
-) -> jax.Array:
-    """(P, E) scores of each policy on its own context, or on N of them in equal parts.
-
-    Parameters are of one context, which serves all; (P, ...); or (P, N, ...). Of the (P, E) seeds
-    the first are for the first context.
-    """
-    return own_measures(world, activation, how, actor, seeds, params)["score"]
-
-
 def own_measures(
     world: World,
     activation: Activation,
@@ -62,7 +46,12 @@ def own_measures(
     seeds: NDArray[np.uint32],
     params: Tree,
 ) -> dict[str, jax.Array]:
-    """As `own_scores`, with all that the world measures of an episode."""
+    """(P, E) of each policy on its own context, or on N of them in equal parts, by name.
+
+    What the world measures of an episode, its "score" among it. Parameters are of one context,
+    which serves all; (P, ...); or (P, N, ...). Of the (P, E) seeds the first are for the first
+    context.
+    """
     drawn, actor = world.draws(seeds), actor._replace(critic=())
     every = of_simulations(params, seeds.shape[1])
     decisions = world.decisions(in_a_row(params))
@@ -142,7 +131,7 @@ def evaluate(
         for c in range(n_contexts):  # one at a time, as simulations cannot be told apart
             where = context_of(params, c)
             everyone = np.tile(own[c], (height, 1))
-            part = own_scores(world, activation, how, some, everyone, where)
+            part = own_measures(world, activation, how, some, everyone, where)["score"]
             place[:, c] = np.asarray(part)[:count]
             on_part((c + 1) * height * n_episodes)
     return strata.merged(returns, shares)
@@ -186,7 +175,7 @@ def evaluate_each(
     for first in range(0, len(who), step):
         whose, at, episodes = _take((who, places, own), first, step, len(who))
         some, there = taken(actor, whose), taken(params, at)
-        part = own_scores(world, activation, how, some, episodes, there)
+        part = own_measures(world, activation, how, some, episodes, there)["score"]
         found.append(np.asarray(part)[: len(who) - first])
         if on_block is not None:
             on_block(min(first + step, len(who)), len(who))

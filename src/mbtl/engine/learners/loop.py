@@ -15,7 +15,7 @@ from mbtl.engine.learners.algorithms import AnyRecipe
 from mbtl.engine.learners.blocks import Block, Schedule, Training, beginning, in_blocks, keep_better
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic.episodes import Acting, actor_of
-from mbtl.engine.learners.evaluation import own_scores
+from mbtl.engine.learners.evaluation import own_measures
 from mbtl.engine.learners.multitask.table import seen
 from mbtl.engine.learners.networks import Weights
 from mbtl.engine.learners.recipes import check_lengths
@@ -131,7 +131,7 @@ def train(
 
     def judge(training: Training) -> Training:
         actor = actor_of(training.state.weights)
-        found = own_scores(world, recipe.activation, acting, actor, tests, params)
+        found = own_measures(world, recipe.activation, acting, actor, tests, params)["score"]
         return cast(Training, keep_better(training, found.mean(axis=1)))
 
     def nothing_to_gain(training: Training) -> bool:
