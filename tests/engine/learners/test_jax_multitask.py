@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
 import jax
 import jax.numpy as jnp
+from poles import assert_same, params_of
 
 import mbtl.engine.learners as engine  # before jax: it sets jax's flags
 from mbtl.engine.learners import algorithms, networks
@@ -21,27 +21,17 @@ from mbtl.engine.learners.networks import Weights
 from mbtl.engine.learners.rollout import draw, play
 from mbtl.engine.worlds.copies import take_turns
 from mbtl.errors import InvalidInput, UnknownName
-from mbtl.zoo.cmdps import cartpole
 from mbtl.zoo.worlds import CartPole
 
 TINY = engine.PPORecipe(n_envs=3, n_steps=32, batch_size=48, n_epochs=1, learning_rate=1e-3)
 CARTPOLE = engine.Solo(CartPole(horizon=60))
 
 
-def cartpole_params(lengths=(0.1, 0.5, 1.0, 2.0, 5.0)):
-    envs = [cartpole.CartPole({"length": length}) for length in lengths]
-    return engine.stack_params(
-        CARTPOLE, [cartpole.derive(env.features) for env in envs], [env.visible for env in envs]
-    )
+LENGTHS = (0.1, 0.5, 1.0, 2.0, 5.0)
 
 
 def recipe_of(method, n_parts=3, **changes):
     return engine.MultiTaskRecipe(method, replace(TINY, **changes), n_parts)
-
-
-def assert_same(one, other):
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 # ---- turns ---------------------------------------------------------------------------------------
@@ -62,7 +52,7 @@ def test_copies_that_end_together_take_the_next_contexts_in_order():
 def test_every_context_is_started_equally_often(n_envs):
     """Short and long episodes, fewer and more copies than contexts; read off the observations."""
     recipe = engine.MultiTaskRecipe("paco", replace(TINY, n_envs=n_envs, n_steps=240))
-    params = engine.in_sets(recipe, cartpole_params(), 5)
+    params = engine.in_sets(recipe, params_of(CARTPOLE, LENGTHS), 5)
     state = algorithms.init(CARTPOLE, recipe, [0], params)
     play = jax.jit(jax.vmap(partial(_play_only, recipe)))
     _, rollout = play(state, jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params))
@@ -200,80 +190,37 @@ def test_task_weights_mix_the_representations():
 # ---- training ------------------------------------------------------------------------------------
 
 
-class Learnt(NamedTuple):
-    """A short training on three contexts, and what was saved after its first block."""
-
-    recipe: engine.MultiTaskRecipe
-    training: engine.Training | None
-    saved: dict[str, np.ndarray]
-    scores: list[float]
-
-    env = engine.Solo(CartPole(horizon=200))
-    params = cartpole_params((0.25, 0.5, 1.0))
-
-    def train(self, **options):
-        return engine.train(
-            self.env, self.recipe, [0], self.sets, 40_000, checkpoint_every=8_000,
-            checkpoint_episodes=6, **options,
-        )  # fmt: skip
-
-    def start(self):
-        return engine.start(self.env, self.recipe, [0], self.sets)
-
-    @property
-    def sets(self):
-        return engine.in_sets(self.recipe, self.params, 3)
-
-
-@pytest.fixture(
-    scope="module",
-    params=[
-        pytest.param("ppo", marks=pytest.mark.long),
-        pytest.param("paco", marks=pytest.mark.long),
-        "moore",
-    ],
-)
-def learnt(request):
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["ppo", "paco", "moore"])
+def test_cartpole_is_learnt_on_all_contexts(method):
     ppo = engine.PPORecipe(n_envs=10, n_steps=64, batch_size=128, n_epochs=4, learning_rate=2e-3)
-    learnt = Learnt(engine.MultiTaskRecipe(request.param, ppo, 2), None, {}, [])
-
-    def on_block(block):
-        learnt.saved.update({} if learnt.saved else engine.to_arrays(block.training))
-        learnt.scores.append(float(block.training.latest_return[0]))
-
-    return learnt._replace(training=learnt.train(on_block=on_block))
-
-
-def test_cartpole_is_learnt_on_all_contexts(learnt):
-    start, contexts = learnt.start(), engine.context_of(learnt.sets, 0)
-    seeds = np.arange(15).reshape(3, 5)
+    env, recipe = engine.Solo(CartPole(horizon=200)), engine.MultiTaskRecipe(method, ppo, 2)
+    scores = []
+    sets = engine.in_sets(recipe, params_of(env, (0.25, 0.5, 1.0)), 3)
+    start = engine.start(env, recipe, [0], sets)
+    training = engine.train(
+        env, recipe, [0], sets, 40_000, checkpoint_every=8_000, checkpoint_episodes=6,
+        on_block=lambda block: scores.append(float(block.training.latest_return[0])),
+    )  # fmt: skip
+    contexts, seeds = engine.context_of(sets, 0), np.arange(15).reshape(3, 5)
     returns = {
-        name: engine.evaluate(learnt.env, engine.actor_of(weights), contexts, seeds)
-        for name, weights in [("start", start.state.weights), ("best", learnt.training.best)]
+        name: engine.evaluate(env, engine.actor_of(weights), contexts, seeds)
+        for name, weights in [("start", start.state.weights), ("best", training.best)]
     }
     assert returns["best"].shape == (1, 3, 5)
     assert returns["best"].mean() > 150 > 60 > returns["start"].mean()
-    assert float(learnt.training.best_return[0]) == max(learnt.scores)
-    assert max(learnt.scores) == pytest.approx(returns["best"].mean(), rel=0.2)
-    for old, new in zip(
-        jax.tree.leaves(start.state.weights),
-        jax.tree.leaves(learnt.training.state.weights),
-        strict=True,
-    ):
+    assert float(training.best_return[0]) == max(scores)
+    assert max(scores) == pytest.approx(returns["best"].mean(), rel=0.2)
+    weights = (start.state.weights, training.state.weights)
+    for old, new in zip(*map(jax.tree.leaves, weights), strict=True):
         assert old.size == 0 or (np.asarray(old) != np.asarray(new)).mean() > 0.5
-
-
-def test_a_training_resumed_from_saved_arrays_ends_where_it_would_have(learnt):
-    halfway = engine.from_arrays(learnt.start(), learnt.saved)
-    assert 0 < int(halfway.updates) < int(learnt.training.updates)
-    assert_same(learnt.training, learnt.train(resume=halfway))
 
 
 # ---- evaluation ----------------------------------------------------------------------------------
 
 
 def test_a_checkpoint_is_scored_on_every_context_from_different_states():
-    params, recipe = cartpole_params(), recipe_of("ppo")
+    params, recipe = params_of(CARTPOLE, LENGTHS), recipe_of("ppo")
     sets = engine.in_sets(recipe, params, 5)
     weights = engine.start(CARTPOLE, recipe, [4], sets).state.weights
     actor, seeds = engine.actor_of(weights), np.arange(10, dtype=np.uint32)
