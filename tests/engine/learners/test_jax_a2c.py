@@ -183,8 +183,9 @@ PEERS = {
         "normalize_advantage": "normalize_advantage",
     },
     "DQN": {
-        "batch_size": "batch_size", "learning_starts": "learning_starts", "train_freq": "train_freq",
-        "gradient_steps": "gradient_steps", "target_every": "target_update_interval",
+        "batch_size": "batch_size", "learning_starts": "learning_starts",
+        "train_freq": "train_freq", "gradient_steps": "gradient_steps",
+        "target_every": "target_update_interval",
         "exploration_fraction": "exploration_fraction", "final_epsilon": "exploration_final_eps",
     },
 }  # fmt: skip
