@@ -70,7 +70,6 @@ def evaluate(
     activation: Activation = "tanh",
     how: Acting = "mean",
     rows: int | None = None,
-    on_block: Callable[[int, int], None] | None = None,
 ) -> Array:
     """Scores of every policy on every context, in raw units.
 
@@ -82,7 +81,6 @@ def evaluate(
         activation: between the layers of the actors.
         how: actions follow from a policy.
         rows: simulations at a time; None chooses for world and device.
-        on_block: called with (pairs of policy and context done, planned) now and then.
 
     Returns:
         (P, C, E).
@@ -111,21 +109,15 @@ def evaluate(
     height = max(1, min(n_policies, rows // width))
     drawn, actor = world.draws(own) if world.apart else own, actor._replace(critic=())
     returns = np.empty((n_policies, n_contexts, n_episodes))
-    told = on_block or (lambda done, planned: None)
     for p in range(0, n_policies, height):
         some, place = _take(actor, p, height, n_policies), returns[p : p + height]
-        count, done = len(place), p * n_contexts
-
-        def on_part(ended: int, height: int = height, count: int = count, done: int = done) -> None:
-            told(done + ended * count // (height * n_episodes), n_policies * n_contexts)
-
+        count = len(place)
         if world.apart:
 
             def play(state: Tree, own: Any, where: Tree, *when: int, some: Actor = some) -> Tree:
                 return go_on(world, activation, how, some, own, where, state, *when)
 
-            given = (cast(Solo, world), params, own, drawn)
-            found = ends.scores(*given, height, width, play, on_part)
+            found = ends.scores(cast(Solo, world), params, own, drawn, height, width, play)
             place[...] = found.reshape(height, *place.shape[1:])[:count]
             continue
         for c in range(n_contexts):  # one at a time, as simulations cannot be told apart
@@ -133,7 +125,6 @@ def evaluate(
             everyone = np.tile(own[c], (height, 1))
             part = own_measures(world, activation, how, some, everyone, where)["score"]
             place[:, c] = np.asarray(part)[:count]
-            on_part((c + 1) * height * n_episodes)
     return strata.merged(returns, shares)
 
 
