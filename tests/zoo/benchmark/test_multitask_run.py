@@ -37,7 +37,10 @@ def contexts_of(id, *places):
 
 SEEN_OR_NOT = pytest.mark.parametrize(  # compiled once each, for both tests
     ("id", "visibility", "inputs"),
-    [("cheetah-friction", "hidden", 17), ("cheetah-gravity", "multiplier", 18)],
+    [
+        pytest.param("cheetah-friction", "hidden", 17, marks=pytest.mark.long),
+        ("cheetah-gravity", "multiplier", 18),
+    ],
 )
 
 
@@ -96,6 +99,7 @@ def test_an_interrupted_baseline_gives_what_it_would_have(id, visibility, inputs
             train_on_all(other, 0, tmp_path / "killed", lambda *_: None)
 
 
+@pytest.mark.long
 def test_a_simulator_that_fails_fails_the_policy_of_all_contexts(tmp_path, monkeypatch):
     whole = HalfCheetahs.step
 

@@ -49,7 +49,11 @@ def repeated(context: typer.Context, without: Container[str], **instead: Any) ->
         without: names of options that do not matter to it: folders, processes, seeds.
         **instead: other values for some.
     """
-    words = ["mbtl", *context.command_path.split()[1:]]
+    names, above = [], context
+    while above.parent is not None:  # not the program's own, which depends on how it was started
+        names.append(str(above.info_name))
+        above = above.parent
+    words = ["mbtl", *reversed(names)]
     for one in context.command.params:
         name = str(one.name)
         value = instead.get(name, context.params.get(name))
