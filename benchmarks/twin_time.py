@@ -30,7 +30,7 @@ def division(id: str, preset: str, policies: int, rounds: int) -> dict[str, Any]
 
     from mbtl.engine.learners import algorithms
     from mbtl.engine.learners.clock import Pace, clock_at
-    from mbtl.engine.learners.episodic.episodes import actor_of, record, scores
+    from mbtl.engine.learners.episodic.episodes import actor_of, measures, record
     from mbtl.engine.worlds.world import of_simulations
     from mbtl.problems import get_cmdp
 
@@ -47,7 +47,7 @@ def division(id: str, preset: str, policies: int, rounds: int) -> dict[str, Any]
     @partial(jax.jit, static_argnums=0)
     def played(how: str, state: Any, params: Any) -> Any:
         actor = actor_of(state.weights)
-        return scores(world, recipe.activation, how, actor, seeds, seeds, params, length)
+        return measures(world, recipe.activation, how, actor, seeds, seeds, params, length)["score"]
 
     @jax.jit
     def kept(state: Any, params: Any) -> Any:

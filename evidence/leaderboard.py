@@ -2,11 +2,11 @@
 
     .venv/bin/python evidence/leaderboard.py [--budget 30]
 
-Nothing that was learned has seen what it is judged on: `specialists` runs with the prior fitted without
-the family of each matrix. Beside the selectors stands "the other seeds", which is none: it owns
-the whole matrices of the other seeds of the same CMDP, smoothed over sources, and picks by their
-mean gain. What separates it from the Sequential Oracle is luck of single trainings, which nobody
-can foresee.
+Nothing that was learned has seen what it is judged on: `specialists` runs with the prior fitted
+without the family of each matrix. Beside the selectors stands "the other seeds", which is none: it
+owns the whole matrices of the other seeds of the same CMDP, smoothed over sources, and picks by
+their mean gain. What separates it from the Sequential Oracle is luck of single trainings, which
+nobody can foresee.
 
 Sets with several axes have a table of their own, without the selectors that need one axis (n/a).
 """

@@ -1,5 +1,6 @@
 """A2C in jax: RMSprop and a whole gradient step are Stable-Baselines3's, and it learns."""
 
+import inspect
 from dataclasses import replace
 from functools import partial
 
@@ -12,6 +13,7 @@ pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 import mbtl.engine.learners as engine  # isort: skip  # before jax: it sets jax's flags
 import jax
 import jax.numpy as jnp
+from poles import assert_same, params_of, single
 
 from mbtl.engine.learners import a2c, rollout
 from mbtl.engine.learners.clock import Pace, clock_at
@@ -24,27 +26,6 @@ ENV = engine.Solo(CartPole(horizon=9))  # shorter than an update: episodes are c
 CARTPOLE = engine.Solo(CartPole())
 FAST = replace(engine.recipe_named("A2C", "fast"), anneal=False)  # compiled once, with P = 2
 PLAY, LEARN = (jax.jit(f, static_argnums=(0, 1)) for f in (rollout.play, a2c.learn))
-
-
-def params_of(lengths, env=ENV):
-    envs = [cartpole.CartPole({"length": length}) for length in lengths]
-    constants = [cartpole.derive(one.features) for one in envs]
-    return engine.stack_params(env, constants, [one.visible for one in envs])
-
-
-def first(tree):
-    return jax.tree.map(lambda x: jnp.asarray(x[0]), tree)
-
-
-def single(recipe, env=ENV, seed=3):
-    """State and parameters of one policy."""
-    params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params_of([0.4], env))
-    return first(a2c.init(env, recipe, [seed], params)), first(params)
-
-
-def assert_same(one, other):
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 # ---- the optimiser -------------------------------------------------------------------------------
@@ -94,7 +75,7 @@ update = jax.jit(partial(a2c.update, ENV, TINY))
 
 @pytest.mark.long
 def test_an_update_is_its_rollouts_one_after_another():
-    state, params = single(TINY)
+    state, params = single(a2c, ENV, TINY)
     key, noise = rollout.draw(ENV, state.key, (2, 4, 32))
     play, learn = (partial(f, ENV, TINY) for f in (PLAY, LEARN))
     by_hand = state._replace(key=key)
@@ -108,7 +89,7 @@ def test_an_update_is_its_rollouts_one_after_another():
 
 
 def test_annealing_ends_at_no_learning():
-    state, params = single(TINY)
+    state, params = single(a2c, ENV, TINY)
     updated = update(state, params, clock_at(jnp.int32(10), Pace.falling(10)))
     assert_same(updated.weights, state.weights)
     assert not np.array_equal(updated.copies.elapsed, state.copies.elapsed)
@@ -123,7 +104,7 @@ def test_a_gradient_step_is_stable_baselines3s(time_limit):
 
     env = engine.Solo(CartPole(horizon=9, time_limit=time_limit))
     recipe = engine.A2CRecipe(n_envs=2, n_steps=24, gae_lambda=0.9, entropy_coef=0.01)
-    state, params = single(recipe, env)
+    state, params = single(a2c, env, recipe)
     _, noise = rollout.draw(env, state.key, (24, 2))
     moved, played = PLAY(env, recipe, state, params, noise)
     ours = LEARN(env, recipe, moved, played, jnp.float32(1.0)).weights
@@ -175,31 +156,9 @@ def test_a_gradient_step_is_stable_baselines3s(time_limit):
 # ---- whole trainings -----------------------------------------------------------------------------
 
 
-def test_a_policy_does_not_depend_on_its_company():
-    mixed = engine.train(CARTPOLE, FAST, [3, 7], params_of([0.5, 0.1]), 1024)
-    other = engine.train(CARTPOLE, FAST, [3, 9], params_of([0.5, 4.0]), 1024)
-    assert_same(first(mixed.state), first(other.state))
-    second = jax.tree.map(lambda x: x[1], mixed.state.weights)
-    assert not np.array_equal(second.actor[0][0], first(mixed.state.weights).actor[0][0])
-
-
-def test_a_resumed_training_ends_where_it_would_have():
-    saved = []
-
-    def save(block):
-        saved.append(engine.to_arrays(block.training))
-
-    arguments = (CARTPOLE, FAST, [0, 1], params_of([0.5, 1.0]), 1000)
-    whole = engine.train(*arguments, on_block=save, checkpoint_every=512)
-    assert len(saved) == 2
-    assert int(whole.updates) == 4
-    halfway = engine.from_arrays(engine.start(*arguments[:4]), saved[0])
-    assert_same(whole, engine.train(*arguments, resume=halfway, checkpoint_every=512))
-
-
 def test_cartpole_is_learnt():
     training = engine.train(
-        CARTPOLE, FAST, [0, 1], params_of([0.5, 0.5]), 200_000, checkpoint_every=20_000
+        CARTPOLE, FAST, [0, 1], params_of(CARTPOLE, [0.5, 0.5]), 200_000, checkpoint_every=20_000
     )
     assert (np.asarray(training.best_return) >= 400).all()
 
@@ -217,20 +176,30 @@ def test_pendulum_takes_a_step_with_a_gaussian():
 # ---- recipes -------------------------------------------------------------------------------------
 
 
-def test_recipes_have_stable_baselines3s_defaults():
-    peer = pytest.importorskip("stable_baselines3")
-    import inspect
-
-    theirs = {k: v.default for k, v in inspect.signature(peer.A2C.__init__).parameters.items()}
-    ours = engine.recipe_named("A2C", "sb3")
-    same = {
-        "n_steps": "n_steps", "learning_rate": "learning_rate", "gamma": "gamma",
-        "gae_lambda": "gae_lambda", "entropy_coef": "ent_coef", "value_coef": "vf_coef",
-        "max_grad_norm": "max_grad_norm", "rms_eps": "rms_prop_eps",
+PEERS = {
+    "A2C": {
+        "n_steps": "n_steps", "gae_lambda": "gae_lambda", "entropy_coef": "ent_coef",
+        "value_coef": "vf_coef", "rms_eps": "rms_prop_eps",
         "normalize_advantage": "normalize_advantage",
-    }  # fmt: skip
-    assert {k: getattr(ours, k) for k in same} == {k: theirs[v] for k, v in same.items()}
-    assert theirs["use_rms_prop"]
+    },
+    "DQN": {
+        "batch_size": "batch_size", "learning_starts": "learning_starts",
+        "train_freq": "train_freq", "gradient_steps": "gradient_steps",
+        "target_every": "target_update_interval",
+        "exploration_fraction": "exploration_fraction", "final_epsilon": "exploration_final_eps",
+    },
+}  # fmt: skip
+FIXED = {"A2C": {"use_rms_prop": True}, "DQN": {"exploration_initial_eps": 1.0, "tau": 1.0}}
+
+
+@pytest.mark.parametrize("algorithm", PEERS)
+def test_recipes_have_stable_baselines3s_defaults(algorithm):
+    peer = getattr(pytest.importorskip("stable_baselines3"), algorithm)
+    theirs = {k: v.default for k, v in inspect.signature(peer.__init__).parameters.items()}
+    names = PEERS[algorithm] | {k: k for k in ("learning_rate", "gamma", "max_grad_norm")}
+    ours = engine.recipe_named(algorithm, "sb3")
+    assert {k: getattr(ours, k) for k in names} == {k: theirs[v] for k, v in names.items()}
+    assert {k: theirs[k] for k in FIXED[algorithm]} == FIXED[algorithm]
 
 
 def test_recipes_are_found_by_algorithm_and_name():

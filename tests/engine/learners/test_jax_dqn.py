@@ -13,6 +13,7 @@ import mbtl.engine.learners as engine  # isort: skip  # before jax: it sets jax'
 import jax
 import jax.numpy as jnp
 from as_shipped import AS_SHIPPED
+from poles import assert_same, first, params_of, same, single
 
 from mbtl.engine.learners import dqn, networks
 from mbtl.engine.learners.clock import Pace, clock_at
@@ -34,40 +35,14 @@ FAST = replace(  # compiled once, with P = 2; for fewer steps than the recipe is
 FEATURES = 4
 
 
-def params_of(lengths, env=ENV):
-    envs = [cartpole.CartPole({"length": length}) for length in lengths]
-    constants = [cartpole.derive(one.features) for one in envs]
-    return engine.stack_params(env, constants, [one.visible for one in envs])
-
-
-def first(tree):
-    return jax.tree.map(lambda x: jnp.asarray(x[0]), tree)
-
-
-def single(recipe, env=ENV):
-    """State and parameters of one policy."""
-    params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params_of([0.4], env))
-    return first(dqn.init(env, recipe, [3], params)), first(params)
-
-
 def states_of(recipe, updates, env=ENV):
     """The state before the first update, and after each."""
-    state, params = single(recipe, env)
+    state, params = single(dqn, env, recipe)
     step = jax.jit(partial(dqn.update, env, recipe))
     states = [state]
     for k in range(updates):
         states.append(step(states[-1], params, clock_at(jnp.int32(k), Pace.endless(10))))
     return states
-
-
-def assert_same(one, other):
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
-def same(one, other):
-    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
-    return all(np.array_equal(a, b) for a, b in pairs)
 
 
 # ---- the definitions -----------------------------------------------------------------------------
@@ -105,7 +80,7 @@ def test_epsilon_falls_from_1_in_the_given_share_of_the_training():
 
 def test_actions_are_greedy_but_for_a_share_epsilon():
     recipe = replace(TINY, n_envs=512, buffer_size=2048, final_epsilon=0.25, learning_starts=0)
-    state, params = single(recipe)
+    state, params = single(dqn, ENV, recipe)
     rng = np.random.default_rng(0)
     coin, reset = (jnp.asarray(rng.random((4, 512, *d)), jnp.float32) for d in ((), (4,)))
 
@@ -140,7 +115,7 @@ def test_the_ring_wraps_and_keeps_the_latest_transitions():
 )
 def test_truncated_transitions_bootstrap_and_end_where_they_were_cut_off(time_limit):
     env = engine.Solo(CartPole(horizon=7, time_limit=time_limit))
-    state, params = single(TINY, env)
+    state, params = single(dqn, env, TINY)
     step = jax.jit(partial(dqn.update, env, TINY), compiler_options=AS_SHIPPED)
     steps = [state]
     for k in range(2):
@@ -159,7 +134,7 @@ def test_truncated_transitions_bootstrap_and_end_where_they_were_cut_off(time_li
 @pytest.mark.long
 def test_the_ring_is_never_copied():
     recipe = replace(TINY, buffer_size=2**19)
-    params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params_of([0.4, 0.5]))
+    params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params_of(ENV, [0.4, 0.5]))
     state = dqn.init(ENV, recipe, [0, 1], params)
     every = jax.vmap(partial(dqn.update, ENV, recipe), in_axes=(0, 0, None))
     clock = clock_at(jnp.int32(0), Pace.endless(10))
@@ -190,7 +165,7 @@ def test_gradient_steps_are_stable_baselines3s():
     peer = pytest.importorskip("stable_baselines3")
 
     recipe = replace(TINY, gradient_steps=3, hidden=(16, 16), learning_rate=1e-2, max_grad_norm=1.0)
-    state, params = single(recipe)
+    state, params = single(dqn, ENV, recipe)
     target = jax.tree.map(lambda x: x + 0.3, state.weights.actor)
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(3, 16, 11)).astype(np.float32)
@@ -244,30 +219,9 @@ def test_initial_weights_are_uniform_as_pytorchs():
 # ---- whole trainings -----------------------------------------------------------------------------
 
 
-def test_a_policy_does_not_depend_on_its_company():
-    mixed = engine.train(CARTPOLE, FAST, [3, 7], params_of([0.5, 0.1]), 2048)
-    other = engine.train(CARTPOLE, FAST, [3, 9], params_of([0.5, 4.0]), 2048)
-    assert_same(first(mixed.state), first(other.state))
-    assert not same(first(mixed.state.weights), jax.tree.map(lambda x: x[1], mixed.state.weights))
-
-
-def test_a_resumed_training_ends_where_it_would_have():
-    saved = []
-
-    def save(block):
-        saved.append(engine.to_arrays(block.training))
-
-    arguments = (CARTPOLE, FAST, [0, 1], params_of([0.5, 1.0]), 2000)
-    whole = engine.train(*arguments, on_block=save, checkpoint_every=1024)
-    assert len(saved) == 2
-    assert int(whole.updates) == 8
-    halfway = engine.from_arrays(engine.start(*arguments[:4]), saved[0])
-    assert_same(whole, engine.train(*arguments, resume=halfway, checkpoint_every=1024))
-
-
 def test_cartpole_is_learnt_and_the_policy_acts_in_numpy():
     training = engine.train(
-        CARTPOLE, FAST, [0, 1], params_of([0.5, 0.5]), 40_000, checkpoint_every=4_000
+        CARTPOLE, FAST, [0, 1], params_of(CARTPOLE, [0.5, 0.5]), 40_000, checkpoint_every=4_000
     )
     assert (np.asarray(training.best_return) >= 120).all()  # at random: 20
     observations = np.random.default_rng(0).normal(size=(200, 5)).astype(np.float32)
@@ -280,25 +234,6 @@ def test_cartpole_is_learnt_and_the_policy_acts_in_numpy():
 
 
 # ---- recipes -------------------------------------------------------------------------------------
-
-
-def test_recipes_have_stable_baselines3s_defaults():
-    peer = pytest.importorskip("stable_baselines3")
-    import inspect
-
-    theirs = {k: v.default for k, v in inspect.signature(peer.DQN.__init__).parameters.items()}
-    ours = engine.recipe_named("DQN", "sb3")
-    alike = {
-        "learning_rate": "learning_rate", "batch_size": "batch_size", "gamma": "gamma",
-        "learning_starts": "learning_starts", "train_freq": "train_freq",
-        "gradient_steps": "gradient_steps", "target_every": "target_update_interval",
-        "exploration_fraction": "exploration_fraction", "final_epsilon": "exploration_final_eps",
-        "max_grad_norm": "max_grad_norm",
-    }  # fmt: skip
-    assert {k: getattr(ours, k) for k in alike} == {k: theirs[v] for k, v in alike.items()}
-    assert theirs["exploration_initial_eps"] == 1.0
-    assert theirs["tau"] == 1.0
-    assert ours.buffer_size == 100_000
 
 
 def test_bad_recipes_and_continuous_actions_are_refused():

@@ -13,7 +13,6 @@ import mbtl.engine.learners as engine  # isort: skip  # before jax: it sets jax'
 import jax
 import jax.numpy as jnp
 
-from mbtl.engine.learners import saving
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic import learning
 from mbtl.engine.learners.episodic.episodes import record
@@ -23,7 +22,8 @@ from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
 
 HOLDS = [{"hold": 20.0}, {"hold": 28.0}, {"hold": 40.0}]
-RECIPE = TRPORecipe(n_episodes=2, hidden=(8,), normalize_reward=False)
+SMALL = {"n_episodes": 2, "hidden": (8,)}
+RECIPE = TRPORecipe(**SMALL, normalize_reward=False)
 
 
 def ring(contexts=HOLDS):
@@ -46,7 +46,8 @@ def test_every_episode_is_in_a_context_of_its_own_and_all_have_their_turn():
 
 def test_an_update_is_of_the_contexts_that_were_met(monkeypatch):
     world, params = ring()
-    state = engine.start_multitask(world, RECIPE, [5], params).state
+    all_of_them = jax.tree.map(lambda x: jnp.asarray(x)[None], params)
+    state = engine.start(world, RECIPE, [5], all_of_them).state
     lived = []
 
     class Lived(Exception):
@@ -57,7 +58,6 @@ def test_an_update_is_of_the_contexts_that_were_met(monkeypatch):
         raise Lived  # what is learnt of it is another test's
 
     monkeypatch.setattr(learning, "record", kept)
-    all_of_them = jax.tree.map(lambda x: jnp.asarray(x)[None], params)
     beats = world.decisions(params)
     clock = clock_at(jnp.int32(3), Pace.endless(4))
     with pytest.raises(Lived):
@@ -69,26 +69,9 @@ def test_an_update_is_of_the_contexts_that_were_met(monkeypatch):
     np.testing.assert_allclose(told, np.asarray(params.visible)[met, 0])
 
 
-def test_a_training_goes_on_where_it_was():
-    world, params = ring()
-    saved = []
-
-    def train(**options):
-        return engine.train_multitask(
-            world, RECIPE, [7], params, 8, checkpoint_every=4, checkpoint_episodes=1,
-            acting="sampled", **options,
-        )  # fmt: skip
-
-    whole = train(on_block=lambda block: saved.append(engine.to_arrays(block.training)))
-    template = engine.start_multitask(world, RECIPE, [7], params)
-    rest = train(resume=engine.from_arrays(template, saved[0]))
-    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(rest), strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 def test_the_policy_is_told_the_context_and_a_file_cut_off_only_costs_time(tmp_path):
     cmdp = get_cmdp("ring-vel", engine="jax", visibility="multiplier")
-    trainer = cmdp.trainer_for("quick", episodes=4, eval_episodes=2)
+    trainer = cmdp.trainer_for("quick", episodes=4, eval_episodes=2, hyperparameters=SMALL)
     heard, file = [], tmp_path / "training.npz"
     file.write_bytes(b"of another run, cut off")
     policy = trainer.train(HOLDS, 3, on_progress=heard.append, state=file).policy
@@ -97,28 +80,6 @@ def test_the_policy_is_told_the_context_and_a_file_cut_off_only_costs_time(tmp_p
     assert trainer.evaluate(policy, HOLDS, [1, 2, 3]).shape == (3, 2)
     with pytest.raises(InvalidInput, match="at least one context"):
         trainer.train([], 3)
-
-
-@pytest.mark.long
-def test_an_interrupted_trainer_goes_on_to_the_same_policy(tmp_path, monkeypatch):
-    monkeypatch.setattr(saving, "_SECONDS", 0.0)
-    cmdp = get_cmdp("ring-vel", engine="jax", visibility="multiplier")
-    trainer = cmdp.trainer_for("quick", episodes=4)
-    heard, file = [], tmp_path / "training.npz"
-
-    def stop(progress):
-        heard.append(progress.step)
-        if len(heard) == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        trainer.train(HOLDS[2:], 3, on_progress=stop, state=file)
-    assert file.is_file()
-    rest = trainer.train(HOLDS[2:], 3, on_progress=stop, state=file).policy
-    assert heard == [1, 2, 3, 3, 4]  # it went on after the second, the last that was saved
-    whole = trainer.train(HOLDS[2:], 3).policy
-    for a, b in zip(whole.weights, rest.weights, strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.long

@@ -11,6 +11,8 @@ pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
 import mbtl.engine.learners as engine  # isort: skip  # before jax: it sets jax's flags
 import jax
+import poles
+from poles import assert_same, first
 
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Pace, clock_at
@@ -18,7 +20,6 @@ from mbtl.engine.learners.episodic.recipes import TWIN_RECIPES, EpisodicPPORecip
 from mbtl.engine.learners.multitask.table import seen
 from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
-from mbtl.zoo.cmdps import cartpole
 from mbtl.zoo.worlds import CartPole
 
 WORLD = engine.Solo(CartPole(horizon=12))
@@ -61,9 +62,7 @@ def still(recipe):
 
 
 def params_of(recipe, lengths):
-    envs = [cartpole.CartPole({"length": length}) for length in lengths]
-    constants = [cartpole.derive(one.features) for one in envs]
-    params = engine.stack_params(WORLD, constants, [one.visible for one in envs])
+    params = poles.params_of(WORLD, lengths)
     if not isinstance(recipe, engine.MultiTaskRecipe):
         return params
     return jax.tree.map(lambda x: np.stack([x, x]), seen(recipe, params))  # both, for each policy
@@ -110,7 +109,8 @@ def test_a_copy_learns_as_slowly_as_its_parent_did():
 
 @pytest.mark.parametrize("name", RECIPES)
 def test_extended_or_tuned_it_acts_as_before_until_it_learns(name):
-    """And extended it ends, bit for bit, where it would have ended without a pause."""
+    """Extended it ends, bit for bit, where it would have ended without a pause, and whatever the
+    other policies of the program are."""
     recipe = RECIPES[name]
     train = partial(engine.train, WORLD, judging=False)
     own, unit = params_of(recipe, [0.4, 1.0]), recipe.update_length
@@ -119,12 +119,15 @@ def test_extended_or_tuned_it_acts_as_before_until_it_learns(name):
     half = train(recipe, [3, 5], own, unit, pace=pace)
     kept = engine.from_arrays(engine.start(WORLD, recipe, [3, 5], own), engine.to_arrays(half))
     end = train(recipe, [3, 5], own, 3 * unit, resume=kept)
-    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(end), strict=True):
-        np.testing.assert_array_equal(a, b)
+    assert_same(whole, end)
+    other = params_of(recipe, [0.2, 2.0])
+    beside = jax.tree.map(lambda x, y: np.stack([x[0], y[1]]), own, other)
+    company = train(recipe, [3, 9], beside, 3 * unit)
+    assert_same(first(whole.state), first(company.state))
+    assert not poles.same(*(jax.tree.map(lambda x: x[1], t.state) for t in (whole, company)))
 
     before = jax.tree.map(np.array, whole.state.weights)
     given = before._replace(critic=()) if isinstance(before, networks.Weights) else before
-    other = params_of(recipe, [0.2, 2.0])
     tuned = train(still(recipe), [7, 8], other, unit, weights=given).state.weights
     another_stage = whole._replace(updates=whole.updates * 0)
     extended = train(still(recipe), [3, 5], own, unit, resume=another_stage).state.weights

@@ -1,9 +1,7 @@
-"""One policy for all contexts: turns, composition, orthogonality, learning, resuming, returns."""
+"""One policy for all contexts: turns, composition, orthogonality, learning, resuming."""
 
-import json
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -13,44 +11,27 @@ pytest.importorskip("gymnasium", reason="the envs extra is not installed")
 
 import jax
 import jax.numpy as jnp
+from poles import assert_same, params_of
 
 import mbtl.engine.learners as engine  # before jax: it sets jax's flags
 from mbtl.engine.learners import algorithms, networks
-from mbtl.engine.learners.evaluation import own_scores
+from mbtl.engine.learners.evaluation import own_measures
 from mbtl.engine.learners.multitask import moore, paco, table
 from mbtl.engine.learners.networks import Weights
 from mbtl.engine.learners.rollout import draw, play
 from mbtl.engine.worlds.copies import take_turns
 from mbtl.errors import InvalidInput, UnknownName
-from mbtl.zoo.cmdps import cartpole, pendulum
-from mbtl.zoo.worlds import CartPole, Pendulum
+from mbtl.zoo.worlds import CartPole
 
 TINY = engine.PPORecipe(n_envs=3, n_steps=32, batch_size=48, n_epochs=1, learning_rate=1e-3)
 CARTPOLE = engine.Solo(CartPole(horizon=60))
-PENDULUM = engine.Solo(Pendulum(horizon=60))
 
 
-def cartpole_params(lengths=(0.1, 0.5, 1.0, 2.0, 5.0)):
-    envs = [cartpole.CartPole({"length": length}) for length in lengths]
-    return engine.stack_params(
-        CARTPOLE, [cartpole.derive(env.features) for env in envs], [env.visible for env in envs]
-    )
-
-
-def pendulum_params(masses=(0.5, 1.0, 2.0)):
-    envs = [pendulum.Pendulum({"mass": mass}) for mass in masses]
-    return engine.stack_params(
-        PENDULUM, [pendulum.derive(env.features) for env in envs], [env.visible for env in envs]
-    )
+LENGTHS = (0.1, 0.5, 1.0, 2.0, 5.0)
 
 
 def recipe_of(method, n_parts=3, **changes):
     return engine.MultiTaskRecipe(method, replace(TINY, **changes), n_parts)
-
-
-def assert_same(one, other):
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 # ---- turns ---------------------------------------------------------------------------------------
@@ -71,7 +52,7 @@ def test_copies_that_end_together_take_the_next_contexts_in_order():
 def test_every_context_is_started_equally_often(n_envs):
     """Short and long episodes, fewer and more copies than contexts; read off the observations."""
     recipe = engine.MultiTaskRecipe("paco", replace(TINY, n_envs=n_envs, n_steps=240))
-    params = jax.tree.map(lambda x: x[None], table.with_place(cartpole_params()))
+    params = engine.in_sets(recipe, params_of(CARTPOLE, LENGTHS), 5)
     state = algorithms.init(CARTPOLE, recipe, [0], params)
     play = jax.jit(jax.vmap(partial(_play_only, recipe)))
     _, rollout = play(state, jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params))
@@ -209,155 +190,47 @@ def test_task_weights_mix_the_representations():
 # ---- training ------------------------------------------------------------------------------------
 
 
-class Learnt(NamedTuple):
-    """A short training on three contexts, and what was saved after its first block."""
-
-    recipe: engine.MultiTaskRecipe
-    training: engine.Training | None
-    saved: dict[str, np.ndarray]
-    scores: list[float]
-
-    env = engine.Solo(CartPole(horizon=200))
-    params = cartpole_params((0.25, 0.5, 1.0))
-
-    def train(self, **options):
-        return engine.train_multitask(
-            self.env, self.recipe, [0], self.params, 40_000, checkpoint_every=8_000, **options
-        )
-
-
-@pytest.fixture(
-    scope="module",
-    params=[
-        pytest.param("ppo", marks=pytest.mark.long),
-        pytest.param("paco", marks=pytest.mark.long),
-        "moore",
-    ],
-)
-def learnt(request):
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["ppo", "paco", "moore"])
+def test_cartpole_is_learnt_on_all_contexts(method):
     ppo = engine.PPORecipe(n_envs=10, n_steps=64, batch_size=128, n_epochs=4, learning_rate=2e-3)
-    learnt = Learnt(engine.MultiTaskRecipe(request.param, ppo, 2), None, {}, [])
-
-    def on_block(block):
-        learnt.saved.update({} if learnt.saved else engine.to_arrays(block.training))
-        learnt.scores.append(float(block.training.latest_return[0]))
-
-    return learnt._replace(training=learnt.train(on_block=on_block))
-
-
-def test_cartpole_is_learnt_on_all_contexts(learnt):
-    start = engine.start_multitask(learnt.env, learnt.recipe, [0], learnt.params)
-    seeds = np.arange(15).reshape(3, 5)
+    env, recipe = engine.Solo(CartPole(horizon=200)), engine.MultiTaskRecipe(method, ppo, 2)
+    scores = []
+    sets = engine.in_sets(recipe, params_of(env, (0.25, 0.5, 1.0)), 3)
+    start = engine.start(env, recipe, [0], sets)
+    training = engine.train(
+        env, recipe, [0], sets, 40_000, checkpoint_every=8_000, checkpoint_episodes=6,
+        on_block=lambda block: scores.append(float(block.training.latest_return[0])),
+    )  # fmt: skip
+    contexts, seeds = engine.context_of(sets, 0), np.arange(15).reshape(3, 5)
     returns = {
-        name: engine.evaluate_multitask(learnt.env, learnt.recipe, weights, learnt.params, seeds)
-        for name, weights in [("start", start.state.weights), ("best", learnt.training.best)]
+        name: engine.evaluate(env, engine.actor_of(weights), contexts, seeds)
+        for name, weights in [("start", start.state.weights), ("best", training.best)]
     }
     assert returns["best"].shape == (1, 3, 5)
     assert returns["best"].mean() > 150 > 60 > returns["start"].mean()
-    assert float(learnt.training.best_return[0]) == max(learnt.scores)
-    assert max(learnt.scores) == pytest.approx(returns["best"].mean(), rel=0.2)
-    for old, new in zip(
-        jax.tree.leaves(start.state.weights),
-        jax.tree.leaves(learnt.training.state.weights),
-        strict=True,
-    ):
+    assert float(training.best_return[0]) == max(scores)
+    assert max(scores) == pytest.approx(returns["best"].mean(), rel=0.2)
+    weights = (start.state.weights, training.state.weights)
+    for old, new in zip(*map(jax.tree.leaves, weights), strict=True):
         assert old.size == 0 or (np.asarray(old) != np.asarray(new)).mean() > 0.5
-
-
-def test_a_training_resumed_from_saved_arrays_ends_where_it_would_have(learnt):
-    template = engine.start_multitask(learnt.env, learnt.recipe, [0], learnt.params)
-    halfway = engine.from_arrays(template, learnt.saved)
-    assert 0 < int(halfway.updates) < int(learnt.training.updates)
-    assert_same(learnt.training, learnt.train(resume=halfway))
 
 
 # ---- evaluation ----------------------------------------------------------------------------------
 
 
-def test_context_conditioned_returns_are_those_of_the_plain_engine():
-    recipe, params = recipe_of("ppo"), cartpole_params()
-    weights = engine.start_multitask(CARTPOLE, recipe, [4, 5], params).state.weights
-    seeds = np.arange(15).reshape(5, 3)
-    ours = engine.evaluate_multitask(CARTPOLE, recipe, weights, params, seeds)
-    assert ours.shape == (2, 5, 3)
-    theirs = engine.evaluate(CARTPOLE, engine.actor_of(weights), params, seeds)
-    np.testing.assert_array_equal(ours, theirs)
-
-
-def test_composed_networks_are_exported_as_ordinary_policies_also_between_contexts():
-    recipe, params = recipe_of("paco"), pendulum_params()
-    places = np.array([0.0, 0.5, 2.0])
-    weights = engine.start_multitask(PENDULUM, recipe, [4], params).state.weights
-    seeds = np.arange(9).reshape(3, 3)
-    ours = engine.evaluate_multitask(PENDULUM, recipe, weights, params, seeds, places=places)
-    ordinary = composed(jax.tree.map(lambda x: x[0], weights), jnp.asarray(places))
-    policies = engine.export_policies(PENDULUM, ordinary, recipe.activation)
-    pairs = engine.evaluate(PENDULUM, engine.import_actor(policies), params, seeds)
-    np.testing.assert_allclose(ours[0], pairs[np.arange(3), np.arange(3)], rtol=1e-4)
-
-
 def test_a_checkpoint_is_scored_on_every_context_from_different_states():
-    params = cartpole_params()
-    weights = engine.start_multitask(CARTPOLE, recipe_of("ppo"), [4], params).state.weights
+    params, recipe = params_of(CARTPOLE, LENGTHS), recipe_of("ppo")
+    sets = engine.in_sets(recipe, params, 5)
+    weights = engine.start(CARTPOLE, recipe, [4], sets).state.weights
     actor, seeds = engine.actor_of(weights), np.arange(10, dtype=np.uint32)
-    stacked = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32)[None], params)
-    dealt = np.asarray(own_scores(CARTPOLE, "tanh", "mean", actor, seeds[None], stacked)).reshape(
-        5, 2
-    )
+    stacked = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), sets)
+    dealt = np.asarray(
+        own_measures(CARTPOLE, "tanh", "mean", actor, seeds[None], stacked)["score"]
+    ).reshape(5, 2)
     assert len(np.unique(dealt)) > 2
     played = engine.evaluate(CARTPOLE, actor, params, seeds.reshape(5, 2))[0]
     np.testing.assert_array_equal(dealt, played)
-
-
-# ---- a whole run in a folder ---------------------------------------------------------------------
-
-
-def test_a_run_killed_at_any_time_goes_on(tmp_path):
-    recipe, params = recipe_of("paco"), pendulum_params()
-    settings = {"episodes": 4}
-    whole = engine.run_multitask(
-        PENDULUM, recipe, params, [0, 1], 960, tmp_path / "whole", **settings
-    )
-    assert whole.returns["best"].shape == whole.std["final"].shape == (2, 3)
-    record = json.loads(json.dumps(whole.provenance[1]))
-    assert (record["seed"], record["steps"]) == (1, 960)
-    assert record["recipe"]["method"] == "paco"
-    assert (whole.returns["best"][0] != whole.returns["best"][1]).all()
-
-    class Killed(Exception):
-        pass
-
-    def kill(seed, steps, total, latest):
-        assert total == 960
-        assert np.isfinite(latest)
-        if seed == 1 and steps == 480:
-            raise Killed
-
-    folder = tmp_path / "killed"
-    with pytest.raises(Killed):
-        engine.run_multitask(
-            PENDULUM, recipe, params, [0, 1], 960, folder, on_progress=kill, **settings
-        )
-    told = []
-    again = engine.run_multitask(
-        PENDULUM, recipe, params, [0, 1], 960, folder, on_progress=lambda *x: told.append(x[0]),
-        **settings,
-    )  # fmt: skip
-    assert told.count(0) == 1  # it had ended
-    for name in ("best", "final"):
-        np.testing.assert_array_equal(again.returns[name], whole.returns[name])
-        np.testing.assert_array_equal(again.std[name], whole.std[name])
-
-
-def test_a_folder_of_another_run_is_refused(tmp_path):
-    # compiled in the test above
-    recipe, params = recipe_of("paco"), pendulum_params()
-    engine.run_multitask(PENDULUM, recipe, params, [0], 960, tmp_path, episodes=4)
-    with pytest.raises(InvalidInput, match="other settings: timesteps was"):
-        engine.run_multitask(PENDULUM, recipe, params, [0], 961, tmp_path, episodes=4)
-    other = pendulum_params((0.5, 1.0, 3.0))
-    with pytest.raises(InvalidInput, match="other settings: contexts was"):
-        engine.run_multitask(PENDULUM, recipe, other, [0], 960, tmp_path, episodes=4)
 
 
 def test_bad_arguments_are_named():
@@ -367,5 +240,3 @@ def test_bad_arguments_are_named():
         engine.MultiTaskRecipe("moore", n_parts=0)
     with pytest.raises(UnknownName, match="'Pendulum'"):
         engine.multitask_recipe("ppo", "pendulum")
-    with pytest.raises(InvalidInput, match="at least one seed and context"):
-        engine.train_multitask(CARTPOLE, recipe_of("ppo"), [], cartpole_params(), 96)

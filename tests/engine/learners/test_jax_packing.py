@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.engine.learners import networks
-from mbtl.engine.learners.episodic.episodes import Actor, record, scores
+from mbtl.engine.learners.episodic.episodes import Actor, measures, record
 from mbtl.engine.worlds import random
 from mbtl.engine.worlds.environments import Box
 from mbtl.engine.worlds.packing import Agents, chunk_size, most_rows
@@ -137,7 +137,7 @@ def test_packed_agents_live_as_if_networks_had_seen_all_places():
         np.testing.assert_array_equal(*seen)
     for how in ("mean", "sampled"):
         found = [
-            scores(twin, "tanh", how, actor, seeds, seeds, params, 8)
+            measures(twin, "tanh", how, actor, seeds, seeds, params, 8)["score"]
             for twin in (Crossing(), Everybody())
         ]
         np.testing.assert_allclose(*found, rtol=1e-5)

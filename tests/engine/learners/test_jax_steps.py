@@ -115,7 +115,7 @@ def test_what_is_charged_is_what_ran(monkeypatch):
         return updates(*given)
 
     monkeypatch.setattr(loop, "_updates", updating)
-    monkeypatch.setattr(loop, "own_scores", None)
+    monkeypatch.setattr(loop, "own_measures", None)
     reached = CARTPOLE.train([POLE], 2, length=1_000 / CARTPOLE.whole)
     assert reached.steps == ran["updates"] * CARTPOLE.update_length
 
@@ -196,8 +196,15 @@ HOLDS = [{"hold": hold} for hold in (8.0, 20.0, 40.0)]
 """50, 20 and 10 decisions in an episode."""
 
 
-@pytest.mark.parametrize("contexts", [[HOLD], HOLDS], ids=["one", "three"])
-@pytest.mark.parametrize("algorithm", ["PPO", "TRPO"])
+@pytest.mark.parametrize(
+    ("algorithm", "contexts"),
+    [
+        ("PPO", [HOLD]),
+        ("TRPO", HOLDS),
+        pytest.param("PPO", HOLDS, marks=pytest.mark.long),
+        pytest.param("TRPO", [HOLD], marks=pytest.mark.long),
+    ],
+)
 def test_a_training_of_episodes_is_extended_and_counts_decisions(contexts, algorithm, tmp_path):
     own = {"rows": 16, "minibatches": 4, "n_episodes": 2} if algorithm == "PPO" else {}
     name = "fast" if algorithm == "PPO" else "paper"

@@ -113,30 +113,38 @@ def test_an_interrupted_build_goes_on_where_it_was(built, tmp_path, monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         one.train(part)
     monkeypatch.setattr(Kinds, "_keep", keep)
-    monkeypatch.setattr(engine.Growing, "start", engine.Growing.start)
     one.train(part)
     for mark in (0.5, 1.0, 2.0):
         mine, theirs = one._actor(part, mark), whole._actor(part, mark)
         np.testing.assert_array_equal(mine.network[0][0], theirs.network[0][0])
 
 
-def test_the_command_builds_kind_by_kind_and_writes_the_files_in_the_end(tmp_path, monkeypatch):
+def test_the_command_builds_the_kinds_asked_for_in_their_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(building, "GENERALIST_UNITS", (1.0,))
+    given = (
+        "matrix build pendulum-length --with pendulum-mass --preset quick --every 50 --lanes 100"
+    )
+    own = "--timesteps 2048 --eval-episodes 2 --seeds 1 --json --kinds"
+    first = CliRunner().invoke(app, [*given.split(), *own.split(), "generalists"])
+    assert (first.exit_code, json.loads(first.stdout)) == (0, {"transfers": []})
+    assert "once specialists and tuned are there" in " ".join(first.stderr.split())
+    other = CliRunner().invoke(app, [*given.split(), *own.split(), "all", "--lanes", "1"])
+    assert "holds transfer data" in str(other.exception)
+
+
+@pytest.mark.long
+def test_the_command_writes_the_files_once_all_kinds_are_there(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(building, "GENERALIST_UNITS", (1.0, 4.0))
-    given = "matrix build cartpole-length --with cartpole-masscart --preset quick --every 50"
-    own = "--timesteps 2048 --eval-episodes 2 --seeds 1 --lanes 100 --json"
-    runner = CliRunner()
-    first = runner.invoke(app, [*given.split(), *own.split(), "--kinds", "generalists,specialists"])
-    assert (first.exit_code, json.loads(first.stdout)) == (0, {"transfers": []})
-    assert "once tuned are there" in " ".join(first.stderr.split())
-    second = runner.invoke(app, [*given.split(), *own.split(), "--kinds", "all"])
-    files = [each["file"] for each in json.loads(second.stdout)["transfers"]]
+    given = "matrix build cartpole-length --with cartpole-masscart --preset quick --every 50 --json"
+    own = "--timesteps 2048 --eval-episodes 2 --seeds 1 --lanes 100 --kinds all"
+    built = CliRunner().invoke(app, [*given.split(), *own.split()])
+    files = [each["file"] for each in json.loads(built.stdout)["transfers"]]
     assert files == [
         f"matrices/transfers/{n}-seed0.npz" for n in ("cartpole-length", "cartpole-masscart")
     ]
     assert load_transfers("cartpole-masscart", folder="matrices/transfers").n == 2
-    other = runner.invoke(app, [*given.split(), *own.split(), "--kinds", "all", "--lanes", "1"])
-    assert "holds transfer data" in str(other.exception)
 
 
 def test_copies_need_their_parents(tmp_path):

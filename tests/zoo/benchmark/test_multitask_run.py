@@ -13,7 +13,7 @@ import mbtl.engine.learners as engine
 from mbtl.errors import InvalidInput, TrainingFailed
 from mbtl.problems import get_cmdp
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds
-from mbtl.zoo.benchmark.multitask_run import InJax
+from mbtl.zoo.benchmark.multitask import InJax, train_on_all
 from mbtl.zoo.cmdps.locomotion.cheetah_batch import HalfCheetahs
 
 FEW = {"n_envs": 2, "n_steps": 64, "batch_size": 64, "n_epochs": 1}
@@ -37,41 +37,36 @@ def contexts_of(id, *places):
 
 SEEN_OR_NOT = pytest.mark.parametrize(  # compiled once each, for both tests
     ("id", "visibility", "inputs"),
-    [("cheetah-friction", "hidden", 17), ("cheetah-gravity", "multiplier", 18)],
+    [
+        pytest.param("cheetah-friction", "hidden", 17, marks=pytest.mark.long),
+        ("cheetah-gravity", "multiplier", 18),
+    ],
 )
 
 
 @SEEN_OR_NOT
 def test_one_policy_is_trained_on_all_contexts_and_played_in_the_episodes_of_a_matrix(
-    id, visibility, inputs, tmp_path, monkeypatch
+    id, visibility, inputs, tmp_path
 ):
     trainer = short_trainer(id, visibility=visibility)
     contexts = contexts_of(id, 3, 40, 99)
-    found = {}
-    whole = engine.run_multitask
-
-    def watched(*args, **options):
-        found["recipe"] = args[1]
-        return whole(*args, **options)
-
-    monkeypatch.setattr(engine, "run_multitask", watched)
     job = InJax(trainer, contexts, "ppo", 500)
-    told = []
-    returns, std, record = job.run(0, tmp_path, lambda done, total, note: told.append(done))
+    told, recipe = [], job._problem().recipe
+    returns, std, record = train_on_all(job, 0, tmp_path, lambda done, *_: told.append(done))
     assert returns.shape == std.shape == (3,)
     assert np.isfinite(returns).all()
     assert len(set(returns.tolist())) == 3  # each in its own physics
-    assert (found["recipe"].ppo.n_envs, found["recipe"].ppo.n_steps) == (4, 32)  # the same update
+    assert (recipe.ppo.n_envs, recipe.ppo.n_steps) == (4, 32)  # the same update
     assert record["steps"] == 512
     assert record["checkpoint_episodes"] == 1
     assert told == [128, 256, 384, 512]
     world, params = trainer.problem(contexts)
-    with np.load(tmp_path / "seed0.npz") as saved:
-        training = engine.from_arrays(
-            engine.start_multitask(world, found["recipe"], [record["training_seed"]], params), saved
-        )
+    sets = engine.in_sets(recipe, params, len(contexts))
+    with np.load(tmp_path / "training.npz") as saved:
+        begun = engine.start(world, recipe, [record["training_seed"]], sets)
+        training = engine.from_arrays(begun, saved)
     assert training.best.actor[0][0].shape == (1, inputs, 64)
-    policies = engine.export_policies(world, training.best, found["recipe"].activation)
+    policies = engine.export_policies(world, training.best, recipe.activation)
     seeds = evaluation_seeds(0, MATRIX_TRIAL, range(len(contexts)))
     again = trainer.evaluate(policies[0], contexts, seeds)
     np.testing.assert_allclose(again.mean(axis=1), returns, rtol=1e-4, atol=1e-4)
@@ -82,7 +77,7 @@ def test_an_interrupted_baseline_gives_what_it_would_have(id, visibility, inputs
     """It goes on; where training has ended it is only evaluated."""
     trainer = short_trainer(id, visibility=visibility)
     job = InJax(trainer, contexts_of(id, 3, 40, 99), "ppo", 500)
-    whole = job.run(0, tmp_path / "whole", lambda *_: None)[0]
+    whole = train_on_all(job, 0, tmp_path / "whole", lambda *_: None)[0]
 
     class Killed(Exception):
         pass
@@ -92,15 +87,19 @@ def test_an_interrupted_baseline_gives_what_it_would_have(id, visibility, inputs
             raise Killed
 
     with pytest.raises(Killed):
-        job.run(0, tmp_path / "killed", kill)
-    again = job.run(0, tmp_path / "killed", lambda *_: None)[0]
+        train_on_all(job, 0, tmp_path / "killed", kill)
+    again = train_on_all(job, 0, tmp_path / "killed", lambda *_: None)[0]
     told = []
-    ended = job.run(0, tmp_path / "killed", lambda done, *_: told.append(done))[0]
+    ended = train_on_all(job, 0, tmp_path / "killed", lambda done, *_: told.append(done))[0]
     assert told == [512]  # nothing was trained
     np.testing.assert_array_equal(again, whole)
     np.testing.assert_array_equal(ended, whole)
+    for other in (replace(job, length=501), replace(job, contexts=contexts_of(id, 3, 40, 98))):
+        with pytest.raises(InvalidInput, match=r"other settings: (timesteps|contexts) was"):
+            train_on_all(other, 0, tmp_path / "killed", lambda *_: None)
 
 
+@pytest.mark.long
 def test_a_simulator_that_fails_fails_the_policy_of_all_contexts(tmp_path, monkeypatch):
     whole = HalfCheetahs.step
 
@@ -111,7 +110,7 @@ def test_a_simulator_that_fails_fails_the_policy_of_all_contexts(tmp_path, monke
     monkeypatch.setattr(HalfCheetahs, "step", failing)
     job = InJax(short_trainer("cheetah-gravity"), contexts_of("cheetah-gravity", 3, 99), "ppo", 300)
     with pytest.raises(TrainingFailed, match="finite"):
-        job.run(0, tmp_path, lambda *_: None)
+        train_on_all(job, 0, tmp_path, lambda *_: None)
 
 
 def test_judging_costs_no_more_than_training_and_is_done_five_times_at_least():

@@ -187,7 +187,7 @@ def test_the_checkpoint_that_a_preset_keeps_needs_no_name_in_the_file(mbtl_comma
 
 def test_a_log_hears_of_a_long_build_now_and_then(mbtl_command, problem, monkeypatch):
     monkeypatch.setattr("mbtl.cli.common.SILENCE", -1.0)
-    assert "seed 0: 3 of 4 sources" in mbtl_command(*BUILD, "--seeds", 1)[2]
+    assert "seed 0 sources: 3 of 4" in mbtl_command(*BUILD, "--seeds", 1)[2]
     monkeypatch.setattr("mbtl.cli.common.SILENCE", 3600.0)
     assert "sources" not in mbtl_command(*BUILD, "--seeds", 1, "--first-seed", 1)[2]
 
@@ -211,6 +211,7 @@ def test_reproduce_prints_ours_beside_the_papers(mbtl_command, problem):
         (("matrix", "build", "own.py:mine", "--visibility", "hidden"), "switches of our CMDPs"),
         (("matrix", "build", "own.py:mine", "--timesteps", 5), "takes no options"),
         (("matrix", "build", "cartpole-lenght"), "cartpole-length"),
+        (("matrix", "build", "own.py:mine", "--with", "cartpole-mass"), "--with names CMDPs"),
         (("reproduce", "--budget", 0), "--budget must be >= 1"),
         (("reproduce", "--variant", "nothing"), "no matrices of the variant"),
         (("reproduce", "cartpole-lenght"), "cartpole-length"),

@@ -12,17 +12,17 @@ ID = "cartpole-length"
 
 def test_every_item_of_a_tiny_world_by_the_command(mbtl_command, tmp_path):
     save_shipped(TransferMatrix.of(np.eye(5)[None], bounds=(0, 1)), "matrices", ID)
-    items = [part for n in (1, 2, 3, 4, 5, 8, 9, 10, 11, 12) for part in ("--item", n)]
+    items = [part for n in (1, 2, 3, 5, 8, 9, 10, 11) for part in ("--item", n)]
     ask = ("reproduce", ID, "--folder", "matrices", "--budget", 3, "--out", "out", *items)
     code, out, err = mbtl_command(*ask, "--json")
     assert code == 0, err
     found = json.loads(out)
-    assert [item["status"] for item in found["items"]] == ["done"] * 10
+    assert [item["status"] for item in found["items"]] == ["done"] * 8
     assert found["rows"][0]["ours"]["mbtl"]["mean"] == pytest.approx(3 / 5)
     verdicts = {claim["title"]: claim["verdict"] for claim in found["claims"]}
     assert verdicts["Sample efficiency in traffic"] == "not testable"
     assert any("dqn" in line for item in found["items"] for line in item["missing"])
-    for name in ("figures/03-curves.pdf", "tables/02-sample-complexity.tex", "README.md"):
+    for name in ("figures/03-curves.pdf", "tables/02-sample-complexity.csv", "README.md"):
         assert (tmp_path / "out" / name).is_file()
     code, out, _ = mbtl_command(*ask, "--json")
     assert {item["status"] for item in json.loads(out)["items"]} == {"kept"}

@@ -1,4 +1,4 @@
-"""Tables in three formats, results that are kept, and an item that fails."""
+"""Tables in two formats, results that are kept, and an item that fails."""
 
 import csv
 import io
@@ -11,7 +11,7 @@ import pytest
 import mbtl
 from mbtl.zoo.benchmark import TransferMatrix, save_shipped
 from mbtl.zoo.reproduction import Bench, Item, Setting, perform
-from mbtl.zoo.reproduction.item import Measured, Table, escape_latex
+from mbtl.zoo.reproduction.item import Measured, Table
 from mbtl.zoo.reproduction.page import made_from, write_index
 
 ID = "cartpole-length"
@@ -39,7 +39,7 @@ def failing(bench):
     raise ZeroDivisionError("of course")
 
 
-def test_one_table_in_three_formats():
+def test_one_table_in_two_formats():
     table = Table(
         "100 % of a_b | c",
         ("CMDP", "V_K"),
@@ -53,18 +53,6 @@ def test_one_table_in_three_formats():
     assert cells[0] == ["CMDP", "V_K mean", "V_K std", "V_K marked"]
     assert cells[1:] == [["a|b*", "0.5", "0.01", "1"], ["x & y", "0.25", "", "0"],
                          ["z", "", "", ""]]  # fmt: skip
-    latex = table.latex()
-    assert r"\caption{100 \% of a\_b | c A note.}" in latex
-    assert r"a|b* & $\mathbf{0.5000} \pm 0.0100$ \\" in latex
-    assert r"x \& y & $0.2500$ \\" in latex
-    assert r"\begin{tabular}{lr}" in latex
-
-
-def test_latex_has_no_character_left_that_it_would_read_as_its_own():
-    assert escape_latex(r"\{}$&#%_^~<>") == (
-        r"\textbackslash{}\{\}\$\&\#\%\_\textasciicircum{}\textasciitilde{}\textless{}"
-        r"\textgreater{}"
-    )
 
 
 def test_what_is_finished_is_kept_until_its_matrices_change(bench, tmp_path):
@@ -94,7 +82,7 @@ def test_an_item_that_fails_leaves_the_results_of_the_others(bench, tmp_path):
     text = (tmp_path / "README.md").read_text()
     assert "Failed: ZeroDivisionError" in text
     assert "not available: something: not there" in text
-    assert "tables/03-three.tex" in text
+    assert "tables/03-three.csv" in text
     mended = [items[0], counting(done, "bad", 2), items[2]]
     assert [o.status for o in perform(mended, bench, tmp_path)] == ["kept", "done", "kept"]
     assert not (tmp_path / "02-bad.error.txt").exists()

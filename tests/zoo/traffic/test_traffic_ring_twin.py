@@ -104,9 +104,9 @@ def test_unguided_traffic_flows_as_in_sumo():
     twin, (params,) = RingProblem("acceleration")([{"hold": 40.0}])
     seeds = np.arange(200, dtype=np.uint32)[None]
     found = np.asarray(
-        episodes.scores(
+        episodes.measures(
             twin, "tanh", "none", episodes.Actor((), jnp.zeros((1, 1))), seeds, seeds, params, 10
-        )
+        )["score"]
     )
     error = np.hypot(np.std(scores, ddof=1) / np.sqrt(len(scores)), found.std() / np.sqrt(200))
     assert abs(np.mean(scores) - found.mean()) < 4 * error

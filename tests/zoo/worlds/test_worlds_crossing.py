@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from mbtl.engine.learners.episodic.episodes import Actor
-from mbtl.engine.learners.evaluation import evaluate, own_scores
+from mbtl.engine.learners.evaluation import evaluate, own_measures
 from mbtl.errors import ContextMismatch
 from mbtl.zoo.cmdps.traffic import signal
 from mbtl.zoo.cmdps.traffic.signal import cell_of
@@ -108,7 +108,9 @@ def test_an_evaluated_episode_is_one_of_each_mode_weighted_by_its_share():
     found = evaluate(twin, nobody, params, [[0, 1, 2]] * 2, how="random")
     every, shares = twin.strata(params)
     modes = [jax.tree.map(itemgetter(k), every) for k in range(4)]
-    alone = [own_scores(twin, "tanh", "random", nobody, SEEDS, mode)[0] for mode in modes]
+    alone = [
+        own_measures(twin, "tanh", "random", nobody, SEEDS, mode)["score"][0] for mode in modes
+    ]
     usual, crowded = np.array(alone[::2]), np.array(alone[1::2])
     assert np.allclose(shares[:, 1], [signal.crowded_share(n) for n in (20, 500)], rtol=1e-4)
     assert np.allclose(found[0], usual * shares[:, :1] + crowded * shares[:, 1:], rtol=1e-6)

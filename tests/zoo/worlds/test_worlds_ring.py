@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.episodic import episodes, learning
-from mbtl.engine.learners.episodic.episodes import Actor, record, scores
+from mbtl.engine.learners.episodic.episodes import Actor, measures, record
 from mbtl.engine.worlds import random
 from mbtl.problems import get_cmdp
 from mbtl.seeds import episode_seed
@@ -38,9 +38,9 @@ def ring(hold=2.0, **options):
 
 def unguided(twin, params, seeds):
     seeds = np.array([seeds], np.uint32)
-    return np.asarray(
-        scores(twin, "tanh", "none", NOBODY, seeds, seeds, params, twin.decisions(params))
-    )[0]
+    decisions = twin.decisions(params)
+    found = measures(twin, "tanh", "none", NOBODY, seeds, seeds, params, decisions)
+    return np.asarray(found["score"])[0]
 
 
 # ---- car-following -------------------------------------------------------------------------------
@@ -191,7 +191,7 @@ def test_rings_of_several_holds_live_together_as_they_do_alone(obs):
     beats = twin.decisions(together)
     assert beats == (10, 12, 10)  # three holds of 4 s, of 1 s each, are the longest episode
     mixed = jax.jit(record, static_argnums=(0, 1, 2))(twin, "tanh", beats, actor, seeds, params)
-    judged = scores(twin, "tanh", "mean", actor, seeds, seeds, params, beats)
+    judged = measures(twin, "tanh", "mean", actor, seeds, seeds, params, beats)["score"]
     for p, own in enumerate(each):
         some = jax.tree.map(lambda x, p=p: x[p : p + 1], actor)
         count = twin.decisions(own)
@@ -208,7 +208,7 @@ def test_rings_of_several_holds_live_together_as_they_do_alone(obs):
         seen = [x.obs[i][x.row[i]] for x, i in ((mixed, p), (alone, 0))]
         np.testing.assert_allclose(seen[0][10 - count :], seen[1], atol=1e-4)
         its = seeds[p : p + 1]
-        own_score = scores(twin, "tanh", "mean", some, its, its, own, count)
+        own_score = measures(twin, "tanh", "mean", some, its, its, own, count)["score"]
         np.testing.assert_allclose(judged[p], own_score[0], atol=1e-4)
 
 

@@ -17,7 +17,6 @@ from mbtl.engine.learners.episodic.learning import episodes_met
 from mbtl.engine.learners.evaluation import (
     evaluate,
     evaluate_each,
-    evaluate_multitask,
     joined,
     measured,
     on_cpu,
@@ -27,13 +26,7 @@ from mbtl.engine.learners.evaluation import (
 from mbtl.engine.learners.export import export_policies, taught
 from mbtl.engine.learners.growing import Growing, Stage
 from mbtl.engine.learners.inheritance import taking_over
-from mbtl.engine.learners.loop import in_sets, start, start_multitask, train, train_multitask
-from mbtl.engine.learners.multitask.run import (
-    Judged,
-    MultiTaskRun,
-    multitask_settings,
-    run_multitask,
-)
+from mbtl.engine.learners.loop import in_sets, start, train
 from mbtl.engine.learners.recipes import (
     MULTI_TASK,
     RECIPES,
@@ -62,9 +55,7 @@ __all__ = [
     "Discrete",
     "Environment",
     "Growing",
-    "Judged",
     "MultiTaskRecipe",
-    "MultiTaskRun",
     "PPORecipe",
     "Recipe",
     "SavedTraining",
@@ -79,7 +70,6 @@ __all__ = [
     "episodes_met",
     "evaluate",
     "evaluate_each",
-    "evaluate_multitask",
     "export_policies",
     "from_arrays",
     "hosted",
@@ -88,19 +78,15 @@ __all__ = [
     "joined",
     "measured",
     "multitask_recipe",
-    "multitask_settings",
     "on_cpu",
     "recipe_named",
     "reference_returns",
-    "run_multitask",
     "spread_recipe",
     "stack_params",
     "start",
-    "start_multitask",
     "taken",
     "taking_over",
     "taught",
     "to_arrays",
     "train",
-    "train_multitask",
 ]

@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array
-from mbtl.engine.learners.episodic.episodes import Acting, Actor, actor_of, go_on, measures
-from mbtl.engine.learners.multitask.table import seen
-from mbtl.engine.learners.recipes import Activation, MultiTaskRecipe
+from mbtl.engine.learners.episodic.episodes import Acting, Actor, go_on, measures
+from mbtl.engine.learners.recipes import Activation
 from mbtl.engine.worlds import ends, strata
 from mbtl.engine.worlds.environments import Tree
 from mbtl.engine.worlds.world import Solo, World, context_of, in_a_row, of_simulations
@@ -39,22 +38,6 @@ def on_cpu() -> bool:
     return bool(jax.default_backend() == "cpu")
 
 
-def own_scores(
-    world: World,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: NDArray[np.uint32],
-    params: Tree,
-) -> jax.Array:
-    """(P, E) scores of each policy on its own context, or on N of them in equal parts.
-
-    Parameters are of one context, which serves all; (P, ...); or (P, N, ...). Of the (P, E) seeds
-    the first are for the first context.
-    """
-    return own_measures(world, activation, how, actor, seeds, params)["score"]
-
-
 def own_measures(
     world: World,
     activation: Activation,
@@ -63,7 +46,12 @@ def own_measures(
     seeds: NDArray[np.uint32],
     params: Tree,
 ) -> dict[str, jax.Array]:
-    """As `own_scores`, with all that the world measures of an episode."""
+    """(P, E) of each policy on its own context, or on N of them in equal parts, by name.
+
+    What the world measures of an episode, its "score" among it. Parameters are of one context,
+    which serves all; (P, ...); or (P, N, ...). Of the (P, E) seeds the first are for the first
+    context.
+    """
     drawn, actor = world.draws(seeds), actor._replace(critic=())
     every = of_simulations(params, seeds.shape[1])
     decisions = world.decisions(in_a_row(params))
@@ -82,7 +70,6 @@ def evaluate(
     activation: Activation = "tanh",
     how: Acting = "mean",
     rows: int | None = None,
-    on_block: Callable[[int, int], None] | None = None,
 ) -> Array:
     """Scores of every policy on every context, in raw units.
 
@@ -94,7 +81,6 @@ def evaluate(
         activation: between the layers of the actors.
         how: actions follow from a policy.
         rows: simulations at a time; None chooses for world and device.
-        on_block: called with (pairs of policy and context done, planned) now and then.
 
     Returns:
         (P, C, E).
@@ -123,29 +109,22 @@ def evaluate(
     height = max(1, min(n_policies, rows // width))
     drawn, actor = world.draws(own) if world.apart else own, actor._replace(critic=())
     returns = np.empty((n_policies, n_contexts, n_episodes))
-    told = on_block or (lambda done, planned: None)
     for p in range(0, n_policies, height):
         some, place = _take(actor, p, height, n_policies), returns[p : p + height]
-        count, done = len(place), p * n_contexts
-
-        def on_part(ended: int, height: int = height, count: int = count, done: int = done) -> None:
-            told(done + ended * count // (height * n_episodes), n_policies * n_contexts)
-
+        count = len(place)
         if world.apart:
 
             def play(state: Tree, own: Any, where: Tree, *when: int, some: Actor = some) -> Tree:
                 return go_on(world, activation, how, some, own, where, state, *when)
 
-            given = (cast(Solo, world), params, own, drawn)
-            found = ends.scores(*given, height, width, play, on_part)
+            found = ends.scores(cast(Solo, world), params, own, drawn, height, width, play)
             place[...] = found.reshape(height, *place.shape[1:])[:count]
             continue
         for c in range(n_contexts):  # one at a time, as simulations cannot be told apart
             where = context_of(params, c)
             everyone = np.tile(own[c], (height, 1))
-            part = own_scores(world, activation, how, some, everyone, where)
+            part = own_measures(world, activation, how, some, everyone, where)["score"]
             place[:, c] = np.asarray(part)[:count]
-            on_part((c + 1) * height * n_episodes)
     return strata.merged(returns, shares)
 
 
@@ -187,7 +166,7 @@ def evaluate_each(
     for first in range(0, len(who), step):
         whose, at, episodes = _take((who, places, own), first, step, len(who))
         some, there = taken(actor, whose), taken(params, at)
-        part = own_scores(world, activation, how, some, episodes, there)
+        part = own_measures(world, activation, how, some, episodes, there)["score"]
         found.append(np.asarray(part)[: len(who) - first])
         if on_block is not None:
             on_block(min(first + step, len(who)), len(who))
@@ -204,29 +183,6 @@ def taken(tree: Tree, which: Any) -> Any:
 def joined(trees: Sequence[Tree]) -> Any:
     """One tree, along the leading axis."""
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *trees)
-
-
-def evaluate_multitask(
-    world: World,
-    recipe: MultiTaskRecipe,
-    weights: Any,
-    params: Tree,
-    seeds: ArrayLike,
-    *,
-    places: ArrayLike | None = None,
-    on_block: Callable[[int, int], None] | None = None,
-) -> Array:
-    """Undiscounted returns of deterministic episodes, (S, C, E); see `evaluate`.
-
-    `places` are (C,) positions of the contexts on the axis in steps of the training's grid, e.g.
-    0.5 halfway between the first two; None where they are that grid.
-
-    Raises:
-        InvalidInput: there are no policies, contexts or episodes, or seeds of another shape.
-    """
-    contexts, actor = seen(recipe, params, places), actor_of(weights)
-    activation = recipe.activation
-    return evaluate(world, actor, contexts, seeds, activation=activation, on_block=on_block)
 
 
 def measured(

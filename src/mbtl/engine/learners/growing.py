@@ -42,9 +42,9 @@ class Stage(NamedTuple):
     branch: int
 
     @classmethod
-    def of(cls, updates: int, share: float = SHARE) -> Stage:
+    def of(cls, updates: int) -> Stage:
         """So many in all; a single one is all trunk."""
-        branch = round(share * updates)
+        branch = round(SHARE * updates)
         return cls(updates - branch, branch)
 
 
@@ -57,7 +57,6 @@ class Growing(NamedTuple):
         seeds: P training seeds.
         params: of the P contexts, or sets of contexts.
         whole: updates of one unit, within a share of which exploration falls.
-        slowing: units, see `SLOWING`.
         before: updates of the trainings that these are tuned from (evidence/schedules.py).
     """
 
@@ -66,7 +65,6 @@ class Growing(NamedTuple):
     seeds: Sequence[int]
     params: Tree
     whole: int
-    slowing: float = SLOWING
     before: int = 0
 
     def start(self, weights: Weights | None = None) -> Training:
@@ -99,7 +97,7 @@ class Growing(NamedTuple):
 
     @property
     def _endless(self) -> Pace:
-        return Pace.endless(self.whole, self.slowing * self.whole, self.before)
+        return Pace.endless(self.whole, SLOWING * self.whole, self.before)
 
     def policies(self, weights: Weights) -> list[MLPPolicy]:
         """The P policies that such weights are."""

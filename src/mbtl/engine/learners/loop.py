@@ -15,7 +15,7 @@ from mbtl.engine.learners.algorithms import AnyRecipe
 from mbtl.engine.learners.blocks import Block, Schedule, Training, beginning, in_blocks, keep_better
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic.episodes import Acting, actor_of
-from mbtl.engine.learners.evaluation import own_scores
+from mbtl.engine.learners.evaluation import own_measures
 from mbtl.engine.learners.multitask.table import seen
 from mbtl.engine.learners.networks import Weights
 from mbtl.engine.learners.recipes import check_lengths
@@ -24,9 +24,6 @@ from mbtl.engine.worlds.environments import Length, Tree
 from mbtl.engine.worlds.world import World, context_of, in_a_row
 from mbtl.errors import InvalidInput
 from mbtl.seeds import checkpoint_seeds
-
-CHECKPOINT_EPISODES = 2
-"""Per context; over a hundred contexts that is twenty times what a single-task policy plays."""
 
 
 def start(
@@ -134,7 +131,7 @@ def train(
 
     def judge(training: Training) -> Training:
         actor = actor_of(training.state.weights)
-        found = own_scores(world, recipe.activation, acting, actor, tests, params)
+        found = own_measures(world, recipe.activation, acting, actor, tests, params)["score"]
         return cast(Training, keep_better(training, found.mean(axis=1)))
 
     def nothing_to_gain(training: Training) -> bool:
@@ -171,47 +168,6 @@ def in_sets(recipe: AnyRecipe, params: Tree, n_contexts: int) -> Tree:
     return jax.tree.map(lambda *each: np.stack(each), *parts)
 
 
-def start_multitask(
-    world: World,
-    recipe: AnyRecipe,
-    seeds: Sequence[int],
-    params: Tree,
-    weights: Weights | None = None,
-) -> Training:
-    """Trainings before their first update, e.g. as the template of `from_arrays`."""
-    return start(world, recipe, seeds, _copies(recipe, params, len(seeds)), weights)
-
-
-def train_multitask(
-    world: World,
-    recipe: AnyRecipe,
-    seeds: Sequence[int],
-    params: Tree,
-    timesteps: int,
-    *,
-    checkpoint_episodes: int = CHECKPOINT_EPISODES,
-    **options: Any,
-) -> Training:
-    """Train S policies, each on all of N contexts: `train`, and its `options`.
-
-    The best checkpoint has the largest mean return over all contexts; returns of a `Training` are
-    such means. `timesteps` are over all contexts together, `checkpoint_episodes` of each context.
-
-    Raises:
-        InvalidInput: there are no seeds or contexts, or a number is below 1.
-        TrainingFailed: weights are no longer finite.
-    """
-    return train(
-        world,
-        recipe,
-        seeds,
-        _copies(recipe, params, len(seeds)),
-        timesteps,
-        checkpoint_episodes=checkpoint_episodes * len(params.visible),
-        **options,
-    )
-
-
 @partial(jax.jit, static_argnums=(0, 1, 2), donate_argnums=3)
 def _updates(
     world: World,
@@ -245,14 +201,3 @@ def _fitting(weights: Weights, fresh: Weights) -> Weights:
 def _in_jax(params: Tree) -> Tree:
     """As arrays of jax; counts stay whole numbers."""
     return jax.tree.map(jnp.asarray, params)
-
-
-def _copies(recipe: AnyRecipe, params: Tree, n_seeds: int) -> Tree:
-    """(S, N, ...): all contexts for every policy."""
-    if len(params.visible) == 0 or n_seeds == 0:
-        raise InvalidInput(
-            "multi-task training needs at least one seed and context, "
-            f"got {n_seeds} and {len(params.visible)}"
-        )
-    each = seen(recipe, params)
-    return jax.tree.map(lambda x: np.broadcast_to(x, (n_seeds, *np.shape(x))), each)

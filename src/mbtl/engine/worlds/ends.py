@@ -49,7 +49,6 @@ def scores(
     policies: int,
     most: int,
     play: Play,
-    on_part: Callable[[int], None] = lambda ended: None,
 ) -> Array:
     """(H, N) scores of H policies in the episodes of all C contexts, context by context.
 
@@ -61,7 +60,6 @@ def scores(
         policies: H.
         most: simulations of a policy at once.
         play: plays a part of the episodes.
-        on_part: told how many of the H x N episodes have ended, now and then.
     """
     where, (n_contexts, n_episodes) = jax.tree.map(np.asarray, params), seeds.shape
     each = n_contexts * n_episodes
@@ -90,7 +88,6 @@ def scores(
             found[policy, own[policy, place]] = score[policy, place]
             going.append((own >= 0) & ~over)
         alive = np.concatenate(going, axis=1)
-        on_part(found.size - (int(alive.sum()) if stop < length else 0))
         blocks = _closed_up(blocks, alive, width)
     return found
 

@@ -12,13 +12,13 @@ import json
 import pickle
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -170,16 +170,11 @@ def _write_note(piece: Piece, note: Mapping[str, Any]) -> None:
 
 
 def _read_note(piece: Piece) -> dict[str, Any]:
-    """Of kept policies; older ones have it in the rows that were first made with them."""
-    first = piece.policies.parent / piece.path.name
-    if piece.note.is_file():
-        note: dict[str, Any] = json.loads(piece.note.read_text(encoding="utf-8"))
-        return note
-    if first.is_file():
-        arrays = read_npz(first)
-        seconds = float(arrays.get("train_seconds", np.nan))
-        return {"origin": read_text(arrays["origin"], "origin"), "seconds": seconds}
-    return {"origin": {}, "seconds": 0.0}
+    """Of kept policies."""
+    if not piece.note.is_file():
+        return {"origin": {}, "seconds": 0.0}
+    note: dict[str, Any] = json.loads(piece.note.read_text(encoding="utf-8"))
+    return note
 
 
 def _kept(piece: Piece) -> Policies | None:
@@ -321,7 +316,7 @@ class Build:
         """(M, N, E) return of every episode, axes (source, target, episode).
 
         Raises:
-            StorageError: pieces are missing, or were written by an older version.
+            StorageError: pieces are missing.
         """
         return np.concatenate(self._entries(f"{checkpoint}_returns"))
 
@@ -340,15 +335,10 @@ class Build:
 
         Each with the number of sources, as "sources"; by "evaluated", where they were evaluated.
         """
-        found: list[dict[str, Any]] = []
-        for piece, entry in zip(self.pieces(), self._entries(key), strict=True):
-            origin = read_text(entry, "origin")
-            same = [one for one in found if {**one, "sources": None} == {**origin, "sources": None}]
-            if same:
-                same[0]["sources"] += len(piece.sources)
-            else:
-                found.append({**origin, "sources": len(piece.sources)})
-        return found
+        entries = (read_text(entry, "origin") for entry in self._entries(key))
+        sizes = (len(piece.sources) for piece in self.pieces())
+        found = distinct(zip(entries, sizes, strict=True))
+        return [{**origin, "sources": sum(sizes)} for origin, sizes in found]
 
     @cached_property
     def _evaluation_seeds(self) -> list[int]:
@@ -376,18 +366,24 @@ class Build:
                 f"the matrix in {self.folder} needs {len(pieces)} pieces, {missing} are missing; "
                 "run the same command again"
             )
-        entries = []
-        for piece in pieces:
-            arrays = read_npz(piece.path)
-            if key == "evaluated":  # of older pieces: where they were trained
-                key = key if key in arrays else "origin"
-            if key not in arrays:
-                raise StorageError(
-                    f"{piece.path} was written by an older version, which kept no episodes; remove "
-                    "the pieces of this folder and run the same command again"
-                )
-            entries.append(arrays[key])
-        return entries
+        return [read_npz(piece.path)[key] for piece in pieces]
+
+
+_Member = TypeVar("_Member")
+
+
+def distinct(
+    origins: Iterable[tuple[dict[str, Any], _Member]],
+) -> list[tuple[dict[str, Any], list[_Member]]]:
+    """Each origin once, with all that comes from it."""
+    found: list[tuple[dict[str, Any], list[_Member]]] = []
+    for origin, what in origins:
+        same = [those for one, those in found if one == origin]
+        if same:
+            same[0].append(what)
+        else:
+            found.append((origin, [what]))
+    return found
 
 
 Done = tuple[Piece, TrainingFailed | None]

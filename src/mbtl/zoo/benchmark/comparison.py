@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,34 @@ RESAMPLES = 10_000
 
 
 @dataclass(frozen=True)
-class Run:
+class Record:
+    """What is written field by field."""
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able record."""
+        return {one.name: _json(getattr(self, one.name)) for one in fields(self)}
+
+
+def _json(fact: Any) -> Any:
+    if isinstance(fact, Mapping):
+        return {key: _json(one) for key, one in fact.items()}
+    if isinstance(fact, Record):
+        return fact.to_json()
+    return fact.tolist() if isinstance(fact, np.ndarray) else fact
+
+
+def _grouped(record: dict[str, Any], **groups: Mapping[str, str]) -> dict[str, Any]:
+    """The record with some entries, new name -> old, together below one name."""
+    for group, names in groups.items():
+        record[group] = {name: record.pop(old) for name, old in names.items()}
+    return record
+
+
+_CLOSED = {"at_K": "closed_at_K", "under_curve": "closed_under_curve"}
+
+
+@dataclass(frozen=True)
+class Run(Record):
     """One selector on one matrix seed.
 
     Attributes:
@@ -46,22 +73,9 @@ class Run:
     performance: Array
     select_seconds: float
 
-    def to_json(self) -> dict[str, Any]:
-        """JSON-able record."""
-        return {
-            "matrix": self.matrix,
-            "matrix_seed": self.matrix_seed,
-            "selector": self.selector,
-            "seed": self.seed,
-            "theta": self.theta,
-            "sources": list(self.sources),
-            "performance": self.performance.tolist(),
-            "select_seconds": self.select_seconds,
-        }
-
 
 @dataclass(frozen=True, repr=False)
-class Estimate:
+class Estimate(Record):
     """A number and its 95 % interval, `low` to `high`; None where it does not exist."""
 
     value: float | None
@@ -74,13 +88,9 @@ class Estimate:
         interval = "" if self.low is None else f" [{self.low:.4g}, {self.high:.4g}]"
         return f"{self.value:.4g}{interval}"
 
-    def to_json(self) -> dict[str, Any]:
-        """JSON-able record."""
-        return {"value": self.value, "low": self.low, "high": self.high}
-
 
 @dataclass(frozen=True, repr=False)
-class Trainings:
+class Trainings(Record):
     """Number of trainings until a level is reached.
 
     Attributes:
@@ -103,15 +113,12 @@ class Trainings:
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
-        return {
-            **self.estimate.to_json(),
-            "censored": self.censored,
-            "per_seed": list(self.per_seed),
-        }
+        record = super().to_json()
+        return {**record.pop("estimate"), **record}
 
 
 @dataclass(frozen=True)
-class SelectorSummary:
+class SelectorSummary(Record):
     """One selector on one matrix, or pooled; this module has every formula."""
 
     V_K: Estimate
@@ -127,26 +134,12 @@ class SelectorSummary:
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
-        return {
-            "V_K": self.V_K.to_json(),
-            "V_mean": self.V_mean.to_json(),
-            "k_star": self.k_star.to_json(),
-            "k90": self.k90.to_json(),
-            "k95": self.k95.to_json(),
-            "k99": self.k99.to_json(),
-            "minus_random": {
-                "at_K": self.minus_random_at_K.to_json(),
-                "mean": self.minus_random_mean.to_json(),
-            },
-            "closed_fraction": {
-                "at_K": self.closed_at_K.to_json(),
-                "under_curve": self.closed_under_curve.to_json(),
-            },
-        }
+        ahead = {"at_K": "minus_random_at_K", "mean": "minus_random_mean"}
+        return _grouped(super().to_json(), minus_random=ahead, closed_fraction=_CLOSED)
 
 
 @dataclass(frozen=True)
-class Lead:
+class Lead(Record):
     """How far one selector is ahead of another, > 0 where it is better.
 
     Attributes:
@@ -170,19 +163,11 @@ class Lead:
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
-        return {
-            "V_K": self.V_K.to_json(),
-            "V_mean": self.V_mean.to_json(),
-            "closed_fraction": {
-                "at_K": self.closed_at_K.to_json(),
-                "under_curve": self.closed_under_curve.to_json(),
-            },
-            "per_seed": list(self.per_seed),
-        }
+        return _grouped(super().to_json(), closed_fraction=_CLOSED)
 
 
 @dataclass(frozen=True, repr=False)
-class Difference:
+class Difference(Record):
     """One selector less another, paired: both saw the same matrix seeds.
 
     Attributes:
@@ -205,19 +190,9 @@ class Difference:
 
         return difference_text(self)
 
-    def to_json(self) -> dict[str, Any]:
-        """JSON-able record."""
-        return {
-            "selector": self.selector,
-            "against": self.against,
-            "matrices": {name: lead.to_json() for name, lead in self.matrices.items()},
-            "pooled": self.pooled.to_json(),
-            "over_matrices": self.over_matrices.to_json(),
-        }
-
 
 @dataclass(frozen=True)
-class MatrixSummary:
+class MatrixSummary(Record):
     """One matrix: its levels and reference curves (means over seeds), and every selector.
 
     Attributes:
@@ -242,22 +217,14 @@ class MatrixSummary:
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
-        return {
-            "matrix_seeds": self.n_seeds,
-            "levels": {
-                "independent": self.independent,
-                "oracle_transfer": self.oracle_transfer,
-                "grand_mean": self.grand_mean,
-            },
-            "references": dict(self.references),
-            "caveat": self.caveat,
-            "curves": {"random": self.random.tolist(), "oracle": self.oracle.tolist()},
-            "selectors": {name: s.to_json() for name, s in self.selectors.items()},
-        }
+        record = super().to_json()
+        record["matrix_seeds"] = record.pop("n_seeds")
+        levels = {name: name for name in ("independent", "oracle_transfer", "grand_mean")}
+        return _grouped(record, levels=levels, curves={"random": "random", "oracle": "oracle"})
 
 
 @dataclass(frozen=True)
-class Summary:
+class Summary(Record):
     """All of a comparison: per matrix, and pooled over the matrices."""
 
     budget: int
@@ -266,16 +233,12 @@ class Summary:
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
-        return {
-            "budget": self.budget,
-            "interval": {
-                "method": "percentile bootstrap over matrix seeds, shared by all selectors",
-                "level": CONFIDENCE,
-                "resamples": RESAMPLES,
-            },
-            "matrices": {name: m.to_json() for name, m in self.matrices.items()},
-            "pooled": {name: s.to_json() for name, s in self.pooled.items()},
+        interval = {
+            "method": "percentile bootstrap over matrix seeds, shared by all selectors",
+            "level": CONFIDENCE,
+            "resamples": RESAMPLES,
         }
+        return {**super().to_json(), "interval": interval}
 
 
 # ---- summary of a comparison: what each selector reached, with intervals over matrix seeds ---
@@ -417,8 +380,8 @@ def _summary(tables: Sequence[SeedTable]) -> SelectorSummary:
         k99=trainings(3),
         minus_random_at_K=estimate(lambda m: m[..., GAIN][..., 0]),
         minus_random_mean=estimate(lambda m: m[..., GAIN][..., 1]),
-        closed_at_K=estimate(lambda m: ratio(m[..., GAIN][..., 0], m[..., ROOM][..., 0])),
-        closed_under_curve=estimate(lambda m: ratio(m[..., GAIN][..., 1], m[..., ROOM][..., 1])),
+        closed_at_K=estimate(lambda m: _closed(m, 0)),
+        closed_under_curve=estimate(lambda m: _closed(m, 1)),
     )
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,6 +29,7 @@ from mbtl.portfolio import MLPPolicy
 from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, episode_seeds, evaluation_seeds, training_seed
 from mbtl.trainers.contract import OnProgress, Progress, even_groups, recipe_of
+from mbtl.zoo.benchmark.build import distinct
 from mbtl.zoo.benchmark.matrix import REFERENCE
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
 from mbtl.zoo.benchmark.transfers import KINDS, save_transfers, summary
@@ -263,10 +264,24 @@ class Kinds:
                 f"copies are tuned from policies for all contexts, and there are none of {mark:g} "
                 "units; build the kind generalists first"
             )
-        contexts = [self._contexts(lane) for lane in part.lanes]
-        seeds = [self._training_seed(part, lane) for lane in part.lanes]
-        template = self.trainer.grown_from_scratch(contexts, seeds)
-        return engine.from_arrays(template, read_npz(file))
+        return engine.from_arrays(self._shapes(part), read_npz(file))
+
+    def _shapes(self, part: Part) -> Any:
+        """Of the trunk of generalists; made once, for all parts of copies begin from it."""
+        import jax
+
+        if part not in self._known_shapes:
+            contexts = [self._contexts(lane) for lane in part.lanes]
+            seeds = [self._training_seed(part, lane) for lane in part.lanes]
+            begun = self.trainer.grown_from_scratch(contexts, seeds)
+            self._known_shapes[part] = jax.tree.map(
+                lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), begun
+            )
+        return self._known_shapes[part]
+
+    @cached_property
+    def _known_shapes(self) -> dict[Part, Any]:
+        return {}
 
     def _trunk_file(self, part: Part, mark: float) -> Path:
         return self.folder / f"{part.name}-trunk-{mark:g}.npz"
@@ -371,10 +386,13 @@ class Kinds:
     def run(
         self,
         kinds: Sequence[str] = KINDS,
-        on_part: Callable[[str, int, int], None] = lambda name, done, total: None,
-        on_progress: OnProgress | None = None,
+        on_progress: Callable[[str, Progress | None], None] = lambda part, progress: None,
     ) -> None:
         """Do what is missing of these kinds.
+
+        Args:
+            kinds: of `KINDS`.
+            on_progress: told which part is at work, and how far it is once that is known.
 
         Raises:
             InvalidInput: the folder holds another build, or parents of copies are missing.
@@ -384,9 +402,10 @@ class Kinds:
         parts = self.parts(kinds)
         with claimed_folder(self.folder, self.claim, "transfer data"):
             for done, part in enumerate(parts):
-                on_part(part.name, done, len(parts))
-                self.train(part, on_progress)
-                self.evaluate(part, on_progress)
+                tell = partial(on_progress, f"{part.name} ({done + 1} of {len(parts)})")
+                tell(None)
+                self.train(part, tell)
+                self.evaluate(part, tell)
 
     @property
     def claim(self) -> dict[str, Any]:
@@ -468,15 +487,10 @@ class Kinds:
 
     def _origins(self, key: str) -> list[dict[str, Any]]:
         """The distinct places where policies were trained, or evaluated, with their kinds."""
-        found: list[dict[str, Any]] = []
-        for part in self.parts():
-            origin = read_text(_entry(self._returns(part), key), key)
-            same = [one for one in found if {**one, "kinds": None} == {**origin, "kinds": None}]
-            if not same:
-                found.append({**origin, "kinds": [part.kind]})
-            elif part.kind not in same[0]["kinds"]:
-                same[0]["kinds"].append(part.kind)
-        return found
+        parts = self.parts()
+        entries = (read_text(_entry(self._returns(part), key), key) for part in parts)
+        found = distinct(zip(entries, (part.kind for part in parts), strict=True))
+        return [{**origin, "kinds": list(dict.fromkeys(kinds))} for origin, kinds in found]
 
 
 def _entry(file: Path, key: str) -> NDArray[Any]:

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from mbtl.cli.common import JsonFlag, console, print_json, printer
+from mbtl.cli.common import JsonFlag, print_json, printer
 from mbtl.errors import InvalidInput, cannot_write
 from mbtl.selectors.registry import get_selector
 from mbtl.zoo.benchmark.base import RowSource
@@ -20,6 +19,7 @@ from mbtl.zoo.benchmark.comparison import Comparison
 from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.benchmark.shipped import open_matrices
 from mbtl.zoo.benchmark.tables import show_comparison
+from mbtl.zoo.cli.shared import Bounds, bar
 
 
 def bench(
@@ -53,13 +53,7 @@ def bench(
             "seeds, with intervals."
         ),
     ] = None,
-    bounds: Annotated[
-        str | None,
-        typer.Option(
-            help="LOW,HIGH: returns of performance 0 and 1 instead of the matrices' own; or "
-            "`seen`: the smallest and largest of each."
-        ),
-    ] = None,
+    bounds: Bounds = None,
     as_json: JsonFlag = False,
     out: Annotated[
         Path | None, typer.Option(help="Also write the JSON document to this file.")
@@ -80,20 +74,12 @@ def bench(
         names = [name.strip() for name in selectors.split(",") if name.strip()]
     if against is not None and against not in names:
         names.append(against)
-    with Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TextColumn("{task.completed}/{task.total}"),
-        TimeElapsedColumn(),
-        console=console,
-        transient=True,
-    ) as progress:
-        task = progress.add_task("starting", total=None)
+    with bar("") as tell:
 
-        def show(step: Step) -> None:
-            progress.update(task, description=step.doing, completed=step.done, total=step.total)
+        def on_step(step: Step) -> None:
+            tell(step.done, step.total, step.doing)
 
-        comparison = compare(names, sources, budget, seeds, on_step=show)
+        comparison = compare(names, sources, budget, seeds, on_step=on_step)
     rival = None if against is None else _named(comparison, against)
     document = comparison.to_json()
     if rival is not None:

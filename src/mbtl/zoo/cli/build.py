@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,11 +17,25 @@ from mbtl.zoo.benchmark.build import ONLY
 from mbtl.zoo.benchmark.shipped import DEFAULT
 from mbtl.zoo.cli.job import Job
 from mbtl.zoo.cli.kinds import ALL, build_kinds
+from mbtl.zoo.cli.shared import (
+    Engine,
+    Episodes,
+    EvalEpisodes,
+    FirstSeed,
+    Out,
+    Preset,
+    Score,
+    Timesteps,
+    Visibility,
+    Work,
+    repeated,
+)
 from mbtl.zoo.cmdps.families import FAMILIES
 from mbtl.zoo.cmdps.family import TwinFamily
 
 
 def build(
+    context: typer.Context,
     problem: Annotated[
         str,
         typer.Argument(
@@ -30,27 +43,19 @@ def build(
         ),
     ],
     seeds: Annotated[int, typer.Option(help="Number of matrices, one per seed.")] = 3,
-    first_seed: Annotated[int, typer.Option(help="Seed of the first matrix.")] = 0,
-    preset: Annotated[
-        str | None,
-        typer.Option("--preset", "--tier", help="Training recipe; `mbtl cmdps CMDP` lists them."),
-    ] = None,
-    out: Annotated[Path, typer.Option(help="Folder of the finished files.")] = Path("matrices"),
+    first_seed: FirstSeed = 0,
+    preset: Preset = None,
+    out: Out = Path("matrices"),
     variant: Annotated[
         str | None,
         typer.Option(help="Name of the set in the file names; default: from the options below."),
     ] = None,
-    visibility: Annotated[
-        str | None, typer.Option(help="What of the context the policy sees.")
-    ] = None,
+    visibility: Visibility = None,
     physics: Annotated[
         str | None, typer.Option(help="How contexts act on CartPole: intended or reference.")
     ] = None,
-    engine: Annotated[str | None, typer.Option(help="jax, gymnasium or sumo.")] = None,
-    score: Annotated[
-        str | None,
-        typer.Option(help="What an episode of traffic is worth: paper, or the CMDP's own."),
-    ] = None,
+    engine: Engine = None,
+    score: Score = None,
     every: Annotated[
         int, typer.Option(help="Keep only every n-th context of the grid, per axis.")
     ] = 1,
@@ -62,13 +67,9 @@ def build(
     recipe: Annotated[
         str | None, typer.Option(help="Named hyper-parameters of the jax engine.")
     ] = None,
-    timesteps: Annotated[int | None, typer.Option(help="Environment steps per training.")] = None,
-    episodes: Annotated[
-        int | None, typer.Option(help="Episodes per training, where those are counted.")
-    ] = None,
-    eval_episodes: Annotated[
-        int | None, typer.Option(help="Episodes per policy and context.")
-    ] = None,
+    timesteps: Timesteps = None,
+    episodes: Episodes = None,
+    eval_episodes: EvalEpisodes = None,
     checkpoint: Annotated[
         str | None,
         typer.Option(
@@ -100,7 +101,7 @@ def build(
     workers: Annotated[
         int | None, typer.Option(help="Processes; default: one per core, one on a GPU.")
     ] = None,
-    work: Annotated[Path, typer.Option(help="Folder of unfinished matrices.")] = Path("runs"),
+    work: Work = Path("runs"),
     as_json: JsonFlag = False,
 ) -> None:
     """Train a policy on every context, evaluate each on every context, and save the returns.
@@ -113,6 +114,11 @@ def build(
     """
     if seeds < 1:
         raise InvalidInput(f"--seeds must be >= 1, got {seeds}")
+    if beside and kinds is None:
+        raise InvalidInput(
+            f"--with names CMDPs that are trained together with --kinds, got {', '.join(beside)}; "
+            "add --kinds all, or build one matrix after the other"
+        )
     switches = {"visibility": visibility, "physics": physics, "score": score, "engine": engine}
     cmdp, *others = [
         resolve_cmdp(name, **switches)
@@ -136,27 +142,7 @@ def build(
     }
     given = {k: v for k, v in overrides.items() if v is not None}
     trainer = cmdp.trainer_for(preset, **given)
-    command = _command(
-        problem,
-        {
-            "kinds": None if kinds is None else ALL,
-            "with": beside,
-            "preset": preset,
-            "visibility": visibility,
-            "physics": physics,
-            "engine": engine,
-            "score": score,
-            "every": None if every == 1 else every,
-            "sources-every": None if sources_every == 1 else sources_every,
-            "lanes": lanes,
-            "timesteps": timesteps,
-            "episodes": episodes,
-            "eval-episodes": eval_episodes,
-            "algorithm": algorithm,
-            "recipe": recipe,
-            "checkpoint": checkpoint,
-        },
-    )
+    free = ["variant", "out", "work", "workers", "evaluate_again", "as_json"]
     if kinds is not None:
         built = build_kinds(
             kinds,
@@ -164,7 +150,7 @@ def build(
             [trainer, *(other.trainer_for(preset, **given) for other in others)],
             numbers,
             preset=preset or cmdp.default_preset,
-            command=command,
+            command=repeated(context, free, kinds=ALL),
             every=sources_every,
             lanes=lanes,
             work=work,
@@ -187,7 +173,7 @@ def build(
         lanes=min(lanes or best_lanes, -(-cmdp.space.n // sources_every)),
         preset=preset or cmdp.default_preset,
         variant=variant or _variant(cmdp, given),
-        command=command,
+        command=repeated(context, [*free, "seeds", "first_seed"]),
         usual=usual,
         every=sources_every,
     )
@@ -262,12 +248,3 @@ def _usual(cmdp: CMDP) -> Mapping[str, Any]:
     if not isinstance(FAMILIES[cmdp.family].jax, TwinFamily):
         del usual["engine"]  # both engines have the same physics
     return usual
-
-
-def _command(problem: str, options: Mapping[str, Any]) -> str:
-    """The command that builds the same again; folders and processes do not matter to it."""
-    words = ["mbtl", "matrix", "build", problem]
-    for name, value in options.items():
-        for one in value if isinstance(value, list) else [value]:
-            words += [] if one is None else [f"--{name}", str(one)]
-    return shlex.join(words)

@@ -8,9 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-from mbtl.cli.common import LongWork, console
 from mbtl.errors import InvalidInput
 from mbtl.files import claim_of
 from mbtl.problems import CMDP
@@ -22,6 +19,7 @@ from mbtl.trainers.contract import Trainer, recipe_of
 from mbtl.zoo.benchmark import TransferMatrix, save_shipped
 from mbtl.zoo.benchmark.build import ONLY, Build
 from mbtl.zoo.benchmark.shipped import DEFAULT, matrix_id, shipped_file
+from mbtl.zoo.cli.shared import bar
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,9 @@ class Job:
         seed = building.seed
         if workers is None:
             workers = 1 if self.lanes >= len(self.sources) else usable_cores()
-        _perform(building, workers, f"{matrix_id(self.cmdp.id, self.variant)} seed {seed}")
+        label = f"{matrix_id(self.cmdp.id, self.variant)} seed {seed}"
+        with bar(label, len(self.sources)) as tell:
+            building.run(workers, lambda done, total: tell(done, total, "sources"))
         built = {}
         for checkpoint in self.checkpoints:
             file = self.file(out, checkpoint, seed)
@@ -181,21 +181,3 @@ class Job:
             )
         folder, kept = begun.folder / "evaluated-again", begun.folder / "policies"
         return replace(begun, folder=folder, kept=kept)
-
-
-def _perform(building: Build, workers: int, label: str) -> None:
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=30),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(label, total=len(building.sources))
-        log = LongWork(console)
-
-        def on_piece(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-            log.say(f"{label}: {done} of {total} sources")
-
-        building.run(workers, on_piece)

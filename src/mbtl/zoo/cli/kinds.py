@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bar
-
-from mbtl.cli.common import LongWork, console
+from mbtl.cli.common import console
 from mbtl.engine.world_trainer import WorldTrainer
 from mbtl.errors import InvalidInput
 from mbtl.problems import CMDP
 from mbtl.trainers.contract import Progress
 from mbtl.zoo.benchmark.kinds import Kinds
 from mbtl.zoo.benchmark.transfers import FOLDER, KINDS
+from mbtl.zoo.cli.shared import bar
 
 ALL = "all"
 
@@ -61,19 +59,13 @@ def build_kinds(
     names = [cmdp.id for cmdp in cmdps]
     folder = work / FOLDER / "-and-".join(names)
     build = Kinds(tuple(cmdps), tuple(own), tuple(seeds), folder, every=every, lanes=lanes)
-    columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
-    with Bar(*columns, console=console, transient=True) as bar:
-        task, log = bar.add_task(", ".join(names), total=None), LongWork(console)
+    with bar(", ".join(names)) as tell:
 
-        def on_part(name: str, done: int, total: int) -> None:
-            now = f"{name} ({done + 1} of {total})"
-            bar.update(task, description=now, completed=0, total=None)
-            log.say(now)
+        def on_progress(part: str, progress: Progress | None) -> None:
+            step, total = (0, None) if progress is None else (progress.step, progress.total)
+            tell(step, total, part)
 
-        def on_progress(progress: Progress) -> None:
-            bar.update(task, completed=progress.step, total=progress.total)
-
-        build.run(wanted, on_part, on_progress)
+        build.run(wanted, on_progress)
     if left := [kind for kind in KINDS if not build.is_there(kind)]:
         console.print(
             f"kept in {folder}; the files are written once {' and '.join(left)} are there, too",

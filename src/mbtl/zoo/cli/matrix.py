@@ -28,6 +28,7 @@ from mbtl.zoo.benchmark.shipped import load_by_id
 from mbtl.zoo.cli.bench import scaled
 from mbtl.zoo.cli.build import build
 from mbtl.zoo.cli.multitask import multitask
+from mbtl.zoo.cli.shared import Bounds
 from mbtl.zoo.cmdps.registry import paper_bounds
 
 matrix_app = typer.Typer(help="Build transfer matrices and look at them.", no_args_is_help=True)
@@ -43,13 +44,7 @@ def show(
             help="A path ending in .npz, the id of a shipped matrix, or synthetic:NAME."
         ),
     ],
-    bounds: Annotated[
-        str | None,
-        typer.Option(
-            help="LOW,HIGH: returns of performance 0 and 1 instead of the matrix's own; or `seen`: "
-            "its smallest and largest."
-        ),
-    ] = None,
+    bounds: Bounds = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Show the size and the reference levels of a transfer matrix, per seed.

@@ -20,6 +20,7 @@ from mbtl.problems import CMDP, cmdp_ids, get_cmdp
 from mbtl.problems.plugins import plugin_ids
 from mbtl.seeds import action_seed, episode_seeds, evaluation_seeds
 from mbtl.zoo.cli.film import Watched, save_film
+from mbtl.zoo.cli.shared import Score
 from mbtl.zoo.cmdps.engines import EnvFactory, resolved
 from mbtl.zoo.cmdps.registry import engines_of
 
@@ -41,10 +42,7 @@ def play(
     gui: Annotated[
         bool, typer.Option("--gui", help="Show it in sumo-gui, where there is a screen.")
     ] = False,
-    score: Annotated[
-        str | None,
-        typer.Option(help="What an episode of traffic is worth: paper, or the CMDP's own."),
-    ] = None,
+    score: Score = None,
     film: Annotated[
         Path | None, typer.Option(help="Save the first episode as this GIF, 30 s at most.")
     ] = None,

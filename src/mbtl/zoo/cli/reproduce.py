@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich import box
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from mbtl.cli.common import JsonFlag, LongWork, console, print_json, printer
+from mbtl.cli.common import JsonFlag, console, print_json, printer
 from mbtl.errors import InvalidInput, MbtlError
 from mbtl.files import claimed_folder
 from mbtl.zoo.benchmark.shipped import DEFAULT
+from mbtl.zoo.cli.shared import bar
 from mbtl.zoo.reproduction import Bench, Item, Outcome, Setting, items_named, perform
 from mbtl.zoo.reproduction.claims import Claim, claims_of
 from mbtl.zoo.reproduction.page import write_index, write_page
@@ -63,9 +62,9 @@ def reproduce_command(
     ] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Regenerate the paper's tables and figures from transfer matrices: nothing is trained.
+    """Regenerate the tables and claims of the paper from transfer matrices: nothing is trained.
 
-    Tables are CSV, Markdown and LaTeX, figures PDF and PNG, all drawn from numbers in JSON.
+    Tables are CSV and Markdown, figures PDF and PNG, all drawn from numbers in JSON.
     Finished items are kept; interrupt it at any time, the same command goes on where it was.
 
     Example: mbtl reproduce cartpole-length --item 1 --item curves
@@ -131,26 +130,17 @@ def _check_something_there(bench: Bench, variant: str) -> None:
 
 
 def _perform(items: Sequence[Item], bench: Bench, place: Path, *, again: bool) -> list[Outcome]:
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=20),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[doing]}", markup=False),
-    )
-    log, begun = LongWork(console), time.monotonic()
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("items", total=len(items), doing="")
+    done: list[Item] = []
+    with bar("items", len(items)) as tell:
 
         def says(text: str) -> None:
-            bar.update(task, doing=text)
-            log.say(f"{text}, {(time.monotonic() - begun) / 60:.1f} min so far")
+            tell(len(done), len(items), text)
 
         def on_item(item: Item, outcome: Outcome | None) -> None:
             if outcome is None:
                 says(f"item {item.number}: {item.title}")
                 return
-            bar.advance(task)
+            done.append(item)
             line = f"item {item.number:>2}  {outcome.status:<6}  {outcome.seconds:6.1f} s  "
             line += item.title + ("" if outcome.error is None else f": {outcome.error}")
             style = "red" if outcome.error else None

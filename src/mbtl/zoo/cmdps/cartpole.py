@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple, Unpack
 
 import numpy as np
 from gymnasium.spaces import Discrete
 
 from mbtl.contexts import Value
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.zoo.cmdps.contextual import ContextualEnv, Observation, TimeLimit, Visibility
+from mbtl.zoo.cmdps.contextual import ContextualEnv, Observation, Settings
 from mbtl.zoo.cmdps.drawing import draw_cart
 
 Physics = Literal["intended", "reference"]
@@ -78,6 +78,7 @@ class CartPole(ContextualEnv):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 50}
 
+    HORIZON = 500
     FEATURES: ClassVar[Mapping[str, float]] = {
         "gravity": 9.8,  # m/s^2
         "masscart": 1.0,  # kg
@@ -91,30 +92,17 @@ class CartPole(ContextualEnv):
         self,
         context: Mapping[str, Value] | None = None,
         *,
-        unit: Mapping[str, float] | None = None,
-        visibility: Visibility = "multiplier",
         physics: Physics = "intended",
-        time_limit: TimeLimit = "truncation",
-        horizon: int = 500,
-        render_mode: str | None = None,
+        **settings: Unpack[Settings],
     ) -> None:
         """Derive the physics of one context.
 
         Args:
             context: features that differ from the nominal ones.
-            unit: varied features and their value at multiplier 1; missing: those of `context`, at
-                their nominal value.
-            visibility: what of the context the policy sees.
             physics: see `derive`.
-            time_limit: whether the horizon is reported as truncation or as a terminal state (the
-                reference).
-            horizon: steps.
-            render_mode: "rgb_array": `render` gives pictures.
+            **settings: see `ContextualEnv`.
         """
-        super().__init__(
-            context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
-        )
-        self.render_mode = render_mode
+        super().__init__(context, **settings)
         self.constants = derive(self.features, physics)
         self._state = (0.0, 0.0, 0.0, 0.0)
         # where several features vary, a light short pole on a light cart swings far in one step

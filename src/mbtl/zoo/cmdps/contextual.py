@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypedDict
 
 import gymnasium
 import numpy as np
@@ -30,6 +30,16 @@ VISIBILITIES: tuple[Visibility, ...] = ("hidden", "multiplier", "raw")
 TIME_LIMITS: tuple[TimeLimit, ...] = ("truncation", "terminal")
 
 
+class Settings(TypedDict, total=False):
+    """Arguments that every environment takes beside its context; see `ContextualEnv`."""
+
+    unit: Mapping[str, float] | None
+    visibility: Visibility | None
+    time_limit: TimeLimit
+    horizon: int | None
+    render_mode: Literal["rgb_array"] | None
+
+
 class Contextual:
     """What every environment, of whichever interface, does with its context: once, at construction.
 
@@ -42,6 +52,8 @@ class Contextual:
     """Nominal value of each feature, in the order in which `raw` shows them; all positive."""
     HIDDEN: ClassVar[frozenset[str]] = frozenset()
     """Features that a policy does not see unless a visibility is asked for."""
+    HORIZON: ClassVar[int]
+    """Most steps of an episode, unless another horizon is given."""
 
     def __init__(
         self,
@@ -50,13 +62,14 @@ class Contextual:
         unit: Mapping[str, float] | None,
         visibility: Visibility | None,
         time_limit: TimeLimit,
-        horizon: int,
+        horizon: int | None,
     ) -> None:
         """See the subclasses for the meaning of the arguments."""
         if visibility not in (None, *VISIBILITIES):
             raise unknown_name("visibility", str(visibility), VISIBILITIES)
         if time_limit not in TIME_LIMITS:
             raise unknown_name("time limit", time_limit, TIME_LIMITS)
+        horizon = self.HORIZON if horizon is None else horizon
         if horizon < 1:
             raise InvalidInput(f"horizon must be >= 1 step, got {horizon}")
         self.features = full_context(self.FEATURES, context)
@@ -91,7 +104,33 @@ class ContextualEnv(Contextual, gymnasium.Env):  # type: ignore[misc]  # gymnasi
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
-    render_mode: str | None = None
+
+    def __init__(
+        self,
+        context: Mapping[str, Value] | None = None,
+        *,
+        unit: Mapping[str, float] | None = None,
+        visibility: Visibility | None = "multiplier",
+        time_limit: TimeLimit = "truncation",
+        horizon: int | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        """Derive the features of one context.
+
+        Args:
+            context: features that differ from the nominal ones.
+            unit: varied features and their value at multiplier 1; missing: those of `context`, at
+                their nominal value.
+            visibility: what of the context the policy sees.
+            time_limit: whether the horizon is reported as truncation or as a terminal state (the
+                reference).
+            horizon: steps; missing: `HORIZON`.
+            render_mode: "rgb_array": `render` gives pictures.
+        """
+        super().__init__(
+            context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
+        )
+        self.render_mode: str | None = render_mode
 
 
 def full_context(

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Unpack
 
 import numpy as np
 from gymnasium.spaces import Box
 
 from mbtl.contexts import Value
-from mbtl.zoo.cmdps.contextual import ContextualEnv, Observation, TimeLimit, Visibility
+from mbtl.zoo.cmdps.contextual import ContextualEnv, Observation, Settings
 from mbtl.zoo.cmdps.drawing import draw_pendulum
 
 MAX_TORQUE = 2.0
@@ -60,6 +60,7 @@ class Pendulum(ContextualEnv):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}
 
+    HORIZON = 200
     FEATURES: ClassVar[Mapping[str, float]] = {
         "max_speed": 8.0,  # rad/s
         "timestep": 0.05,  # s
@@ -69,31 +70,10 @@ class Pendulum(ContextualEnv):
     }
 
     def __init__(
-        self,
-        context: Mapping[str, Value] | None = None,
-        *,
-        unit: Mapping[str, float] | None = None,
-        visibility: Visibility = "multiplier",
-        time_limit: TimeLimit = "truncation",
-        horizon: int = 200,
-        render_mode: str | None = None,
+        self, context: Mapping[str, Value] | None = None, **settings: Unpack[Settings]
     ) -> None:
-        """Derive the physics of one context.
-
-        Args:
-            context: features that differ from the nominal ones.
-            unit: varied features and their value at multiplier 1; missing: those of `context`, at
-                their nominal value.
-            visibility: what of the context the policy sees.
-            time_limit: whether the horizon is reported as truncation or as a terminal state (the
-                reference).
-            horizon: steps.
-            render_mode: "rgb_array": `render` gives pictures.
-        """
-        super().__init__(
-            context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
-        )
-        self.render_mode = render_mode
+        """Arguments as in `ContextualEnv`."""
+        super().__init__(context, **settings)
         self.constants = derive(self.features)
         self._state = (0.0, 0.0)
         # The space must not depend on the context, so a varied speed limit is not in its bounds.

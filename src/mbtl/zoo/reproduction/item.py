@@ -8,13 +8,12 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from mbtl.plot.style import new_figure
 from mbtl.zoo.reproduction.bench import Bench
-from mbtl.zoo.reproduction.paper import Value
 
-# ---- tables as CSV, Markdown and LaTeX, from the same cells ----------------------------------
+# ---- tables as CSV and Markdown, from the same cells ------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -24,24 +23,15 @@ class Measured:
     mean: float
     std: float | None = None
     marked: bool = False
-    digits: int = 4
 
     @classmethod
-    def of(cls, value: Value | None, marked: bool = False) -> Measured | None:
-        """Of a value that may be missing."""
-        return None if value is None else cls(value.mean, value.std, marked)
+    def of(cls, value: Mapping[str, Any] | None, marked: bool = False) -> Measured | None:
+        """Of a `Value` in numbers; None of one that is missing."""
+        return None if value is None else cls(value["mean"], value["std"], marked)
 
 
 Cell = Measured | float | int | str | None
 """None stands for what is not there."""
-
-_FORMATS = ("csv", "md", "tex")
-_DIGITS = 4
-_LATEX = {
-    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#",
-    "%": r"\%", "_": r"\_", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}",
-    "<": r"\textless{}", ">": r"\textgreater{}",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -59,10 +49,6 @@ class Table:
     head: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     notes: tuple[str, ...] = ()
-
-    def write(self, form: Literal["csv", "md", "tex"]) -> str:
-        """The table in a format."""
-        return {"csv": self.csv, "md": self.markdown, "tex": self.latex}[form]()
 
     def csv(self) -> str:
         """Full precision; a measured column becomes three: mean, standard deviation, marked."""
@@ -97,40 +83,16 @@ class Table:
         lines += [line for note in self.notes for line in ("", _markdown_text(note))]
         return "\n".join(lines) + "\n"
 
-    def latex(self) -> str:
-        """A `table` for a document that loads booktabs."""
-        columns = "".join("r" if self._is_number(i) else "l" for i in range(len(self.head)))
-        caption = " ".join([self.caption, *self.notes])
-        lines = [
-            r"\begin{table}",
-            r"\centering",
-            rf"\caption{{{escape_latex(caption)}}}",
-            rf"\begin{{tabular}}{{{columns}}}",
-            r"\toprule",
-            " & ".join(escape_latex(name) for name in self.head) + r" \\",
-            r"\midrule",
-        ]
-        lines += [" & ".join(_latex(cell) for cell in row) + r" \\" for row in self.rows]
-        lines += [r"\bottomrule", r"\end{tabular}", r"\end{table}"]
-        return "\n".join(lines) + "\n"
-
     def _is_number(self, column: int) -> bool:
         return all(not isinstance(row[column], str) or row[column] == "" for row in self.rows)
-
-
-def escape_latex(text: str) -> str:
-    """Plain text for LaTeX."""
-    return re.sub(r"[\\{}$&#%_^~<>]", lambda found: _LATEX[found[0]], text)
 
 
 def _markdown_text(text: str) -> str:
     return re.sub(r"([|*_`<\[\]])", r"\\\1", text).replace("\n", " ")
 
 
-def _number(value: float, digits: int = _DIGITS) -> str:
-    if not math.isfinite(value):
-        return "-"
-    return f"{value:.{digits}f}"
+def _number(value: float) -> str:
+    return f"{value:.4f}" if math.isfinite(value) else "-"
 
 
 def _plain(cell: Cell) -> str:
@@ -145,26 +107,10 @@ def _plain(cell: Cell) -> str:
 
 def _markdown(cell: Cell) -> str:
     if isinstance(cell, Measured):
-        mean = _number(cell.mean, cell.digits)
+        mean = _number(cell.mean)
         mean = f"**{mean}**" if cell.marked else mean
-        return mean if cell.std is None else f"{mean} ± {_number(cell.std, cell.digits)}"
+        return mean if cell.std is None else f"{mean} ± {_number(cell.std)}"
     return _markdown_text(_plain(cell))
-
-
-def _latex(cell: Cell) -> str:
-    if isinstance(cell, Measured):
-        mean = _number(cell.mean, cell.digits)
-        mean = rf"\mathbf{{{mean}}}" if cell.marked else mean
-        return (
-            f"${mean}$" if cell.std is None else rf"${mean} \pm {_number(cell.std, cell.digits)}$"
-        )
-    if isinstance(cell, (int, float)) and not isinstance(cell, bool):
-        return f"${_plain(cell)}$" if _plain(cell) != "-" else "-"
-    return escape_latex(_plain(cell))
-
-
-FORMATS = _FORMATS
-"""What `Table.write` knows."""
 
 
 # ---- the whole -------------------------------------------------------------------------------

@@ -57,6 +57,10 @@ class Value:
         """With n - 1, as the paper."""
         return cls(float(seeds.mean()), float(seeds.std(ddof=1)) if len(seeds) > 1 else None)
 
+    def to_json(self) -> dict[str, float | None]:
+        """JSON-able record."""
+        return {"mean": self.mean, "std": self.std}
+
 
 @dataclass(frozen=True)
 class Published:

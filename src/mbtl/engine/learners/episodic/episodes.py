@@ -208,20 +208,6 @@ def measures(
     return {name: each.reshape(seeds.shape) for name, each in found.items()}
 
 
-def scores(
-    twin: World,
-    activation: Activation,
-    how: Acting,
-    actor: Actor,
-    seeds: jax.Array,
-    drawn: jax.Array,
-    params: Tree,
-    decisions: Tree,
-) -> jax.Array:
-    """(P, E) scores; see `measures`."""
-    return measures(twin, activation, how, actor, seeds, drawn, params, decisions)["score"]
-
-
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def go_on(
     twin: World,
@@ -234,7 +220,7 @@ def go_on(
     first: jax.Array | int,
     decisions: Tree,
 ) -> Tree:
-    """States after decisions first, ..., decisions - 1; see `scores`."""
+    """States after decisions first, ..., decisions - 1; see `measures`."""
     shape, flat = seeds.shape, seeds.reshape(-1)
 
     def told(state: Tree, moment: jax.Array) -> jax.Array | None:

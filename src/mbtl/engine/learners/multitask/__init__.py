@@ -1,8 +1,10 @@
 """One policy for all contexts of a CMDP: the baselines that train once instead of choosing sources.
 
     params = stack_params(world, [derive(...) for each context], visible)
-    training = train_multitask(world, MultiTaskRecipe("paco"), seeds, params, timesteps=5_000_000)
-    returns = evaluate_multitask(world, recipe, training.best, params, episode_seeds)   # (S, N, E)
+    recipe = MultiTaskRecipe("paco")
+    sets = in_sets(recipe, params, len(params.visible))            # one policy, all contexts
+    training = train(world, recipe, [seed], sets, 5_000_000, checkpoint_episodes=...)
+    returns = evaluate(world, actor_of(training.best), context_of(sets, 0), seeds)   # (1, N, E)
 
 Methods: `ppo` is context-conditioned PPO, an ordinary policy that reads the context in its
 observation; `paco` composes a network per context (`paco.py`); `moore` mixes orthogonal

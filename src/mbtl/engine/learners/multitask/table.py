@@ -5,7 +5,7 @@ on the context axis in grid steps, 0 <= p <= N - 1: a whole number is a context 
 and a context between two of them gets a mixture of their vectors. That is how both methods are
 carried over to a continuous axis.
 
-Networks with such a table find the place as the last number of an observation: `with_place` makes
+Networks with such a table find the place as the last number of an observation: `seen` makes
 it one more visible feature, so that environments, rollouts and evaluations need not know of it.
 """
 
@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from mbtl.engine.learners.recipes import MultiTaskRecipe
 from mbtl.engine.worlds.environments import Tree
@@ -43,18 +43,9 @@ def initial_table(n_contexts: int, n_parts: int) -> NDArray[np.float32]:
     return hats.astype(np.float32)
 
 
-def with_place(params: Tree, places: ArrayLike | None = None) -> Any:
-    """Parameters of C contexts with their places as the last visible feature.
-
-    `places` are (C,) positions in grid steps; None where the contexts are the whole grid.
-    """
-    n = len(params.visible)
-    at = np.arange(n) if places is None else np.asarray(places)
-    column = at.astype(np.float64).reshape(n, 1)
-    return params._replace(visible=np.concatenate([np.asarray(params.visible), column], axis=1))
-
-
-def seen(recipe: Any, params: Tree, places: ArrayLike | None = None) -> Tree:
+def seen(recipe: Any, params: Tree) -> Any:
     """Contexts as the networks see them: those with a vector per context need their places."""
-    needs = isinstance(recipe, MultiTaskRecipe) and recipe.has_vectors
-    return with_place(params, places) if needs else params
+    if not (isinstance(recipe, MultiTaskRecipe) and recipe.has_vectors):
+        return params
+    column = np.arange(len(params.visible), dtype=np.float64)[:, None]
+    return params._replace(visible=np.concatenate([np.asarray(params.visible), column], axis=1))

@@ -16,7 +16,7 @@ import copy
 import functools
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Unpack
 
 import mujoco
 import numpy as np
@@ -25,7 +25,7 @@ from scipy.special import ndtri
 
 from mbtl.arrays import Array
 from mbtl.contexts import Value
-from mbtl.zoo.cmdps.contextual import ContextualEnv, Observation, TimeLimit, Visibility
+from mbtl.zoo.cmdps.contextual import ContextualEnv, Observation, Settings
 from mbtl.zoo.cmdps.drawing import Canvas, Image, Window
 
 # ---- the half cheetah as a MuJoCo model, with the numbers of Gymnasium's HalfCheetah-v5 ------
@@ -255,6 +255,7 @@ class HalfCheetah(ContextualEnv):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}
 
+    HORIZON = 1000
     FEATURES: ClassVar[Mapping[str, float]] = {
         "gravity": 9.81,  # m/s^2
         "friction": 0.4,
@@ -262,31 +263,10 @@ class HalfCheetah(ContextualEnv):
     }
 
     def __init__(
-        self,
-        context: Mapping[str, Value] | None = None,
-        *,
-        unit: Mapping[str, float] | None = None,
-        visibility: Visibility = "multiplier",
-        time_limit: TimeLimit = "truncation",
-        horizon: int = 1000,
-        render_mode: str | None = None,
+        self, context: Mapping[str, Value] | None = None, **settings: Unpack[Settings]
     ) -> None:
-        """Make the model of one context.
-
-        Args:
-            context: features that differ from the nominal ones.
-            unit: varied features and their value at multiplier 1; missing: those of `context`, at
-                their nominal value.
-            visibility: what of the context the policy sees.
-            time_limit: whether the horizon is reported as truncation or as a terminal state (the
-                reference).
-            horizon: steps.
-            render_mode: "rgb_array": `render` gives pictures.
-        """
-        super().__init__(
-            context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
-        )
-        self.render_mode = render_mode
+        """Arguments as in `ContextualEnv`."""
+        super().__init__(context, **settings)
         self.constants = derive(self.features)
         self.model = new_model()
         self.model.opt.gravity[2] = -self.constants.gravity

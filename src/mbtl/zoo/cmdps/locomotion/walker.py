@@ -15,7 +15,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Unpack
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from mbtl.arrays import Array
 from mbtl.contexts import Value
 from mbtl.errors import ContextMismatch, InvalidInput
-from mbtl.zoo.cmdps.contextual import ContextualEnv, Observation, TimeLimit, Visibility
+from mbtl.zoo.cmdps.contextual import ContextualEnv, Observation, Settings
 from mbtl.zoo.cmdps.drawing import Canvas, Image, Window
 
 # One walker: a Box2D world of its own, whose gravity, ground and hull are those of its context
@@ -432,6 +432,7 @@ class BipedalWalker(ContextualEnv):
     torque; -100 for a fall, which ends the episode.
     """
 
+    HORIZON = 1000  # as in the reference; 1600 in Gymnasium
     FEATURES: ClassVar[Mapping[str, float]] = {
         "gravity": 10.0,  # m/s^2
         "friction": 2.5,
@@ -440,31 +441,10 @@ class BipedalWalker(ContextualEnv):
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": FPS}
 
     def __init__(
-        self,
-        context: Mapping[str, Value] | None = None,
-        *,
-        unit: Mapping[str, float] | None = None,
-        visibility: Visibility = "multiplier",
-        time_limit: TimeLimit = "truncation",
-        horizon: int = 1000,
-        render_mode: str | None = None,
+        self, context: Mapping[str, Value] | None = None, **settings: Unpack[Settings]
     ) -> None:
-        """Derive the world of one context.
-
-        Args:
-            context: features that differ from the nominal ones.
-            unit: varied features and their value at multiplier 1; missing: those of `context`, at
-                their nominal value.
-            visibility: what of the context the policy sees.
-            time_limit: whether the horizon is reported as truncation or as a terminal state (the
-                reference).
-            horizon: steps; 1000 as in the reference, 1600 in Gymnasium.
-            render_mode: "rgb_array": `render` gives pictures.
-        """
-        super().__init__(
-            context, unit=unit, visibility=visibility, time_limit=time_limit, horizon=horizon
-        )
-        self.render_mode = render_mode
+        """Arguments as in `ContextualEnv`."""
+        super().__init__(context, **settings)
         self.constants = derive(self.features)
         self.walker: Walker | None = None
         leg = [math.inf] * 4 + [1.0]

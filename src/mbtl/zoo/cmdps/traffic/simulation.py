@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple, TypedDict, Unpack
+from typing import Any, ClassVar, Literal, NamedTuple, Unpack
 
 import numpy as np
 from gymnasium.spaces import Space
@@ -41,6 +41,7 @@ from mbtl.errors import (
     missing_extra,
     unknown_name,
 )
+from mbtl.zoo.cmdps import contextual
 from mbtl.zoo.cmdps.contextual import Contextual, ContextualEnv, TimeLimit, Visibility
 from mbtl.zoo.cmdps.drawing import Image, Window
 from mbtl.zoo.cmdps.traffic.drawing import CARS, CONTROLLED, Legend, draw
@@ -418,16 +419,11 @@ class Sight(NamedTuple):
     speed: float
 
 
-class Settings(TypedDict, total=False):
+class Settings(contextual.Settings, total=False):
     """Arguments that every traffic environment takes beside its context; see `Traffic`."""
 
-    unit: Mapping[str, float] | None
-    visibility: Visibility | None
-    time_limit: TimeLimit
-    horizon: int | None
     engine: Engine
     gui: bool
-    render_mode: RenderMode | None
 
 
 class Traffic(Contextual):
@@ -442,8 +438,6 @@ class Traffic(Contextual):
 
     STEP: ClassVar[float]
     """Seconds of one simulation step."""
-    HORIZON: ClassVar[int]
-    """Most decisions of an episode, unless another horizon is given."""
     WINDOW: ClassVar[Window | None] = None
     """What `render` shows of the network; None: all of it."""
     SCORE: str = "m/s"
@@ -495,7 +489,7 @@ class Traffic(Contextual):
             unit=unit,
             visibility=visibility,
             time_limit=time_limit,
-            horizon=self.HORIZON if horizon is None else horizon,
+            horizon=horizon,
         )
         self.render_mode = render_mode
         self._picture: Image | None = None

@@ -78,9 +78,7 @@ def _line(id: str, case: Case | None, paper: Published | None) -> dict[str, Any]
             "n_seeds": case.n_seeds,
             "multitask": _plain({n: Value.of(v) for n, v in case.multitask.items()}),
             "references": _plain({n: Value.of(v) for n, v in case.references.items()}),
-            "specialists": _plain({"specialists": Value.of(case.curves["specialists"][:, -1])})[
-                "specialists"
-            ],
+            "specialists": Value.of(case.curves["specialists"][:, -1]).to_json(),
             "apart": case.apart,
             "caveat": case.caveat,
         }
@@ -88,7 +86,7 @@ def _line(id: str, case: Case | None, paper: Published | None) -> dict[str, Any]
 
 
 def _plain(values: Mapping[str, Value]) -> dict[str, dict[str, float | None]]:
-    return {name: {"mean": v.mean, "std": v.std} for name, v in values.items()}
+    return {name: value.to_json() for name, value in values.items()}
 
 
 def _averages(lines: list[dict[str, Any]], domain: str) -> dict[str, Any]:
@@ -173,11 +171,7 @@ def _domain_table(numbers: Numbers, domain: str) -> Table:
             values = line[key]
             if values is None and who == "paper":
                 continue
-            cells = [
-                None if values is None or m not in values
-                else Measured(values[m]["mean"], values[m]["std"], m in line[marks])
-                for m in METHODS
-            ]  # fmt: skip
+            cells = [Measured.of((values or {}).get(m), m in line.get(marks, ())) for m in METHODS]
             rows.append((line["cmdp"] if who == "ours" else "", who, *cells))
     average = numbers["averages"][domain]
     for label, key in (
@@ -216,8 +210,9 @@ def _references(numbers: Numbers) -> Table:
     for line in numbers["rows"]:
         if line["ours"] is None:
             continue
-        cells = [_cell(line["references"].get(name)) for name in REFERENCE_NAMES]
-        rows.append((line["cmdp"], *cells, _cell(line["ours"]["mbtl"]), _cell(line["specialists"])))
+        cells = [line["references"].get(name) for name in REFERENCE_NAMES]
+        cells += [line["ours"]["mbtl"], line["specialists"]]
+        rows.append((line["cmdp"], *map(Measured.of, cells)))
     return Table(
         "What stands without any selection: V of reference rows, beside MBTL and `specialists` "
         f"after K = {numbers['budget']} trainings.",
@@ -225,10 +220,6 @@ def _references(numbers: Numbers) -> Table:
         tuple(rows),
         ("unguided: the system without a controller. nominal policy: of the nominal context.",),
     )
-
-
-def _cell(value: dict[str, float] | None) -> Measured | None:
-    return None if value is None else Measured(value["mean"], value["std"])
 
 
 def _aggregate_table(numbers: Numbers) -> Table:

@@ -20,9 +20,7 @@ def compute(bench: Bench) -> Numbers:
     for id, case in bench.cases("cartpole").items():
         values = {"independent": case.values["independent"], "mbtl": case.values["mbtl"]}
         values |= {name: Value.of(v) for name, v in case.multitask.items() if name in _RIVALS}
-        rows.append(
-            {"cmdp": id, "values": {n: {"mean": v.mean, "std": v.std} for n, v in values.items()}}
-        )
+        rows.append({"cmdp": id, "values": {n: v.to_json() for n, v in values.items()}})
         missing += [
             f"{_RIVALS[name]} on {id}: no returns yet; make them with: mbtl matrix multitask {id} "
             f"--method {name}"
@@ -37,7 +35,8 @@ def tables(numbers: Numbers) -> dict[str, Table]:
     names = ["independent", *_RIVALS, "mbtl"]
     heads = {"independent": "Independent", "mbtl": "MBTL", **_RIVALS}
     rows = tuple(
-        (row["cmdp"], *(_cell(row["values"].get(n)) for n in names)) for row in numbers["rows"]
+        (row["cmdp"], *(Measured.of(row["values"].get(n)) for n in names))
+        for row in numbers["rows"]
     )
     return {
         "": Table(
@@ -47,10 +46,6 @@ def tables(numbers: Numbers) -> dict[str, Table]:
             ("The multi-task methods have the steps of one source, MBTL those of K.",),
         )
     }  # fmt: skip
-
-
-def _cell(value: dict[str, float] | None) -> Measured | None:
-    return None if value is None else Measured(value["mean"], value["std"])
 
 
 def figures(numbers: Numbers) -> dict[str, Any]:

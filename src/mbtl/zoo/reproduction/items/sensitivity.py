@@ -10,7 +10,7 @@ from mbtl.plot.style import new_figure
 from mbtl.zoo.benchmark.shipped import matrix_id
 from mbtl.zoo.reproduction.bench import Bench
 from mbtl.zoo.reproduction.item import COLOURS, DASHES, Item, Measured, Numbers, Table, absent
-from mbtl.zoo.reproduction.paper import HEADS, METHODS, pooled_mean
+from mbtl.zoo.reproduction.paper import HEADS, METHODS, Value, pooled_mean
 
 CMDP = "cartpole-length"
 ALGORITHMS = {"PPO": None, "DQN": "dqn", "A2C": "a2c"}
@@ -36,11 +36,7 @@ def compute(bench: Bench) -> Numbers:
             continue
         case = bench.case(CMDP, variant)
         algorithms[name] = {
-            "values": {
-                m: {"mean": v.mean, "std": v.std}
-                for m, v in case.values.items()
-                if m != "multitask"
-            },
+            "values": {m: v.to_json() for m, v in case.values.items() if m != "multitask"},
             "curves": {n: case.curves[n].mean(axis=0).tolist() for n in _SHOWN},
             "mbtl_minus_random": pooled_mean(
                 [case.curves["mbtl"][:, -1] - case.curves["random"][:, -1]]
@@ -48,9 +44,8 @@ def compute(bench: Bench) -> Numbers:
         }
     rows, differences = [], []
     for id, case in bench.cases().items():
-        rows.append(
-            {"cmdp": id, "values": {a: _value(case.curves[a][:, -1]) for a in ACQUISITIONS}}
-        )
+        values = {a: Value.of(case.curves[a][:, -1]).to_json() for a in ACQUISITIONS}
+        rows.append({"cmdp": id, "values": values})
         differences.append(case.curves["mbtl-ei"][:, -1] - case.curves["mbtl"][:, -1])
     ei = pooled_mean(differences).to_json() if differences else None
     return {
@@ -62,28 +57,13 @@ def compute(bench: Bench) -> Numbers:
     }
 
 
-def _value(seeds: Any) -> dict[str, float | None]:
-    return {
-        "mean": float(seeds.mean()),
-        "std": float(seeds.std(ddof=1)) if len(seeds) > 1 else None,
-    }
-
-
 def tables(numbers: Numbers) -> dict[str, Table]:
     """One per question."""
     found = {}
     methods = [m for m in METHODS if m != "multitask"]
     if numbers["algorithms"]:
         rows = tuple(
-            (
-                name,
-                *(
-                    Measured(one["values"][m]["mean"], one["values"][m]["std"])
-                    if m in one["values"]
-                    else None
-                    for m in methods
-                ),
-            )
+            (name, *(Measured.of(one["values"].get(m)) for m in methods))
             for name, one in numbers["algorithms"].items()
         )
         found["algorithm"] = Table(
@@ -92,10 +72,7 @@ def tables(numbers: Numbers) -> dict[str, Table]:
             rows,
         )
     rows = tuple(
-        (
-            row["cmdp"],
-            *(Measured(row["values"][a]["mean"], row["values"][a]["std"]) for a in ACQUISITIONS),
-        )
+        (row["cmdp"], *(Measured.of(row["values"][a]) for a in ACQUISITIONS))
         for row in numbers["acquisitions"]
     )
     found["acquisition"] = Table(
