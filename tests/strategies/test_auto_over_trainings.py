@@ -169,6 +169,17 @@ def test_a_study_ends_when_no_training_is_likely_to_gain_what_was_asked_for():
     assert study.state.paid < 5.0
 
 
+def test_a_study_ends_early_when_nothing_is_left_that_pays():
+    simulator = Simulator(slow=1e-4, home=0.0)  # .6 at once, whatever is trained
+    study = created(SPACE, budget=15, bounds=(0.0, 0.6))
+    study.run(simulator.train, simulator.evaluate, progress=False)
+    assert study.stop_reason == "no training is expected to add 0.0005 to V per unit"
+    assert 1.0 < study.state.paid < 8.0
+    patient = created(SPACE, budget=15, strategy=Auto(least=0.0), bounds=(0.0, 0.6))
+    patient.run(simulator.train, simulator.evaluate, progress=False)
+    assert patient.state.paid == pytest.approx(15.0)
+
+
 # ---- what is known at a pick --------------------------------------------------------------------
 
 
