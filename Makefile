@@ -5,13 +5,21 @@
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := tools/install
-PROBLEM ?= cartpole-length
+PROBLEM ?= pendulum-mass
+BRIEF := --preset quick --timesteps 300000 --eval-episodes 20 --budget 5
+FIRST := runs/first
 PYTEST = $(BIN)/python -m pytest --numprocesses logical --dist worksteal --durations 25
 
 .PHONY: run test test-long lint format docs bench release-check pictures films clean
 
+# the paper's rule and the default, at a time; a page shows both
 run: .venv/run.stamp
-	$(BIN)/mbtl run $(PROBLEM)
+	mkdir -p $(FIRST)
+	$(BIN)/mbtl run $(PROBLEM) $(BRIEF) --strategy auto --study $(FIRST)/auto > $(FIRST)/auto.log 2>&1 & \
+	$(BIN)/mbtl run $(PROBLEM) $(BRIEF) --strategy mbtl --study $(FIRST)/mbtl; one=$$?; \
+	wait $$!; other=$$?; cat $(FIRST)/auto.log; exit $$((one + other))
+	$(BIN)/mbtl report $(FIRST)/mbtl $(FIRST)/auto --out $(FIRST)/report.html
+	$(BIN)/mbtl study list $(FIRST)
 
 # compiling is most of what tests with jax do: without its passes it takes a third of the time
 test: export XLA_FLAGS ?= --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false

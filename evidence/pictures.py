@@ -1,8 +1,8 @@
 """The pictures of README and docs/concepts.md, from shipped transfer matrices; nothing is trained.
 
 CartPole with 100 pole lengths, learnt by DQN: a policy of one length fails on others, so choosing
-pays. The study is the one that the paper's rule makes of the matrix. README's picture is of a merge
-onto a motorway, where advice is held for 1 to 40 s.
+pays. The study is the one that the paper's rule makes of the matrix. README's picture is of all
+transfer data: trainings of every kind, looked up.
 
 example: python evidence/pictures.py --write
 """
@@ -18,19 +18,32 @@ import numpy as np
 
 import mbtl
 from mbtl import plot
-from mbtl.plot.style import axes_for, dress, new_figure
+from mbtl.plot.style import DARK, GREY, axes_for, dress, new_figure
+from mbtl.strategies import Auto, get_strategy
+from mbtl.zoo.benchmark import levels
+from mbtl.zoo.benchmark.oracle import random_curve
+from mbtl.zoo.benchmark.trainings import TransferWorld, replay_trainings, specialists_of
+from mbtl.zoo.benchmark.transfers import load_transfers, transfer_ids
 
 DOCS = Path(__file__).parents[1] / "docs"
 NAME, SEED = "cartpole-length-dqn", 0
 COMPARED = "pendulum-length-hidden"
-README = "ramp-acc"
+UNITS = tuple(range(1, 16))
+OURS, PAPER, EVERY = "auto, the default", "mbtl, the paper's rule", "all 20 or more specialists"
+LOOKS = {
+    OURS: ("#d55e00", "o"),
+    "one policy for all, ever longer": ("#009e73", "s"),
+    PAPER: ("#0072b2", "^"),
+    "random specialists": (GREY, ""),
+}
+"""Colour and marker of each line of README's picture."""
 SOURCES = (9, 30, 70)
 """Contexts whose policies are drawn one by one."""
 
 
-def replayed(budget: int, name: str = NAME) -> mbtl.Study:
+def replayed(budget: int) -> mbtl.Study:
     """The study that the paper's rule makes when trainings are rows of the matrix."""
-    matrix = mbtl.load_matrix(name)
+    matrix = mbtl.load_matrix(NAME)
     study = mbtl.create_study(
         matrix.space, budget=budget, strategy="mbtl", objective=mbtl.Objective(matrix.bounds)
     )
@@ -84,17 +97,54 @@ def compared(ax: Any = None) -> Any:
 
 
 def readme() -> Any:
-    """V against the number of trainings, and which policy serves which context."""
+    """V for so many units on all transfer data; and with three of them on each CMDP."""
+    curves = {label: np.array(found) for label, found in replays().items()}  # (CMDP, budget)
+    every = curves.pop(EVERY)
     with plot.style():
-        left, right = new_figure(10.6, 3.6).subplots(1, 2)
-        matrix = mbtl.load_matrix(README)
-        mbtl.compare(
-            ["random", "greedy", "specialists", "mbtl", "oracle"], [matrix], 15, seeds=1
-        ).plot(ax=left)
-        left.set_title(f"{README}: {matrix.n} contexts, {matrix.n_seeds} seeds")
+        left, right = new_figure(10.0, 3.6).subplots(1, 2)
+        for label, (color, marker) in LOOKS.items():
+            means = curves[label].mean(axis=0)
+            bold = 2.2 if label == OURS else 1.3
+            left.plot(UNITS, means, color=color, marker=marker, ms=3.5, lw=bold, label=label)
+        left.axhline(every.mean(), color=GREY, ls=":", lw=1.0, label=EVERY)
+        left.set_xlabel("units paid: trainings of one context's length")
+        left.set_ylabel("performance on all contexts, V")
+        left.set_title(f"mean of {len(every)} CMDPs, three seeds each")
         left.legend(loc="lower right", fontsize=7)
-        plot.policy_map(replayed(15, README), ax=right)
+
+        names, at = [*reversed(transfer_ids())], np.arange(len(every))
+        third = {label: found[::-1, UNITS.index(3)] for label, found in curves.items()}
+        right.hlines(at, third[PAPER], third[OURS], color=GREY, lw=1.0)
+        for label in (PAPER, OURS):
+            color, marker = LOOKS[label]
+            right.plot(third[label], at, marker, color=color, ms=6, ls="", label=label)
+        right.plot(every[::-1], at, "|", color=DARK, ms=10, ls="", label=EVERY)
+        right.set_yticks(at, names)
+        right.set_xlabel("V with three units")
+        right.set_title("each CMDP")
+        right.legend(loc="upper left", fontsize=7)
     return left
+
+
+def replays() -> dict[str, list[list[float]]]:
+    """V of each CMDP at every budget, the mean over its seeds; trainings are looked up."""
+    found: dict[str, list[list[float]]] = {label: [] for label in (*LOOKS, EVERY)}
+    for name in transfer_ids():
+        data, theta = load_transfers(name), mbtl.get_cmdp(name).theta
+        matrix, seeds = specialists_of(data, theta), range(data.n_seeds)
+        rules = {
+            OURS: Auto().without(name.split("-")[0]),
+            PAPER: get_strategy("mbtl"),
+            "one policy for all, ever longer": get_strategy("one-policy"),
+        }
+        for label, rule in rules.items():
+            worlds = [TransferWorld(data, seed, theta) for seed in seeds]
+            runs = [replay_trainings(rule, world, UNITS[-1]) for world in worlds]
+            found[label].append(np.mean([[run.at(b) for b in UNITS] for run in runs], 0).tolist())
+        curves = [random_curve(matrix, seed, UNITS[-1]) for seed in seeds]
+        found["random specialists"].append(np.mean(curves, axis=0).tolist())
+        found[EVERY].append(np.mean([levels(matrix, seed).oracle_transfer for seed in seeds]))
+    return found
 
 
 PICTURES: dict[str, Callable[[], Any]] = {

@@ -123,10 +123,10 @@ def test_policies_that_are_the_same_are_said_to_be():
 @pytest.mark.parametrize(
     ("gain", "margin", "verdict"),
     [
-        (0.0010, 0.0046, "One policy would do: "),
+        (0.0010, 0.0046, "One policy is enough here: "),
         (0.0099, 0.0046, "Several policies are better than one, if not by much: "),
-        (0.0030, 0.0080, "Whether one policy would do cannot be said yet: "),
-        (0.0500, 0.0080, "One policy would not do: "),
+        (0.0030, 0.0080, "Whether one policy is enough cannot be said yet: "),
+        (0.0500, 0.0080, "One policy is not enough: "),
     ],
 )
 def test_the_verdict_follows_from_the_interval(gain, margin, verdict):
@@ -138,8 +138,19 @@ def test_verdict_tells_one_policy_from_many():
     flat = created(SPACE, budget=3, bounds=(0.0, 1.0), strategy="mbtl")
     for _ in range(3):
         flat.tell(flat.ask(), np.full((N, 2), 0.8))
-    assert summarise_study(flat).verdict.startswith("One policy would do")
-    assert summarise_study(study_of(4, episodes=2)).verdict.startswith("One policy would not do")
+    assert summarise_study(flat).verdict.startswith("One policy is enough here")
+    assert summarise_study(study_of(4, episodes=2)).verdict.startswith("One policy is not enough")
+
+
+def test_the_verdict_names_the_context_where_other_policies_are_missed_most():
+    study = created(SPACE, budget=3, bounds=(0.0, 1.0))
+    best, other = np.full((N, 2), 0.6), np.full((N, 2), 0.1)
+    other[15:] = [[0.7], [0.8], [0.9], [1.0], [0.8]]
+    study.tell(5, best)
+    study.tell(18, other)
+    verdict = summarise_study(study).verdict
+    where = SPACE.describe(SPACE.context(18))
+    assert f"Others serve 5 of {N} contexts, and are missed most at {where}." in verdict
 
 
 def test_verdict_is_silent_where_chance_decides():
@@ -149,7 +160,7 @@ def test_verdict_is_silent_where_chance_decides():
     for _ in range(3):
         noisy.tell(noisy.ask(), 0.8 + 0.3 * rng.standard_normal((N, 3)))
     summary = summarise_study(noisy)
-    assert summary.verdict.startswith("Whether one policy would do cannot be said yet")
+    assert summary.verdict.startswith("Whether one policy is enough cannot be said yet")
     assert summary.single_gain_margin > 0.01
 
 

@@ -137,6 +137,8 @@ class StudySummary:
     single_gain: float | None
     single_gain_margin: float | None
     policies_enough: int | None
+    served_by_others: int | None
+    most_needed: str | None
     serving: tuple[int, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -158,21 +160,22 @@ class StudySummary:
         gain, margin = self.single_gain, self.single_gain_margin
         if margin is None:
             return (
-                "Whether one policy would do cannot be said from one episode per context; evaluate "
-                "with more."
+                "Whether one policy is enough cannot be said from one episode per context; "
+                "evaluate with more."
             )
         bar = f" +- {margin:.4f}" if margin else ""
-        adds = f"the others add {gain:.4f}{bar} to the {self.best_single_value:.4f} of the best one"
+        adds = f"the others add {round(gain, 4) + 0.0:.4f}{bar} to the {self.best_single_value:.4f} of the best one"
         if gain + margin < ENOUGH_GAIN:
-            return f"One policy would do: {adds}."
+            return f"One policy is enough here: {adds}."
         if gain - margin >= ENOUGH_GAIN:
             return (
-                f"One policy would not do: {adds}. You need {self.policies_enough} policies for "
-                f"{ENOUGH:.0%} of that gain."
+                f"One policy is not enough: {adds}. Others serve {self.served_by_others} of "
+                f"{self.n_contexts} contexts, and are missed most at {self.most_needed}. You need "
+                f"{self.policies_enough} policies for {ENOUGH:.0%} of that gain."
             )
         if gain - margin > 0.0:
             return f"Several policies are better than one, if not by much: {adds}."
-        return f"Whether one policy would do cannot be said yet: {adds}."
+        return f"Whether one policy is enough cannot be said yet: {adds}."
 
 
 def summarise_study(study: Study) -> StudySummary:
@@ -207,6 +210,7 @@ def summarise_study(study: Study) -> StudySummary:
     else:
         best_single, served, v = fresh.best_single, fresh.served, fresh.value
         gain, gain_margin = fresh.gain, fresh.gain_margin
+    others = routing.believed.max(axis=0) - routing.believed[best_single]
     worst, evaluated = int(served.argmin()), [int(np.isfinite(row).sum()) for row in history.rows]
     counts = [row.episodes for row in state.rows]
     return StudySummary(
@@ -229,6 +233,8 @@ def summarise_study(study: Study) -> StudySummary:
         single_gain=gain,
         single_gain_margin=gain_margin,
         policies_enough=policies_enough(routing.believed, weights, risk=study.spec.risk),
+        served_by_others=int((routing.route != best_single).sum()),
+        most_needed=space.describe(space.context(int(others.argmax()))),
         serving=tuple(routing.route.tolist()),
     )
 
