@@ -111,17 +111,16 @@ def test_a_study_paid_in_steps_says_what_was_spent_on_what(mbtl_command, tmp_pat
     )  # fmt: skip
     study.equip(FunctionTrainer(lambda contexts, seed, *, start=None, length=None: 0, max))
     everyone = study.ask()
-    study.tell(everyone, np.full(12, 0.5), steps=90, checks=30, evaluation_steps=55)
+    study.tell(everyone, np.full(12, 0.5), steps=90, evaluation_steps=55)
     study.tell(study.ask(), np.full(12, 0.6), steps=100, evaluation_steps=45)
     code, out, err = mbtl_command("study", "show", "s.db")
     assert code == 0, err
     assert "all-first, 1K steps, N = 12" in out
     assert re.search(r"1\s+all contexts", out)
-    assert "Spent: 320 of 1K steps: 190 on trainings, 30 on checks, 100 on evaluation." in " ".join(
-        out.split()
-    )
+    said = " ".join(out.split())
+    assert "Spent: 290 of 1K steps: 190 on trainings, 100 on evaluation." in said
     (listed,) = json.loads(mbtl_command("study", "list", "s.db", "--json")[1])
-    assert (listed["spent"], listed["steps_spent"]) == ("320 of 1K steps", 320.0)
+    assert (listed["spent"], listed["steps_spent"]) == ("290 of 1K steps", 290.0)
     code, out, err = mbtl_command("report", "s.db", "--json")
     assert code == 0, err
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

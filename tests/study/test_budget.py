@@ -16,7 +16,7 @@ from mbtl.study.create import EPISODES
 from mbtl.trainers import FunctionTrainer, Progress, Trained, Trainer
 
 pytestmark = pytest.mark.filterwarnings("ignore::mbtl.errors.UnsavedPolicies")
-N, UNIT, EPISODE, CHECK = 8, 1_000, 25, 7
+N, UNIT, EPISODE = 8, 1_000, 25
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 7.0): N})
 ALL = tuple(range(N))
 
@@ -28,7 +28,7 @@ class Walker(Trainer):
     A policy is what it weighs, where it is at home and how many contexts it is for.
     """
 
-    made: dict = field(default_factory=lambda: dict.fromkeys(("train", "check", "play"), 0))
+    made: dict = field(default_factory=lambda: dict.fromkeys(("train", "play"), 0))
     begun: list = field(default_factory=list)
     breaks: object = None
     looks: object = None
@@ -45,7 +45,7 @@ class Walker(Trainer):
         self, contexts, seed, *, start=None, length=None, done=0.0, state=None,
         on_progress=None,
     ):  # fmt: skip
-        """A hundred steps at a time; each tenth of a unit it looks at itself."""
+        """A hundred steps at a time."""
         until = round(10 * (1.0 if length is None else length))
         begun, had, weight, momentum = "scratch", 0, seed % 89, 0.0
         if start is not None:
@@ -57,7 +57,6 @@ class Walker(Trainer):
             momentum = 0.9 * momentum + 1.0
             weight += momentum
             self.note("train", UNIT // 10)
-            self.note("check", CHECK)
             if on_progress is not None:
                 on_progress(Progress((one + 1) * UNIT // 10, until * UNIT // 10))
             if self.breaks is not None and self.breaks(contexts, one):
@@ -66,8 +65,7 @@ class Walker(Trainer):
             state.write_text(json.dumps([until, weight, momentum]))
         home = float(np.mean([c["x"] for c in contexts]))
         policy = {"weight": weight, "home": home, "wide": len(contexts)}
-        known = until if begun == "state" else until - had  # a state remembers all checks
-        return Trained(policy, until * UNIT // 10, known * CHECK)
+        return Trained(policy, until * UNIT // 10)
 
     def evaluate_steps(self, policy, contexts, seeds):
         if self.looks is not None:
@@ -140,7 +138,6 @@ def test_the_bill_is_what_was_played_and_stays_within_the_budget(strategy, paral
     run(study, trainer, parallel)
     bill = study.state.bill()
     assert bill.training + bill.extension == trainer.made["train"]
-    assert bill.checks == trainer.made["check"]
     assert bill.evaluation == trainer.made["play"]
     assert bill.total == sum(trainer.made.values())
     assert bill.failed == bill.under_way == 0.0
@@ -152,15 +149,7 @@ def test_the_bill_is_what_was_played_and_stays_within_the_budget(strategy, paral
 @pytest.mark.parametrize("parallel", [1, 2])
 def test_the_last_steps_are_for_a_few_targets(parallel):
     each, row = 2 * EPISODE, N * 2 * EPISODE
-
-    class Silent(Walker):
-        """One that makes no checks."""
-
-        def train(self, contexts, seed, **asked):
-            made = super().train(contexts, seed, **asked)
-            return Trained(made.policy, made.steps)
-
-    study, trainer = in_steps(2 * (UNIT + row) + UNIT + 3 * each + 1, "random"), Silent()
+    study, trainer = in_steps(2 * (UNIT + row) + UNIT + 3 * each + 1, "random"), Walker()
     run(study, trainer, parallel)
     counts = [int(np.isfinite(row.returns).sum()) for row in study.state.rows]
     assert sorted(counts) == [3, N, N]
@@ -182,8 +171,7 @@ def test_whatever_is_left_at_the_end_a_study_ends(strategy):
         run(study, trainer)
         assert study.is_finished, total
         assert study.state.bill().total == sum(trainer.made.values())
-        unknown = 10 * CHECK + UNIT // 10  # checks of the first one, and a length rounded up
-        assert study.state.bill().total <= total + unknown
+        assert study.state.bill().total <= total + UNIT // 10  # a length is rounded up
 
 
 def test_a_budget_in_steps_is_raised_in_steps_and_only_raised():
@@ -309,7 +297,7 @@ def test_a_training_goes_on_exactly_or_with_its_weights(tmp_path, where, lost):
     found = weights_of(study, trainer, 2.0)
     assert (found == at_once) == (lost == "nothing")
     second = study.state.rows[1]
-    assert (second.steps, second.checks) == (2 * UNIT, 20 * CHECK)
+    assert second.steps == 2 * UNIT
     assert study.pick(0).seed == study.pick(1).seed
     if lost != "nothing":  # from its weights, the momentum is gone
         momentum = [10.0 * (1.0 - 0.9 ** (i + 1)) for i in range(10)]
@@ -352,7 +340,7 @@ def test_a_policy_that_was_not_evaluated_keeps_its_bill_and_its_state(tmp_path, 
     again = mbtl.load_study(tmp_path / "s.db")
     run(again, trainer)
     row = again.state.rows[1]
-    assert (row.length, row.steps, row.checks) == (2.0, 2 * UNIT, 20 * CHECK)
+    assert (row.length, row.steps) == (2.0, 2 * UNIT)
     assert not again.state.deferred
     again.extend(4)
     run(again, trainer)

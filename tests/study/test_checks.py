@@ -77,12 +77,12 @@ def any_training(tmp_path):
         strategy=Scripted(), storage=tmp_path / "any.db",
     )  # fmt: skip
     state = Artifact("policies/all.state", "0" * 64)
-    made.tell(made.ask(), np.ones((2, 3)), policy="policies/all", steps=1_000, checks=50,
+    made.tell(made.ask(), np.ones((2, 3)), policy="policies/all", steps=1_000,
               training_state=state, evaluation_steps=300)  # fmt: skip
     longer = made.begin_again(made.ask(), "diverged", steps=1_200)
     made.defer(longer, "no display")
-    made.tell(longer, np.full((6, 3), 2.0), steps=2_500, checks=90)
-    made.tell(made.ask(), np.full((2, 3), 3.0), ended=True)
+    made.tell(longer, np.full((6, 3), 2.0), steps=2_500)
+    made.tell(made.ask(), np.full((2, 3), 3.0))
     made.tell(made.ask(), np.full((2, 3), 4.0), evaluation_steps=250)
     alone = made.ask()
     made.release(alone)
@@ -326,7 +326,6 @@ def test_any_damage_to_the_database_gets_a_sentence(study, tmp_path):
         ("told", 0, {"targets": [3, 0]}, "`targets` must be different .* rising"),
         ("told", 0, {"state": "../.ssh"}, "`state` must be a folder inside"),
         ("told", 0, {"steps": -1.0}, "`steps` must be a finite number >= 0"),
-        ("told", 0, {"checks": float("nan")}, "`checks` must be a finite number >= 0"),
         ("told", 3, {"evaluation_steps": "few"}, "`evaluation_steps` must be a finite"),
         ("late", 0, {"episodes": None}, "`episodes` must be a whole number"),
         ("late", 0, {"targets": 3}, "`targets` must be"),

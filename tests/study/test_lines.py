@@ -1,6 +1,5 @@
 """What people ask a study for: its trainings as lines, what a run gave, ending early."""
 
-import copy
 import sys
 
 import numpy as np
@@ -88,15 +87,6 @@ def test_a_run_says_what_it_gave():
     assert (result.failures, result.seconds > 0.0) == ((), True)
     assert len(result.portfolio()) == 4
     assert "4 trainings told" in repr(result)
-
-
-def test_what_run_gives_may_be_used_as_the_study_until_0_3():
-    result = study_of().run(trainer=TRAINER, progress=False)
-    with pytest.warns(DeprecationWarning, match=r"write \.study\.spec instead of \.spec"):
-        assert result.spec is result.study.spec
-    with pytest.raises(AttributeError, match="no_such_thing"):
-        _ = result.no_such_thing
-    assert copy.copy(result).study is result.study
 
 
 def test_notebooks_show_tables_in_which_nothing_is_code():

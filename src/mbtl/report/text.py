@@ -85,7 +85,6 @@ def lines(summary: StudySummary, space: ContextSpace) -> list[str]:
         parts = {
             "trainings": summary.bill["training"],
             "going on": summary.bill["extension"],
-            "checks": summary.bill["checks"],
             "evaluation": summary.bill["evaluation"],
             "failed trainings": summary.bill["failed"],
             "what is under way": summary.bill["under_way"],

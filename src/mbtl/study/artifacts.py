@@ -128,13 +128,11 @@ class FolderStore:
             ) from error
 
     def receipt(self, place: str) -> Mapping[str, Any] | None:
-        """Of version 0.1, whose receipts have no hash, it is computed."""
-        folder = inside(self.root, place, "a study")
+        """One small file."""
         try:
-            record = _record((folder / RECEIPT).read_bytes())
+            return _record((inside(self.root, place, "a study") / RECEIPT).read_bytes())
         except OSError:
             return None
-        return record if record is None or "sha256" in record else _hashed(record, folder)
 
     def read(self, place: str, sha256: str | None = None) -> Path:
         """The folder itself."""
@@ -296,10 +294,6 @@ def _check(folder: Path, place: str, sha256: str) -> None:
             f"the policy in {place} is not the one that was told: its files have changed since; "
             "restore a copy of it, or take its row back with study.void"
         )
-
-
-def _hashed(record: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
-    return {**record, "sha256": _digest(folder)}
 
 
 def _record(content: bytes) -> Mapping[str, Any] | None:

@@ -291,7 +291,7 @@ class Batches:
         if row.state and (pick.done or (pick.trains and "inherit" in self.trainer.takes)):
             state = Artifact(row.state, row.state_sha256 or "")
         policy = self.study.policies.get(place)
-        return Kept(policy, kept, row.steps, checks=row.checks), state
+        return Kept(policy, kept, row.steps), state
 
     def _keep(self, pick: Pick, kept: Kept | None) -> None:
         """Hold on to a policy that is nowhere else."""
@@ -311,8 +311,6 @@ class Batches:
             policy=kept.artifact if pick.trains else None,
             policy_object=kept.policy if pick.trains else None,
             training_state=kept.state,
-            ended=kept.ended,
-            checks=kept.checks,
             evaluation_steps=outcome.evaluation_steps,
         )
         self.study.untold.pop(pick.number, None)

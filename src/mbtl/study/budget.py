@@ -14,7 +14,7 @@ from mbtl.plain import is_finite, short, whole
 
 @dataclass(frozen=True)
 class Steps:
-    """Environment steps, all in: of trainings, of checks they make of themselves, of evaluations.
+    """Environment steps, all in: of trainings and of evaluations.
 
     Attributes:
         total: steps that the study may spend.
@@ -68,7 +68,6 @@ class Bill:
     Attributes:
         training: of new trainings.
         extension: of trainings that went on.
-        checks: of evaluations that trainings made of themselves.
         evaluation: of episodes of policies on targets.
         failed: of trainings that gave nothing.
         under_way: of picks that are not answered, as is expected.
@@ -76,7 +75,6 @@ class Bill:
 
     training: float = 0.0
     extension: float = 0.0
-    checks: float = 0.0
     evaluation: float = 0.0
     failed: float = 0.0
     under_way: float = 0.0

@@ -51,17 +51,13 @@ class Kept:
         policy: itself.
         artifact: where it is safe; None: nowhere so far.
         steps: environment steps of its training; None: unknown.
-        ended: longer would be the same policy.
         state: where the state of its training is, to go on from exactly; None: nowhere.
-        checks: environment steps of evaluations that its training made of itself.
     """
 
     policy: Any
     artifact: Artifact | None = None
     steps: float | None = None
-    ended: bool = False
     state: Artifact | None = None
-    checks: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -325,9 +321,7 @@ def _found(job: Job, artifact: Artifact) -> Kept:
         job.trainer.load(_folder(job, artifact)),
         artifact,
         receipt.get("steps"),
-        bool(receipt.get("ended")),
         Artifact(*state) if isinstance(state, list) and len(state) == 2 else None,
-        float(receipt.get("checks") or 0.0),
     )
 
 
@@ -369,7 +363,6 @@ def _trained(job: Job, on_progress: _Steps) -> Kept:
     if own is not None and left is not None and not own.exists():
         with contextlib.suppress(OSError):
             _copy_whole(left, own)
-    exact = own is not None and own.exists()
     trained = job.trainer.train(
         [dict(context) for context in job.contexts],
         job.seed,
@@ -379,13 +372,10 @@ def _trained(job: Job, on_progress: _Steps) -> Kept:
         state=own,
         on_progress=on_progress,
     )
-    checks = float(trained.checks)
-    if job.done and job.start is not None and not exact:  # those before are not known to it
-        checks += job.start.checks
     steps = None if trained.steps is None else float(trained.steps)
     if steps is None and (not job.done or isinstance(job.trainer, FunctionTrainer)):
         steps = on_progress.done
-    return Kept(trained.policy, None, steps, trained.ended, checks=checks)
+    return Kept(trained.policy, None, steps)
 
 
 def _copy_whole(source: Path, target: Path) -> None:
@@ -458,8 +448,7 @@ def _save(job: Job, kept: Kept) -> Artifact | None:
         return None
     made, fill = equipment_of(job.trainer), partial(job.trainer.save, kept.policy)
     receipt: dict[str, Any] = {"seed": job.seed, "contexts": [dict(c) for c in job.contexts]}
-    receipt |= {"format": made["policy_format"], "recipe": made["recipe"]}
-    receipt |= {"steps": kept.steps, "ended": kept.ended, "checks": kept.checks}
+    receipt |= {"format": made["policy_format"], "recipe": made["recipe"], "steps": kept.steps}
     if kept.state is not None:
         receipt["state"] = [kept.state.place, kept.state.sha256]
     try:

@@ -86,7 +86,7 @@ def delete_study(
         StorageError: no database there, or it cannot be written.
         StudyError: no such study, several and no name, or somebody runs it just now.
     """
-    from sqlalchemy import delete, inspect
+    from sqlalchemy import delete
 
     address = database_at(storage)
     name = chosen_name(address, name)
@@ -99,8 +99,7 @@ def delete_study(
         writer = engine.execution_options(**{WRITES: True})
         with database_errors(address), writer.begin() as connection:
             for one in (table, heartbeats):
-                if inspect(connection).has_table(one.name):
-                    connection.execute(delete(one).where(one.c.study == name))
+                connection.execute(delete(one).where(one.c.study == name))
     finally:
         engine.dispose()
     if isinstance(store, FolderStore) and not keep_policies:

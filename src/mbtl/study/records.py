@@ -104,8 +104,6 @@ class ToldRow:
         length: units of the training.
         state: folder of the training's state, to go on from exactly; None: there is none.
         state_sha256: of its files.
-        ended: longer would be the same policy.
-        checks: environment steps of the evaluations that the training made of itself so far.
         evaluation_steps: environment steps of its evaluations on targets; None: not known.
     """
 
@@ -126,8 +124,6 @@ class ToldRow:
     length: float = 1.0
     state: str | None = None
     state_sha256: str | None = None
-    ended: bool = False
-    checks: float = 0.0
     evaluation_steps: float | None = None
 
     @cached_property

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mbtl.arrays import Array
 from mbtl.study.closing_report import FreshValue
@@ -48,21 +47,6 @@ class RunResult:
     def portfolio(self) -> Portfolio:
         """The trained policies with their router; see `Study.portfolio`."""
         return self.study.portfolio()
-
-    if not TYPE_CHECKING:  # type checkers say at once that it is no study any more
-
-        def __getattr__(self, name: str) -> Any:
-            """What the study has: `run` gave the study itself in version 0.1."""
-            if name.startswith("_") or name == "study":
-                raise AttributeError(f"a {type(self).__name__} has no {name!r}")
-            found = getattr(self.study, name)
-            warnings.warn(
-                f"run gives a RunResult since mbtl 0.2, and no study: write .study.{name} instead "
-                f"of .{name}, which goes in 0.3",
-                DeprecationWarning,
-                stacklevel=2,
-            )
-            return found
 
     def __repr__(self) -> str:
         where = "on fresh episodes" if self.fresh is not None else "estimated"

@@ -249,9 +249,9 @@ class StudyState:
 
     @property
     def unit_steps(self) -> float:
-        """Environment steps that a unit is expected to cost, with its checks of itself so far."""
-        training, extension, checks = self._trained()
-        return self._unit * (1.0 + checks / max(training + extension, 1.0))
+        """Environment steps that a unit costs."""
+        assert self.spec is not None
+        return float(self.spec.unit or 0)
 
     @property
     def target_steps(self) -> float:
@@ -274,23 +274,12 @@ class StudyState:
 
         Rows that nobody asked for are free.
         """
-        training, extension, checks = self._trained()
-        open_ = sum(self.expected_steps(pick) for pick in self.open_picks.values())
-        return Bill(training, extension, checks, self.evaluation_steps, self.lost_steps, open_)
-
-    def _trained(self) -> tuple[float, float, float]:
-        """Environment steps of new trainings, of those that went on, and of their checks."""
-        training, extension, checks = 0.0, 0.0, 0.0
+        spent = {True: 0.0, False: 0.0}  # on trainings that went on, on new ones
         for row in self._told_by.values():
-            if row.pick is None:
-                continue
-            own, before = self._own_steps(self.picks[row.pick], row.steps), self._before(row)
-            if row.goes_on:
-                extension += own
-            else:
-                training += own
-            checks += max(row.checks - (0.0 if before is None else before.checks), 0.0)
-        return training, extension, checks
+            if row.pick is not None:
+                spent[row.goes_on] += self._own_steps(self.picks[row.pick], row.steps)
+        open_ = sum(self.expected_steps(pick) for pick in self.open_picks.values())
+        return Bill(spent[False], spent[True], self.evaluation_steps, self.lost_steps, open_)
 
     def _before(self, row: ToldRow) -> ToldRow | None:
         """The row that a training went on from; None: it did not."""
@@ -301,7 +290,7 @@ class StudyState:
         before = self._parent(pick.start) if pick.done else None
         had = 0.0 if before is None else before.steps
         if steps is None or had is None:
-            return self._unit * pick.price
+            return self.unit_steps * pick.price
         return max(steps - had, 0.0)
 
     def _pay_evaluation(self, targets: int, steps: float | None) -> None:
@@ -317,11 +306,6 @@ class StudyState:
         assert self.spec is not None
         count = self.spec.space.n if pick.targets is None else len(pick.targets)
         return self.unit_steps * pick.price + self.target_steps * count
-
-    @property
-    def _unit(self) -> float:
-        assert self.spec is not None
-        return float(self.spec.unit or 0)
 
     def said(self, one: PickRecord | ToldRow) -> str:
         """A training for people: "all contexts, 1 to 2 units", "x = 7, tuned from training 1"."""
@@ -507,8 +491,6 @@ class StudyState:
             pick.length,
             data.get("state"),
             data.get("state_sha256"),
-            bool(data.get("ended")),
-            data.get("checks") or 0.0,
             data.get("evaluation_steps"),
         )
         self.rows.append(row)

@@ -151,7 +151,6 @@ class SqlLog:
             check_name(study)
         self.patience = Patience()
         self._engine, self._table, self._heartbeats = open_database(self.url, create=create)
-        self._has_beats = False
         self._turns = Turns(self._engine, study)
         weakref.finalize(self, self._engine.dispose)  # a server's connections end with the log
 
@@ -235,24 +234,18 @@ class SqlLog:
         mine = (t.c.study == self.study) & (t.c.token == token)
 
         def write(connection: Connection) -> None:
-            if not self._has_beats:  # version 0.1 had none
-                t.create(connection, checkfirst=True)
             if not connection.execute(update(t).where(mine).values(**facts)).rowcount:
                 connection.execute(insert(t).values(study=self.study, token=token, **facts))
 
         self._do(write, writes=True)
-        self._has_beats = True
 
     def beats(self) -> Mapping[str, Beat]:
         """The rows of this study; see `EventLog`."""
-        from sqlalchemy import inspect, select
+        from sqlalchemy import select
 
         t = self._heartbeats
 
         def fetch(connection: Connection) -> dict[str, Beat]:
-            if not self._has_beats and not inspect(connection).has_table(t.name):
-                return {}
-            self._has_beats = True
             columns = (t.c.token, t.c.expires, t.c.steps, t.c.value)
             rows = connection.execute(select(*columns).where(t.c.study == self.study))
             return {token: Beat(*facts) for token, *facts in rows}

@@ -471,8 +471,6 @@ class Study:
         policy: str | Artifact | None = None,
         policy_object: Any = None,
         training_state: Artifact | None = None,
-        ended: bool = False,
-        checks: float | None = None,
         evaluation_steps: float | None = None,
     ) -> bool:
         """Record the transfer row of one trained policy, or further entries of one.
@@ -493,8 +491,6 @@ class Study:
                 with its hash, which is then checked whenever it is read.
             policy_object: the policy itself, kept in this process only.
             training_state: saved state of the training, to go on from exactly.
-            ended: longer would give the same policy.
-            checks: environment steps that the training spent on evaluations of itself so far.
             evaluation_steps: of the evaluation told here; None: each episode counts as the longest.
 
         Returns:
@@ -529,8 +525,6 @@ class Study:
             "sha256": policy.sha256 if isinstance(policy, Artifact) else None,
             "state": None if training_state is None else training_state.place,
             "state_sha256": None if training_state is None else training_state.sha256,
-            "ended": ended,
-            "checks": finite("checks", checks, 0.0),
             "evaluation_steps": finite("evaluation_steps", evaluation_steps, 0.0),
         }
         if isinstance(pick, Pick) and pick.token:

@@ -97,16 +97,12 @@ class Trained:
     Attributes:
         policy: with its latest weights; of a whole training those that the recipe says, which may
             be the best.
-        steps: environment steps of the training so far, its parents' not counted; None: unknown.
-        checks: environment steps of the evaluations that it made of itself so far, where a length
-            was asked for.
-        ended: nothing is left to gain on its own contexts; longer would be the same policy.
+        steps: environment steps of the training so far, those in which it evaluated itself too,
+            its parents' not; None: unknown.
     """
 
     policy: Any
     steps: int | None = None
-    checks: int = 0
-    ended: bool = False
 
 
 class Trainer(Protocol):
