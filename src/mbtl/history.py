@@ -154,12 +154,6 @@ class History:
         """The history after `source` was proposed and before it is told."""
         return replace(self, pending=(*self.pending, int(source)))
 
-    def with_asked(self, training: Training) -> History:
-        """The history after any training was proposed and before it is told."""
-        if training.is_specialist:
-            return self.with_pending(training.contexts[0])
-        return replace(self, under_way=(*self.under_way, training))
-
     def with_failure(self, source: int) -> History:
         """The history after the training on `source` failed."""
         pending = tuple(p for p in self.pending if p != source)

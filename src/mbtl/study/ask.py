@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from mbtl.contexts.words import middle_of
 from mbtl.errors import InvalidInput
-from mbtl.history import History, Training
+from mbtl.history import History
 from mbtl.seeds import selection_rng
-from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, open_candidates
+from mbtl.selectors.base import Exhausted, Proposal, open_candidates
 from mbtl.selectors.contract import Selector
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
 from mbtl.study.leases import PROPOSING, Watch, asker, new_token
 from mbtl.study.pick import StudyFinished
-from mbtl.study.records import PickRecord
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
 from mbtl.threads import threads_for
@@ -84,7 +83,6 @@ def claim(
 
 def stop_reason(state: StudyState) -> str | None:
     """Why nothing more can be asked; None while something can."""
-    assert state.spec is not None
     reason = _early_stop(state) or state.stopped
     if reason is not None:
         return reason
@@ -102,7 +100,6 @@ def stop_reason(state: StudyState) -> str | None:
 def _spent(state: StudyState) -> str | None:
     """That no training can be paid any more; None: one can be."""
     spec = state.spec
-    assert spec is not None
     if spec.steps is None:
         over = state.paid > spec.budget - LEAST_UNIT
         return f"the budget of {spec.budget} trainings is spent" if over else None
@@ -133,7 +130,6 @@ def is_open(state: StudyState, facts: Mapping[str, Any]) -> bool:
 
     Others may have come to the same meanwhile.
     """
-    assert state.spec is not None
     start = facts.get("start")
     if start is not None and state.place_of(start) < 0:
         return False
@@ -149,7 +145,6 @@ def is_open(state: StudyState, facts: Mapping[str, Any]) -> bool:
 
 def _is_affordable(state: StudyState, facts: Mapping[str, Any]) -> bool:
     """True where a pick of these facts may be asked for at this moment."""
-    assert state.spec is not None
     pick, most = state.planned(facts), state.spec.cost_budget
     if pick.price > state.units_left + LEAST_UNIT or not is_open(state, facts):
         return False
@@ -161,7 +156,6 @@ def _is_affordable(state: StudyState, facts: Mapping[str, Any]) -> bool:
 
 def _steps_left(state: StudyState) -> float:
     """Environment steps that are left of the budget; infinite where they are not counted."""
-    assert state.spec is not None
     return np.inf if state.spec.steps is None else state.spec.steps - state.bill().total
 
 
@@ -172,7 +166,6 @@ def ahead(state: StudyState, watch: Watch, worker: str) -> int:
     is none, since that looks at the newest rows.
     """
     spec = state.spec
-    assert spec is not None
     if spec.stop_gain is not None or spec.stop_left is not None:
         return 0
     busy = [pick.worker for pick in state.open_picks.values() if pick.worker is not None]
@@ -201,7 +194,6 @@ def others(state: StudyState, watch: Watch, worker: str, *, for_ever: bool = Tru
 def _early_stop(state: StudyState) -> str | None:
     """The level or the cost budget that was reached; picks given back are not trained then."""
     spec = state.spec
-    assert spec is not None
     if spec.stop_value is not None and state.rows:
         now = state.routing().value
         least = now.at_least(spec.stop_confidence)
@@ -229,74 +221,11 @@ def _nothing_left(state: StudyState, spec: StudySpec) -> str | None:
     return f"V = {now.value:.4f} is within {spec.stop_left:g} of the largest there can be, {most:g}"
 
 
-@dataclass(frozen=True)
-class Moment:
-    """A study as it is when a proposal is begun; others may tell meanwhile.
-
-    Attributes:
-        spec: of it.
-        problem: what the strategy may know before any training.
-        known: what is known so far.
-        number: of the next pick.
-        trained: how many picks before it were trainings.
-        told: numbers of the events that told the rows of `known`.
-        planned: a pick as its facts say it.
-        cost: what that is expected to cost, in the unit of the cost budget.
-        steps: likewise, environment steps.
-        steps_left: of the budget; infinite where they are not counted.
-    """
-
-    spec: StudySpec
-    problem: SelectionProblem
-    known: History
-    number: int
-    trained: int
-    told: tuple[int, ...]
-    planned: Callable[[Mapping[str, Any]], PickRecord]
-    cost: Callable[[PickRecord], float]
-    steps: Callable[[PickRecord], float]
-    steps_left: float
-
-    def training(self, pick: PickRecord) -> Training:
-        """What is asked for, as a strategy sees it."""
-        start = None if pick.start is None else self.told.index(pick.start)
-        return Training(pick.sources, start, pick.length, pick.done > 0.0)
-
-    @classmethod
-    def of(cls, state: StudyState) -> Moment:
-        """Now."""
-        assert state.spec is not None
-        return cls(
-            state.spec,
-            state.problem(),
-            state.history(),
-            len(state.picks),
-            sum(pick.price > 0.0 for pick in state.picks),
-            tuple(row.event for row in state.rows),
-            state.planned,
-            state.usual_cost,
-            state.expected_steps,
-            _steps_left(state),
-        )
-
-    def after(self, facts: Mapping[str, Any]) -> Moment:
-        """When that was asked for and is under way."""
-        pick = self.planned(facts)
-        training = self.training(pick)
-        known = replace(
-            self.known.with_asked(training),
-            spent=self.known.spent + (0.0 if self.spec.costs is None else self.cost(pick)),
-            paid=self.known.paid + pick.price,
-        )
-        trained, left = self.trained + (pick.price > 0.0), self.steps_left - self.steps(pick)
-        return replace(self, known=known, number=self.number + 1, trained=trained, steps_left=left)
-
-
-def propose(moment: Moment, strategy: Selector, more: int = 0) -> dict[str, Any] | str:
+def propose(state: StudyState, strategy: Selector, more: int = 0) -> dict[str, Any] | str:
     """The facts of the next pick, or why one more training is not worth it.
 
     Args:
-        moment: of the study.
+        state: of the study, a copy: others may tell meanwhile.
         strategy: proposes.
         more: picks to propose ahead, each as if those before it were under way.
 
@@ -304,16 +233,16 @@ def propose(moment: Moment, strategy: Selector, more: int = 0) -> dict[str, Any]
         StudyFinished: nothing is left to propose.
         InvalidInput: the strategy breaks its contract.
     """
-    number, first = moment.number, _proposed(moment, strategy)
+    number, first = len(state.picks), _proposed(state, strategy)
     if isinstance(first, str):
         return first
     facts, following, began = first, list[dict[str, Any]](), time.monotonic()
     for _ in range(more):
         if time.monotonic() - began > _LONGEST:
             break
-        moment = moment.after(facts)
+        state = state.after(facts)
         try:
-            found = _proposed(moment, strategy)
+            found = _proposed(state, strategy)
         except StudyFinished:
             break
         if isinstance(found, str):
@@ -323,14 +252,15 @@ def propose(moment: Moment, strategy: Selector, more: int = 0) -> dict[str, Any]
     return {"pick": number, **first, **({"ahead": following} if following else {})}
 
 
-def _proposed(moment: Moment, strategy: Selector) -> dict[str, Any] | str:
+def _proposed(state: StudyState, strategy: Selector) -> dict[str, Any] | str:
     """The facts of one pick, but for the number; or why there is none until something is told.
 
     Raises:
         StudyFinished: no context is left.
     """
-    spec, problem, known = moment.spec, moment.problem, moment.known
-    rng = selection_rng(spec.seed, spec.trial, moment.trained)
+    spec, problem, known = state.spec, state.problem(), state.history()
+    trained = sum(pick.price > 0.0 for pick in state.picks)
+    rng = selection_rng(spec.seed, spec.trial, trained)
     seen = known if spec.any_training else known.specialists()
     try:
         with threads_for(problem.n):
@@ -339,26 +269,26 @@ def _proposed(moment: Moment, strategy: Selector) -> dict[str, Any] | str:
         if spec.any_training:  # for the moment: what is under way may be gone on with
             return str(error)
         raise StudyFinished(f"the study is finished: {error}") from error
-    _check_proposal(moment, seen, strategy, proposal)
+    _check_proposal(state, seen, strategy, proposal)
     enough = _enough(spec, proposal)
     if enough is not None and len(known) >= LEAST_ROWS:
         return enough
-    facts = _facts(moment, proposal)
+    facts = _facts(state, proposal)
     left = np.inf if spec.cost_budget is None else spec.cost_budget * (1.0 + 1e-9) - known.spent
-    if spec.costs is not None and moment.cost(moment.planned(facts)) > left:
+    if spec.costs is not None and state.usual_cost(state.planned(facts)) > left:
         return (
             f"of the cost budget of {spec.cost_budget:g} {max(left, 0.0):g} are left, and what is "
             "wanted next costs more"
         )
-    return facts if moment.steps_left == np.inf else _within(moment, facts)
+    return facts if spec.steps is None else _within(state, facts)
 
 
-def _facts(moment: Moment, proposal: Proposal) -> dict[str, Any]:
+def _facts(state: StudyState, proposal: Proposal) -> dict[str, Any]:
     """As they are logged, but for the number."""
-    spec, sources = moment.spec, proposal.contexts
+    spec, sources = state.spec, proposal.contexts
     facts: dict[str, Any] = {
         "sources": list(sources),
-        "start": None if proposal.start is None else moment.told[proposal.start],
+        "start": None if proposal.start is None else state.rows[proposal.start].event,
         "length": None if proposal.length is None else float(proposal.length),
         "reason": proposal.reason,
         "acquisition": proposal.acquisition,
@@ -367,34 +297,33 @@ def _facts(moment: Moment, proposal: Proposal) -> dict[str, Any]:
     targets = proposal.targets
     if targets is None and spec.eval_targets is not None:
         middle = middle_of(sources, spec.space.steps)
-        targets = spread_targets(moment.problem, middle, spec.eval_targets)
+        targets = spread_targets(state.problem(), middle, spec.eval_targets)
     if targets is not None:
         facts["targets"] = sorted(int(target) for target in targets)
     return facts
 
 
-def _within(moment: Moment, facts: dict[str, Any]) -> dict[str, Any] | str:
+def _within(state: StudyState, facts: dict[str, Any]) -> dict[str, Any] | str:
     """The facts of a pick, on as few targets as there are steps for; or that these are too few."""
-    pick = moment.planned(facts)
-    alone = replace(pick, targets=())
-    n = moment.spec.space.n
+    pick, left = state.planned(facts), _steps_left(state)
+    n, training = state.spec.space.n, state.expected_steps(replace(pick, targets=()))
     count = n if pick.targets is None else len(pick.targets)
-    each = (moment.steps(pick) - moment.steps(alone)) / count
-    affordable = count if each == 0.0 else int((moment.steps_left - moment.steps(alone)) // each)
-    if moment.steps_left >= moment.steps(alone) and affordable >= count:
+    each = state.target_steps
+    affordable = count if each == 0.0 else int((left - training) // each)
+    if left >= training and affordable >= count:
         return facts
-    if moment.steps_left < moment.steps(alone) or affordable < min(LEAST_TARGETS, n):
+    if left < training or affordable < min(LEAST_TARGETS, n):
         return (
-            f"of the budget of {moment.spec.steps:,} steps {max(moment.steps_left, 0.0):,.0f} are "
-            "left, and what is wanted next costs more"
+            f"of the budget of {state.spec.steps:,} steps {max(left, 0.0):,.0f} are left, and what "
+            "is wanted next costs more"
         )
-    targets = spread_targets(moment.problem, pick.source, affordable)
+    targets = spread_targets(state.problem(), pick.source, affordable)
     if pick.targets is not None:
         targets = tuple(sorted(pick.targets)[:affordable])
     return {**facts, "targets": sorted(targets)}
 
 
-def _check_proposal(moment: Moment, seen: History, strategy: Selector, proposal: Any) -> None:
+def _check_proposal(state: StudyState, seen: History, strategy: Selector, proposal: Any) -> None:
     """A user's own strategy may give anything."""
     name, n = getattr(strategy, "name", type(strategy).__name__), seen.n_targets
     if not isinstance(proposal, Proposal):
@@ -411,8 +340,8 @@ def _check_proposal(moment: Moment, seen: History, strategy: Selector, proposal:
         )
     if proposal.targets is not None:
         checked_targets(proposal.targets, n)
-    if moment.spec.any_training:
-        _check_training(moment, name, proposal)
+    if state.spec.any_training:
+        _check_training(state, name, proposal)
         return
     if len(some) > 1 or proposal.start is not None or proposal.length is not None:
         raise InvalidInput(
@@ -426,9 +355,9 @@ def _check_proposal(moment: Moment, seen: History, strategy: Selector, proposal:
         )
 
 
-def _check_training(moment: Moment, name: str, proposal: Proposal) -> None:
+def _check_training(state: StudyState, name: str, proposal: Proposal) -> None:
     """Whether there is such a policy to begin with, and the trainer can do what is asked."""
-    spec, seen, start, length = moment.spec, moment.known, proposal.start, proposal.length
+    spec, seen, start, length = state.spec, state.history(), proposal.start, proposal.length
     if start is not None and not (isinstance(start, (int, np.integer)) and 0 <= start < len(seen)):
         raise InvalidInput(
             f"a training begins with the policy of a row, 0 to {len(seen) - 1}, got "
@@ -454,13 +383,13 @@ def _check_training(moment: Moment, name: str, proposal: Proposal) -> None:
         "length": length not in (None, 0.0),
     }
     for ability, wanted in asked.items():
-        if wanted and ability not in (moment.problem.abilities or ()):
+        if wanted and ability not in (state.abilities):
             raise InvalidInput(
                 f"the trainer of this study cannot do what {name!r} asks for, {_WORDS[ability]}; "
                 "give another trainer, or a strategy that heeds `problem.abilities`"
             )
-    pick = moment.planned(_facts(moment, proposal))
-    if length != 0.0 and moment.training(pick) in seen.asked:
+    pick = state.planned(_facts(state, proposal))
+    if length != 0.0 and state.training_of(pick) in seen.asked:
         raise InvalidInput(
             f"a training is asked for once, got one that is done, under way or failed from "
             f"{name!r}: {proposal}; `history.asked` has them"

@@ -208,7 +208,7 @@ _SPEC: dict[str, Rule] = {
 
 def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
     """The facts that an event of this kind must hold now."""
-    if state.spec is None:
+    if not state.seq:
         return {"version": _TEXT, "uid": _UID, "spec": (_is_record, "a record")}
     n, asked, least, now = (
         state.spec.space.n, len(state.picks), state.spec.budget, state.spec.steps
@@ -329,7 +329,7 @@ def _facts(event: Event, state: StudyState) -> dict[str, Rule]:
 def _shapes(event: Event, state: StudyState) -> dict[str, tuple[int, ...]]:
     """The arrays that an event must hold now."""
     kind = event.kind
-    if state.spec is None:
+    if not state.seq:
         return {}
     n = state.spec.space.n
     if kind == "told" or (kind == "late" and event.data.get("outcome") == "told"):

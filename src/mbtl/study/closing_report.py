@@ -180,7 +180,6 @@ def value_of(state: StudyState) -> float:
 def fresh_value(state: StudyState) -> FreshValue | None:
     """V on fresh episodes, as they were played when the study was reported; None: not measured."""
     fresh, bounds, spec = state.fresh, state.bounds(), state.spec
-    assert spec is not None
     if fresh is None or spec.risk < 1.0:
         return None
     routing, weights, best = state.routing(), spec.space.weights, fresh.best_single

@@ -259,7 +259,6 @@ def load_study(
         raise StudyError(f"there is no study {name!r} in {shown(place)}")
     state = replay(events)
     spec = state.spec
-    assert spec is not None
     if problem is not None:
         facts = _facts_then(problem, spec, trainer)
         check_problem(spec, facts)

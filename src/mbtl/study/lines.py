@@ -96,7 +96,6 @@ class Trainings(tuple[Training, ...]):
 
 def trainings_of(state: StudyState, watch: Watch) -> Trainings:
     """All of a study, as of this state."""
-    assert state.spec is not None
     rows = {row.pick: place for place, row in enumerate(state.rows) if row.pick is not None}
     failures = {failure.pick: failure for failure in state.failures}
     curve = state.curve()
@@ -122,7 +121,6 @@ def _of_pick(
     failure: Failure | None,
 ) -> Training:
     spec = state.spec
-    assert spec is not None
     if row is not None:
         condition: State = "done"
     elif failure is not None:
@@ -152,7 +150,6 @@ def _of_pick(
 
 
 def _unasked(state: StudyState, row: ToldRow, value: float) -> Training:
-    assert state.spec is not None
     context = state.spec.space.context(row.source)
     return Training(
         None, row.source, context, "done", _at_home(row), value, row.seconds, row.steps, row.cost,

@@ -153,7 +153,6 @@ def _check_idle(state: StudyState, watch: Watch, name: str) -> None:
 def _entry_of(name: str, log: SqlLog) -> StudyEntry:
     state = replay(log.read())
     spec = state.spec
-    assert spec is not None
     return StudyEntry(
         name,
         spec.problem,

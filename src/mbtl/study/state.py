@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -29,12 +30,13 @@ ABILITIES = ("sets", "start", "length")
 """What a trainer may be able to do beside specialists."""
 
 
-@dataclass
+@dataclass(eq=False)
 class StudyState:
     """Everything the events say; `apply` takes the next one."""
 
     seq: int = 0
-    spec: StudySpec | None = None
+    spec: StudySpec = field(init=False, repr=False)
+    """Of the first event."""
     version: str = ""
     uid: str = ""
     created_at: float = 0.0
@@ -79,7 +81,7 @@ class StudyState:
         """Advance by one event."""
         if event.seq != self.seq + 1:
             raise StorageError(f"event {self.seq + 1} is missing from the log, got {event.seq}")
-        if (self.spec is None) != (event.kind == "created"):
+        if (self.seq == 0) != (event.kind == "created"):
             raise StorageError(
                 f"event {event.seq} ({event.kind}) is out of place; the log is damaged"
             )
@@ -98,9 +100,24 @@ class StudyState:
         if event.kind in ("created", "voided"):
             self._forget()
 
+    def copied(self) -> StudyState:
+        """As it is now, and stays whatever is told meanwhile."""
+        self.history()
+        new = copy(self)
+        for name in ("picks", "open_picks", "rows", "failures", "_told_by"):
+            setattr(new, name, copy(getattr(self, name)))
+        return new
+
+    def after(self, facts: Mapping[str, Any]) -> StudyState:
+        """A copy in which a pick of these facts is under way."""
+        new, pick = self.copied(), self.planned(facts)
+        new.picks.append(pick)
+        new.open_picks[pick.number] = pick
+        new._history = None
+        return new
+
     def problem(self) -> SelectionProblem:
         """What the strategy may know before any training, and of the trainer."""
-        assert self.spec is not None
         return self.spec.selection_problem(
             self.abilities, assumed="abilities" not in (self.equipment or {})
         )
@@ -120,7 +137,6 @@ class StudyState:
         Raises:
             StudyError: no row was told.
         """
-        assert self.spec is not None
         if not self.rows:
             raise StudyError("routes need the row of at least one policy, and none was told")
         if self._routing is None or self._routing_seq != self._rows_seq:
@@ -146,7 +162,6 @@ class StudyState:
         return np.array([value.value for value in found])
 
     def _make_history(self) -> History:
-        assert self.spec is not None
         n = self.spec.space.n
         if self._performance is None or len(self._performance) < len(self.rows):
             self._performance = self._normalised()
@@ -164,8 +179,8 @@ class StudyState:
             self._errors,
             self.committed,
             () if usual else tuple(trainings),
-            tuple(self._planned(pick) for pick in busy if not pick.is_specialist),
-            tuple(self._planned(pick) for pick in dead if not pick.is_specialist),
+            tuple(self.training_of(pick) for pick in busy if not pick.is_specialist),
+            tuple(self.training_of(pick) for pick in dead if not pick.is_specialist),
             self.spec.budget - self.units_left,
         )
 
@@ -173,7 +188,8 @@ class StudyState:
         start = None if row.start is None else self.place_of(row.start)
         return Training(row.sources, start, row.length, row.goes_on)
 
-    def _planned(self, pick: PickRecord) -> Training:
+    def training_of(self, pick: PickRecord) -> Training:
+        """A pick as a strategy sees it."""
         start = None if pick.start is None else self.place_of(pick.start)
         return Training(pick.sources, start, pick.length, pick.done > 0.0)
 
@@ -187,7 +203,6 @@ class StudyState:
         Under bounds that stay, a row that is told is put below those before it, where there is
         room, instead of computing all of them again in each of many workers.
         """
-        assert self.spec is not None
         done = (
             0 if self._performance is None or self.spec.bounds is None else len(self._performance)
         )
@@ -209,7 +224,6 @@ class StudyState:
 
     def bounds(self) -> Bounds:
         """The given bounds, or the range of all returns told so far (unit range before any)."""
-        assert self.spec is not None
         if self.spec.bounds is not None:
             return Bounds(*self.spec.bounds, self.spec.direction, self.spec.floor)
         if not self.rows:
@@ -219,7 +233,6 @@ class StudyState:
     @property
     def committed(self) -> float:
         """Cost of the rows told and, where costs are known, of picks that failed or are open."""
-        assert self.spec is not None
         costs = self.spec.costs
         if costs is None:
             return self.cost
@@ -228,7 +241,6 @@ class StudyState:
 
     def usual_cost(self, pick: PickRecord) -> float:
         """What a pick is expected to cost, in the unit of the cost budget."""
-        assert self.spec is not None
         costs = self.spec.costs
         each = 1.0 if costs is None else float(np.mean([costs[source] for source in pick.sources]))
         return each * pick.price
@@ -241,7 +253,6 @@ class StudyState:
     @property
     def units_left(self) -> float:
         """Units that can still be paid; in environment steps with an evaluation on all targets."""
-        assert self.spec is not None
         if self.spec.steps is None:
             return self.spec.budget - self.paid
         evaluation = self.target_steps * (self.spec.eval_targets or self.spec.space.n)
@@ -250,7 +261,6 @@ class StudyState:
     @property
     def unit_steps(self) -> float:
         """Environment steps that a unit costs."""
-        assert self.spec is not None
         return float(self.spec.unit or 0)
 
     @property
@@ -259,7 +269,6 @@ class StudyState:
 
         At first as many as it can be.
         """
-        assert self.spec is not None
         steps, targets = self._counted
         return steps / targets if targets else float(self.spec.target_steps or 0)
 
@@ -295,7 +304,6 @@ class StudyState:
 
     def _pay_evaluation(self, targets: int, steps: float | None) -> None:
         """At most, where its environment steps are not known."""
-        assert self.spec is not None
         if steps is not None:
             self._counted = self._counted[0] + steps, self._counted[1] + targets
         most = float(targets * (self.spec.target_steps or 0))
@@ -303,13 +311,11 @@ class StudyState:
 
     def expected_steps(self, pick: PickRecord) -> float:
         """Environment steps that a pick is expected to cost, all in."""
-        assert self.spec is not None
         count = self.spec.space.n if pick.targets is None else len(pick.targets)
         return self.unit_steps * pick.price + self.target_steps * count
 
     def said(self, one: PickRecord | ToldRow) -> str:
         """A training for people: "all contexts, 1 to 2 units", "x = 7, tuned from training 1"."""
-        assert self.spec is not None
         how = self.how(one)
         return describe_set(self.spec.space, one.sources) + (f", {how}" if how else "")
 
@@ -344,7 +350,6 @@ class StudyState:
 
     def spent_words(self, *, answered: bool = False) -> str:
         """How much of the budget is asked for, or done: "3 of 15 trainings", "2.5 of 4 units"."""
-        assert self.spec is not None
         if self.spec.steps is not None:
             bill = self.bill()
             spent = bill.total - (bill.under_way if answered else 0.0)
@@ -355,7 +360,6 @@ class StudyState:
 
     def seed_of(self, pick: PickRecord) -> int:
         """Training seed of a pick; of one that goes on, that of the beginning."""
-        assert self.spec is not None
         spec, parent = self.spec, self._parent(pick.start)
         while pick.done and not pick.retries and parent is not None and parent.pick is not None:
             pick = self.picks[parent.pick]
@@ -397,7 +401,6 @@ class StudyState:
         self.stopped = None  # another trainer may be able to do more
 
     def _extended(self, event: Event) -> None:
-        assert self.spec is not None
         self.first_budget = self.first_budget or self.spec.budget
         steps = event.data.get("steps", self.spec.steps)
         self.spec = replace(self.spec, budget=event.data["budget"], steps=steps)
@@ -418,7 +421,6 @@ class StudyState:
 
     def planned(self, facts: Mapping[str, Any], time: float = 0.0) -> PickRecord:
         """A pick as its facts say it, which nobody holds; without a number it is the next one."""
-        assert self.spec is not None
         sources, start, length = tuple(facts["sources"]), facts.get("start"), facts.get("length")
         parent = self._parent(start)
         goes_on = parent is not None and parent.sources == sources and length != 0.0
@@ -459,7 +461,6 @@ class StudyState:
         self._close(data["pick"], data.get("token") or "")
         self.fresh = None  # a new policy may serve targets that were not reported
         self.stopped = None  # nor was the prediction made with this row
-        assert self.spec is not None
         targets = slice(None) if data.get("targets") is None else list(data["targets"])
         returns = event.arrays["returns"]
         each = np.full((self.spec.space.n, returns.shape[1]), np.nan)

@@ -178,7 +178,7 @@ class Study:
             if gone is not None:  # policies are kept by the place of their row
                 kept = {i: p for i, p in self.policies.items() if i != gone}
                 self.policies = {i - (i > gone): policy for i, policy in kept.items()}
-        if self._state.spec is None:
+        if not self._state.seq:
             raise StudyError(f"there is no study {self.name!r} in this storage; create it first")
         return self._state
 
@@ -195,7 +195,6 @@ class Study:
     @property
     def spec(self) -> StudySpec:
         """What the study was created with."""
-        assert self._state.spec is not None
         return self._state.spec
 
     @property
@@ -701,7 +700,6 @@ class Study:
 
         def extended(state: StudyState) -> Event:
             spec = state.spec
-            assert spec is not None
             n, now = spec.space.n, spec.budget if spec.steps is None else spec.steps
             if (steps is None) != (spec.steps is None) or (steps or units or 0) <= now:
                 raise InvalidInput(
@@ -870,7 +868,7 @@ class Study:
                     if state.proposing is None or state.proposing.token != token:
                         return False
                     known = len(state.rows), len(state.failures)
-                    moment = ask.Moment.of(state)
+                    moment = state.copied()
                     ahead = self.proposes_ahead
                     more = ask.ahead(state, self.watch(), self.worker) if ahead else 0
                 found = ask.propose(moment, self.selector, more)  # others may tell meanwhile

@@ -151,5 +151,4 @@ def reopening(state: StudyState, pick: Pick | int) -> Event:
 
 def _where(state: StudyState, sources: tuple[int, ...]) -> str:
     """Contexts for people, to whom an index says nothing."""
-    assert state.spec is not None
     return describe_set(state.spec.space, sources)
