@@ -183,7 +183,7 @@ NOT_PUBLIC = {
     ),
     "a matrix asks its space for the shape of its grid": "contexts.space.factorial_shape",
     "SUMO says how many simulations a process can hold": "envs.opening.shared_well",
-    "`mbtl play` acts with a policy as trainers do": "trainers.watch.actor_for",
+    "`mbtl play` acts with a policy as trainers do": "trainers.sb3_learning.actor_for",
     "a figure of the paper shows what a selector believes": "selectors.outlook.outlook",
 }
 """Reason -> what the engine and the zoo use of the tool though no user is told of it."""

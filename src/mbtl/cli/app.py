@@ -136,7 +136,7 @@ def main() -> None:
     except MbtlError as error:
         if isinstance(error, TrainingFailed):  # of the user's own code, as often as not
             print_origin(error)
-        console.print(f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
+        console.say(f"error: {error}", "red")
         sys.exit(2 if isinstance(error, InvalidInput) else 1)
     except BrokenPipeError:  # the reader of a pipe has had enough
         sys.exit(1)

@@ -96,6 +96,10 @@ class Screen(Console):
         for segment in super().render(renderable, options):
             yield segment if segment.control else segment._replace(text=harmless(segment.text))
 
+    def say(self, text: str, style: str | None = None) -> None:
+        """Print a text as it is, however long its lines."""
+        self.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+
     def on_broken_pipe(self) -> None:
         """The reader of a pipe has had enough: `main` ends quietly."""
         raise
@@ -108,12 +112,12 @@ _output = _Standard("stdout", is_forgiving=False)
 SILENCE = 60.0
 """Seconds after which a log, where there is no terminal, is told that long work goes on."""
 
-AcceptFlag = Annotated[
-    bool,
-    typer.Option(
-        "--accept-changes", help="Go on although your functions changed since the study was begun."
-    ),
-]
+
+def option(panel: str | None, help: str, *names: str, metavar: str | None = None) -> Any:
+    """An option under a heading of the help; `names` where its own is not that of its argument."""
+    return typer.Option(*names, help=help, rich_help_panel=panel, metavar=metavar)
+
+
 JsonFlag = Annotated[
     bool, typer.Option("--json", help="Print one JSON document on standard output.")
 ]
@@ -203,7 +207,7 @@ def plain_warnings() -> Iterator[None]:
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
             if issubclass(category, Notice):
-                console.print(f"warning: {message}", style="yellow", markup=False, soft_wrap=True)
+                console.say(f"warning: {message}", "yellow")
             else:
                 said = warnings.formatwarning(message, category, *where[:2])
                 console.print(said, markup=False, highlight=False, soft_wrap=True, end="")
@@ -219,9 +223,7 @@ def print_origin(error: BaseException) -> None:
     if cause is not None:
         lines = [traceback_of(cause)]
     if lines:
-        console.print(
-            "".join(lines).rstrip(), style="dim", markup=False, highlight=False, soft_wrap=True
-        )
+        console.say("".join(lines).rstrip(), "dim")
 
 
 class LongWork:
@@ -238,7 +240,7 @@ class LongWork:
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def printer() -> Console:
+def printer() -> Screen:
     """Console for the human-readable result on standard output."""
     return Screen(_output)
 

@@ -67,4 +67,4 @@ def set_aside(folder: Path) -> None:
     while (aside := folder.with_name(f"{folder.name}.{number}")).exists():
         number += 1
     folder.rename(aside)
-    console.print(f"set aside: {folder} is now {aside}", markup=False, highlight=False)
+    console.say(f"set aside: {folder} is now {aside}")

@@ -10,8 +10,7 @@ from mbtl.cli.common import console
 from mbtl.cli.progress import LiveProgress
 from mbtl.errors import InvalidInput
 from mbtl.study import Callback, Study, ask
-from mbtl.study.database import as_url
-from mbtl.study.places import database_file
+from mbtl.study.database import as_url, database_file
 from mbtl.trainers.contract import Progress
 
 _LOOK, _LONGEST_LOOK = 0.1, 2.0
@@ -132,4 +131,4 @@ def _answered(study: Study) -> set[int]:
 
 
 def _say(line: str) -> None:
-    console.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
+    console.say(line, "yellow")

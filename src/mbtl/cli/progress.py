@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
 from types import TracebackType
 
 from rich.console import Console
@@ -12,16 +11,16 @@ from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as Bars
 
 from mbtl.cli.common import LongWork
-from mbtl.study import Callback, Pick, Study
-from mbtl.study.callbacks import estimate, numbered, said, shared_words, waiting_words
-from mbtl.study.closing_report import ReportPlan
+from mbtl.study import Pick, Study
+from mbtl.study.callbacks import PrintProgress, estimate, numbered, said
 from mbtl.trainers.contract import Progress
 
 
-class LiveProgress(Callback):
+class LiveProgress(PrintProgress):
     """Two bars on a terminal; where there is none, lines: per finished pick, and per minute."""
 
     def __init__(self, study: Study, console: Console) -> None:
+        super().__init__()
         self._console = console
         self._bars = Bars(
             TextColumn("{task.description}", markup=False),
@@ -53,15 +52,6 @@ class LiveProgress(Callback):
     ) -> None:
         self._bars.stop()
 
-    def on_shared(self, study: Study, others: Sequence[str]) -> None:
-        """One line that stays."""
-        words = shared_words(others)
-        self._console.print(words, style="yellow", markup=False, highlight=False, soft_wrap=True)
-
-    def on_note(self, study: Study, words: str) -> None:
-        """One line that stays."""
-        self._console.print(words, markup=False, highlight=False, soft_wrap=True)
-
     def on_pick(self, study: Study, pick: Pick) -> None:
         """A bar for the new pick."""
         self._begun[pick.number] = time.monotonic()
@@ -85,72 +75,24 @@ class LiveProgress(Callback):
         self._bars.update(self._pick_bars[pick.number], completed=0.97, note=note)
 
     def on_told(self, study: Study, pick: Pick) -> None:
-        """One line that stays."""
-        took = self._end(pick)
-        self._console.print(
-            f"{numbered(study, pick, '/')}  {said(study, pick):<24}  "
-            f"{estimate(study)}  {took / 60:.1f} min  {pick.reason}",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
-        )
+        """V, how long it took and why it was chosen."""
+        took = time.monotonic() - self._begun[pick.number]
+        head = f"{numbered(study, pick, '/')}  {said(study, pick):<24}"
+        self._say(f"{head}  {estimate(study)}  {took / 60:.1f} min  {pick.reason}", pick)
         self._update(study)
-
-    def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
-        """One line that stays."""
-        self._end(pick)
-        self._console.print(
-            f"{numbered(study, pick, '/')}  {said(study, pick)}  failed: {reason}",
-            style="red",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
-        )
-        self._update(study)
-
-    def on_lost(self, study: Study, pick: Pick) -> None:
-        """One line that stays."""
-        self._end(pick)
-        words = f"{numbered(study, pick, '/')} was taken over by somebody else"
-        self._console.print(words, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
     def on_stuck(self, study: Study, pick: Pick, reason: str) -> None:
         """Its failure is recorded, and the process can only be ended: nothing else would be."""
-        self._console.print(
-            f"{numbered(study, pick, '/')}  {said(study, pick)}  failed: {reason}. "
-            "This process ends, since it cannot go on; the same command does",
-            style="red",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
-        )
+        why = f"{reason}. This process ends, since it cannot go on; the same command does"
+        self.on_failed(study, pick, why)
         os._exit(1)
 
-    def on_waiting(self, study: Study, others: Sequence[str]) -> None:
-        """One line that stays."""
-        words = waiting_words(study, others)
-        self._console.print(words, markup=False, highlight=False, soft_wrap=True)
-
-    def on_report(self, study: Study, plan: ReportPlan) -> None:
-        """One line that stays: how much is evaluated."""
-        note = "measuring V on fresh episodes"
-        self._bars.update(self._study_bar, note=note)
-        self._console.print(f"{note}: {plan}", markup=False, highlight=False, soft_wrap=True)
-
-    def on_report_failed(self, study: Study, reason: str) -> None:
-        """One line that stays."""
-        self._console.print(
-            f"V on fresh episodes could not be measured: {reason}",
-            style="red",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
-        )
-
-    def _end(self, pick: Pick) -> float:
-        self._bars.remove_task(self._pick_bars.pop(pick.number))
-        self._seconds.append(time.monotonic() - self._begun.pop(pick.number))
-        return self._seconds[-1]
+    def _say(self, line: str, ended: Pick | None = None, style: str | None = None) -> None:
+        """One line that stays; the bar of a pick that has ended goes."""
+        if ended is not None:
+            self._bars.remove_task(self._pick_bars.pop(ended.number))
+            self._seconds.append(time.monotonic() - self._begun.pop(ended.number))
+        self._console.print(line, style=style, markup=False, highlight=False, soft_wrap=True)
 
     def _update(self, study: Study, share: float = 0.0) -> None:
         done = _spent(study)

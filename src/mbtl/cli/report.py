@@ -75,7 +75,7 @@ def report(
     while live is not None and not all(subject.finished for subject in found):
         write_page(found, out, refresh=live)
         told = ", ".join(f"{one.name}: {one.progress}" for one in found)
-        console.print(f"{out}: {told}; Ctrl-C ends", markup=False, highlight=False)
+        console.say(f"{out}: {told}; Ctrl-C ends")
         time.sleep(live)
         found = made()
     write_page(found, out)

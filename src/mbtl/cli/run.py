@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +15,7 @@ import numpy as np
 import typer
 
 from mbtl.arrays import Array
-from mbtl.cli.common import JsonFlag, console, print_json, printer
+from mbtl.cli.common import JsonFlag, console, option, print_json, printer
 from mbtl.cli.folders import check_folder, set_aside, study_in
 from mbtl.cli.master import artifacts_for, check_master, command, follow
 from mbtl.cli.progress import LiveProgress
@@ -46,8 +47,10 @@ NOTHING_LEFT = 0.005
 """Gain in V of all trainings left together that is not worth one of them."""
 
 
-_RECIPE, _STOP = "Recipe and evaluation", "Aim and end"
-_FAIL, _WORK = "Failed trainings", "Workers and files"
+_recipe = partial(option, "Recipe and evaluation")
+_stop = partial(option, "Aim and end")
+_failed = partial(option, "Failed trainings")
+_work = partial(option, "Workers and files")
 
 
 def run(
@@ -57,122 +60,49 @@ def run(
             metavar="CMDP", help="Id of a CMDP (`mbtl cmdps`), or module:problem of your own."
         ),
     ],
-    preset: Annotated[
-        str | None, typer.Option(help="Recipe; `mbtl cmdps CMDP` lists them.")
-    ] = None,
+    preset: Annotated[str | None, option(None, "Recipe; `mbtl cmdps CMDP` lists them.")] = None,
     budget: Annotated[
-        int | None, typer.Option(help="Number of trainings K; default: the preset's.")
+        int | None, option(None, "Number of trainings K; default: the preset's.")
     ] = None,
     steps: Annotated[
-        str | None, typer.Option(metavar="NUMBER", help="Pay in environment steps, all in: 20M.")
+        str | None, option(None, "Pay in environment steps, all in: 20M.", metavar="NUMBER")
     ] = None,
-    strategy: Annotated[
-        str, typer.Option(help="What to train next; the paper's rule: mbtl.")
-    ] = "auto",
-    seed: Annotated[int, typer.Option(help="Root of all randomness.")] = 0,
+    strategy: Annotated[str, option(None, "What to train next; the paper's rule: mbtl.")] = "auto",
+    seed: Annotated[int, option(None, "Root of all randomness.")] = 0,
     study: Annotated[
-        Path | None, typer.Option(help="Folder; default: runs/<cmdp>-<preset>-seed<seed>.")
+        Path | None, option(None, "Folder; default: runs/<cmdp>-<preset>-seed<seed>.")
     ] = None,
-    new: Annotated[bool, typer.Option("--new", help="Set an existing study aside.")] = False,
-    parallel: Annotated[int, typer.Option(help="Trainings at a time.")] = 1,
+    new: Annotated[bool, option(None, "Set an existing study aside.", "--new")] = False,
+    parallel: Annotated[int, option(None, "Trainings at a time.")] = 1,
     as_json: JsonFlag = False,
-    timesteps: Annotated[
-        int | None, typer.Option(help="Steps per training.", rich_help_panel=_RECIPE)
-    ] = None,
-    episodes: Annotated[
-        int | None,
-        typer.Option(help="Episodes per training, if so counted.", rich_help_panel=_RECIPE),
-    ] = None,
-    eval_episodes: Annotated[
-        int | None,
-        typer.Option(help="Episodes per context and policy.", rich_help_panel=_RECIPE),
-    ] = None,
-    eval_targets: Annotated[
-        int | None,
-        typer.Option(help="Evaluate policies on so many contexts.", rich_help_panel=_RECIPE),
-    ] = None,
-    engine: Annotated[
-        str | None,
-        typer.Option(help="jax, gymnasium, sumo; default: fastest.", rich_help_panel=_RECIPE),
-    ] = None,
-    score: Annotated[
-        str | None,
-        typer.Option(help="Of traffic: paper, or the CMDP's own.", rich_help_panel=_RECIPE),
-    ] = None,
-    risk: Annotated[
-        float,
-        typer.Option(help="V: mean of this worst share of contexts.", rich_help_panel=_STOP),
-    ] = 1.0,
-    cost_budget: Annotated[
-        float | None,
-        typer.Option(help="What all trainings may cost.", rich_help_panel=_STOP),
-    ] = None,
-    costs: Annotated[
-        Path | None,
-        typer.Option(help="Text file: cost of each context.", rich_help_panel=_STOP),
-    ] = None,
-    stop_value: Annotated[
-        float | None, typer.Option(help="End when V reaches this.", rich_help_panel=_STOP)
-    ] = None,
-    stop_gain: Annotated[
-        float | None,
-        typer.Option(help="End when one more gains less than this.", rich_help_panel=_STOP),
-    ] = None,
-    stop_confidence: Annotated[
-        float, typer.Option(help="How sure of that.", rich_help_panel=_STOP)
-    ] = 0.9,
-    whole_budget: Annotated[
-        bool,
-        typer.Option("--all", help="End only when all is spent.", rich_help_panel=_STOP),
-    ] = False,
-    no_report: Annotated[
-        bool,
-        typer.Option("--no-report", help="No fresh episodes at the end.", rich_help_panel=_STOP),
-    ] = False,
-    report_all: Annotated[
-        bool,
-        typer.Option(
-            "--report-all", help="Those on all contexts there are.", rich_help_panel=_STOP
-        ),
-    ] = False,
-    stop_on_failure: Annotated[
-        bool,
-        typer.Option("--stop-on-failure", help="End at the first one.", rich_help_panel=_FAIL),
-    ] = False,
-    stop_after_failures: Annotated[
-        int, typer.Option(help="End after so many in a row.", rich_help_panel=_FAIL)
-    ] = 3,
-    retry_failed: Annotated[
-        bool,
-        typer.Option("--retry-failed", help="Train those again.", rich_help_panel=_FAIL),
-    ] = False,
-    timeout: Annotated[
-        float | None,
-        typer.Option(help="Seconds of a training at most.", rich_help_panel=_FAIL),
-    ] = None,
-    no_rehearsal: Annotated[
-        bool,
-        typer.Option("--no-rehearsal", help="No trial evaluation before.", rich_help_panel=_FAIL),
-    ] = False,
-    accept_changes: Annotated[
-        bool,
-        typer.Option("--accept-changes", help="Your functions changed.", rich_help_panel=_FAIL),
-    ] = False,
+    timesteps: Annotated[int | None, _recipe("Steps per training.")] = None,
+    episodes: Annotated[int | None, _recipe("Episodes per training, if so counted.")] = None,
+    eval_episodes: Annotated[int | None, _recipe("Episodes per context and policy.")] = None,
+    eval_targets: Annotated[int | None, _recipe("Evaluate policies on so many contexts.")] = None,
+    engine: Annotated[str | None, _recipe("jax, gymnasium, sumo; default: fastest.")] = None,
+    score: Annotated[str | None, _recipe("Of traffic: paper, or the CMDP's own.")] = None,
+    risk: Annotated[float, _stop("V: mean of this worst share of contexts.")] = 1.0,
+    cost_budget: Annotated[float | None, _stop("What all trainings may cost.")] = None,
+    costs: Annotated[Path | None, _stop("Text file: cost of each context.")] = None,
+    stop_value: Annotated[float | None, _stop("End when V reaches this.")] = None,
+    stop_gain: Annotated[float | None, _stop("End when one more gains less than this.")] = None,
+    stop_confidence: Annotated[float, _stop("How sure of that.")] = 0.9,
+    whole_budget: Annotated[bool, _stop("End only when all is spent.", "--all")] = False,
+    no_report: Annotated[bool, _stop("No fresh episodes at the end.", "--no-report")] = False,
+    report_all: Annotated[bool, _stop("Those on all contexts there are.", "--report-all")] = False,
+    stop_on_failure: Annotated[bool, _failed("End at the first one.", "--stop-on-failure")] = False,
+    stop_after_failures: Annotated[int, _failed("End after so many in a row.")] = 3,
+    retry_failed: Annotated[bool, _failed("Train those again.", "--retry-failed")] = False,
+    timeout: Annotated[float | None, _failed("Seconds of a training at most.")] = None,
+    no_rehearsal: Annotated[bool, _failed("No trial evaluation before.", "--no-rehearsal")] = False,
+    accept_changes: Annotated[bool, _failed("Your functions changed.", "--accept-changes")] = False,
     workers: Annotated[
-        str | None,
-        typer.Option(
-            metavar="URL", help="Wait here while `mbtl worker`s train.", rich_help_panel=_WORK
-        ),
+        str | None, _work("Wait here while `mbtl worker`s train.", metavar="URL")
     ] = None,
-    artifacts: Annotated[
-        str | None,
-        typer.Option(help="Folder or URL of the policies.", rich_help_panel=_WORK),
-    ] = None,
-    tensorboard: Annotated[
-        Path | None, typer.Option(help="Folder for TensorBoard.", rich_help_panel=_WORK)
-    ] = None,
+    artifacts: Annotated[str | None, _work("Folder or URL of the policies.")] = None,
+    tensorboard: Annotated[Path | None, _work("Folder for TensorBoard.")] = None,
 ) -> None:
-    r"""Train policies on the contexts that pay most, and serve all contexts with the best of them.
+    """Train policies on the contexts that pay most, and serve all contexts with the best of them.
 
     Interrupt it at any time; the same command goes on where it was.
 
@@ -181,7 +111,7 @@ def run(
     Paid in steps: mbtl run cartpole-length --steps 2M
     The paper's run: mbtl run cartpole-length --preset paper --strategy mbtl
     On a cluster: mbtl run cartpole-length --workers postgresql+psycopg://me@db/studies
-    """
+    """  # noqa: D301 - the command line's own mark of lines that stay
     pay = budget_of(budget, steps, cost_budget, costs)
     cmdp = resolve_cmdp(problem, engine=engine, score=score)
     get_strategy(strategy)  # a mistyped name must not set a study aside
@@ -246,7 +176,7 @@ def run(
     with LiveProgress(running, console) as live:
         callbacks: list[Callback] = [live]
         if tensorboard is not None:
-            from mbtl.study.tensorboard import TensorBoardCallback
+            from mbtl.study.callbacks import TensorBoardCallback
 
             callbacks.append(TensorBoardCallback(tensorboard))
         try:
@@ -332,12 +262,7 @@ def _announce(study: Study, folder: Path) -> None:
     )
     first = study.state.first_budget
     raised = "" if first is None or spec.steps is not None else f" (raised from {first})"
-    console.print(
-        f"{spec.problem}: {study.space!r}, {budget}{raised}, study in {folder}{going_on}",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
-    )
+    console.say(f"{spec.problem}: {study.space!r}, {budget}{raised}, study in {folder}{going_on}")
 
 
 def _finish(
@@ -385,4 +310,4 @@ def _finish(
     screen = printer()
     show_summary(screen, summary, study.space)
     for line in [*notes, *(f"{what}: {path}" for what, path in files.items())]:
-        screen.print(line, style="dim", markup=False, highlight=False, soft_wrap=True)
+        screen.say(line, "dim")

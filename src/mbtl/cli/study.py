@@ -6,6 +6,7 @@ import shlex
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,14 +18,16 @@ from rich.table import Table
 from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, console, print_json, printer
-from mbtl.errors import InvalidInput, MbtlError, StudyError, cannot_write, unknown_name
+from mbtl.errors import InvalidInput, MbtlError, cannot_write
 from mbtl.report import summarise_study
 from mbtl.report.text import lines, show_causes, show_summary
 from mbtl.report.text import table as summary_table
 from mbtl.selectors import get_selector
 from mbtl.study import SqlLog, Study, study_names
-from mbtl.study.database import check_path, shown
-from mbtl.study.state import replay
+from mbtl.study.artifacts import policy_store
+from mbtl.study.checks import replay
+from mbtl.study.database import shown
+from mbtl.study.listing import chosen_name, database_at, entry_of
 
 study_app = typer.Typer(
     help="List, show and export studies, and give back what dead workers hold.",
@@ -61,14 +64,15 @@ def list_studies(
         with _reported(database):
             for name in study_names(database):
                 with _reported(database):
-                    rows.append(_row(database, name))
+                    entry = entry_of(database_at(database), name)
+                    rows.append({"study": _shown_at(database), **asdict(entry)})
     if as_json:
         print_json(rows)
         return
     if not rows:
         where = f"in {shown(place)}" if "://" in place else f"below {place}"
         said = f"no studies {where}; `mbtl run cartpole-length` makes one"
-        printer().print(said, markup=False, highlight=False, soft_wrap=True)
+        printer().say(said)
         return
     table = Table(box=box.SIMPLE, show_edge=False)
     for head in ("study", "strategy", "asked for", "failed", "V", "state"):
@@ -221,28 +225,7 @@ def _reported(database: str | Path) -> Iterator[None]:
     try:
         yield
     except MbtlError as error:
-        console.print(f"{_shown_at(database)}: {error}", style="red", markup=False, soft_wrap=True)
-
-
-def _row(database: str | Path, name: str) -> dict[str, Any]:
-    study = open_study(database, name)
-    state = study.state
-    return {
-        "study": _shown_at(database),
-        "name": name,
-        "problem": study.spec.problem,
-        "strategy": study.spec.selector["name"],
-        "told": len(state.rows),
-        "failed": len(state.failures),
-        "open": len(state.open_picks),
-        "budget": study.spec.budget,
-        "units": state.paid,
-        "steps": study.spec.steps,
-        "steps_spent": None if study.spec.steps is None else state.bill().total,
-        "spent": state.spent_words(),
-        "value": study.value if state.rows else None,
-        "finished": study.is_finished,
-    }
+        console.say(f"{_shown_at(database)}: {error}", "red")
 
 
 def _watch(study: Study, every: float) -> None:
@@ -265,27 +248,7 @@ def _view(study: Study) -> Group:
 
 def open_study(path: str | Path, name: str | None) -> Study:
     """A study for reading only: with any strategy, so that one of the user's own opens too."""
-    place, chosen = _place_of(path, name)
-    log = SqlLog(place, chosen)
-    folder = None if isinstance(place, str) else place.parent
-    state = replay(log.read())
-    return Study(log, get_selector("random"), folder=folder, name=chosen, state=state)
-
-
-def _place_of(path: str | Path, name: str | None) -> tuple[str | Path, str]:
-    """Database and name of a study."""
-    place: str | Path = path
-    check_path(path)
-    if "://" not in str(path):
-        place = Path(path) / "study.db" if Path(path).is_dir() else Path(path)
-    names = study_names(place)
-    if not names:
-        raise StudyError(f"{shown(str(path))} holds no study; `mbtl run` makes one")
-    if name is None and len(names) > 1:
-        raise InvalidInput(
-            f"{shown(str(path))} holds {len(names)} studies ({', '.join(names)}); choose one with "
-            "--name"
-        )
-    if name is not None and name not in names:
-        raise unknown_name("study", name, names)
-    return place, name or names[0]
+    place = database_at(path)
+    log = SqlLog(place, chosen_name(place, name))
+    store, state = policy_store(place, None), replay(log.read())
+    return Study(log, get_selector("random"), folder=store, name=log.study, state=state)

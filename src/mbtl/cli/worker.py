@@ -6,37 +6,63 @@ import logging
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
-from mbtl.cli.common import (
-    AcceptFlag,
-    JsonFlag,
-    console,
-    interrupts,
-    print_json,
-)
+from mbtl.cli.common import JsonFlag, console, interrupts, option, print_json
 from mbtl.cli.interrupts import interrupt_main
 from mbtl.cli.progress import LiveProgress
-from mbtl.errors import InvalidInput, StudyError, TrainingFailed, Unreachable
+from mbtl.errors import InvalidInput, StudyError, TrainingFailed
 from mbtl.problems import CMDP, resolve_cmdp
 from mbtl.study import Callback, Pick, Study, load_study
-from mbtl.study.reconnect import PATIENCE, Patience
+from mbtl.study.artifacts import FolderStore
+from mbtl.study.database import PATIENCE, Patience
 from mbtl.study.runner import LEASE, Failures, Workers, run
-from mbtl.study.wall_time import WallTime
 from mbtl.trainers.contract import Trainer, recipe_of
-
-T = TypeVar("T")
 
 _LENGTHS = ("timesteps", "episodes", "eval_episodes")
 """What `mbtl run` may change of a recipe: a worker takes it from the study."""
+_option = partial(option, None)
 _RESERVE = 30.0
 """Seconds of the wall time that are kept for giving back; at most a tenth of it."""
+_LONG = 0.9
+"""So many of the trainings so far took no longer than what the next one is expected to take."""
+
+
+@dataclass(frozen=True)
+class WallTime:
+    """When a process has to be over.
+
+    Attributes:
+        end: by `time.monotonic`.
+    """
+
+    end: float
+
+    @property
+    def left(self) -> float:
+        """Seconds."""
+        return self.end - time.monotonic()
+
+    def has_room(self, study: Study, trainer: Trainer) -> bool:
+        """True where one more training is worth beginning.
+
+        It is expected to take as long as nine of ten trainings of this study did, evaluation
+        included. One that can go on elsewhere from its checkpoint is begun in any case.
+        """
+        if self.left <= 0.0:
+            return False
+        if "resume" in trainer.takes and isinstance(study.artifacts, FolderStore):
+            return True
+        took = [row.seconds for row in study.state.rows if row.seconds is not None]
+        return not took or float(np.quantile(took, _LONG)) <= self.left
 
 
 def worker(
@@ -50,57 +76,49 @@ def worker(
         str,
         typer.Argument(metavar="CMDP", help="What it is a study of: an id, or module:problem."),
     ],
-    name: Annotated[
-        str | None, typer.Option(help="Name of the study, where its database holds several.")
-    ] = None,
+    name: Annotated[str | None, _option("Name of the study, where there are several.")] = None,
     artifacts: Annotated[
-        str | None,
-        typer.Option(help="Folder or URL of the policies, the same for all workers."),
+        str | None, _option("Folder or URL of the policies, the same for all workers.")
     ] = None,
     engine: Annotated[
-        str | None, typer.Option(help="jax, gymnasium or sumo; default: the fastest there is.")
+        str | None, _option("jax, gymnasium or sumo; default: the fastest there is.")
     ] = None,
     score: Annotated[
-        str | None,
-        typer.Option(help="What an episode of traffic is worth: paper, or the CMDP's own."),
+        str | None, _option("What an episode of traffic is worth: paper, or the CMDP's own.")
     ] = None,
     strategy: Annotated[
-        str | None, typer.Option(help="Only for a rule of your own: as the study was made with.")
+        str | None, _option("Only for a rule of your own: as the study was made with.")
     ] = None,
     wall_time: Annotated[
-        str | None,
-        typer.Option(metavar="TIME", help="End within this time: 90m, 2h, 1:30:00 or seconds."),
+        str | None, _option("End within this time: 90m, 2h, 1:30:00 or seconds.", metavar="TIME")
     ] = None,
     until: Annotated[
-        str | None,
-        typer.Option(metavar="MOMENT", help="End before: 2030-01-31T18:00, or seconds of 1970."),
+        str | None, _option("End before: 2030-01-31T18:00, or seconds of 1970.", metavar="MOMENT")
     ] = None,
     no_wait: Annotated[
-        bool,
-        typer.Option(
-            "--no-wait", help="End when nothing is left to begin; others may be training."
-        ),
+        bool, _option("End when nothing is left to begin; others may be training.", "--no-wait")
     ] = False,
     lease: Annotated[
-        float, typer.Option(help="Seconds of silence after which others take a training over.")
+        float, _option("Seconds of silence after which others take a training over.")
     ] = LEASE,
     retries: Annotated[
-        int, typer.Option(help="Times a failed training is begun again before it counts.")
+        int, _option("Times a failed training is begun again before it counts.")
     ] = 0,
     timeout: Annotated[
-        float | None, typer.Option(help="Seconds that a training with its evaluation may take.")
+        float | None, _option("Seconds that a training with its evaluation may take.")
     ] = None,
     stop_after_failures: Annotated[
-        int, typer.Option(help="End after so many failed trainings in a row.")
+        int, _option("End after so many failed trainings in a row.")
     ] = 3,
     no_rehearsal: Annotated[
-        bool,
-        typer.Option("--no-rehearsal", help="Skip the trial evaluation before the first training."),
+        bool, _option("Skip the trial evaluation before the first training.", "--no-rehearsal")
     ] = False,
     patience: Annotated[
-        float, typer.Option(help="Seconds for which a database that does not answer is waited for.")
+        float, _option("Seconds for which a database that does not answer is waited for.")
     ] = PATIENCE,
-    accept_changes: AcceptFlag = False,
+    accept_changes: Annotated[
+        bool, _option("Go on although your functions changed since then.", "--accept-changes")
+    ] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Train what a study picks, beside other workers, until it is finished.
@@ -120,7 +138,7 @@ def worker(
         try:
             opened = _opened(study, name, cmdp, artifacts, strategy, patience)
             trainer = _as_recorded(cmdp, opened)
-            has_room = _always if end is None else partial(end.has_room, opened, trainer)
+            has_room = None if end is None else partial(end.has_room, opened, trainer)
             with LiveProgress(opened, console) as live:
                 run(
                     opened,
@@ -143,13 +161,9 @@ def worker(
     if not over.is_set():
         check_evaluated(opened)
         why = "others are at the last trainings"
-        if not has_room():
+        if has_room is not None and not has_room():
             why = "no further training would end within the wall time"
     _report(opened, tally, why, as_json=as_json)
-
-
-def _always() -> bool:
-    return True
 
 
 class _Tally(Callback):
@@ -244,10 +258,8 @@ def _alarm(end: WallTime | None, over: threading.Event) -> Iterator[None]:
 def _spoken() -> Iterator[None]:
     """In the block, what the storage has to say is said, such as that a server does not answer."""
     handler = logging.Handler()
-    handler.emit = lambda record: console.print(  # type: ignore[method-assign]
-        record.getMessage(), style="yellow", markup=False, highlight=False, soft_wrap=True
-    )
-    logger = logging.getLogger("mbtl.study.reconnect")
+    handler.emit = lambda record: console.say(record.getMessage(), "yellow")  # type: ignore[method-assign]
+    logger = logging.getLogger("mbtl.study.database")
     logger.addHandler(handler)
     try:
         yield
@@ -269,21 +281,10 @@ def _opened(
     def opened() -> Study:
         return load_study(study, name, problem=cmdp, artifacts=artifacts, strategy=strategy)
 
-    found = _patiently(opened, patience)
+    found = patience.through(opened)
     log: Any = found.log
     log.patience = patience
     return found
-
-
-def _patiently(work: Callable[[], T], patience: Patience) -> T:
-    while True:
-        try:
-            done = work()
-        except Unreachable as error:
-            patience.wait(error)
-        else:
-            patience.answered()
-            return done
 
 
 def _as_recorded(cmdp: CMDP, study: Study) -> Trainer:
@@ -307,10 +308,7 @@ def _report(study: Study, tally: _Tally, why: str, *, as_json: bool) -> None:
         print_json(facts)
         return
     mine = tally.counts["told"]
-    console.print(
+    console.say(
         f"{study.worker} ends: {why}; it told {mine} of the {told} rows so far, "
-        f"{study.state.spent_words()} asked for",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
+        f"{study.state.spent_words()} asked for"
     )

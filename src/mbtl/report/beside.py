@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.report.names import REFERENCE_NAMES
+from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.seeds import Purpose
 from mbtl.study import Study
 

@@ -30,7 +30,7 @@ def content(subject: Subject) -> dict[str, Any]:
         "isGrid": space.shape is not None,
         "n": space.n,
         "sources": list(history.sources),
-        "trained": [pick.trained_on for pick in subject.picks[: len(history)]],
+        "trained": [pick.trained_on(space) for pick in subject.picks[: len(history)]],
         "curve": {
             "values": list(subject.values),
             "units": list(subject.units),
@@ -82,7 +82,7 @@ def _picks(subject: Subject) -> list[dict[str, Any]]:
         out.append(
             {
                 "source": pick.source,
-                "context": pick.trained_on,
+                "context": pick.trained_on(subject.space),
                 "reason": pick.reason,
                 "status": pick.status,
                 "value": float(values[i]) if told else None,

@@ -7,6 +7,7 @@ drawn by `page/page.js` with plotly.js, which is in the file once and compressed
 from __future__ import annotations
 
 import html
+import json
 import re
 from collections.abc import Sequence
 from importlib import resources
@@ -19,7 +20,6 @@ from mbtl.errors import InvalidInput, missing_extra
 from mbtl.files import whole_file
 from mbtl.report.content import content
 from mbtl.report.packing import compressed, packed
-from mbtl.report.parts import details, number, opening, provenance, section, table
 from mbtl.report.subject import Subject
 from mbtl.version import __version__
 
@@ -100,7 +100,7 @@ def _article(i: int, item: dict[str, Any]) -> str:
     told = [pick for pick in item["picks"] if pick["status"] == "told"]
     state = "finished" if item["finished"] else "under way"
     parts = [
-        *opening(
+        *_opening(
             i,
             item["name"],
             f"{item['selector']}, {len(told)} trainings, {item['n']} contexts"
@@ -110,20 +110,20 @@ def _article(i: int, item: dict[str, Any]) -> str:
     ]
     if told:
         parts += [
-            section("curve", "V after each training", f"V is measured on {item['curve']['of']}."),
+            _section("curve", "V after each training", f"V is measured on {item['curve']['of']}."),
             _picks(item["picks"]),
-            section("policies", "Which policy serves which context", ""),
-            details("serving", "Every context: its policy, its performance, the runner-up"),
+            _section("policies", "Which policy serves which context", ""),
+            _details("serving", "Every context: its policy, its performance, the runner-up"),
             *(
-                [section("model", f"What the model believed ({item['steps']['model']})", _SCORE)]
+                [_section("model", f"What the model believed ({item['steps']['model']})", _SCORE)]
                 if np.isfinite(item["steps"]["mean"]).any()
                 else []
             ),
-            section("heat", "Transfer: every policy on every context", ""),
+            _section("heat", "Transfer: every policy on every context", ""),
         ]
         if len(item["axes"]) > 2:
-            parts.append(section("pairs", "Every pair of axes, the others averaged", ""))
-    parts += [_costs(item), provenance(item["provenance"]), "</article>"]
+            parts.append(_section("pairs", "Every pair of axes, the others averaged", ""))
+    parts += [_costs(item), _provenance(item["provenance"]), "</article>"]
     return "\n".join(parts)
 
 
@@ -132,9 +132,9 @@ def _picks(picks: list[dict[str, Any]]) -> str:
         [
             str(k),
             pick["context"],
-            number(pick["value"]),
-            number(pick["gained"]),
-            number(pick["promised"]),
+            _number(pick["value"]),
+            _number(pick["gained"]),
+            _number(pick["promised"]),
             pick["reason"] if pick["status"] == "told" else pick["status"],
         ]
         for k, pick in enumerate(picks, 1)
@@ -144,7 +144,7 @@ def _picks(picks: list[dict[str, Any]]) -> str:
         "<p>Gained: by how much V rose. Promised: the gain that the selector expected when it "
         "chose, if it says one; the rules of the paper are optimistic on purpose.</p>"
     )
-    return f"<section><h2>What each training added</h2>{table(heads, rows)}{note}</section>"
+    return f"<section><h2>What each training added</h2>{_table(heads, rows)}{note}</section>"
 
 
 def _costs(item: dict[str, Any]) -> str:
@@ -168,3 +168,60 @@ def _costs(item: dict[str, Any]) -> str:
         what = html.escape(f"{pick['context']}: {pick['status']}")
         body += f"<details><summary>{what}</summary><pre>{trace}</pre></details>"
     return f"<section><h2>Costs, times, failures</h2>{body}</section>" if body else ""
+
+
+# ---- parts that articles share ------------------------------------------------------------------
+
+
+def _opening(i: int, name: str, facts: str) -> list[str]:
+    """The beginning of article `i`, of which only the first is shown at once."""
+    return [
+        f'<article data-item="{i}"{" hidden" if i else ""}>',
+        f"<h1>{html.escape(name)}</h1>",
+        f'<p class="facts">{html.escape(facts)}</p>',
+    ]
+
+
+def _section(kind: str, title: str, said: str) -> str:
+    """A picture with its title; scripts draw it."""
+    note = f"<p>{html.escape(said)}</p>" if said else ""
+    return (
+        f"<section><h2>{html.escape(title)}</h2>{note}"
+        f'<div class="controls" data-controls="{kind}"></div>'
+        f'<div class="chart {kind}" data-chart="{kind}" role="figure" '
+        f'aria-label="{html.escape(title)}"></div></section>'
+    )
+
+
+def _details(kind: str, title: str) -> str:
+    """A table that scripts fill when it is opened."""
+    return (
+        f'<details data-table="{kind}"><summary>{html.escape(title)}</summary>'
+        '<div class="scroll"></div></details>'
+    )
+
+
+def _number(value: float | None, digits: int = 4) -> str:
+    """Rounded, never minus zero; a dash where there is none."""
+    return "–" if value is None or value != value else f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Texts as a table."""
+    head = "".join(f"<th scope=col>{html.escape(name)}</th>" for name in heads)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    return (
+        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
+
+
+def _provenance(record: Any) -> str:
+    """How all this was made, as a record that folds out."""
+    text = json.dumps(record, indent=2, default=str)
+    return (
+        "<section><h2>How this was made</h2><details><summary>Recipe, versions, seeds</summary>"
+        f"<pre>{html.escape(text)}</pre></details></section>"
+    )

@@ -1,6 +1,6 @@
-"""Reference curves beside a study: Random, Greedy and the Oracle on a shipped transfer matrix.
+"""What goes without a choice of trainings: its names, and curves on a shipped transfer matrix.
 
-They are shown only when the matrix was trained by the recipe of the study.
+Curves are shown only when the matrix was trained by the recipe of the study.
 """
 
 from __future__ import annotations
@@ -11,6 +11,16 @@ from dataclasses import dataclass, field
 from mbtl.arrays import Array
 from mbtl.provider import laboratory
 from mbtl.study import Study
+
+REFERENCE_NAMES: Mapping[str, str] = {
+    "random_actions": "random actions",
+    "unguided": "unguided",
+    "fixed_time": "fixed time",
+    "actuated": "actuated",
+    "nominal_policy": "nominal policy",
+    "random_policy": "random policy",
+}
+"""In the order of tables."""
 
 
 @dataclass(frozen=True)

@@ -21,32 +21,7 @@ from mbtl.report.summary import summarise_study
 from mbtl.report.text import lines
 from mbtl.routing import Routing
 from mbtl.selectors import SelectionProblem
-from mbtl.study import Study
-
-
-@dataclass(frozen=True)
-class PickFacts:
-    """One training, as the page shows it.
-
-    Attributes:
-        source: context index; of several, the one in their middle.
-        trained_on: which contexts, from what and how long, for people.
-        reason: why the strategy chose it.
-        status: "told", "evaluated", "failed: ...", "open".
-        promised: gain in V that the selector expected; None where it says none.
-        seconds: wall time; None: unknown.
-        cost: in the study's unit; None: unknown.
-        traceback: of a failure.
-    """
-
-    source: int
-    trained_on: str
-    reason: str
-    status: str = "told"
-    promised: float | None = None
-    seconds: float | None = None
-    cost: float | None = None
-    traceback: str = ""
+from mbtl.study import Study, Training
 
 
 @dataclass(frozen=True)
@@ -84,7 +59,7 @@ class Subject:
     values: Array
     units: Array
     values_of: str
-    picks: tuple[PickFacts, ...]
+    picks: tuple[Training, ...]
     baselines: Mapping[str, Array] = field(default_factory=dict)
     levels: Mapping[str, float] = field(default_factory=dict)
     sentences: tuple[str, ...] = ()
@@ -105,21 +80,6 @@ def of_study(study: Study) -> Subject:
     history = study.history
     known = bool(len(history))
     curves = reference_curves(study) if known else None
-    promised = {pick.number: pick.acquisition for pick in state.picks}
-    costs = [row.cost for row in state.rows]
-    picks = tuple(
-        PickFacts(
-            pick.source,
-            pick.trained_on(space),
-            pick.reason,
-            pick.status,
-            None if pick.number is None else promised[pick.number],
-            pick.seconds,
-            costs[i] if i < len(costs) else None,
-            pick.traceback,
-        )
-        for i, pick in enumerate(summary.picks)
-    )
     spec = study.spec
     made = {
         "problem": spec.problem,
@@ -143,7 +103,7 @@ def of_study(study: Study) -> Subject:
         study.curve,
         state.units(),
         "an estimate while the study ran",
-        picks,
+        summary.picks,
         {} if curves is None else curves.baselines,
         {} if curves is None else curves.levels,
         (

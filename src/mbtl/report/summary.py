@@ -14,56 +14,16 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.contexts import Context, ContextSpace
-from mbtl.contexts.words import describe_set
 from mbtl.objective import value, worst_share_mean
-from mbtl.study import Study
+from mbtl.study import Study, Training
 from mbtl.study.closing_report import fresh_value
-from mbtl.study.records import PickRecord, ToldRow
+from mbtl.study.records import ToldRow
 
 TENTH = 0.1
 ENOUGH_GAIN = 0.01
 """Gain in V below which more policies are not worth their trouble."""
 ENOUGH = 0.99
 """Share of the portfolio's gain over its best single policy that counts as all of it."""
-
-
-@dataclass(frozen=True)
-class PickSummary:
-    """One source of the study.
-
-    Attributes:
-        number: 0-based pick; None for a policy the user already had.
-        source: context index; of several, the one in their middle.
-        context: that context.
-        reason: why the strategy chose it.
-        status: "told", "evaluated" for a policy that was evaluated further, "failed: ...", "open",
-            or "open: ..." for a policy that could not be evaluated.
-        value: the running estimate of V after this row; None unless told.
-        seconds: wall time of training and evaluation; None when unknown.
-        sources: indices of all contexts trained on.
-        length: units of the training in all.
-        how: from what and how long, e.g. "1 to 2 units", "tuned from training 1"; empty for a
-            whole training from scratch.
-        traceback: of a failure, where it came from; empty where that is not known.
-    """
-
-    number: int | None
-    source: int
-    context: Context
-    reason: str
-    status: str
-    value: float | None
-    seconds: float | None
-    sources: tuple[int, ...] = ()
-    length: float = 1.0
-    how: str = ""
-    traceback: str = ""
-
-    def trained_on(self, space: ContextSpace, between: str = ", ") -> str:
-        """What it is, for people, with `between` between its parts; as `StudyState.said`."""
-        where = describe_set(space, self.sources, between)
-        return f"{where}{between}{self.how}" if self.how else where
 
 
 @dataclass(frozen=True)
@@ -121,7 +81,7 @@ class StudySummary:
     episodes: tuple[int, int] | None
     evaluated: tuple[int, int] | None
     alike: tuple[tuple[int, ...], ...]
-    picks: tuple[PickSummary, ...]
+    picks: tuple[Training, ...]
     value: float | None
     value_margin: float | None
     measured: float | None
@@ -143,12 +103,13 @@ class StudySummary:
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able record."""
-        return asdict(self)
+        picks = tuple({**asdict(pick), "status": pick.status} for pick in self.picks)
+        return {**asdict(self), "picks": picks}
 
     @property
-    def told(self) -> list[PickSummary]:
+    def told(self) -> list[Training]:
         """Those whose rows are known."""
-        return [pick for pick in self.picks if pick.status == "told"]
+        return [pick for pick in self.picks if pick.place is not None]
 
     @property
     def verdict(self) -> str:
@@ -196,7 +157,7 @@ def summarise_study(study: Study) -> StudySummary:
         "finished": study.stop_reason if study.is_finished else None,
         "bounds": best_and_worst,
         "automatic_bounds": study.spec.bounds is None,
-        "picks": _picks(study, study.curve),
+        "picks": tuple(sorted(study.trainings, key=_told_first)),
     }
     if not len(history):
         empty: dict[str, Any] = {f.name: None for f in fields(StudySummary)}
@@ -239,6 +200,10 @@ def summarise_study(study: Study) -> StudySummary:
     )
 
 
+def _told_first(one: Training) -> tuple[bool, int]:
+    return one.place is None, one.place or 0
+
+
 def _alike(rows: Sequence[ToldRow]) -> tuple[tuple[int, ...], ...]:
     """Places of policies whose episodes are the same, to the last digit, on several contexts."""
     groups: dict[bytes, list[int]] = {}
@@ -264,44 +229,3 @@ def policies_enough(
         if values.max() >= goal - 1e-12:
             return count
     return len(rows)
-
-
-def _picks(study: Study, curve: Array) -> tuple[PickSummary, ...]:
-    state, space = study.state, study.space
-
-    def line(one: PickRecord | ToldRow, status: str, **more: Any) -> PickSummary:
-        number = one.pick if isinstance(one, ToldRow) else one.number
-        return PickSummary(
-            number,
-            one.source,
-            space.context(one.source),
-            "told by the user" if number is None else state.picks[number].reason,
-            status,
-            more.get("value"),
-            more.get("seconds"),
-            one.sources,
-            one.length,
-            state.how(one),
-            more.get("traceback", ""),
-        )
-
-    told = [
-        line(row, "told", value=float(curve[i]), seconds=row.seconds)
-        for i, row in enumerate(state.rows)
-    ]
-    failed = {failure.pick: failure for failure in state.failures}
-    answered = {row.pick for row in state.rows} | set(state.open_picks)
-    others = []
-    for pick in state.picks:
-        if pick.number in state.open_picks:
-            cause = state.deferred.get(pick.number)
-            status, trace = "open", ""
-            if cause is not None:
-                status, trace = f"open: {cause.reason}", cause.traceback
-            others.append(line(pick, status, traceback=trace))
-        elif pick.number in failed:
-            cause = failed[pick.number]
-            others.append(line(pick, f"failed: {cause.reason}", traceback=cause.traceback))
-        elif pick.number not in answered:
-            others.append(line(pick, "evaluated"))
-    return (*told, *others)

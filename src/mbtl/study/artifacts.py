@@ -24,7 +24,7 @@ from urllib.parse import unquote, urlsplit
 
 from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.files import from_home, sync_entries, sync_folder
-from mbtl.study.database import check_path
+from mbtl.study.database import check_path, database_file
 from mbtl.untrusted import inside, read_json, regular_files
 
 RECEIPT = "trained.json"
@@ -277,6 +277,17 @@ def store_at(artifacts: str | Path | None, beside: Path | None) -> ArtifactStore
     if parts.scheme == "file":
         return FolderStore(Path(unquote(parts.path)).absolute())
     return RemoteStore(text.rstrip("/"))
+
+
+def policy_store(address: str | None, artifacts: str | Path | None) -> ArtifactStore | None:
+    """What keeps the policies.
+
+    Args:
+        address: of the storage; None: the study is in memory.
+        artifacts: given by the user; None: next to the database, where that is a file.
+    """
+    file = None if address is None else database_file(address)
+    return store_at(artifacts, None if file is None else file.parent)
 
 
 def _digest(folder: Path) -> str:

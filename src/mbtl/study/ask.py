@@ -18,7 +18,7 @@ from mbtl.selectors.contract import Selector
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.events import Event
 from mbtl.study.leases import PROPOSING, Watch, asker, new_token
-from mbtl.study.pick import StudyFinished
+from mbtl.study.records import StudyFinished
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
 from mbtl.threads import threads_for

@@ -1,4 +1,4 @@
-"""Batches of picks: trained together, recorded in pick order, and when failures end the run.
+"""The trainings of a run: begun, brought back, told, begun again; and when failures end the run.
 
 A failed training is recorded and spends budget. A failed evaluation does not: its pick stays open
 and its policy is kept, in its folder or in memory, to be evaluated again.
@@ -6,14 +6,18 @@ and its policy is kept, in its folder or in memory, to be evaluated again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import Executor
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future
+from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, field
 from functools import partial
 from logging import getLogger
 from typing import TYPE_CHECKING, Any
 
 from mbtl.errors import StorageError, StudyError, TrainingFailed, TrainingPruned
+from mbtl.faults import FAULTS, reason_of
+from mbtl.processes import SeparateWorkers
 from mbtl.study.artifacts import Artifact, spools_of
 from mbtl.study.callbacks import Callback, few_episodes, where
 from mbtl.study.heartbeat import Keeper
@@ -26,8 +30,7 @@ from mbtl.study.job import (
     perform,
     perform_elsewhere,
 )
-from mbtl.study.pick import Pick
-from mbtl.study.running_jobs import Flights, brought_back, may_try_again
+from mbtl.study.records import Pick
 from mbtl.study.time_limits import too_long
 from mbtl.trainers.contract import Progress, Trainer
 
@@ -35,11 +38,20 @@ if TYPE_CHECKING:
     from mbtl.study.study import Study
 
 _logger = getLogger(__name__)
+_DIED = (
+    "a worker process died (a script without `if __name__ == '__main__':`, killed, or out of "
+    "memory); its picks are given back: run again, with a smaller parallel if memory is short"
+)
+
+
+_LATE = 30.0
+"""Seconds after its time limit when a job is given up that has not ended itself: it is in native
+code that does not return, or its process took long to begin."""
 
 
 @dataclass
 class Batches:
-    """Does batches of picks for one run.
+    """Does the picks of one run.
 
     Attributes:
         study: is told.
@@ -66,41 +78,28 @@ class Batches:
     retries: int = 0
     held: list[Pick] = field(default_factory=list)
     _in_a_row: int = 0
-    _asked: int = 0
     _given_up: set[int] = field(default_factory=set)
     _ending: bool = False
     _failed: tuple[Pick, Trouble] | None = None
     _said: set[str] = field(default_factory=set)
 
-    def do(self, batch: Sequence[Pick]) -> None:
-        """Train a batch and tell it all; on any interrupt give the unanswered picks back.
-
-        Raises:
-            TrainingFailed: failures end the run. What else the batch gave is told.
-        """
-        waiting = list(batch)
-        self._settle(waiting, self._outcomes(batch))
-
-    def flow(self, size: int, ask: Callable[[], Pick | None]) -> bool:
-        """Train `size` picks at a time until none is left; tell each when it is done.
+    def do(self, size: int, ask: Callable[[], Pick | None], *, together: bool = False) -> None:
+        """Train `size` picks at a time until none is left; on any interrupt give them back.
 
         Args:
             size: trainings at a time.
             ask: gives the next pick; None: there is none.
-
-        Returns:
-            False where there was nothing to do.
+            together: ask for the next ones when all are told, in pick order; else each is told, and
+                the next one asked for, when it is done.
 
         Raises:
             TrainingFailed: failures end the run. What was under way is told.
         """
-        waiting: list[Pick] = []
-        before = self._asked
-        self._settle(waiting, self._as_they_come(size, ask, waiting))
-        return self._asked > before
+        waiting: dict[int, Pick] = {}
+        self._settle(waiting, self._outcomes(size, ask, waiting, together=together))
 
     def _settle(
-        self, waiting: list[Pick], outcomes: Generator[tuple[Pick, Outcome | Trouble | None]]
+        self, waiting: dict[int, Pick], outcomes: Generator[tuple[Pick, Outcome | Trouble | None]]
     ) -> None:
         """Record what comes; give the picks back that are in `waiting` at the end."""
         end: Exception | None = None
@@ -109,12 +108,12 @@ class Batches:
         try:
             for pick, outcome in outcomes:
                 if outcome is None:
-                    _remove(waiting, pick)
+                    waiting.pop(pick.number, None)
                     self._lose(pick)
                     continue
                 if isinstance(outcome, Outcome):
                     in_time = self._tell(pick, outcome)
-                    _remove(waiting, pick)
+                    waiting.pop(pick.number, None)
                     if in_time:
                         self._announce_told(pick)
                     continue
@@ -123,7 +122,7 @@ class Batches:
                     end, self._ending = end or outcome.error, True
                     continue
                 in_time = self._record(pick, outcome)
-                _remove(waiting, pick)
+                waiting.pop(pick.number, None)
                 if not in_time:
                     continue
                 if outcome.pruned and outcome.kept is None:
@@ -139,7 +138,7 @@ class Batches:
             raise wrapped.error from None
         finally:
             outcomes.close()
-            self._give_back(waiting)
+            self._give_back([*waiting.values()])
         if end is None and self._failed is not None and self._in_doubt:
             end = self._end(*self._failed, "nothing has succeeded yet")
         if end is not None:
@@ -153,42 +152,61 @@ class Batches:
 
     # ---- inside ------------------------------------------------------------------------------
 
-    def _outcomes(self, batch: Sequence[Pick]) -> Generator[tuple[Pick, Outcome | Trouble | None]]:
-        """What each pick gave, in pick order; None where its training was stopped."""
-        for pick in batch:
-            self._announce_pick(pick)
-        if self.executor is None:
-            for pick in batch:
-                yield self._perform_here(pick)
-            return
-        futures = [self.executor.submit(perform_elsewhere, self._job(pick)) for pick in batch]
-        for pick, future in zip(batch, futures, strict=True):
-            yield pick, brought_back(future)
-
-    def _as_they_come(
-        self, size: int, ask: Callable[[], Pick | None], waiting: list[Pick]
+    def _outcomes(
+        self,
+        size: int,
+        ask: Callable[[], Pick | None],
+        waiting: dict[int, Pick],
+        *,
+        together: bool,
     ) -> Generator[tuple[Pick, Outcome | Trouble | None]]:
-        """What each pick gave, whenever it is there; the next one is asked for at once.
+        """What each pick gave, see `do`; None where its training was stopped.
 
         While nothing has succeeded and something failed, nothing new is begun.
         """
-        assert self.executor is not None
-        flights = Flights(self.executor, self.timeout, self.retries, self._again)
+        flights = None
+        if self.executor is not None:
+            flights = Flights(self.executor, self.timeout, self.retries, self._again)
         try:
             while True:
-                while len(flights) < size and not self._ending and not self._in_doubt:
+                while len(flights or ()) < size and not self._ending and not self._in_doubt:
                     pick = ask()
                     if pick is None:
                         break
-                    self._asked += 1
-                    waiting.append(pick)
+                    waiting[pick.number] = pick
                     self._announce_pick(pick)
+                    if flights is None:
+                        yield self._perform_here(pick)
+                        continue
                     flights.begin(pick, self._job(pick))
-                if not len(flights):
+                    if together and self._is_whole(size):
+                        break
+                if not flights:
                     return
-                yield from flights.landed()
+                yield from self._batch(flights) if together else flights.landed()
         finally:
-            flights.cancel()
+            if flights is not None:
+                flights.cancel()
+
+    def _batch(self, flights: Flights) -> Generator[tuple[Pick, Outcome | Trouble | None]]:
+        """What all that are under way gave, in pick order; also where the executor breaks then."""
+        landed: list[tuple[Pick, Outcome | Trouble | None]] = []
+        broken: StudyError | None = None
+        try:
+            while flights:
+                landed += flights.landed()
+        except StudyError as error:
+            broken = error
+        yield from sorted(landed, key=lambda one: one[0].number)
+        if broken is not None:
+            raise broken
+
+    def _is_whole(self, size: int) -> bool:
+        """Whether a batch is full: what others left, up to a multiple of `size` picks asked.
+
+        So a run that goes on asks exactly when, and knowing just what, an undisturbed one would.
+        """
+        return not self.study.orphans and len(self.study.state.picks) % size == 0
 
     @property
     def _in_doubt(self) -> bool:
@@ -196,7 +214,8 @@ class Batches:
         if self._failed is None or self.study.has_succeeded:
             return False
         state = self.study.state
-        alone = any(len(state.picks[one.pick].sources) == 1 for one in state.failures)
+        failures = [one for one in state.failures if not one.pruned]
+        alone = any(len(state.picks[one.pick].sources) == 1 for one in failures)
         return alone or bool(state.deferred)
 
     def _perform_here(self, pick: Pick) -> tuple[Pick, Outcome | Trouble | None]:
@@ -424,11 +443,6 @@ class _Stopped(BaseException):
     """Ends a training whose pick is somebody else's by now."""
 
 
-def _remove(waiting: list[Pick], pick: Pick) -> None:
-    """By its number: another try has another seed."""
-    waiting[:] = [one for one in waiting if one.number != pick.number]
-
-
 def _reason(trouble: Trouble) -> str:
     """One line; of a policy that is trained it says what could not be done with it."""
     if trouble.kept is None:
@@ -455,3 +469,165 @@ def places_of(study: Study, pick: Pick) -> list[str]:
     base = f"policies/{study.state.uid}/{own}"
     tokens = (*record.tokens, pick.token)
     return [base, *dict.fromkeys(f"{base}-{token}" for token in tokens if token)]
+
+
+# ---- trainings in an executor --------------------------------------------------------------------
+
+
+@dataclass
+class _Flight:
+    """One training.
+
+    Attributes:
+        pick: what it answers.
+        job: as it was sent, to send it again.
+        began: on this process's clock.
+        tries: how often it was begun.
+        died: whether its worker has died; once that is nobody's fault.
+    """
+
+    pick: Pick
+    job: Job
+    began: float
+    tries: int = 1
+    died: bool = False
+
+
+class Flights:
+    """Trainings that an executor is at.
+
+    Args:
+        executor: does them.
+        timeout: seconds for each, from when it is handed over; None: no limit.
+        retries: so often one that failed is begun again. One whose worker dies is begun again as
+            it was, once, since that may be nobody's fault.
+        again: gives the pick and the job of another try; None: they are somebody else's by now.
+    """
+
+    def __init__(
+        self,
+        executor: Executor,
+        timeout: float | None,
+        retries: int,
+        again: Callable[[Pick, Trouble], tuple[Pick, Job] | None],
+    ) -> None:
+        self._executor, self._again = executor, again
+        self._timeout = timeout
+        self._retries = retries
+        self._flights: dict[Future[Any], _Flight] = {}
+
+    def __len__(self) -> int:
+        return len(self._flights)
+
+    def begin(self, pick: Pick, job: Job) -> None:
+        """Hand one over."""
+        self._send(_Flight(pick, job, time.monotonic()))
+
+    def landed(self) -> Iterator[tuple[Pick, Outcome | Trouble | None]]:
+        """Wait for one or more, and say what they gave; those begun again say nothing so far.
+
+        None: it is somebody else's by now.
+
+        Raises:
+            StudyError: the executor is broken, or what a training gave cannot travel.
+        """
+        done, _ = wait_for(self._flights, self._patience(), return_when=FIRST_COMPLETED)
+        for future in [one for one in self._flights if one in done]:  # in the order they were begun
+            flight = self._flights.pop(future)
+            outcome, died = self._brought(future)
+            flight.began = time.monotonic()
+            if died and not flight.died:
+                flight.died = True
+                self._send(flight)
+                continue
+            if may_try_again(outcome) and flight.tries <= self._retries:
+                assert isinstance(outcome, Trouble)
+                found = self._again(flight.pick, outcome)
+                if found is None:
+                    yield flight.pick, None
+                    continue
+                flight.pick, flight.job = found
+                flight.tries += 1
+                self._send(flight)
+                continue
+            yield flight.pick, outcome
+        for future, flight in list(self._flights.items()):
+            late = time.monotonic() - flight.began - _LATE
+            if self._timeout is not None and late > self._timeout:
+                del self._flights[future]
+                if isinstance(self._executor, SeparateWorkers):
+                    self._executor.kill(future)
+                future.cancel()
+                error = too_long(self._timeout)
+                yield flight.pick, Trouble("training", str(error), "", error)
+
+    def cancel(self) -> None:
+        """Nobody waits for them any more; those that have not begun will not."""
+        for future in self._flights:
+            future.cancel()
+
+    def _send(self, flight: _Flight) -> None:
+        try:
+            self._flights[self._executor.submit(perform_elsewhere, flight.job)] = flight
+        except BrokenExecutor as error:
+            raise StudyError(_DIED) from error
+
+    def _patience(self) -> float | None:
+        if self._timeout is None:
+            return None
+        first = min(flight.began for flight in self._flights.values())
+        return max(0.0, first + self._timeout + _LATE - time.monotonic()) + 0.01
+
+    def _brought(self, future: Future[Any]) -> tuple[Outcome | Trouble, bool]:
+        """What it gave, and whether its worker has died."""
+        try:
+            outcome: Outcome | Trouble = brought_back(future)
+        except CancelledError:
+            return Trouble("training", "it was cancelled", ""), False
+        except StudyError as error:
+            if not (
+                _worker_died(error.__cause__)
+                and (isinstance(self._executor, SeparateWorkers) or _of_dask(error.__cause__))
+            ):
+                raise
+            return Trouble("training", "its worker process died", str(error.__cause__)), True
+        return outcome, False
+
+
+def may_try_again(outcome: Outcome | Trouble) -> bool:
+    """True for a training that gave no policy, for a cause that may be gone the next time."""
+    return (
+        isinstance(outcome, Trouble)
+        and outcome.kept is None
+        and not isinstance(outcome.error, NOT_THE_TRAININGS_FAULT)
+        and not outcome.pruned
+        and outcome.reason != "it was cancelled"
+    )
+
+
+def brought_back(future: Future[Any]) -> Any:
+    """What a worker process gave.
+
+    Raises:
+        StudyError: the process died, or what it gave cannot travel.
+    """
+    try:
+        return future.result()
+    except CancelledError:
+        raise
+    except FAULTS as error:
+        if _worker_died(error):
+            raise StudyError(_DIED) from error
+        raise StudyError(
+            f"a policy trained in another process must be sent back or saved there, got "
+            f"{reason_of(error)}; give save and load functions, or use Workers(1)"
+        ) from error
+
+
+def _worker_died(error: BaseException | None) -> bool:
+    return isinstance(error, BrokenExecutor) or _of_dask(error)
+
+
+def _of_dask(error: BaseException | None) -> bool:
+    """Dask's own errors, such as KilledWorker, without importing it."""
+    return type(error).__module__.partition(".")[0] == "distributed"

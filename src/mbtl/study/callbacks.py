@@ -5,18 +5,20 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, TextIO
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
+from mbtl.errors import missing_extra
 from mbtl.faults import say
-from mbtl.study.database import shown
-from mbtl.study.places import database_file
+from mbtl.study.database import database_file, shown
 from mbtl.trainers.contract import Progress, Trainer
 
 if TYPE_CHECKING:
     from mbtl.study.closing_report import ReportPlan
-    from mbtl.study.pick import Pick
+    from mbtl.study.records import Pick
     from mbtl.study.study import Study
 
 
@@ -94,7 +96,7 @@ class PrintProgress(Callback):
 
     def on_shared(self, study: Study, others: Sequence[str]) -> None:
         """Who else works here."""
-        self._say(shared_words(others))
+        self._say(shared_words(others), style="yellow")
 
     def on_note(self, study: Study, words: str) -> None:
         """The sentence."""
@@ -104,19 +106,19 @@ class PrintProgress(Callback):
         """V, and what the new policy added to it."""
         curve = study.curve
         gain = f" (gain {curve[-1] - curve[-2]:.4f})" if len(curve) > 1 else ""
-        self._say(f"{where(study, pick)}, {estimate(study)}{gain}")
+        self._say(f"{where(study, pick)}, {estimate(study)}{gain}", pick)
 
     def on_failed(self, study: Study, pick: Pick, reason: str) -> None:
         """Why there is no V."""
-        self._say(f"{where(study, pick)} failed: {reason}")
+        self._say(f"{where(study, pick)} failed: {reason}", pick, "red")
 
     def on_pruned(self, study: Study, pick: Pick, reason: str) -> None:
         """Why there is no V, and that it is meant so."""
-        self._say(f"{where(study, pick)} was ended early: {reason}")
+        self._say(f"{where(study, pick)} was ended early: {reason}", pick, "yellow")
 
     def on_lost(self, study: Study, pick: Pick) -> None:
         """That the work was for nothing."""
-        self._say(f"{where(study, pick)} was taken over by somebody else")
+        self._say(f"{where(study, pick)} was taken over by somebody else", pick, "yellow")
 
     def on_stuck(self, study: Study, pick: Pick, reason: str) -> None:
         """Why nothing happens, and what helps."""
@@ -135,10 +137,56 @@ class PrintProgress(Callback):
 
     def on_report_failed(self, study: Study, reason: str) -> None:
         """Why V stays an estimate."""
-        self._say(f"V on fresh episodes could not be measured: {reason}")
+        self._say(f"V on fresh episodes could not be measured: {reason}", style="red")
 
-    def _say(self, line: str) -> None:
+    def _say(self, line: str, ended: Pick | None = None, style: str | None = None) -> None:
+        """One line; of a pick that has ended, where it says so."""
         say(line, sys.stderr if self._file is None else self._file)
+
+
+class TensorBoardCallback(Callback):
+    """TensorBoard for a study: the metrics of each training, and some numbers per pick.
+
+    These are `study/V`, the running estimate, `study/V_margin`, half its 95 % interval where it is
+    known, `study/source` and `study/training_performance`.
+
+    Args:
+        folder: where TensorBoard looks.
+
+    Raises:
+        MissingExtra: tensorboard is not installed.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ModuleNotFoundError as error:
+            raise missing_extra("tensorboard", "train") from error
+        self._writer: Any = SummaryWriter(str(folder / "study"))
+
+    def on_progress(self, study: Study, pick: Pick, progress: Progress) -> None:
+        """Metrics of one training, under its source."""
+        with suppress(OSError):  # of a full disk, as below: pictures are not worth the study
+            for name, value in progress.metrics.items():
+                self._writer.add_scalar(f"source-{pick.source:04d}/{name}", value, progress.step)
+
+    def on_told(self, study: Study, pick: Pick) -> None:
+        """One point per pick."""
+        k = len(study.state.rows)
+        now = study.routing.value
+        own = float(study.history.training_performance[-1])
+        with suppress(OSError):
+            self._writer.add_scalar("study/V", now.value, k)
+            if study.routing.noise_is_known:
+                self._writer.add_scalar("study/V_margin", now.margin, k)
+            self._writer.add_scalar("study/source", pick.source, k)
+            self._writer.add_scalar("study/training_performance", own, k)
+            self._writer.flush()
+
+    def on_end(self, study: Study) -> None:
+        """Close the file."""
+        with suppress(OSError):
+            self._writer.close()
 
 
 def where(study: Study, pick: Pick) -> str:

@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mbtl.contexts import ContextSpace
+from numpy.typing import ArrayLike
+
+from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StudyError, StudyMismatch, UnknownName
 from mbtl.objective import Bounds, Objective, direction_named
-from mbtl.plain import finite, real, short, whole
-from mbtl.selectors import Selector
+from mbtl.plain import finite, float_of, floats, is_finite, real, short, whole
+from mbtl.selectors import SelectionProblem, Selector
 from mbtl.selectors.contract import traits_of
 from mbtl.settings import described, first_difference
 from mbtl.strategies import get_strategy, strategy_names
-from mbtl.study.arguments import check_axes, check_stopping, costs_of, pair_of, target_count
+from mbtl.study.artifacts import policy_store
 from mbtl.study.budget import Cost, Steps
-from mbtl.study.checks import check_spec
-from mbtl.study.database import exists_already, shown
+from mbtl.study.checks import replay
+from mbtl.study.database import exists_already, fixed_url, shown
 from mbtl.study.events import Event
 from mbtl.study.listing import chosen_name, database_at
-from mbtl.study.places import fixed_url, policy_store
 from mbtl.study.problem import Problem, ProblemFacts, check_problem, facts_of
 from mbtl.study.serialisation import FROM, describe_selector, without_origin
-from mbtl.study.spec import StudySpec
-from mbtl.study.state import StudyState, replay
+from mbtl.study.spec import StudySpec, check_spec
+from mbtl.study.state import StudyState
 from mbtl.study.storage import Conflict, EventLog, MemoryLog, SqlLog
 from mbtl.study.study import Study
 from mbtl.trainers.contract import Trainer
@@ -118,7 +120,7 @@ def create_study(
         whole("seed", seed),
     )
     check_spec(spec)
-    check_axes(chosen, spec.selection_problem())
+    _check_axes(chosen, spec.selection_problem())
     address = None if storage is None else fixed_url(storage)
     folder = policy_store(address, artifacts)
     log: EventLog = MemoryLog() if address is None else SqlLog(address, name, create=True)
@@ -173,11 +175,11 @@ def _spec(
     bounds, floor = facts.bounds if aim.bounds is None else aim.bounds, None
     if isinstance(bounds, Bounds):
         direction, floor = bounds.direction, bounds.floor
-    pair = pair_of("bounds", bounds)
+    pair = _pair_of("bounds", bounds)
     if pair is not None:
         Bounds(*pair, direction, floor)
     best = facts.best_return if aim.best_return is None else aim.best_return
-    check_stopping(strategy, end, pair)
+    _check_stopping(strategy, end, pair)
     if seed < 0:
         raise InvalidInput(f"a seed is a whole number >= 0, got {seed}")
     return StudySpec(
@@ -193,9 +195,9 @@ def _spec(
         None if cost is None else float(cost.total),
         facts.id,
         described(dict(facts.settings)),
-        costs_of(None if cost is None else cost.per_context, space),
+        _costs_of(None if cost is None else cost.per_context, space),
         real("risk", aim.risk),
-        target_count(evaluation.targets, space.n),
+        _target_count(evaluation.targets, space.n),
         real("gain of Stopping", end.gain),
         real("confidence of Stopping", end.confidence),
         real("left of Stopping", end.left),
@@ -248,7 +250,8 @@ def load_study(
 
     Raises:
         StorageError: no database there, or a damaged one.
-        StudyError: no such study, or several and no name.
+        StudyError: there is no study.
+        InvalidInput: there are several and no name is given, or none has that name.
         StudyMismatch: it is a study of another problem, or with another strategy.
     """
     place = database_at(storage)
@@ -315,3 +318,74 @@ def _check_same(state: StudyState, given: StudySpec) -> None:
             f"a stored study goes on only with the settings it was made with: {key} was {old!r}, "
             f"got {new!r}; repeat the old setting, or start afresh with --new (or another name)"
         )
+
+
+# ---- settings as they were given: made plain, or refused with the rule that they break ---------
+
+
+def _costs_of(
+    costs: ArrayLike | Callable[[Context], float] | None, space: ContextSpace
+) -> tuple[float, ...] | None:
+    """(N,) numbers, or None."""
+    if costs is None:
+        return None
+    given = [costs(context) for context in space.contexts] if callable(costs) else costs
+    try:
+        array = floats(given)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidInput(f"costs must be numbers, one per context ({error})") from error
+    if array.shape != (space.n,):
+        raise InvalidInput(f"costs must be {space.n} numbers, one per context, got {array.shape}")
+    return tuple(array.tolist())
+
+
+def _check_stopping(selector: Selector, end: Stopping, bounds: object) -> None:
+    """What is said in performance needs bounds, and a predicted gain somebody who predicts it."""
+    for name in ("value", "gain", "left"):
+        value = getattr(end, name)
+        if value is not None and bounds is None:
+            raise InvalidInput(
+                f"{name} of Stopping is in performance, so it needs bounds=(low, high); got none"
+            )
+    if end.value is not None and is_finite(end.value) and end.value > 1.0:
+        raise InvalidInput(
+            f"value of Stopping is a performance, at most 1 (the better bound), got {end.value!r}"
+        )
+    if not (is_finite(end.confidence) and 0.0 < end.confidence < 1.0):
+        raise InvalidInput(
+            f"confidence of Stopping is a probability in (0, 1), got {short(end.confidence)}"
+        )
+    if end.gain is not None and not traits_of(selector).predicts_chances:
+        raise InvalidInput(
+            f"gain of Stopping needs a strategy that predicts chances of a gain, such as 'auto', "
+            f"got {selector.name!r}"
+        )
+
+
+def _check_axes(selector: Selector, problem: SelectionProblem) -> None:
+    """Contexts on several axes are not for every selector."""
+    if traits_of(selector).one_axis:
+        _ = problem.line  # refuses others
+
+
+def _target_count(count: int | None, n: int) -> int | None:
+    """A whole number from 1 to `n`, or None."""
+    if count is None:
+        return None
+    count = whole("targets of Evaluation", count)
+    if not 1 <= count <= n:
+        raise InvalidInput(f"targets of Evaluation must be from 1 to {n}, got {count}")
+    return count
+
+
+def _pair_of(name: str, pair: Iterable[float] | None) -> tuple[float, float] | None:
+    """Two numbers, or None."""
+    if pair is None:
+        return None
+    try:
+        low, high = map(float_of, pair)
+    except (TypeError, ValueError):
+        low = high = None
+    if low is None or high is None:
+        raise InvalidInput(f"{name} must be two numbers (low, high), got {short(pair)}")
+    return low, high

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+import random
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from logging import getLogger
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
+from urllib.parse import unquote
 
 from mbtl.errors import InvalidInput, MissingExtra, StorageError, StudyError, Unreachable, few
 from mbtl.files import from_home
@@ -16,7 +20,15 @@ if TYPE_CHECKING:
     from sqlalchemy import Connection, Engine, Table
     from sqlalchemy.exc import DBAPIError
 
+_logger = getLogger(__name__)
+
+T = TypeVar("T")
+
 _BUSY_SECONDS = 60.0
+
+PATIENCE = 300.0
+"""Seconds without an answer after which a study gives up."""
+_PAUSE, _LONGEST_PAUSE = 0.1, 2.0
 
 _FILES = ("sqlite", "duckdb")
 """Databases that are no servers."""
@@ -88,23 +100,40 @@ def as_url(url: str | Path) -> str:
     return URL.create("sqlite", database=str(from_home(text))).render_as_string(hide_password=False)
 
 
-def sqlite_path(url: str) -> Path | None:
-    """The file of an SQLite URL; None for other databases and for what is no URL."""
+def fixed_url(storage: str | Path) -> str:
+    """The storage as a URL that stays right in whatever folder the process works."""
+    from sqlalchemy import make_url
+    from sqlalchemy.exc import ArgumentError
+
+    address = as_url(storage)
+    try:
+        url = make_url(address)
+    except ArgumentError:  # opening it says so in our words
+        return address
+    file = database_file(address)
+    if file is None or str(url.database).startswith("file:"):
+        return address
+    return url.set(database=str(file)).render_as_string(hide_password=False)
+
+
+def database_file(address: str) -> Path | None:
+    """The absolute path of the file behind a URL; None for a server and for memory."""
     from sqlalchemy import make_url
     from sqlalchemy.exc import ArgumentError
 
     try:
-        parsed = make_url(url)
+        url = make_url(address)
     except ArgumentError:
         return None
-    name = parsed.database or ""
-    if (
-        parsed.get_backend_name() != "sqlite"
-        or name in ("", ":memory:")
-        or name.startswith("file:")
-    ):
-        return None  # "file:...?uri=true" is SQLite's own way to open a file, e.g. read-only
-    return Path(name)
+    name = url.database or ""
+    if url.get_backend_name() not in _FILES or ":memory:" in name or not name:
+        return None
+    if name.startswith("file:"):  # SQLite's own way to open a file, e.g. read-only
+        if url.query.get("mode") == "memory":
+            return None
+        name = unquote(name.removeprefix("file:").partition("?")[0])
+        name = "/" + name.lstrip("/") if name.startswith("/") else name
+    return Path(name).absolute()
 
 
 def shown(url: str) -> str:
@@ -168,7 +197,7 @@ def open_database(url: str, *, create: bool) -> tuple[Engine, Table, Table]:
     )
     from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 
-    path = sqlite_path(url)
+    path = database_file(url)
     if path is not None and path.is_dir():
         raise StorageError(
             f"a study lives in a database file, and {path} is a folder; give {path / 'study.db'}"
@@ -306,6 +335,8 @@ def exists_already(name: str, storage: object) -> StudyError:
 
 def _no_file(path: Path) -> StorageError:
     """There is no such database; studies of the folders below may be meant."""
+    with suppress(ValueError):  # as people near it say it
+        path = path.relative_to(Path.cwd())
     said = f"a study lives in a database file, and there is none at {path}"
     folder = path.parent if path.name == "study.db" else path
     below = [
@@ -324,3 +355,56 @@ def _is_away(error: DBAPIError, url: str) -> bool:
         return False
     lost = error.connection_invalidated or error.statement is None  # or never had
     return lost and not any(words in str(error.orig) for words in _FOR_GOOD)
+
+
+class Patience:
+    """How long is waited for one database.
+
+    When that was too long nothing is waited for again until it has answered: whoever cleans up
+    after the error hears at once that it cannot.
+
+    Args:
+        seconds: for which it may be away.
+    """
+
+    def __init__(self, seconds: float = PATIENCE) -> None:
+        self.seconds = seconds
+        self._since: float | None = None
+
+    def wait(self, error: Unreachable) -> None:
+        """Sleep a moment before the next try.
+
+        Raises:
+            Unreachable: the error itself, when it has lasted too long.
+        """
+        now = time.monotonic()
+        if self._since is None:
+            self._since = now
+            if self.seconds > 0.0:
+                _logger.warning("%s; trying again for %.0f s", error, self.seconds)
+        away = now - self._since
+        if away >= self.seconds:
+            raise error
+        pause = min(_PAUSE + away / 5.0, _LONGEST_PAUSE) * random.uniform(0.5, 1.0)
+        try:
+            time.sleep(min(pause, self.seconds - away))
+        except BaseException:  # an interrupt: who wants to end has no patience left
+            self._since = -math.inf
+            raise
+
+    def through(self, work: Callable[[], T]) -> T:
+        """What `work` gives, which is done again where the server did not answer."""
+        while True:
+            try:
+                done = work()
+            except Unreachable as error:
+                self.wait(error)
+            else:
+                self.answered()
+                return done
+
+    def answered(self) -> None:
+        """It is there."""
+        if self._since is not None:
+            self._since = None
+            _logger.warning("the database answers again")

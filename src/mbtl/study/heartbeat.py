@@ -11,7 +11,7 @@ from mbtl.errors import MbtlError
 from mbtl.trainers.contract import Progress
 
 if TYPE_CHECKING:
-    from mbtl.study.pick import Pick
+    from mbtl.study.records import Pick
     from mbtl.study.study import Study
 
 _logger = getLogger(__name__)

@@ -22,7 +22,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context
-from mbtl.errors import InvalidInput, MissingExtra, StorageError, TrainingPruned
+from mbtl.errors import InvalidInput, MbtlError, MissingExtra, StorageError, TrainingPruned
 from mbtl.faults import FAULTS, REASON, TookTooLong, harmless, reason_of, traceback_of
 from mbtl.study.artifacts import RECEIPT, Artifact, ArtifactStore, FolderStore
 from mbtl.study.time_limits import at_most
@@ -31,6 +31,7 @@ from mbtl.trainers.contract import (
     FunctionTrainer,
     OnProgress,
     Progress,
+    RehearsingTrainer,
     Trainer,
     checked_returns,
     equipment_of,
@@ -84,6 +85,7 @@ class Job:
             begins with the weights.
         keeps_state: the training may go on later, so its state is kept.
         counts_steps: the steps of evaluations are counted, where the trainer can.
+        untrained: a policy that is not trained will do: it is to be seen whether all else works.
     """
 
     trainer: Trainer
@@ -104,6 +106,7 @@ class Job:
     state: Artifact | None = None
     keeps_state: bool = False
     counts_steps: bool = False
+    untrained: bool = False
 
 
 @dataclass(frozen=True)
@@ -240,6 +243,34 @@ def perform_elsewhere(
     return outcome
 
 
+def rehearse(
+    trainer: RehearsingTrainer,
+    targets: Sequence[Context],
+    seeds: Sequence[int],
+    *,
+    here: bool = True,
+    timeout: float | None = None,
+) -> Trouble | None:
+    """Save, load and evaluate an untrained policy; what went wrong, or None.
+
+    A slip in `evaluate` costs seconds here, and a training where it is found out later.
+
+    Args:
+        trainer: can make an untrained policy.
+        targets: a few contexts.
+        seeds: of their evaluations.
+        here: this process asks; False in a worker process.
+        timeout: seconds that it may take; None: no limit.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        job = Job(
+            trainer, targets[:1], 0, targets, seeds, FolderStore(Path(folder)), "policies/a/trial",
+            rehearse=True, timeout=timeout, untrained=True,
+        )  # fmt: skip
+        outcome = perform(job) if here else perform_elsewhere(job, (MbtlError,))
+    return None if isinstance(outcome, Outcome) else outcome
+
+
 def _evaluated(job: Job, policy: Any) -> tuple[Array, float | None]:
     """Checked returns on all targets and, where they are counted, the steps of the episodes."""
     trainer = job.trainer
@@ -354,6 +385,9 @@ def _trained(job: Job, on_progress: _Steps) -> Kept:
 
     A state that is not there, or not as it was told, is as none: then it begins with the weights.
     """
+    if job.untrained:
+        assert isinstance(job.trainer, RehearsingTrainer)
+        return Kept(job.trainer.untrained(job.contexts[0]))
     own, *others = (*_partials(job), None)
     left = next((file for file in others if file is not None and file.exists()), None)
     if left is None and job.state is not None and "state" in job.trainer.takes:

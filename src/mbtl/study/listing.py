@@ -5,23 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from mbtl.errors import StudyError, unknown_name
+from mbtl.errors import InvalidInput, StudyError, unknown_name
 from mbtl.files import from_home
-from mbtl.study.artifacts import FolderStore
-from mbtl.study.ask import stop_reason
+from mbtl.study.artifacts import FolderStore, policy_store
+from mbtl.study.ask import is_finished, others, stop_reason
+from mbtl.study.checks import replay
 from mbtl.study.closing_report import value_of
 from mbtl.study.database import (
     WRITES,
     as_url,
     check_path,
     database_errors,
+    database_file,
+    fixed_url,
     open_database,
     shown,
 )
-from mbtl.study.leases import Watch
-from mbtl.study.liveness import Presence
-from mbtl.study.places import database_file, fixed_url, policy_store
-from mbtl.study.state import StudyState, replay
+from mbtl.study.leases import Presence, Watch
 from mbtl.study.storage import SqlLog, study_names
 
 
@@ -32,25 +32,35 @@ class StudyEntry:
     Attributes:
         name: within its database.
         problem: id of its CMDP; empty for none.
-        selector: name of its selector.
+        strategy: its name.
         told: rows told.
         failed: trainings that failed, or were ended early.
         open: picks that wait for an answer.
         budget: trainings that it may ask for.
+        units: of them that were asked for.
+        steps: environment steps that it may spend; None: they are not counted.
+        steps_spent: so many are spent; None likewise.
+        spent: how much of the budget is asked for, in words.
         value: V, performance, as `Study.value`; None before the first row.
         stop_reason: why nothing more can be asked; None while something can.
+        finished: nothing can be asked, and nobody works on a pick.
         created_at: seconds since the epoch.
     """
 
     name: str
     problem: str
-    selector: str
+    strategy: str
     told: int
     failed: int
     open: int
     budget: int
+    units: float
+    steps: int | None
+    steps_spent: float | None
+    spent: str
     value: float | None
     stop_reason: str | None
+    finished: bool
     created_at: float
 
 
@@ -64,7 +74,7 @@ def list_studies(storage: str | Path) -> list[StudyEntry]:
         StorageError: no database there, or a damaged one.
     """
     address = database_at(storage)
-    return [_entry_of(name, SqlLog(address, name)) for name in study_names(address)]
+    return [entry_of(address, name) for name in study_names(address)]
 
 
 def delete_study(
@@ -84,7 +94,8 @@ def delete_study(
 
     Raises:
         StorageError: no database there, or it cannot be written.
-        StudyError: no such study, several and no name, or somebody runs it just now.
+        StudyError: there is none, or somebody runs it just now.
+        InvalidInput: there are several and no name is given, or none has that name.
     """
     from sqlalchemy import delete
 
@@ -92,7 +103,13 @@ def delete_study(
     name = chosen_name(address, name)
     log = SqlLog(address, name)
     state = replay(log.read())
-    _check_idle(state, Watch(log, Presence(database_file(address)).is_gone), name)
+    watch = Watch(log, Presence(database_file(address)).is_gone)
+    # leases without end are those of ask and tell, whose programs may be long gone
+    if held := others(state, watch, "", for_ever=False):
+        raise StudyError(
+            f"a study that is run is not deleted, and {name!r} is run by {', '.join(held)}; end "
+            "that first, or wait until its leases have ended"
+        )
     store = policy_store(address, artifacts)
     engine, table, heartbeats = open_database(as_url(address), create=False)
     try:
@@ -119,39 +136,28 @@ def chosen_name(address: str, name: str | None) -> str:
     """The name, if there is such a study; the only one where none is given.
 
     Raises:
-        StudyError: none, several and no name, or no such study.
+        InvalidInput: there are several and no name is given, or none has that name.
+        StudyError: there is none.
     """
     names = study_names(address)
     if name is None and len(names) != 1:
+        if names:
+            raise InvalidInput(
+                f"{shown(address)} holds {len(names)} studies ({', '.join(names)}); choose one "
+                "with name= (--name)"
+            )
         raise StudyError(
-            f"{shown(address)} holds {len(names)} studies ({', '.join(names)}); give a name"
-            if names
-            else f"{shown(address)} holds no study; mbtl.create_study(..., storage=...) makes one"
+            f"{shown(address)} holds no study; `mbtl run` and mbtl.create_study(..., storage=...) "
+            "make one"
         )
     if name is not None and name not in names:
-        raise StudyError(f"{unknown_name('study', name, names)}")
+        raise unknown_name("study", name, names)
     return names[0] if name is None else name
 
 
-def _check_idle(state: StudyState, watch: Watch, name: str) -> None:
-    """Leases without end are those of ask and tell, whose programs may be long gone."""
-    held = [
-        pick.lease.worker
-        for pick in state.open_picks.values()
-        if pick.lease is not None
-        and pick.lease.seconds is not None
-        and not watch.is_stale(pick.lease)
-    ]
-    if held:
-        workers = ", ".join(sorted(set(held)))
-        raise StudyError(
-            f"a study that is run is not deleted, and {name!r} is run by {workers}; "
-            "end that first, or wait until its leases have ended"
-        )
-
-
-def _entry_of(name: str, log: SqlLog) -> StudyEntry:
-    state = replay(log.read())
+def entry_of(address: str, name: str) -> StudyEntry:
+    """One study of a database, which is read."""
+    state = replay(SqlLog(address, name).read())
     spec = state.spec
     return StudyEntry(
         name,
@@ -161,7 +167,12 @@ def _entry_of(name: str, log: SqlLog) -> StudyEntry:
         len(state.failures),
         len(state.open_picks),
         spec.budget,
+        state.paid,
+        spec.steps,
+        None if spec.steps is None else state.bill().total,
+        state.spent_words(),
         value_of(state) if state.rows else None,
         stop_reason(state),
+        is_finished(state),
         state.created_at,
     )

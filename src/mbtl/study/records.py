@@ -1,15 +1,68 @@
-"""What the log says of picks, rows, failures and reports: one record each."""
+"""What `ask` gives, and what the log says of picks, rows, failures and reports: one record each."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 from mbtl.arrays import Array
+from mbtl.contexts import Context
 from mbtl.episodes import episode_moments
+from mbtl.errors import StudyError
+from mbtl.faults import harmless
 from mbtl.study.leases import Lease
+
+
+class StudyFinished(StudyError):
+    """There is nothing left to ask for."""
+
+
+@dataclass(frozen=True)
+class Pick:
+    """A training to do, or a policy to evaluate further.
+
+    Attributes:
+        number: 0-based number of the pick in its study; what people are shown counts from 1.
+        source: index of the context trained on; of several, the one in their middle.
+        context: that context, axis name -> value.
+        seed: training seed; it depends on what is trained, not on the pick number.
+        reason: why the strategy chose it.
+        targets: contexts worth evaluating on, their indices; None for all.
+        sources: indices of all contexts trained on.
+        contexts: those contexts.
+        start: number of the event that told the policy to begin with (`ToldRow.event`); None: from
+            scratch.
+        done: units that the training has had by then, where it goes on; 0 for a new one.
+        length: units that it has had in all when it is done; 0: the policy is only evaluated; None:
+            a whole training, as long as the trainer has it.
+        token: of its lease; who takes the pick over gets another one.
+    """
+
+    number: int
+    source: int
+    context: Context
+    seed: int
+    reason: str
+    targets: tuple[int, ...] | None = None
+    sources: tuple[int, ...] = ()
+    contexts: tuple[Context, ...] = ()
+    start: int | None = None
+    done: float = 0.0
+    length: float | None = None
+    token: str = field(default="", compare=False)
+
+    @property
+    def trains(self) -> bool:
+        """False where a policy is only evaluated."""
+        return self.length != 0.0
+
+    def __str__(self) -> str:
+        where = ", ".join(f"{name} = {value}" for name, value in self.context.items())
+        if len(self.sources) > 1:
+            where = f"{len(self.sources)} contexts"
+        return harmless(f"pick {self.number + 1}: {where} ({self.reason})")
 
 
 @dataclass(frozen=True)
@@ -168,23 +221,6 @@ class Failure:
         pruned = data.get("pruned") is True
         trace, steps = data.get("traceback") or "", data.get("steps")
         return cls(source, data["pick"], data["reason"], trace, pruned, steps)
-
-
-@dataclass(frozen=True)
-class LateResult:
-    """What came of a pick that was somebody else's by then; the log has its returns.
-
-    Attributes:
-        pick: 0-based number of the pick.
-        outcome: "told", "failed", "retried" or "deferred".
-        token: it came with.
-        event: number of its event.
-    """
-
-    pick: int
-    outcome: str
-    token: str
-    event: int
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from functools import partial
 from logging import getLogger
 from typing import TYPE_CHECKING, Literal
 
+from mbtl.arrays import Array
 from mbtl.errors import (
     InvalidInput,
     MbtlError,
@@ -29,19 +30,25 @@ from mbtl.faults import FAULTS, reason_of
 from mbtl.plain import short, whole
 from mbtl.processes import SeparateWorkers, separate_workers
 from mbtl.study import ask
-from mbtl.study.batch import Batches, failure
+from mbtl.study.batch import Batches, brought_back, failure
 from mbtl.study.callbacks import Callback, few_episodes, shared_words
-from mbtl.study.closing_report import ReportPlan, fresh_value, plan_to_do, report_fresh_returns
+from mbtl.study.closing_report import (
+    FreshValue,
+    ReportPlan,
+    fresh_value,
+    plan_to_do,
+    report_fresh_returns,
+)
 from mbtl.study.heartbeat import Keeper
 from mbtl.study.job import NOT_THE_TRAININGS_FAULT, Trouble
-from mbtl.study.pick import Pick, StudyFinished
-from mbtl.study.rehearsal import rehearse as rehearsed
-from mbtl.study.result import RunResult
-from mbtl.study.running_jobs import brought_back
-from mbtl.study.time_limits import check_limits, too_long
+from mbtl.study.job import rehearse as rehearsed
+from mbtl.study.records import Failure, Pick, StudyFinished
+from mbtl.study.time_limits import too_long
+from mbtl.study.trainings import Trainings
 from mbtl.trainers.contract import RehearsingTrainer, Trainer
 
 if TYPE_CHECKING:
+    from mbtl.portfolio import Portfolio
     from mbtl.study.study import Study
 
 _logger = getLogger(__name__)
@@ -110,7 +117,54 @@ class Workers:
     def __post_init__(self) -> None:
         if whole("parallel of Workers", self.parallel) < 1:
             raise InvalidInput(f"parallel of Workers is 1 or more, got {short(self.parallel)}")
-        check_limits(self.lease, self.timeout)
+        for name, seconds in (("lease", self.lease), ("timeout", self.timeout)):
+            if seconds is not None and not seconds > 0:
+                raise InvalidInput(f"{name} of Workers is a number of seconds > 0, got {seconds!r}")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RunResult:
+    """A study when a run of it has ended.
+
+    Attributes:
+        study: that was run.
+        curve: (k,) the running estimate of V after each row, performance.
+        fresh: V on fresh episodes, which chose nothing: the one to tell people; None: not measured.
+        trainings: all of the study, those of earlier runs too.
+        failures: of the study, those of trainings ended early on purpose too.
+        stop_reason: why no more is trained; None: others are still at it.
+        seconds: wall time of this run.
+    """
+
+    study: Study
+    curve: Array
+    fresh: FreshValue | None
+    trainings: Trainings
+    failures: tuple[Failure, ...]
+    stop_reason: str | None
+    seconds: float
+
+    @property
+    def value(self) -> float:
+        """V at the end, as `Study.value`: fresh if played, else the running estimate."""
+        if self.fresh is not None:
+            return self.fresh.value
+        return float(self.curve[-1]) if len(self.curve) else float("-inf")
+
+    def portfolio(self) -> Portfolio:
+        """The trained policies with their router; see `Study.portfolio`."""
+        return self.study.portfolio()
+
+    def __repr__(self) -> str:
+        where = "on fresh episodes" if self.fresh is not None else "estimated"
+        failed = f", {len(self.failures)} failed" if self.failures else ""
+        return (
+            f"RunResult({self.study.name!r}: {len(self.curve)} trainings told{failed}, "
+            f"V = {self.value:.4f} {where}, {self.seconds:.1f} s; {self.stop_reason})"
+        )
+
+    def _repr_html_(self) -> str:
+        return self.trainings.html(repr(self))
 
 
 def run(
@@ -150,6 +204,7 @@ def run(
         TrainingFailed: failures ended the run, or no training succeeded.
     """
     started, study.stopping = time.monotonic(), None
+    may_begin = may_begin or (lambda: True)
     study.proposes_ahead = not workers.deterministic
     try:
         with Keeper(study, workers.lease) as keeper, _pool(workers) as pooled:
@@ -174,11 +229,11 @@ def run(
                 study, trainer, pooled, failures.most_in_a_row - 1, first_policy, callbacks, keeper,
                 workers.timeout, failures.retries,
             )  # fmt: skip
-            ask = partial(_next_pick, study, keeper, may_begin or _always)
-            do_all = partial(_do_all, study, batches, workers, ask)
+            ask = partial(_next_pick, study, keeper, may_begin)
+            do_all = partial(batches.do, workers.parallel, ask, together=workers.deterministic)
             try:
                 do_all()
-                while wait and _wait_for_others(study, callbacks, may_begin or _always):
+                while wait and _wait_for_others(study, callbacks, may_begin):
                     do_all()
                 if batches.give_back_held():
                     do_all()
@@ -251,21 +306,6 @@ def _rehearse(
     )
 
 
-def _always() -> bool:
-    return True
-
-
-def _do_all(
-    study: Study, batches: Batches, workers: Workers, ask: Callable[[], Pick | None]
-) -> None:
-    if batches.executor is not None and not workers.deterministic:
-        while batches.flow(workers.parallel, ask):
-            pass
-        return
-    while batch := _next_batch(study, workers.parallel, ask):
-        batches.do(batch)
-
-
 def _next_pick(study: Study, keeper: Keeper, may_begin: Callable[[], bool]) -> Pick | None:
     """A pick that is held from now on; None when nothing can be asked, or shall be."""
     if study.stopping is not None or not may_begin():
@@ -326,23 +366,6 @@ def _report(
         return
     except FAULTS as error:
         failed(reason_of(error))
-
-
-def _next_batch(study: Study, size: int, ask: Callable[[], Pick | None]) -> list[Pick]:
-    """The next picks to train together; empty when the study is finished.
-
-    Picks left by a killed run come first. A batch then fills up to a multiple of `size` picks
-    asked, so a resumed run asks exactly when, and knowing just what, an undisturbed one would have.
-    """
-    batch: list[Pick] = []
-    while len(batch) < size:
-        pick = ask()
-        if pick is None:
-            break
-        batch.append(pick)
-        if not study.orphans and len(study.state.picks) % size == 0:
-            break
-    return batch
 
 
 def _warn_of_unsaved(study: Study, trainer: Trainer) -> None:

@@ -1,18 +1,17 @@
-"""The settings of a study, as they are stored with it."""
+"""The settings of a study, as they are stored with it, and the rules that they keep."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from mbtl.contexts import ContextSpace
-from mbtl.errors import StorageError
-from mbtl.objective import Direction
+from mbtl.errors import InvalidInput, StorageError
+from mbtl.objective import Bounds, Direction
 from mbtl.selectors.base import SelectionProblem
-from mbtl.study.checks import check_spec
 
 
 @dataclass(frozen=True)
@@ -116,3 +115,115 @@ class StudySpec:
         spec = cls(**values)
         check_spec(spec)
         return spec
+
+
+def check_spec(spec: StudySpec) -> None:
+    """Refuse settings that no study can have.
+
+    Raises:
+        InvalidInput: the first that breaks its rule.
+    """
+    for name, (holds, words) in _SPEC.items():
+        value = getattr(spec, name)
+        if not holds(value):
+            raise InvalidInput(f"{name} must be {words}, got {short(value)}")
+    Bounds(*(spec.bounds or (0.0, 1.0)), spec.direction)
+    spec.selection_problem()
+    if spec.steps is not None and None in (spec.unit, spec.target_steps):
+        raise InvalidInput("a study that counts steps must know those of a unit and of a target")
+    if spec.eval_targets is not None and spec.eval_targets > spec.space.n:
+        raise InvalidInput(f"eval_targets must be at most {spec.space.n}")
+
+
+# ---- rules -------------------------------------------------------------------------------------
+
+_HUGE = 1e300
+"""Of facts: differences of numbers below this are numbers, too."""
+
+Rule = tuple[Callable[[Any], bool], str]
+"""What a fact must satisfy, and that in words."""
+
+
+def is_whole(value: Any) -> bool:
+    """A whole number >= 0 that a database can hold."""
+    return is_seed(value) and bool(value < 2**63)
+
+
+def is_seed(value: Any) -> bool:
+    """Of any size: it is hashed."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    return whole and bool(value >= 0)
+
+
+def is_number(value: Any) -> bool:
+    """A number, finite and not too large to be computed with."""
+    plain = value.item() if isinstance(value, np.number) else value
+    real = isinstance(plain, (int, float)) and not isinstance(plain, bool)
+    return real and -_HUGE < plain < _HUGE
+
+
+def is_text(value: Any) -> bool:
+    """Letters."""
+    return isinstance(value, str)
+
+
+def at_least(least: float, is_one: Callable[[Any], bool] = is_number) -> Callable[[Any], bool]:
+    """Rule of numbers from `least` on."""
+    return lambda value: is_one(value) and value >= least
+
+
+def maybe(rule: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    """Rule that None keeps, too."""
+    return lambda value: value is None or rule(value)
+
+
+def each(rule: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    """Rule of lists whose items keep one."""
+    return lambda value: isinstance(value, (list, tuple)) and all(map(rule, value))
+
+
+def is_record(value: Any) -> bool:
+    """Names with values."""
+    return isinstance(value, Mapping)
+
+
+def is_selector(value: Any) -> bool:
+    """A record with a name."""
+    return isinstance(value, Mapping) and is_text(value.get("name"))
+
+
+TEXT: Rule = (is_text, "text")
+COUNT: Rule = (at_least(1, is_whole), "a whole number of 1 or more")
+SEED: Rule = (is_seed, "a whole number >= 0")
+NUMBER: Rule = (maybe(is_number), "a finite number, or null")
+
+_SPEC: dict[str, Rule] = {
+    "budget": (is_whole, "a whole number"),
+    "selector": (is_selector, "a record with a name"),
+    "bounds": (maybe(lambda b: len(b) == 2 and all(map(is_number, b))), "two finite numbers"),
+    "theta": NUMBER,
+    "seed": SEED,
+    "trial": SEED,
+    "stop_value": NUMBER,
+    "cost_budget": NUMBER,
+    "problem": TEXT,
+    "settings": (is_record, "a record"),
+    "costs": (maybe(each(is_number)), "finite numbers"),
+    "risk": (is_number, "a number"),
+    "eval_targets": (maybe(COUNT[0]), "a whole number of 1 or more, or null"),
+    "stop_gain": NUMBER,
+    "stop_confidence": (is_number, "a number"),
+    "stop_left": NUMBER,
+    "best_return": NUMBER,
+    "floor": NUMBER,
+    "any_training": (lambda value: isinstance(value, bool), "true or false"),
+    "steps": (maybe(COUNT[0]), "a whole number of 1 or more, or null"),
+    "unit": (maybe(COUNT[0]), "a whole number of 1 or more, or null"),
+    "target_steps": (maybe(COUNT[0]), "a whole number of 1 or more, or null"),
+}
+
+
+def short(value: Any) -> str:
+    """A value for a message."""
+    text = ascii(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

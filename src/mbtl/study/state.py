@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,19 +12,17 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts.words import describe_set, middle_of
 from mbtl.episodes import Episodes
-from mbtl.errors import StorageError, StudyError
+from mbtl.errors import StudyError
 from mbtl.history import History, Training
 from mbtl.objective import Bounds
 from mbtl.routing import Routing
 from mbtl.seeds import training_seed
 from mbtl.selectors.base import SelectionProblem
 from mbtl.study.budget import Bill, counted
-from mbtl.study.checks import check_event
 from mbtl.study.events import Event
 from mbtl.study.leases import Lease
-from mbtl.study.records import Failure, FreshReturns, LateResult, PickRecord, ToldRow
+from mbtl.study.records import Failure, FreshReturns, PickRecord, ToldRow
 from mbtl.study.spec import StudySpec
-from mbtl.untrusted import MALFORMED
 
 ABILITIES = ("sets", "start", "length")
 """What a trainer may be able to do beside specialists."""
@@ -50,7 +48,8 @@ class StudyState:
     failures: list[Failure] = field(default_factory=list)
     deferred: dict[int, Failure] = field(default_factory=dict)
     """Number of an open pick -> why its policy, which is trained, was not evaluated so far."""
-    late: list[LateResult] = field(default_factory=list)
+    late: list[Event] = field(default_factory=list)
+    """Results of picks that were somebody else's by then; they count for nothing."""
     fresh: FreshReturns | None = None
     equipment: Mapping[str, Any] | None = None
     """Recipe and format of the policies, and own code; None: not known so far."""
@@ -78,21 +77,8 @@ class StudyState:
     _errors: Array | None = field(default=None, repr=False)
 
     def apply(self, event: Event) -> None:
-        """Advance by one event."""
-        if event.seq != self.seq + 1:
-            raise StorageError(f"event {self.seq + 1} is missing from the log, got {event.seq}")
-        if (self.seq == 0) != (event.kind == "created"):
-            raise StorageError(
-                f"event {event.seq} ({event.kind}) is out of place; the log is damaged"
-            )
-        try:
-            check_event(event, self)
-            getattr(self, f"_{event.kind}")(event)
-        except MALFORMED as error:
-            raise StorageError(
-                f"event {event.seq} ({event.kind}) of the study is damaged or not ours: {error}; "
-                "restore a copy of the study"
-            ) from error
+        """Advance by one event, which was checked (`mbtl.study.checks.advance`)."""
+        getattr(self, f"_{event.kind}")(event)
         self._history = None
         self.seq = event.seq
         if event.kind in ("created", "told", "voided"):
@@ -512,8 +498,7 @@ class StudyState:
         self._forget()
 
     def _late(self, event: Event) -> None:
-        data = event.data
-        self.late.append(LateResult(data["pick"], data["outcome"], data["token"], event.seq))
+        self.late.append(event)
 
     def _voided(self, event: Event) -> None:
         place = self.place_of(event.data["told"])
@@ -585,11 +570,3 @@ def same_work(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 def _lease_of(event: Event) -> Lease:
     data = event.data
     return Lease(data["token"], data["worker"], data.get("seconds"), event.time)
-
-
-def replay(events: Iterable[Event]) -> StudyState:
-    """State after all `events`, from the first."""
-    state = StudyState()
-    for event in events:
-        state.apply(event)
-    return state

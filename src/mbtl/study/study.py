@@ -30,20 +30,18 @@ from mbtl.settings import first_difference
 from mbtl.study import ask, tell
 from mbtl.study.artifacts import Artifact, ArtifactStore, FolderStore
 from mbtl.study.budget import Steps
-from mbtl.study.checks import check_event
+from mbtl.study.checks import advance, check_event
 from mbtl.study.closing_report import value_of
+from mbtl.study.database import database_file
 from mbtl.study.events import Event, Kind
 from mbtl.study.job import Kept
-from mbtl.study.leases import Lease, Watch, asker, check_holds, new_worker
-from mbtl.study.lines import Trainings, trainings_of
-from mbtl.study.liveness import Presence
-from mbtl.study.pick import Pick, StudyFinished
-from mbtl.study.places import database_file
-from mbtl.study.records import PickRecord, ToldRow
+from mbtl.study.leases import Lease, Presence, Watch, asker, check_holds, new_worker
+from mbtl.study.records import Pick, PickRecord, StudyFinished, ToldRow
 from mbtl.study.serialisation import changed_code, code_mismatch
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import ABILITIES, StudyState
 from mbtl.study.storage import Conflict, EventLog, MemoryLog
+from mbtl.study.trainings import Trainings, trainings_of
 from mbtl.trainers.contract import (
     FunctionTrainer,
     Trainer,
@@ -57,8 +55,7 @@ from mbtl.trainers.contract import (
 if TYPE_CHECKING:
     from mbtl.portfolio import Portfolio
     from mbtl.study.callbacks import Callback
-    from mbtl.study.result import RunResult
-    from mbtl.study.runner import Failures, Workers
+    from mbtl.study.runner import Failures, RunResult, Workers
 
 
 P = ParamSpec("P")
@@ -174,7 +171,7 @@ class Study:
         """Apply what other processes appended, and return the state."""
         for event in self._log.read(self._state.seq):
             gone = self._state.place_of(event.data.get("told")) if event.kind == "voided" else None
-            self._state.apply(event)
+            advance(self._state, event)
             if gone is not None:  # policies are kept by the place of their row
                 kept = {i: p for i, p in self.policies.items() if i != gone}
                 self.policies = {i - (i > gone): policy for i, policy in kept.items()}

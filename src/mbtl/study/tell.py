@@ -11,8 +11,7 @@ from mbtl.contexts import ContextSpace
 from mbtl.contexts.words import describe_set
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.study.events import Event
-from mbtl.study.pick import Pick
-from mbtl.study.records import PickRecord
+from mbtl.study.records import Pick, PickRecord
 from mbtl.study.state import StudyState
 
 

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from mbtl.errors import InvalidInput
 from mbtl.faults import TookTooLong
 
 GRACE = 5.0
@@ -49,18 +48,6 @@ def at_most(seconds: float | None, on_stuck: Callable[[], None] | None = None) -
         except _Ended:  # perhaps raised before `end` had begun
             limit.end()
             raise too_long(seconds) from None
-
-
-def check_limits(lease: float, timeout: float | None) -> None:
-    """Refuse times that are none.
-
-    Raises:
-        InvalidInput: one is not > 0.
-    """
-    if timeout is not None and not timeout > 0:
-        raise InvalidInput(f"a timeout is a number of seconds > 0, got {timeout!r}")
-    if not lease > 0:
-        raise InvalidInput(f"a lease lasts a number of seconds > 0, got {lease!r}")
 
 
 def too_long(seconds: float) -> TookTooLong:

@@ -32,11 +32,20 @@ from mbtl.trainers.contract import (
     check_settings,
     checked_returns,
 )
-from mbtl.trainers.isolation import isolated
 from mbtl.trainers.sb3_files import load_sb3, save_sb3
-from mbtl.trainers.sb3_learning import close, learn, lightened, log_nowhere, run_name
+from mbtl.trainers.sb3_learning import (
+    EVALUATION_ENVS,
+    BestCheckpoint,
+    Watch,
+    actor_for,
+    close,
+    isolated,
+    learn,
+    lightened,
+    log_nowhere,
+    run_name,
+)
 from mbtl.trainers.sb3_state import begin_with, freeze, in_steps, pausing, thawed
-from mbtl.trainers.watch import EVALUATION_ENVS, BestCheckpoint, Watch, actor_for
 
 _COUNTS = ("eval_episodes", "checkpoint_episodes", "n_envs", "threads")
 _OPTIONAL_COUNTS = ("timesteps", "episodes", "checkpoint_every", "n_eval_envs")

@@ -20,7 +20,7 @@ from mbtl.errors import InvalidInput, MbtlError, StorageError
 from mbtl.trainers.adapted import AdaptedPolicy, model_of, read_adapted
 from mbtl.trainers.algorithms import algorithm_class
 from mbtl.trainers.export import export_mlp
-from mbtl.trainers.isolation import isolated
+from mbtl.trainers.sb3_learning import isolated
 from mbtl.untrusted import read_json
 
 MODEL_FILE = "model.zip"

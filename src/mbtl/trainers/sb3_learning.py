@@ -1,15 +1,36 @@
-"""One training in Stable-Baselines3: what goes wrong gets a name, and only the policy is kept."""
+"""One training in Stable-Baselines3: reports, the best checkpoint, what goes wrong, what is kept.
+
+The library seeds and uses global generators, which nobody else should notice (`isolated`).
+"""
 
 from __future__ import annotations
 
 import contextlib
+import random
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
+import numpy as np
+
 from mbtl.contexts import Context
-from mbtl.envs.rollout import end
+from mbtl.envs.rollout import ENDED, Actor, Env, Job, end, play
 from mbtl.errors import SimulationFailed, TrainingFailed
-from mbtl.trainers.adapted import adapted
-from mbtl.trainers.watch import Watch
+from mbtl.score import Score
+from mbtl.trainers.adapted import Statistics, adapted, begin_statistics, model_of
+from mbtl.trainers.contract import OnProgress, Progress
+from mbtl.trainers.export import export_mlp
+
+REPORTS = 100
+"""Progress reports per training."""
+
+EVALUATION_ENVS = 128
+"""Environments alive at once in an evaluation, when `n_eval_envs` does not say otherwise."""
+
+_RECENT = 100
+"""Episodes whose mean is reported, as in Stable-Baselines3."""
 
 _GONE = (EOFError, BrokenPipeError, ConnectionResetError)
 """What the end of another process looks like from here."""
@@ -96,3 +117,170 @@ def _forget_last_actions(distribution: Any) -> None:
             setattr(distribution, name, part.detach())
         elif isinstance(part, torch.distributions.Distribution) or name == "distribution":
             setattr(distribution, name, None)  # made anew by every forward pass
+
+
+# ---- what happens while a model learns ----------------------------------------------------------
+
+
+def actor_for(policy: Any, *, sampled: bool = False) -> Actor:
+    """Actor of a policy, on its numpy copy when there is one (about ten times as fast as torch)."""
+    exported = export_mlp(policy) if hasattr(model_of(policy), "policy") else None
+    return Actor(policy if exported is None else exported, sampled)
+
+
+class BestCheckpoint:
+    """Keeps the weights with the best mean return over fixed episodes on the model's own context.
+
+    The episodes have their own environments and the same seeds at every checkpoint, so that weights
+    are compared, not luck. Of equal checkpoints the earliest is kept, as in the reference protocol
+    (cmdp-spec, section 3). Unchanged weights are not evaluated again.
+    """
+
+    def __init__(
+        self,
+        envs: Sequence[Env],
+        seeds: Sequence[int],
+        every: int,
+        *,
+        sampled: bool = False,
+        score: Score | None = None,
+    ) -> None:
+        """`seeds`, one per episode, are dealt out over `envs`; `every` is in units of training."""
+        self._sampled = sampled
+        self._jobs = [
+            Job(partial(_same, e), seeds[i :: len(envs)], score) for i, e in enumerate(envs)
+        ]
+        self._every, self._due = every, every
+        self._updates: int | None = None
+        self._weights: dict[str, Any] = {}
+        self._statistics: Mapping[str, Statistics] = {}
+        self.latest: float | None = None
+        self.best: float | None = None
+
+    def visit(self, model: Any, done: int, *, last: bool = False) -> None:
+        """Evaluate if a checkpoint is due (or this is the last) and the weights have changed."""
+        if not last and done < self._due:
+            return
+        self._due = done + self._every
+        if model._n_updates == self._updates:
+            return
+        self._updates = model._n_updates
+        policy = adapted(model)
+        actor = actor_for(policy, sampled=self._sampled)
+        returns = play(self._jobs, actor, max_envs=len(self._jobs), keep_open=True)
+        self.latest = float(np.concatenate(returns).mean())
+        if self.best is None or self.latest > self.best:
+            self.best = self.latest
+            state = model.policy.state_dict()
+            self._weights = {name: tensor.detach().clone() for name, tensor in state.items()}
+            self._statistics = getattr(policy, "statistics", {})
+
+    def restore(self, model: Any) -> None:
+        """Put the best weights back."""
+        if self._weights:
+            model.policy.load_state_dict(self._weights)
+            begin_statistics(model, self._statistics)
+
+
+class Watch:
+    """Callback of one training, called after every environment step.
+
+    The unit of training is the environment step; or the episode, where the `episodes` so far are
+    given: a key of an info comes once with each.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        total: int,
+        on_progress: OnProgress | None,
+        best: BestCheckpoint | None,
+        episodes: int | None = None,
+        score: Score | None = None,
+    ) -> None:
+        self._score = score
+        self._model, self._total, self._on_progress, self._best = model, total, on_progress, best
+        ends = ENDED if hasattr(model.env, "slots") else "episode"  # of a team
+        self._ends = None if episodes is None else ends
+        self._interval = max(1, total // REPORTS)
+        self._due, self.episodes = self._interval, episodes
+        self._scores: deque[float] = deque(maxlen=_RECENT)
+
+    @property
+    def done(self) -> int:
+        """Units so far."""
+        return int(self._model.num_timesteps) if self.episodes is None else self.episodes
+
+    def __call__(self, given: dict[str, Any], _globals: dict[str, Any]) -> bool:
+        """Form of a Stable-Baselines3 function callback; False: enough."""
+        # one step into the next episode: what ends on the last step has been learnt from by then
+        enough = self.episodes is not None and self.episodes >= self._total
+        infos = given.get("infos", ())
+        if self._score is not None:
+            key = self._score.key
+            self._scores.extend(float(info[key]) for info in infos if key in info and _ends(info))
+        if self.episodes is not None:
+            ended = sum(self._ends in info for info in infos)
+            if ended:
+                self.episodes += ended
+                self._foresee(self.episodes)
+        if self._best is not None:
+            self._best.visit(self._model, self.done)
+        if self.done >= self._due:
+            self._due = self.done + self._interval
+            self.report(min(self.done, self._total))
+        return not enough
+
+    def _foresee(self, episodes: int) -> None:
+        """Schedules of the library run over steps: as many as the episodes so far make likely."""
+        steps = self._model.num_timesteps * self._total / episodes
+        self._model._total_timesteps = max(int(steps), self._model.num_timesteps)
+
+    def report(self, step: int) -> None:
+        """Tell the caller where the training stands."""
+        if self._on_progress is None:
+            return
+        metrics: dict[str, float] = {}
+        episodes = self._model.ep_info_buffer
+        if self._scores:  # what policies are judged by, where that is not the return
+            metrics["score"] = float(np.mean(self._scores))
+        elif episodes:
+            metrics["episode_return"] = float(np.mean([episode["r"] for episode in episodes]))
+        if self._best is not None and self._best.best is not None:
+            metrics["checkpoint_return"] = float(self._best.latest or 0.0)
+            metrics["best_return"] = self._best.best
+        unit = "episodes" if self._ends else "steps"
+        self._on_progress(Progress(step, self._total, metrics, unit))
+
+
+def _ends(info: Mapping[str, Any]) -> bool:
+    """Whether an episode ended with the step that this tells of."""
+    return "episode" in info or ENDED in info
+
+
+def _same(env: Env) -> Env:
+    return env
+
+
+@contextmanager
+def isolated(threads: int | None = 1) -> Iterator[None]:
+    """Run a block, then put back the global generators (random, numpy, torch) and torch's threads.
+
+    Args:
+        threads: torch threads inside the block; small networks are fastest, and reproducible across
+            machines of different size, with one. None leaves the number alone.
+    """
+    import torch
+
+    python_state, torch_state = random.getstate(), torch.get_rng_state()
+    numpy_state = np.random.get_state()  # noqa: NPY002 - the library seeds it
+    before = torch.get_num_threads()
+    if threads is not None:
+        torch.set_num_threads(threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+        torch.set_rng_state(torch_state)
+        np.random.set_state(numpy_state)  # noqa: NPY002
+        random.setstate(python_state)

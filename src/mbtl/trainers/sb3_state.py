@@ -33,8 +33,7 @@ from mbtl.files import whole_file
 from mbtl.seeds import Purpose, derive_seed
 from mbtl.trainers.adapted import begin_statistics, model_of
 from mbtl.trainers.contract import OnProgress, Progress
-from mbtl.trainers.sb3_learning import close
-from mbtl.trainers.watch import Watch
+from mbtl.trainers.sb3_learning import Watch, close
 
 _SECONDS = 60.0
 """Between two savings of a training that goes on."""

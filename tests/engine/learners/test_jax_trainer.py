@@ -18,7 +18,7 @@ from mbtl.errors import InvalidInput, UnknownName
 from mbtl.portfolio import MLPPolicy
 from mbtl.problems import get_cmdp
 from mbtl.seeds import evaluation_seeds, training_seed
-from mbtl.study.rehearsal import rehearse
+from mbtl.study.job import rehearse
 from mbtl.trainers import SB3Trainer
 from mbtl.zoo.benchmark.build import Build
 from mbtl.zoo.worlds import CartPole

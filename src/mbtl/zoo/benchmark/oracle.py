@@ -21,7 +21,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.errors import ContextMismatch, InvalidInput
 from mbtl.objective import value
-from mbtl.report.names import REFERENCE_NAMES
+from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.zoo.benchmark.base import (
     BLOCK_BYTES,
     Levels,

@@ -6,12 +6,11 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
-from mbtl.report.names import REFERENCE_NAMES
-from mbtl.report.reference import ReferenceCurves
-from mbtl.report.subject import PickFacts, Subject
+from mbtl.report.reference import REFERENCE_NAMES, ReferenceCurves
+from mbtl.report.subject import Subject
 from mbtl.routing import Routing
 from mbtl.selectors import get_selector
-from mbtl.study import Study
+from mbtl.study import Study, Training
 from mbtl.zoo.benchmark.base import measured_curve
 from mbtl.zoo.benchmark.compare import compare
 from mbtl.zoo.benchmark.matrix import TransferMatrix
@@ -78,10 +77,16 @@ def of_matrix(
     history = played.history
     space = matrix.space
     picks = [
-        PickFacts(
-            p.source, space.describe(space.context(p.source)), p.reason, promised=p.acquisition
+        Training(
+            i,
+            p.source,
+            space.context(p.source),
+            reason=p.reason,
+            sources=(p.source,),
+            promised=p.acquisition,
+            place=i,
         )
-        for p in played.proposals
+        for i, p in enumerate(played.proposals)
     ]
     known = [reference(matrix, s, problem.budget) for s in range(matrix.n_seeds)]
     baselines = {

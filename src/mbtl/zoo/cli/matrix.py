@@ -14,7 +14,7 @@ from rich.text import Text
 
 from mbtl.cli.common import JsonFlag, interruptible, print_json, printer
 from mbtl.problems import cmdp_ids
-from mbtl.report.names import REFERENCE_NAMES
+from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.zoo.benchmark import (
     RowSource,
     TransferMatrix,

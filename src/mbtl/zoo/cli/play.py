@@ -63,8 +63,8 @@ def play(
         raise InvalidInput(f"--episodes must be >= 1, got {episodes}")
     from mbtl.envs import rollout
     from mbtl.envs.references import ByItself, ways_of
-    from mbtl.report.names import REFERENCE_NAMES
-    from mbtl.trainers.watch import actor_for
+    from mbtl.report.reference import REFERENCE_NAMES
+    from mbtl.trainers.sb3_learning import actor_for
 
     if film is not None:
         _check_film(film)

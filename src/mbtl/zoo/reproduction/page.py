@@ -11,7 +11,7 @@ from typing import Any
 
 from mbtl.errors import cannot_write
 from mbtl.files import whole_file
-from mbtl.report.names import REFERENCE_NAMES
+from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.zoo.reproduction.bench import Bench
 from mbtl.zoo.reproduction.claims import NOT, OPEN, PARTLY, REPRODUCED, Claim
 from mbtl.zoo.reproduction.item import Numbers, Table

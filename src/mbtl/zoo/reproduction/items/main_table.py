@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.plot.style import new_figure
-from mbtl.report.names import REFERENCE_NAMES
+from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.zoo.reproduction.bench import Bench, Case
 from mbtl.zoo.reproduction.item import (
     COLOURS,

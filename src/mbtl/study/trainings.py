@@ -1,0 +1,190 @@
+"""Trainings of a study as typed lines: what became of each pick, and of rows nobody asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
+
+from mbtl.arrays import Array
+from mbtl.contexts import Context, ContextSpace
+from mbtl.contexts.words import describe_set
+from mbtl.errors import missing_extra
+from mbtl.notebook import table
+from mbtl.study.leases import Watch
+from mbtl.study.records import Failure, PickRecord
+from mbtl.study.state import StudyState
+
+State = Literal["done", "failed", "pruned", "running", "stale", "waiting"]
+
+
+@dataclass(frozen=True)
+class Training:
+    """One training.
+
+    Attributes:
+        number: 0-based number of its pick; None for a row that nobody asked for.
+        source: context index; of several, the one in their middle.
+        context: that context.
+        state: "done"; "failed"; "pruned", ended early on purpose; "running"; "stale", its worker
+            is not heard of any more; "waiting", given back, or trained and not evaluated so far.
+        home_return: mean return on its own context, raw units; None where not evaluated.
+        value: V after it, performance, by the rows that routed the policies; None unless told.
+        seconds: wall time of training and evaluation; None: not known.
+        steps: environment steps that the training last reported; None: it reported none.
+        cost: of the training, in the unit of the cost budget; None unless told.
+        worker: name of who held it last; None: nobody did, or it is not known.
+        seed: of the training; None where nobody asked for it.
+        reason: why the strategy chose it.
+        error: why it gave nothing, or why its policy was not evaluated so far; None otherwise.
+        sources: indices of all contexts trained on.
+        length: units of the training in all.
+        how: from what and how long, e.g. "1 to 2 units", "tuned from training 1"; empty for a
+            whole training from scratch.
+        promised: gain in V that the strategy expected; None where it says none.
+        traceback: of an error, where it came from; empty where that is not known.
+        place: of its policy among the rows; None: there is none.
+    """
+
+    number: int | None
+    source: int
+    context: Context
+    state: State = "done"
+    home_return: float | None = None
+    value: float | None = None
+    seconds: float | None = None
+    steps: float | None = None
+    cost: float | None = None
+    worker: str | None = None
+    seed: int | None = None
+    reason: str = "told by the user"
+    error: str | None = None
+    sources: tuple[int, ...] = ()
+    length: float = 1.0
+    how: str = ""
+    promised: float | None = None
+    traceback: str = ""
+    place: int | None = None
+
+    @property
+    def status(self) -> str:
+        """What people read: "told", "failed: ...", "open: ...", "evaluated" further."""
+        if self.place is not None:
+            return "told"
+        if self.state == "done":
+            return "evaluated"
+        what = "failed" if self.state in ("failed", "pruned") else "open"
+        return what if self.error is None else f"{what}: {self.error}"
+
+    def trained_on(self, space: ContextSpace, between: str = ", ") -> str:
+        """What it is, for people, with `between` between its parts; as `StudyState.said`."""
+        where = describe_set(space, self.sources, between)
+        return f"{where}{between}{self.how}" if self.how else where
+
+
+class Trainings(tuple[Training, ...]):
+    """Trainings in the order in which they were asked for, or told unasked."""
+
+    def to_frame(self) -> Any:
+        """A pandas table, a line per training; `context_<axis>` has the values of each axis.
+
+        Raises:
+            MissingExtra: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ModuleNotFoundError as error:
+            raise missing_extra("pandas", "frames") from error
+        names = [f.name for f in fields(Training) if f.name != "context"]
+        lines = [
+            {name: getattr(one, name) for name in names[:3]}
+            | {f"context_{axis}": value for axis, value in one.context.items()}
+            | {name: getattr(one, name) for name in names[3:]}
+            for one in self
+        ]
+        return pandas.DataFrame(lines, columns=list(lines[0]) if lines else names)
+
+    def html(self, title: str) -> str:
+        """For notebooks, with a caption."""
+        heads = ("pick", "context", "state", "return there", "V after it", "worker", "")
+        lines = [
+            (
+                None if one.number is None else one.number + 1,
+                ", ".join(f"{axis} = {value}" for axis, value in one.context.items()),
+                one.state,
+                one.home_return,
+                one.value,
+                one.worker,
+                one.error or one.reason,
+            )
+            for one in self
+        ]
+        return table(title, heads, lines)
+
+    def _repr_html_(self) -> str:
+        return self.html(f"{len(self)} trainings")
+
+
+def trainings_of(state: StudyState, watch: Watch) -> Trainings:
+    """All of a study, as of this state."""
+    rows = {row.pick: place for place, row in enumerate(state.rows) if row.pick is not None}
+    failures = {failure.pick: failure for failure in state.failures}
+    curve = state.curve()
+    found: list[tuple[float, Training]] = []
+    for pick in state.picks:
+        trouble = failures.get(pick.number) or state.deferred.get(pick.number)
+        place = rows.get(pick.number)
+        told = {"steps": _reported(watch, pick)} | _told(state, curve, place)
+        asked = Training(
+            pick.number,
+            pick.source,
+            state.spec.space.context(pick.source),
+            _condition(state, watch, pick, failures.get(pick.number)),
+            worker=pick.last_worker,
+            seed=state.seed_of(pick),
+            reason=pick.reason,
+            error=None if trouble is None else trouble.reason,
+            sources=pick.sources,
+            length=pick.length,
+            how=state.how(pick),
+            promised=pick.acquisition,
+            traceback="" if trouble is None else trouble.traceback,
+        )
+        found.append((pick.asked_at, replace(asked, **told)))
+    for place, row in enumerate(state.rows):
+        if row.pick is None:
+            context = state.spec.space.context(row.source)
+            unasked = Training(None, row.source, context, sources=row.sources)
+            found.append((row.told_at, replace(unasked, **_told(state, curve, place))))
+    return Trainings(one for _, one in sorted(found, key=lambda pair: pair[0]))
+
+
+def _told(state: StudyState, curve: Array, place: int | None) -> dict[str, Any]:
+    """What the row at this place says of its training."""
+    if place is None:
+        return {}
+    row = state.rows[place]
+    home = float(row.returns[row.source])
+    return {
+        "home_return": home if home == home else None,  # NaN: not evaluated there
+        "value": float(curve[place]),
+        "seconds": row.seconds,
+        "cost": row.cost,
+        "place": place,
+        **({} if row.steps is None else {"steps": row.steps}),
+    }
+
+
+def _condition(state: StudyState, watch: Watch, pick: PickRecord, failure: Failure | None) -> State:
+    if failure is not None:
+        return "pruned" if failure.pruned else "failed"
+    if pick.number not in state.open_picks:
+        return "done"
+    if pick.lease is None:
+        return "waiting"
+    return "stale" if watch.is_stale(pick.lease) else "running"
+
+
+def _reported(watch: Watch, pick: PickRecord) -> float | None:
+    """Steps by the last heartbeat of whoever held it last and said so."""
+    said = [watch.beat(token) for token in reversed(pick.tokens)]
+    return next((beat.steps for beat in said if beat is not None and beat.steps is not None), None)
