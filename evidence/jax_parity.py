@@ -33,7 +33,7 @@ def sb3_curve(algorithm: str, name: str, every: int, seed: int) -> list[float]:
     from stable_baselines3.common.callbacks import BaseCallback
 
     from mbtl.envs.rollout import Job, play
-    from mbtl.trainers.watch import actor_for
+    from mbtl.trainers.sb3_learning import actor_for
 
     torch.set_num_threads(1)
     make = partial(GYM[name][1], CONTEXT[name])

@@ -85,7 +85,9 @@ def test_a_database_of_several_studies_shows_those_that_are_named(mbtl_command, 
     url = f"sqlite:///{tmp_path}/s/study.db"
     code, _, err = mbtl_command("report", url)
     assert code == 2
-    assert "holds 3 studies (s, second, third); choose one with --name" in " ".join(err.split())
+    assert "holds 3 studies (s, second, third); choose one with name= (--name)" in " ".join(
+        err.split()
+    )
     chosen = ["--name", "third", "--name", "s", "--json"]
     code, out, err = mbtl_command("report", url, *chosen)
     assert code == 0, err

@@ -57,7 +57,9 @@ def test_one_of_several_studies_is_chosen_by_its_name(mbtl_command, place, tmp_p
     verb, *file = command
     code, out, err = mbtl_command("study", verb, "runs/a", *file)
     assert (code, out) == (2, "")
-    assert "holds 2 studies (first, the second); choose one with --name" in " ".join(err.split())
+    assert "holds 2 studies (first, the second); choose one with name= (--name)" in " ".join(
+        err.split()
+    )
     code, out, _ = mbtl_command("study", verb, "runs/a", *file, "--name", "the second", "--json")
     assert code == 0
     document = json.loads(out)

@@ -12,7 +12,7 @@ import pytest
 
 import mbtl
 from mbtl.cli import worker
-from mbtl.study.wall_time import WallTime
+from mbtl.cli.worker import WallTime
 
 PROGRAM = """
 import signal
@@ -188,7 +188,7 @@ def test_a_worker_that_need_not_wait_leaves_the_last_training_to_others(place, m
     ("arguments", "code", "words"),
     [
         (("nowhere", "quick.py:problem"), 1, "there is none at"),
-        (("s", "quick.py:problem", "--name", "theirs"), 1, "no study is called 'theirs'"),
+        (("s", "quick.py:problem", "--name", "theirs"), 2, "no study is called 'theirs'"),
         (("s", "quick.py:other"), 2, "the problem it was made for"),
         (("s", "quick.py:nothing"), 2, "no attribute"),
         (("s", "quick.py:problem", "--wall-time", "soon"), 2, "90m, 2h"),

@@ -166,15 +166,6 @@ def test_a_matrix_of_fewer_sources_is_replayed_beside_others():
     assert item["curve"]["values"][-1] <= item["levels"]["Oracle Transfer"] + 1e-9
 
 
-def test_a_study_of_100_contexts_and_15_picks_is_below_4_mb():
-    space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 100})
-    study = created(space, budget=15, bounds=(0.0, 1.0), strategy="random")
-    rng = np.random.default_rng(0)
-    for _ in range(15):
-        study.tell(study.ask(), rng.random(100))
-    assert len(page([of_study(study)]).encode()) < 4e6
-
-
 def test_a_matrix_of_900_contexts_that_is_all_noise_is_below_5_mb():
     from mbtl.report.html import _plotly
     from mbtl.report.packing import compressed

@@ -63,14 +63,6 @@ def test_failures_and_open_picks_are_listed():
     assert statuses == ["told", "failed: diverged", "open"]
 
 
-def test_a_study_whose_last_pick_is_open_is_not_finished():
-    study = study_of(5)
-    last = study.ask()
-    assert summarise_study(study).finished is None
-    study.tell(last, row(last.source))
-    assert summarise_study(study).finished == "the budget of 6 trainings is spent"
-
-
 def test_fresh_episodes_are_the_headline_when_measured():
     study = study_of(4)
     before = study.value
@@ -132,14 +124,6 @@ def test_policies_that_are_the_same_are_said_to_be():
 def test_the_verdict_follows_from_the_interval(gain, margin, verdict):
     summary = replace(summarise_study(study_of(3)), single_gain=gain, single_gain_margin=margin)
     assert summary.verdict.startswith(verdict)
-
-
-def test_verdict_tells_one_policy_from_many():
-    flat = created(SPACE, budget=3, bounds=(0.0, 1.0), strategy="mbtl")
-    for _ in range(3):
-        flat.tell(flat.ask(), np.full((N, 2), 0.8))
-    assert summarise_study(flat).verdict.startswith("One policy is enough here")
-    assert summarise_study(study_of(4, episodes=2)).verdict.startswith("One policy is not enough")
 
 
 def test_the_verdict_names_the_context_where_other_policies_are_missed_most():

@@ -15,7 +15,7 @@ from mbtl.errors import InvalidInput, StudyError
 from mbtl.seeds import training_seed
 from mbtl.selectors import Proposal, Traits
 from mbtl.strategies import AllFirst, OnePolicy
-from mbtl.study.pick import StudyFinished
+from mbtl.study.records import StudyFinished
 
 N = 8
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 7.0): N})

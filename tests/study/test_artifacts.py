@@ -225,18 +225,11 @@ def counted(context, seed):
     return np.array([context["x"]])
 
 
-@pytest.mark.parametrize("steps", [False, True])
-def test_a_place_that_cannot_be_written_is_found_before_the_first_training(tmp_path, steps):
+def test_a_place_that_cannot_be_written_is_found_before_the_first_training(tmp_path):
     TRAINED.clear()
     (tmp_path / "file").write_text("no folder")
-    if steps:
-        budget = mbtl.Steps(20_000, unit=1_000, horizon=10)
-        study = created(
-            SPACE, budget=budget, bounds=(0.0, 1.0), artifacts=tmp_path / "file" / "kept"
-        )
-    else:
-        study = created(SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s.db",
-                                  artifacts=tmp_path / "file" / "kept")  # fmt: skip
+    study = created(SPACE, budget=2, bounds=(0.0, 1.0), storage=tmp_path / "s.db",
+                    artifacts=tmp_path / "file" / "kept")  # fmt: skip
     trainer = FunctionTrainer(counted, evaluate, TRAINER.save_fn, TRAINER.load_fn)
     with pytest.raises(StorageError, match=r"nothing can be written there.*nothing is trained"):
         study.run(trainer=trainer, progress=False)

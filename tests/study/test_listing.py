@@ -47,14 +47,14 @@ def test_what_is_not_there_or_is_run_is_not_deleted(tmp_path):
     with pytest.raises(mbtl.StorageError, match="there is none"):
         mbtl.study.delete_study(tmp_path)
     study = study_at(tmp_path, "mine")
-    with pytest.raises(mbtl.StudyError, match="Did you mean 'mine'"):
+    with pytest.raises(mbtl.errors.InvalidInput, match="Did you mean 'mine'"):
         mbtl.study.delete_study(tmp_path, "mime")
     pick = study.ask(lease=60.0)
     with pytest.raises(mbtl.StudyError, match="is run by"):
         mbtl.study.delete_study(tmp_path)
     study.tell(pick, np.zeros(15))
     study_at(tmp_path, "other")
-    with pytest.raises(mbtl.StudyError, match="holds 2 studies"):
+    with pytest.raises(mbtl.errors.InvalidInput, match="holds 2 studies"):
         mbtl.study.delete_study(tmp_path)
     mbtl.study.delete_study(tmp_path, "mine")
 

@@ -110,19 +110,3 @@ def test_a_worker_that_runs_other_code_marks_its_rows_as_of_that(edited, tmp_pat
         study.tell(study.ask(), np.zeros(7))
     made = [row.recipe for row in second.refresh().rows]
     assert made[0] == made[2] != made[1]
-
-
-def test_studies_that_count_steps_notice_it_too(edited, tmp_path):
-    def run_steps(own, budget, **options):
-        study = created(
-            SPACE, budget=mbtl.Steps(budget, unit=1_000, horizon=10), bounds=(0.0, 1.0),
-            storage=tmp_path / "s.db", load_if_exists=True,
-        )  # fmt: skip
-        ran(study, own.train, own.evaluate, save=own.save, load=own.load, progress=False, **options)
-        return study
-
-    run_steps(edited(), 2_000)
-    with pytest.raises(StudyMismatch, match="`GAIN`, which `evaluate` uses"):
-        run_steps(edited(gain=0.5), 4_000)
-    study = run_steps(edited(gain=0.5), 4_000, accept_changes=True)
-    assert len(study.state.rows) > 1

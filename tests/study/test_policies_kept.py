@@ -9,7 +9,7 @@ import pytest
 import mbtl
 from flat import created, ran
 from mbtl.errors import InvalidInput, StudyMismatch, UnsavedPolicies
-from mbtl.study import artifacts, places
+from mbtl.study import artifacts, database
 from mbtl.trainers import FunctionTrainer
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
@@ -98,7 +98,7 @@ def test_the_working_folder_may_change_while_a_study_runs(tmp_path, monkeypatch,
     ],
 )
 def test_the_file_behind_a_url(address, file):
-    found = places.database_file(address)
+    found = database.database_file(address)
     assert (None if found is None else found.as_posix()) == file
 
 
@@ -114,7 +114,7 @@ def test_artifacts_say_where_policies_go(tmp_path):
 
 
 def test_a_database_that_is_no_file_needs_artifacts(tmp_path, monkeypatch):
-    monkeypatch.setattr(places, "database_file", lambda address: None)  # as of a server
+    monkeypatch.setattr(artifacts, "database_file", lambda address: None)  # as of a server
     study = study_at(tmp_path / "s.db")
     with pytest.warns(UnsavedPolicies, match="give artifacts="):
         study.run(trainer=TRAINER)

@@ -12,7 +12,7 @@ from postgres import Server, missing
 import mbtl
 from flat import created, ran
 from mbtl.errors import StorageError, Unreachable
-from mbtl.study import SqlLog, StudyFinished, study_names, write_queue
+from mbtl.study import SqlLog, StudyFinished, storage, study_names
 from mbtl.study.events import Event
 from mbtl.study.storage import Conflict
 from mbtl.testing.storage import EventLogContract
@@ -227,7 +227,7 @@ def test_who_writes_in_a_turn_makes_others_wait_for_theirs(postgres, name):
 
 
 def test_a_turn_that_somebody_keeps_is_not_waited_for_long(postgres, name, monkeypatch):
-    monkeypatch.setattr(write_queue, "_PATIENCE", "100ms")
+    monkeypatch.setattr(storage, "_PATIENCE", "100ms")
     keeps, goes_on = (SqlLog(postgres, name, create=True) for _ in range(2))
     with keeps.turn():
         done = []
@@ -248,7 +248,7 @@ def test_a_turn_that_somebody_keeps_is_not_waited_for_long(postgres, name, monke
 def test_a_turn_that_lasts_too_long_is_taken_away_and_its_event_is_written_once(
     postgres, name, monkeypatch
 ):
-    monkeypatch.setattr(write_queue, "_LONGEST", "100ms")
+    monkeypatch.setattr(storage, "_LONGEST", "100ms")
     log = SqlLog(postgres, name, create=True)
     with log.turn():
         time.sleep(0.5)

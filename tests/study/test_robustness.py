@@ -115,7 +115,7 @@ def test_a_killed_worker_gives_its_picks_back(tmp_path):
 
 def test_any_weights_survive_the_log(tmp_path):
     rng = np.random.default_rng(0)
-    for i in range(30):
+    for i in range(3):
         space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0, 1): 9}, weights=rng.uniform(size=9))
         for _ in range(2):
             mbtl.create_study(space, budget=2, storage=tmp_path / f"{i}.db", load_if_exists=True)
@@ -197,7 +197,7 @@ def test_a_level_once_reached_ends_the_study_also_for_picks_given_back():
     assert study.is_finished
 
 
-@pytest.mark.parametrize("name", ["what?.db", "a b.db", "100%.db", "ü#.db"])
+@pytest.mark.parametrize("name", ["what? 100%.db", "ü#.db"])
 def test_any_file_name_will_do(tmp_path, name):
     new(tmp_path / name).run(trainer=quick_problem.TRAINER)
     assert (tmp_path / "policies").is_dir()

@@ -1,4 +1,3 @@
-import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -7,7 +6,7 @@ import quick_problem
 
 import mbtl
 from flat import created, ran
-from mbtl.errors import InvalidInput, TrainingFailed, UnsavedPolicies
+from mbtl.errors import InvalidInput, UnsavedPolicies
 from mbtl.study import Callback
 from mbtl.study.closing_report import ReportPlan, fresh_value, plan_of
 from mbtl.trainers import FunctionTrainer, Progress
@@ -76,24 +75,6 @@ def test_a_run_stopped_in_evaluation_does_not_train_again(tmp_path):
     assert np.array_equal(study.curve, calm.curve)
 
 
-def test_on_failure_stop_raises_and_keeps_what_was_told(tmp_path):
-    calls = []
-
-    def train(context, seed):
-        calls.append(1)
-        if len(calls) == 3:
-            raise RuntimeError("the simulator crashed")
-        return quick_problem.train(context, seed)
-
-    trainer = counting(calls, train_fn=train)
-    with pytest.raises(TrainingFailed, match="the simulator crashed"):
-        ran(study_at(tmp_path), trainer=trainer, on_failure="stop")
-    study = study_at(tmp_path)
-    assert (len(study.state.rows), len(study.state.failures)) == (2, 1)
-    study.run(trainer=trainer)
-    assert len(study.state.rows) == 4
-
-
 def test_a_wrong_call_of_the_trainer_gives_the_pick_back(tmp_path):
     def train(context, seed):
         raise InvalidInput("no such hyperparameter")
@@ -104,18 +85,6 @@ def test_a_wrong_call_of_the_trainer_gives_the_pick_back(tmp_path):
     assert not study.state.failures
     study.run(trainer=counting([]))
     assert len(study.state.rows) == 5
-
-
-def test_minimised_returns_serve_with_the_smallest(tmp_path):
-    def evaluate(policy, contexts, seeds):
-        return -quick_problem.evaluate(policy, contexts, seeds)
-
-    calm = study_at(tmp_path / "up").run(trainer=counting([])).study
-    down = study_at(tmp_path / "down", bounds=(0.0, 20.0), direction="minimize")
-    down.run(trainer=counting([], evaluate_fn=evaluate))
-    assert [p.source for p in down.state.picks] == [p.source for p in calm.state.picks]
-    assert down.curve == pytest.approx(calm.curve)
-    assert np.array_equal(down.portfolio().assignment, calm.portfolio().assignment)
 
 
 def test_workers_in_other_processes_give_the_same_study(tmp_path):
@@ -132,22 +101,6 @@ def test_workers_in_other_processes_give_the_same_study(tmp_path):
         ).study
     assert [p.source for p in there.state.picks] == [p.source for p in here.state.picks]
     assert np.array_equal(there.curve, here.curve)
-
-
-def test_two_runs_on_one_study_share_the_work(tmp_path):
-    study_at(tmp_path, budget=8)
-    calls = []
-    runs = [
-        threading.Thread(target=lambda: study_at(tmp_path, budget=8).run(trainer=counting(calls)))
-        for _ in range(2)
-    ]
-    for run in runs:
-        run.start()
-    for run in runs:
-        run.join()
-    study = mbtl.load_study(tmp_path)
-    assert study.is_finished
-    assert len(calls) == len(set(calls)) == 8
 
 
 def test_an_interrupted_batch_asks_as_an_undisturbed_one(tmp_path):

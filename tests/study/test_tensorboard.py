@@ -3,7 +3,7 @@ import pytest
 
 import mbtl
 from flat import created
-from mbtl.study.tensorboard import TensorBoardCallback
+from mbtl.study.callbacks import TensorBoardCallback
 from mbtl.trainers import FunctionTrainer, Progress, Trained
 
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 9})

@@ -14,7 +14,7 @@ from mbtl.envs import opening
 from mbtl.errors import InvalidInput, Notice, TrainingFailed
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import episode_seeds
-from mbtl.study.rehearsal import rehearse
+from mbtl.study.job import rehearse
 from mbtl.trainers import SB3Trainer, export_mlp, load_sb3
 from mbtl.trainers.adapted import AdaptedPolicy
 

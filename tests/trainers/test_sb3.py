@@ -37,7 +37,7 @@ from mbtl.errors import (
 )
 from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import Purpose, episode_seeds, evaluation_seeds
-from mbtl.study.rehearsal import rehearse
+from mbtl.study.job import rehearse
 from mbtl.trainers import SB3Trainer, Trainer, load_sb3
 
 SHORT = {"n_steps": 64, "batch_size": 32, "n_epochs": 2}
@@ -250,7 +250,7 @@ def test_best_checkpoint_returns_what_it_was_chosen_for():
 
 
 def test_checkpoints_come_as_often_as_asked_and_not_for_unchanged_weights(monkeypatch):
-    from mbtl.trainers import watch
+    from mbtl.trainers import sb3_learning as watch
 
     visits = []
     real = watch.play
@@ -310,34 +310,6 @@ def test_numpy_copy_and_torch_give_the_same_returns(trained):
     assert np.array_equal(
         trainer.evaluate(trained, POLES, range(5)), play(jobs, Actor(trained), max_envs=9)
     )
-
-
-def test_episodes_are_the_same_for_every_policy_and_others_for_every_target():
-    seeds = []
-
-    class Listening(Guess):
-        def reset(self, *, seed=None, options=None):
-            seeds.append(seed)
-            return super().reset(seed=seed)
-
-    trainer = ppo(Listening, timesteps=64, eval_episodes=3)
-    models = [ppo(Guess, timesteps=64).train([{}], seed).policy for seed in (0, 1)]
-    play = evaluation_seeds(0, 0, range(2), Purpose.REPORT)
-    for model in models:
-        for length, seed in enumerate(play):
-            trainer.evaluate(model, [{"length": 1 + length}], [seed])
-    assert seeds == seeds[:6] * 2
-    assert len(set(seeds)) == 6
-    assert {s >> 28 for s in seeds} == {Purpose.REPORT}  # still disjoint from all other purposes
-
-
-def test_a_numpy_policy_can_be_evaluated_directly(trained):
-    from mbtl.trainers import export_mlp
-
-    trainer = ppo()
-    exported = export_mlp(trained)
-    expected = trainer.evaluate(trained, POLES, range(5))
-    assert np.array_equal(trainer.evaluate(exported, POLES, range(5)), expected)
 
 
 def test_no_targets_no_rows(trained):

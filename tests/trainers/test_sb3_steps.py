@@ -117,9 +117,15 @@ def test_a_training_that_begins_from_another_model_acts_as_that_until_it_learns(
     assert np.array_equal(warm.policy.predict(seen, deterministic=True)[0], expected)
 
 
-@pytest.mark.parametrize("algorithm", ["PPO", "DQN"])
-@pytest.mark.parametrize("unit", ["timesteps", "episodes"])
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize(
+    ("algorithm", "unit", "count"),
+    [
+        ("PPO", "timesteps", 1),
+        ("DQN", "timesteps", 2),
+        ("PPO", "episodes", 2),
+        ("DQN", "episodes", 1),
+    ],
+)
 def test_a_training_may_become_longer_than_a_unit(algorithm, unit, count, tmp_path):
     one, contexts = trainer(algorithm=algorithm), [POLE, {"length": 1.0}][:count]
     if unit == "episodes":
