@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from line_problem import TRAINER
 
 import mbtl
 from flat import created, ran
@@ -10,21 +11,12 @@ from mbtl.selectors import MBTL
 from mbtl.study import StudyFinished, ask
 from mbtl.study import study as study_module
 from mbtl.study.leases import asker
-from mbtl.trainers import FunctionTrainer
 
 N = 40
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): N})
 HELD = 5
 """Picks that are under way."""
 WAITING = ("anna", "bert", "carl")
-
-
-TRAINER = FunctionTrainer(
-    lambda context, seed: np.array([context["x"]]),
-    lambda policy, contexts, seeds: [1.0 - abs(policy[0] - c["x"]) for c in contexts],
-    lambda policy, folder: np.save(folder / "policy.npy", policy),
-    lambda folder: np.load(folder / "policy.npy"),
-)
 
 
 class Counting(MBTL):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -114,7 +115,7 @@ def test_the_policy_for_all_is_not_tried_again_where_it_failed():
 @pytest.mark.parametrize("parallel", [1, 2])
 def test_one_policy_goes_on_with_its_own_weights(parallel):
     simulator, study = Simulator(), study_of("one-policy", budget=7)
-    with_threads = {} if parallel == 1 else {"parallel": 2, "executor": _Threads(2)}
+    with_threads = {} if parallel == 1 else {"parallel": 2, "executor": ThreadPoolExecutor(2)}
     run(study, simulator, report=False, **with_threads)
     assert [row.length for row in study.state.rows] == [1.0, 2.0, 4.0, 7.0]
     assert [call[3] for call in simulator.calls] == [1.0, 1.0, 2.0, 3.0]  # how much more
@@ -311,12 +312,3 @@ def test_sets_and_what_goes_on_are_trained_in_other_processes(tmp_path, strategy
         assert study.is_finished
         assert len(study.portfolio().sets) == (1 if strategy == "all-first" else 3)
     assert found[0] == found[1]
-
-
-class _Threads:
-    """An executor of threads, made anew with each use."""
-
-    def __new__(cls, workers):
-        from concurrent.futures import ThreadPoolExecutor
-
-        return ThreadPoolExecutor(workers)

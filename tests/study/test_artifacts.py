@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from line_problem import SPACE, TRAINER, evaluate, train
 
 import mbtl
 from flat import created
@@ -19,24 +20,6 @@ from mbtl.errors import InvalidInput, StorageError
 from mbtl.study.artifacts import FolderStore, RemoteStore, store_at
 from mbtl.testing.artifacts import ArtifactStoreContract
 from mbtl.trainers.contract import FunctionTrainer, Trained, recipe_digest
-
-SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
-
-
-def train(context, seed):
-    return np.array([context["x"]])
-
-
-def evaluate(policy, contexts, seeds):
-    return [1 - abs(c["x"] - policy[0]) for c in contexts]
-
-
-TRAINER = FunctionTrainer(
-    train,
-    evaluate,
-    lambda policy, folder: np.save(folder / "x.npy", policy),
-    lambda folder: np.load(folder / "x.npy"),
-)
 
 
 @pytest.fixture(scope="module")

@@ -3,35 +3,14 @@
 import os
 import shutil
 
-import numpy as np
 import pytest
+from line_problem import SPACE, TRAINER, evaluate, load, save, train
 
 import mbtl
 from flat import created, ran
 from mbtl.errors import InvalidInput, StudyMismatch, UnsavedPolicies
 from mbtl.study import artifacts, database
 from mbtl.trainers import FunctionTrainer
-
-SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 7})
-
-
-def train(context, seed):
-    return np.array([context["x"]])
-
-
-def evaluate(policy, contexts, seeds):
-    return [1 - abs(c["x"] - policy[0]) for c in contexts]
-
-
-def save(policy, folder):
-    np.save(folder / "x.npy", policy)
-
-
-def load(folder):
-    return np.load(folder / "x.npy")
-
-
-TRAINER = FunctionTrainer(train, evaluate, save, load)
 
 
 class Recipe(FunctionTrainer):

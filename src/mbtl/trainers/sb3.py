@@ -296,8 +296,7 @@ class SB3Trainer:
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
         with isolated(self.threads):
             actor = actor_for(policy, sampled=self.acting == "sampled")
-            most = min(len(contexts), self.n_eval_envs or EVALUATION_ENVS)
-            open_env, most = self.opener(contexts, most)
+            open_env, most = self._evaluation(contexts)
             pairs = zip(contexts, each, strict=True)
             jobs = [Job(partial(open_env, one), own, self._score) for one, own in pairs]
             found, lasted = play_counted(jobs, actor, max_envs=most)
@@ -310,9 +309,7 @@ class SB3Trainer:
     ) -> dict[str, Array]:
         """See `mbtl.trainers.ReferenceTrainer`; `mbtl.envs.references` has what is unguided."""
         each = episode_seeds(seeds, len(contexts), self.eval_episodes)
-        open_env, envs = self.opener(
-            contexts, min(len(contexts), self.n_eval_envs or EVALUATION_ENVS)
-        )
+        open_env, envs = self._evaluation(contexts)
         return reference_rows(open_env, contexts, each, max_envs=envs, score=self._score)
 
     def beside(
@@ -331,9 +328,7 @@ class SB3Trainer:
                 for policy, some in zip(policies, contexts, strict=True)
                 if some
             ]
-            open_env, most = self.opener(
-                every, min(len(every), self.n_eval_envs or EVALUATION_ENVS)
-            )
+            open_env, most = self._evaluation(every)
             return measured(open_env, acting, each, names, max_envs=most, score=self._score)
 
     def save(self, policy: Any, folder: Path) -> bool:
@@ -385,6 +380,10 @@ class SB3Trainer:
         return partial(remote, self.make_env), min(at_once, usable_cores())
 
     # ---- inside ------------------------------------------------------------------------------
+
+    def _evaluation(self, contexts: Sequence[Context]) -> tuple[Callable[[Context], Any], int]:
+        """As `opener`, for episodes in all of these contexts."""
+        return self.opener(contexts, min(len(contexts), self.n_eval_envs or EVALUATION_ENVS))
 
     @property
     def _score(self) -> Score | None:
