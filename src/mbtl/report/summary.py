@@ -141,7 +141,7 @@ class StudySummary:
 
 def summarise_study(study: Study) -> StudySummary:
     """Compute the summary of a study as it stands."""
-    state = study.refresh()
+    trainings, state = study.trainings, study.state  # what is told later is not known here
     history, weights, space = study.history, study.space.weights, study.space
     fresh = fresh_value(study.state)
     best_and_worst = tuple(float(r) for r in study.bounds.denormalise(np.array([0.0, 1.0])))
@@ -157,7 +157,7 @@ def summarise_study(study: Study) -> StudySummary:
         "finished": study.stop_reason if study.is_finished else None,
         "bounds": best_and_worst,
         "automatic_bounds": study.spec.bounds is None,
-        "picks": tuple(sorted(study.trainings, key=_told_first)),
+        "picks": tuple(sorted(trainings, key=_told_first)),
     }
     if not len(history):
         empty: dict[str, Any] = {f.name: None for f in fields(StudySummary)}
