@@ -35,7 +35,10 @@ class Bare:
 
 
 def created(problem: Any, /, **given: Any) -> mbtl.Study:
-    """`mbtl.create_study` where bounds, stopping rules, costs, trainer, ... are keywords."""
+    """`mbtl.create_study` where bounds, stopping rules, costs, trainer, ... are keywords.
+
+    Contexts are chosen, unless a strategy is given that chooses trainings of every kind.
+    """
     aim = {name: given.pop(name) for name in _AIM if name in given}
     end = {name: given.pop(key) for key, name in _END.items() if key in given}
     facts = {
@@ -55,7 +58,7 @@ def created(problem: Any, /, **given: Any) -> mbtl.Study:
         given["objective"] = mbtl.Objective(**aim)
     if end:
         given["stopping"] = mbtl.Stopping(**{k: v for k, v in end.items() if v is not None})
-    return mbtl.create_study(problem, **given)
+    return mbtl.create_study(problem, **{"strategy": "specialists", **given})
 
 
 def ran(study: mbtl.Study, train: Any = None, evaluate: Any = None, **given: Any) -> Any:

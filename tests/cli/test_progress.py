@@ -15,7 +15,7 @@ from mbtl.trainers import Progress
 def told(monkeypatch, silence):
     monkeypatch.setattr("mbtl.cli.common.SILENCE", silence)
     space = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 1.0): 5})
-    study = mbtl.create_study(space, budget=2, seed=0)
+    study = mbtl.create_study(space, budget=2, seed=0, strategy="specialists")
     out = io.StringIO()
     with LiveProgress(study, Console(file=out, width=100)) as live:
         pick = study.ask()

@@ -141,9 +141,9 @@ def test_a_line_per_pick_is_for_people_who_count_from_1(capsys):
     assert len(lines) == 4
     problem().study(strategy="equidistant").run(report=False, progress=False)
     assert capsys.readouterr() == ("", "")
-    study = problem().study()
+    study = problem().study(strategy="specialists")
     assert str(study.ask()) == "pick 1: gravity = 5.0 (middle of the range)"
-    study = problem().study()
+    study = problem().study(strategy="specialists")
     PrintProgress(said := io.StringIO()).on_failed(study, study.ask(), "licence expired")
     assert said.getvalue() == "pick 1 of 3: gravity = 5 m/s2 failed: licence expired\n"
 
