@@ -125,7 +125,10 @@ class StudySummary:
                 "evaluate with more."
             )
         bar = f" +- {margin:.4f}" if margin else ""
-        adds = f"the others add {round(gain, 4) + 0.0:.4f}{bar} to the {self.best_single_value:.4f} of the best one"
+        adds = (
+            f"the others add {round(gain, 4) + 0.0:.4f}{bar} to the {self.best_single_value:.4f} "
+            "of the best one"
+        )
         if gain + margin < ENOUGH_GAIN:
             return f"One policy is enough here: {adds}."
         if gain - margin >= ENOUGH_GAIN:
