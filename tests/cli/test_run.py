@@ -47,7 +47,7 @@ def test_the_main_job_leaves_a_study_a_portfolio_and_pictures(mbtl_command, own,
     assert len(document["serving"]) == 15
     for name in ("curve.png", "policy-map.png", "study.db", "portfolio/portfolio.json"):
         assert (tmp_path / "runs" / "mass-default-seed0" / name).stat().st_size > 0
-    assert "pick 4/4" in err
+    assert "pick 4, 4 of 4 units" in err
 
 
 def test_run_again_prints_the_summary_and_trains_nothing(mbtl_command, own):
