@@ -86,15 +86,6 @@ def test_a_selector_without_a_name_may_say_what_it_can():
     assert traits_of(get_selector(bare)).one_axis
 
 
-def test_attributes_of_version_0_1_are_read_with_a_warning():
-    class Old(Bare):
-        name = "old"
-        deterministic = True
-
-    with pytest.warns(DeprecationWarning, match=r"write traits = .*Traits\(deterministic=True\)"):
-        assert traits_of(get_selector(Old())) == Traits(deterministic=True)
-
-
 @pytest.mark.parametrize(
     ("given", "match"),
     [(42, "got int 42"), (Bare, r"give Bare\(\)"), (None, "got NoneType"), (object(), "propose")],

@@ -9,7 +9,7 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.selectors.auto import Auto
 from mbtl.selectors.base import Outlook, SelectionProblem
-from mbtl.selectors.contract import OutlookSelector, Selector
+from mbtl.selectors.contract import Selector
 from mbtl.selectors.registry import get_selector, selector_names
 
 MOST = 200
@@ -57,10 +57,11 @@ def outlook(
         return None
     candidates = _candidates(problem)
     for model in (_known(selector), Auto()):
-        if not isinstance(model, OutlookSelector):
+        if model is None or not hasattr(model, "outlook"):
             continue
         try:
-            return model.outlook(problem, then, candidates)
+            found: Outlook = model.outlook(problem, then, candidates)
+            return found
         except (InvalidInput, np.linalg.LinAlgError):  # nothing to fit so far
             continue
     return None
