@@ -27,7 +27,7 @@ from mbtl.plot.style import (
 from mbtl.portfolio import Portfolio
 from mbtl.study import Study
 
-_MOST_BARS, _MOST_MAPS, _MOST_OTHERS, _MOST_LINES = 12, 9, 3, 24
+_MOST_MAPS, _MOST_LINES = 9, 24
 _BY = "by the episodes that chose"
 
 
@@ -88,8 +88,8 @@ def policy_map(
 
     On one axis performance is drawn along it. On two it is a map. On three to five there is a map
     for each value of the other axes: at most nine maps, whose values are evenly spread where there
-    are more; for ranges of values where contexts are no grid. On six and more it is
-    `policy_shares`.
+    are more; for ranges of values where contexts are no grid. On six and more it is one map, at the
+    middle values of the others.
 
     Args:
         result: a study with rows, or a portfolio.
@@ -107,14 +107,13 @@ def policy_map(
         return _along(result, patches, axes_for(ax, 6.8, 3.4))
     first, second = _pair(space, over)
     others = [axis for axis in space.axes if axis not in (first, second)]
-    if len(others) > _MOST_OTHERS:
-        return policy_shares(result)
     facets = _facets(space, others)
     if len(facets) == 1:
-        one = axes_for(ax, 6.8, 4.2)
-        lined = _territory(result, patches, one, (first, second), facets[0][1])
+        one, (where, here) = axes_for(ax, 6.8, 4.2), facets[0]
+        lined = _territory(result, patches, one, (first, second), here)
         said = f"; lines: performance {_BY}" if lined else ""
-        one.set_title(f"which policy serves{said}", fontsize=8)
+        where = f" at {where}" if len(here) < space.n else ""
+        one.set_title(f"which policy serves{where}{said}", fontsize=8)
         _legend(one, patches, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return one
     if ax is not None:
@@ -136,31 +135,6 @@ def policy_map(
     figure.suptitle(f"which policy serves{part}", fontsize=9)
     _legend(figure, patches, loc="outside lower center")
     return panels[: len(facets)]
-
-
-@styled
-def policy_shares(result: Study | Portfolio) -> NDArray[Any]:
-    """A panel per axis: at each of its values, the share of contexts that each policy serves.
-
-    Dots are the mean performance of the contexts with that value. For many axes.
-
-    Returns:
-        (d,) axes.
-    """
-    space, routing, patches = result.space, result.routing, _patches(result)
-    figure = new_figure(min(3.0 * space.d + 1.5, 14.0), 3.2 + 0.17 * len(patches))
-    panels = np.atleast_1d(figure.subplots(1, space.d))
-    every = [
-        _bars(panel, axis, space.values(axis.name), routing.route, patches, routing.served)
-        for axis, panel in zip(space.axes, panels, strict=True)
-    ]
-    limits = np.array([dots.get_ylim() for dots in every])
-    for dots in every:
-        dots.set_ylim(min(0.0, limits.min()), max(1.0, limits.max()))
-    figure.supylabel("share of contexts; dots, right: performance", fontsize=9)
-    figure.suptitle(f"which policy serves; performance {_BY}", fontsize=9)
-    _legend(figure, patches, loc="outside lower center")
-    return panels
 
 
 # ---- who serves ----------------------------------------------------------------------------------
@@ -277,7 +251,10 @@ def _facets(space: ContextSpace, others: Sequence[Axis]) -> list[tuple[str, NDAr
     for axis in others:
         most = int(_MOST_MAPS ** (1.0 / len(others)))
         names, group = _groups(axis, space.values(axis.name), most, runs=space.shape is None)
-        some = np.unique(np.linspace(0, len(names) - 1, min(most, len(names))).round().astype(int))
+        last = len(names) - 1
+        some = (
+            np.unique(np.linspace(0, last, most).round().astype(int)) if most > 1 else [last // 2]
+        )
         facets = [
             (f"{words}, {axis.name} {names[k]}".removeprefix(", "), mask & (group == k))
             for words, mask in facets
@@ -316,31 +293,8 @@ def _mark(ax: Any, x: Array, y: Array, sources: Mapping[int, int]) -> None:
         ax.text(across, up, ",".join(numbers), fontsize=7, ha="center", va="center", bbox=box)
 
 
-def _bars(
-    panel: Any,
-    axis: Axis,
-    values: Sequence[Value],
-    route: NDArray[np.intp],
-    patches: Mapping[int, Any],
-    performance: Array,
-) -> Any:
-    names, group = _groups(axis, values, _MOST_BARS)
-    counts, places = np.bincount(group), np.arange(len(names))
-    below = np.zeros(len(names))
-    for policy, patch in patches.items():
-        share = np.bincount(group[route == policy], minlength=len(names)) / counts
-        panel.bar(places, share, bottom=below, width=1.0, color=patch.get_facecolor())
-        below += share
-    dots = panel.twinx()
-    dots.plot(places, np.bincount(group, performance) / counts, "o", color="black", ms=3)
-    panel.set_ylim(0.0, 1.0)
-    panel.set_xlabel(axis.label)
-    panel.set_xticks(places, names, rotation=90)
-    return dots
-
-
 def _groups(
-    axis: Axis, values: Sequence[Value], most: int, *, runs: bool = True
+    axis: Axis, values: Sequence[Value], most: int, *, runs: bool
 ) -> tuple[list[str], NDArray[np.intp]]:
     """Names of an axis's values, or of at most so many runs of them, and which each context has."""
     if isinstance(axis, Categorical):
