@@ -315,6 +315,19 @@ def test_all_public_names_exist():
     assert len(mbtl.__all__) <= 40
 
 
+def test_type_checkers_see_every_public_name():
+    """Those that are imported when they are asked for stand in the block for type checkers."""
+    tree = ast.parse((ROOT / "__init__.py").read_text())
+    imported = {
+        alias.name: getattr(importlib.import_module(node.module), alias.name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("mbtl")
+        for alias in node.names
+    }
+    for name in mbtl.__all__:
+        assert imported[name] is getattr(mbtl, name)
+
+
 def test_pictures_are_at_hand_and_loaded_only_when_asked_for():
     program = "import sys, mbtl; assert 'matplotlib' not in sys.modules; print(mbtl.plot.curve)"
     subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)
