@@ -181,7 +181,6 @@ NOT_PUBLIC = {
     "matrices and studies record how they were made in the same words": (
         "provenance.check_made_by provenance.here settings.first_difference version.__version__"
     ),
-    "a matrix asks its space for the shape of its grid": "contexts.space.factorial_shape",
     "SUMO says how many simulations a process can hold": "envs.opening.shared_well",
     "`mbtl play` acts with a policy as trainers do": "trainers.watch.actor_for",
     "a figure of the paper shows what a selector believes": "selectors.outlook.outlook",

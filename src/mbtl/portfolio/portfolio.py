@@ -18,7 +18,6 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Value
-from mbtl.contexts.words import describe_set
 from mbtl.episodes import Episodes
 from mbtl.errors import InvalidInput, StorageError
 from mbtl.notebook import table
@@ -198,7 +197,7 @@ class Portfolio:
 
     def trained_on(self, policy: int) -> str:
         """What a policy was trained on, in words: a context, or "all contexts"."""
-        return describe_set(self.space, self.sets.get(policy, (self.sources[policy],)))
+        return self.space.describe_set(self.sets.get(policy, (self.sources[policy],)))
 
     def _error(self, seen: router.Forecast, policy: int, less: int | None = None) -> float | None:
         """Error of a policy's number, or of its lead over another; raw units, None: unknown.

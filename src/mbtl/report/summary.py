@@ -15,7 +15,6 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
-from mbtl.contexts.words import describe_set
 from mbtl.objective import value, worst_share_mean
 from mbtl.study import Study
 from mbtl.study.closing_report import fresh_value
@@ -62,7 +61,7 @@ class PickSummary:
 
     def trained_on(self, space: ContextSpace, between: str = ", ") -> str:
         """What it is, for people, with `between` between its parts; as `StudyState.said`."""
-        where = describe_set(space, self.sources, between)
+        where = space.describe_set(self.sources, between)
         return f"{where}{between}{self.how}" if self.how else where
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.contexts.words import middle_of
+from mbtl.contexts.space import middle_of
 from mbtl.errors import InvalidInput
 from mbtl.history import History, Training
 from mbtl.seeds import selection_rng
