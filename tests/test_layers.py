@@ -1,6 +1,8 @@
 """Three wings, and in each of them data flows one way: a layer imports only those above it."""
 
 import ast
+import functools
+import graphlib
 import importlib
 import re
 import subprocess
@@ -92,27 +94,31 @@ def layer_of(name):
     return ".".join(parts[: 2 if parts[0] in WINGS else 1])
 
 
-def running(path):
-    """Every node of a module that runs at some time; blocks for type checkers do not."""
+@functools.cache
+def nodes(path, types=True):
+    """Every node of a module, with what is for type checkers alone or without."""
     tree = ast.parse(path.read_text())
     for block in [n for n in ast.walk(tree) if isinstance(n, ast.If)]:
-        if "TYPE_CHECKING" in ast.dump(block.test):
+        if not types and getattr(block.test, "id", "") == "TYPE_CHECKING":
             block.body = [ast.Pass()]
-    return ast.walk(tree)
+    return [*ast.walk(tree)]
 
 
-def imports(path):
-    """(module, name) of every import of our own, those for type checkers, too.
+@functools.cache
+def imports(path, types=True):
+    """(module, name) of every import of our own.
 
     A module that is imported by `from package import module` has no name.
     """
-    for node in ast.walk(ast.parse(path.read_text())):
+    found = []
+    for node in nodes(path, types):
         if isinstance(node, ast.Import):
-            yield from ((a.name, None) for a in node.names if a.name.startswith("mbtl."))
+            found += [(a.name, None) for a in node.names if a.name.startswith("mbtl.")]
         elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "mbtl":
             for alias in node.names:
                 full = f"{node.module}.{alias.name}"
-                yield (full, None) if full in EVERY else (node.module, alias.name)
+                found.append((full, None) if full in EVERY else (node.module, alias.name))
+    return found
 
 
 def test_every_folder_has_a_place():
@@ -231,42 +237,17 @@ def test_nothing_is_called_utils():
     assert not [path for path in modules() if path.stem == "utils"]
 
 
-def graph():
-    """Module -> modules it imports, in functions too; what is for type checkers does not count.
+def test_no_modules_import_each_other_in_a_circle():
+    """In functions, too; what is for type checkers does not count.
 
     A package that is imported by name alone stands for what its `__init__` re-exports.
     """
-    every = {name_of(path): path for path in ROOT.rglob("*.py") if path.parent != ROOT}
-    every |= {name_of(path): path for path in ROOT.glob("*.py") if path.stem != "__init__"}
-    edges = {}
-    for name, path in every.items():
-        found = set()
-        for node in running(path):
-            if isinstance(node, ast.Import):
-                found |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                one = {f"{node.module}.{alias.name}" for alias in node.names}
-                found |= {full if full in every else node.module for full in one}
-        edges[name] = (found & every.keys()) - {name}
-    return edges
-
-
-def circles(edges):
-    """Sets of modules that reach each other."""
-    reach = {}
-    for start in edges:
-        seen, left = set(), [*edges[start]]
-        while left:
-            if (one := left.pop()) not in seen:
-                seen.add(one)
-                left += edges[one]
-        reach[start] = seen
-    return {frozenset(b for b in reach[a] if a in reach[b]) for a in reach if a in reach[a]}
-
-
-def test_no_modules_import_each_other_in_a_circle():
-    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == {frozenset("bc")}
-    assert not circles(graph())
+    sorter = graphlib.TopologicalSorter()
+    for path in modules():
+        sorter.add(
+            name_of(path), *({one for one, _ in imports(path, False)} - {name_of(path), "mbtl"})
+        )
+    sorter.prepare()  # raises CycleError, which names one
 
 
 def test_importing_mbtl_is_light_and_changes_nothing():
@@ -301,7 +282,7 @@ def test_no_word_of_the_tool_leads_to_another_wing_but_the_provider():
         f"{name_of(path)}: {node.value}"
         for path in modules()
         if layer_of(name_of(path)[5:]) in TOOL
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in nodes(path)
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
         if re.fullmatch(r"mbtl\.(engine|zoo)[\w.]*(:\w+)?", node.value)
     }
