@@ -2,7 +2,7 @@
 
     .venv/bin/python evidence/learn_prior.py [--budget 25]
 
-Every candidate of mbtl.models.priors picks, without covering picks, on the shipped matrices of one
+Every candidate of mbtl.models.priors picks on the shipped matrices of one
 axis (of 100 contexts every second; coarser grids are left out), on all cores. What counts is the
 mean logarithm of the trainings to 90, 95 and 99 % of the way to Oracle Transfer, K + 1 where a
 level is not reached. For each family the candidate that is best on the *other* families is kept,
@@ -10,8 +10,6 @@ each family counting once; `mbtl bench` uses it there. Judges are CartPole and P
 elsewhere rows are luck more than contexts. How much worse the runner-up is, with one standard
 error, is printed beside each choice. The lines with colons are `CHOSEN` of
 src/mbtl/models/priors.py.
-
-Then, on all families: of how many picks one should cover, each number against the shipped one.
 
 The likelihood was tried first, and chose worse: it rewards calibrated rows, not good picks.
 """
@@ -35,7 +33,6 @@ from mbtl.zoo.benchmark.replay import replay
 from mbtl.zoo.benchmark.shipped import family_of, load_by_id, open_matrices
 
 JUDGES = ("cartpole", "pendulum")
-COVERING = (0, 2, 3, 4, 6)
 
 
 def small(matrix_id: str, budget: int) -> Iterator[tuple[SelectionProblem, Array]]:
@@ -117,13 +114,9 @@ def main() -> None:
     }
     with Pool(mp_context=get_context("spawn")) as pool:
         judging = {f: stock[f] for f in JUDGES}
-        priors = {label: Auto(prior=prior, cover=0) for label, prior in CANDIDATES.items()}
-        print("\n".join(choices(table(pool, judging, priors), families)))
-        print("covering picks, with the shipped priors that have not seen the family")
-        found = table(pool, stock, {str(n): Auto(cover=n) for n in COVERING})
-    shipped = str(Auto().cover)
-    for label in found:
-        print(against(found, label, shipped, families))
+        priors = {label: Auto(prior=prior) for label, prior in CANDIDATES.items()}
+        print("
+".join(choices(table(pool, judging, priors), families)))
 
 
 if __name__ == "__main__":

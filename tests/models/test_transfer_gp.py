@@ -114,8 +114,8 @@ def test_scatter_of_pairs_is_believed_where_it_is_seen():
     pairs = grid_pairs(np.array([3, 9, 15]), EVERY)
     smooth = np.sin(pairs[:, 0] + pairs[:, 1] / 6.0)
     scatter = 0.4 * np.random.default_rng(0).standard_normal(len(smooth))
-    quiet, none, _ = likely_noise(LINE, PRIOR, pairs, smooth)
-    noisy, *_ = likely_noise(LINE, PRIOR, pairs, smooth + scatter)
+    quiet, none = likely_noise(LINE, PRIOR, pairs, smooth)
+    noisy, _ = likely_noise(LINE, PRIOR, pairs, smooth + scatter)
     assert quiet == PRIOR
     assert noisy.noise > 10 * PRIOR.noise
     assert not none.any()
@@ -128,7 +128,7 @@ def test_known_noise_counts_as_far_as_it_is_seen(seed):
     known = np.where(pairs[:, 1] % 2, 0.16, 0.0)
     scatter = np.sqrt(known) * np.random.default_rng(seed).standard_normal(len(smooth))
     assert not likely_noise(LINE, PRIOR, pairs, smooth, known)[1].any()  # shared by all policies
-    prior, counted, _ = likely_noise(LINE, PRIOR, pairs, smooth + scatter, known)
+    prior, counted = likely_noise(LINE, PRIOR, pairs, smooth + scatter, known)
     assert counted.any()
     told = TransferGP(LINE, prior, pairs, smooth + scatter, counted)
     mean, _ = told.predict(np.array([3, 9, 15]), EVERY, np.arange(3))

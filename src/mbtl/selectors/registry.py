@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.faults import FAULTS, reason_of
-from mbtl.loading import load_object
+from mbtl.faults import FAULTS, load_object, reason_of
 from mbtl.selectors.auto import Auto
 from mbtl.selectors.clustering import KMeansSelector
 from mbtl.selectors.contract import Proposes, Selector, adopted
