@@ -28,11 +28,7 @@ TOOL = [
     "notebook",
     "settings",
     "processes",
-    "threads",
-    "provenance",
-    "untrusted",
     "files",
-    "loading",
     "provider",
     "seeds",
     "contexts",
@@ -175,17 +171,18 @@ NOT_PUBLIC = {
         "plot.style.colours plot.style.edges plot.style.new_figure"
     ),
     "files are written whole, claimed by one process and read from strangers by one rule": (
-        "files.claim_of files.claimed_folder files.whole_file untrusted.MALFORMED "
-        "untrusted.read_arrays untrusted.read_json portfolio.archive.MANIFEST"
+        "files.claim_of files.claimed_folder files.whole_file files.MALFORMED "
+        "files.read_arrays files.read_json portfolio.archive.MANIFEST"
     ),
     "input is checked, and refused in the same words": (
         "plain.LARGEST plain.array_of plain.refused plain.short plain.whole"
     ),
     "processes and threads are counted and ended by one rule": (
-        "processes.native_threads processes.usable_cores processes.worker_pool threads.threads_for"
+        "processes.native_threads processes.threads_for processes.usable_cores "
+        "processes.worker_pool"
     ),
-    "matrices and studies record how they were made in the same words": (
-        "provenance.check_made_by provenance.here settings.first_difference version.__version__"
+    "the provenance of matrices compares settings and names the version": (
+        "settings.first_difference version.__version__"
     ),
     "SUMO says how many simulations a process can hold": "envs.opening.shared_well",
     "`mbtl play` acts with a policy as trainers do": "trainers.watch.actor_for",

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from damage import damaged, refusals
 from mbtl.contexts import Categorical, ContextSpace, Integer, Linear, Log
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
-from mbtl.untrusted import MALFORMED
+from mbtl.files import MALFORMED
 
 LENGTH = Linear("length", 0.05, 5.0, unit="m")
 MIXED = {

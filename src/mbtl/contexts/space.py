@@ -28,8 +28,8 @@ from mbtl.contexts.axes import (
 )
 from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, unknown_name
 from mbtl.faults import harmless
+from mbtl.files import MALFORMED
 from mbtl.settings import differences
-from mbtl.untrusted import MALFORMED
 
 Context = dict[str, Value]
 

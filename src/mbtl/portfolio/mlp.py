@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput, StorageError
+from mbtl.files import MALFORMED, read_arrays, read_json
 from mbtl.portfolio.heads import Array32, BoxHead, DiscreteHead, head_record, read_head
-from mbtl.untrusted import MALFORMED, read_arrays, read_json
 
 FORMAT = 2
 """2: observations are scaled, or actions counted from elsewhere or rounded; others are of 1."""

@@ -20,6 +20,7 @@ from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Value
 from mbtl.episodes import Episodes
 from mbtl.errors import InvalidInput, StorageError
+from mbtl.files import MALFORMED
 from mbtl.notebook import table
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats
@@ -28,7 +29,6 @@ from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, wri
 from mbtl.portfolio.choice import Choice, explanation
 from mbtl.portfolio.mlp import MLPPolicy
 from mbtl.routing import Indices, Routing
-from mbtl.untrusted import MALFORMED
 
 
 @dataclass(frozen=True, eq=False, repr=False)

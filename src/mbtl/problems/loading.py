@@ -16,8 +16,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.faults import FAULTS, reason_of
-from mbtl.loading import load_object
+from mbtl.faults import FAULTS, load_object, reason_of
 from mbtl.problems.cmdp import CMDP
 from mbtl.provider import laboratory
 

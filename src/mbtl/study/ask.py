@@ -12,6 +12,7 @@ import numpy as np
 from mbtl.contexts.space import middle_of
 from mbtl.errors import InvalidInput
 from mbtl.history import History, Training
+from mbtl.processes import threads_for
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, open_candidates
 from mbtl.selectors.contract import Selector
@@ -22,7 +23,6 @@ from mbtl.study.pick import StudyFinished
 from mbtl.study.records import PickRecord
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
-from mbtl.threads import threads_for
 from mbtl.trainers.contract import checked_targets
 
 _LONGEST = 5.0

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbtl.errors import InvalidInput
+from mbtl.files import is_local
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST
 from mbtl.study.events import Event, Kind
-from mbtl.untrusted import is_local
 
 if TYPE_CHECKING:
     from mbtl.study.spec import StudySpec

@@ -12,6 +12,7 @@ from mbtl.arrays import Array
 from mbtl.contexts.space import middle_of
 from mbtl.episodes import Episodes
 from mbtl.errors import StorageError, StudyError
+from mbtl.files import MALFORMED
 from mbtl.history import History, Training
 from mbtl.objective import Bounds
 from mbtl.routing import Routing
@@ -23,7 +24,6 @@ from mbtl.study.events import Event
 from mbtl.study.leases import Lease
 from mbtl.study.records import Failure, FreshReturns, LateResult, PickRecord, ToldRow
 from mbtl.study.spec import StudySpec
-from mbtl.untrusted import MALFORMED
 
 ABILITIES = ("sets", "start", "length")
 """What a trainer may be able to do beside specialists."""

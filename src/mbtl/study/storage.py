@@ -25,6 +25,7 @@ import numpy as np
 
 from mbtl.arrays import Array, python_value
 from mbtl.errors import InvalidInput, StorageError, Unreachable
+from mbtl.files import read_arrays, read_json
 from mbtl.study.database import (
     LATEST,
     WRITES,
@@ -40,7 +41,6 @@ from mbtl.study.events import KINDS, Event, Kind
 from mbtl.study.leases import Beat
 from mbtl.study.reconnect import Patience
 from mbtl.study.write_queue import Turns
-from mbtl.untrusted import read_arrays, read_json
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection

@@ -26,11 +26,11 @@ from numpy.typing import ArrayLike, NDArray
 from mbtl.arrays import Array
 from mbtl.contexts import Axis, Categorical, ContextSpace, Integer, Linear
 from mbtl.errors import InvalidInput
+from mbtl.files import MALFORMED
 from mbtl.objective import Bounds, Direction, direction_named
 from mbtl.plain import LARGEST, array_of, refused
 from mbtl.seeds import seeds_in
 from mbtl.selectors.base import SelectionProblem, default_theta
-from mbtl.untrusted import MALFORMED
 from mbtl.zoo.benchmark.base import Levels, levels
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
 
