@@ -115,8 +115,7 @@ def main() -> None:
     with Pool(mp_context=get_context("spawn")) as pool:
         judging = {f: stock[f] for f in JUDGES}
         priors = {label: Auto(prior=prior) for label, prior in CANDIDATES.items()}
-        print("
-".join(choices(table(pool, judging, priors), families)))
+        print("\n".join(choices(table(pool, judging, priors), families)))
 
 
 if __name__ == "__main__":
