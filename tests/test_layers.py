@@ -167,9 +167,7 @@ NOT_PUBLIC = {
         "cli.common.JsonFlag cli.common.LongWork cli.common.console cli.common.interruptible "
         "cli.common.print_json cli.common.printer"
     ),
-    "its pictures have the tool's look": (
-        "plot.style.colours plot.style.edges plot.style.new_figure"
-    ),
+    "its pictures have the tool's look": ("plot.style.edges plot.style.new_figure"),
     "files are written whole, claimed by one process and read from strangers by one rule": (
         "files.claim_of files.claimed_folder files.whole_file files.MALFORMED "
         "files.read_arrays files.read_json portfolio.archive.MANIFEST"
@@ -186,7 +184,6 @@ NOT_PUBLIC = {
     ),
     "SUMO says how many simulations a process can hold": "envs.opening.shared_well",
     "`mbtl play` acts with a policy as trainers do": "trainers.watch.actor_for",
-    "a figure of the paper shows what a selector believes": "selectors.outlook.outlook",
 }
 """Reason -> what the engine and the zoo use of the tool though no user is told of it."""
 

@@ -19,8 +19,8 @@ SPACE = ContextSpace.grid({Linear("gain", 0.5, 2.0, "1"): 4, Linear("drag", 0.0,
 
 @pytest.fixture(autouse=True)
 def _short(monkeypatch):
-    """Two episodes show every defect here."""
-    monkeypatch.setattr("mbtl.problems.check.STEPS", 60)
+    """More than two episodes, and the last one is cut short."""
+    monkeypatch.setattr("mbtl.problems.check.STEPS", 70)
 
 
 class Sound(gymnasium.Env):

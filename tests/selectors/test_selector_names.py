@@ -55,7 +55,7 @@ def test_a_class_in_a_file_and_a_selector_made_there_are_both_found(file):
 @pytest.mark.parametrize(
     ("name", "error", "match"),
     [
-        ("NOTHING", InvalidInput, "must be a selector"),
+        ("NOTHING", InvalidInput, "got int 3"),
         ("NeedsMore", InvalidInput, "without arguments"),
         ("Lowst", UnknownName, "Did you mean 'Lowest'"),
     ],

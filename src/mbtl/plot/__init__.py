@@ -8,9 +8,8 @@ here that a table does not show. No display is needed, and no picture is shown b
 """
 
 from mbtl.plot.curves import comparison, curve
-from mbtl.plot.maps import heatmap, policy_map
+from mbtl.plot.maps import heatmap, model, policy_map
 from mbtl.plot.matrices import matrix
-from mbtl.plot.models import model
 from mbtl.plot.style import save, style
 
 __all__ = [

@@ -26,8 +26,8 @@ from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats
 from mbtl.portfolio import router
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
-from mbtl.portfolio.choice import Choice, explanation
 from mbtl.portfolio.mlp import MLPPolicy
+from mbtl.portfolio.router import Choice, explanation
 from mbtl.routing import Indices, Routing
 
 

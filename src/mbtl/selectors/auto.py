@@ -23,11 +23,10 @@ from mbtl.acquisition import TIE, RowGain, argmax_open
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
-from mbtl.models.columns import Columns
 from mbtl.models.linear_trend import LinearTrend, fit_linear_trend
 from mbtl.models.priors import PRIORS, prior_without
 from mbtl.models.transfer_gp import TransferGP, likely_noise
-from mbtl.models.transfer_kernel import NEW, Pairs, TransferPrior, grid_pairs
+from mbtl.models.transfer_kernel import NEW, Pairs, TransferPrior, grid_pairs, transfer_places
 from mbtl.selectors.base import (
     Outlook,
     Proposal,
@@ -147,8 +146,7 @@ class Auto:
         """Condition the model on the rows, at some of the targets."""
         count = min(self.most_targets, max(_PAIRS // len(history), _FEW))
         targets = spread(problem, np.flatnonzero(problem.weights > 0), count)
-        columns = Columns.of(problem.axes, problem.unit.shape[1])
-        places = columns.places(problem.unit, problem.steps)
+        places = transfer_places(problem)
         pairs, y = observed(history, targets)
         floor = floor_of(y)
         y = np.maximum(y, floor)

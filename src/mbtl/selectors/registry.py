@@ -72,9 +72,4 @@ def _own(reference: str) -> Selector:
                 f"{reference!r} must make a selector when called without arguments, got "
                 f"{reason_of(error)}; name a selector made with them instead"
             ) from error
-    if not isinstance(found, Proposes):
-        raise InvalidInput(
-            f"{reference!r} must be a selector, with `propose(problem, history, rng)`, "
-            f"got {type(found).__name__}"
-        )
     return adopted(found)
