@@ -93,7 +93,7 @@ def test_nine_of_ten_returns_lie_where_explain_says_whoever_shares_the_episodes(
     truth = np.array([-200.0 - 1000.0 * np.abs(x[s] - x) - 200.0 * x for s in sources])
     size = (1 if shared else 4, n, 3)
     held, lead_held = [], []
-    for seed in range(40):
+    for seed in range(20):
         noise = 300.0 * np.random.default_rng(seed).standard_normal(size)
         episodes = truth[:, :, None] + np.broadcast_to(noise, (4, n, 3))
         portfolio = Portfolio(
