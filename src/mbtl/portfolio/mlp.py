@@ -304,14 +304,13 @@ class BoxHead:
 def head_record(head: DiscreteHead | BoxHead) -> dict[str, Any]:
     """JSON part of a head; the arrays of a `BoxHead` are stored beside it."""
     if isinstance(head, BoxHead):
-        rounded = {"whole": head.whole} if head.whole else {}
-        return {"kind": "box", "squash": head.squash, **rounded}
+        return {"kind": "box", "squash": head.squash, "whole": head.whole}
     return {
         "kind": "discrete",
         "sizes": list(head.sizes),
         "scalar": head.scalar,
         "samples": head.samples,
-        **({"start": list(head.start)} if head.start else {}),
+        "start": list(head.start),
     }
 
 
@@ -321,7 +320,7 @@ def read_head(record: Mapping[str, Any], arrays: Mapping[str, Array32]) -> Discr
         low, high, log_std = arrays["low"], arrays["high"], arrays.get("log_std")
         if low.shape != high.shape or (log_std is not None and log_std.shape != (low.size,)):
             raise ValueError(f"bounds of a box must have one shape, got {low.shape}, {high.shape}")
-        whole = str(record.get("whole", ""))
+        whole = str(record["whole"])
         if whole and np.dtype(whole).kind not in "iu":
             raise ValueError(f"whole actions must be of an integer type, got {whole!r}")
         return BoxHead(low, high, bool(record["squash"]), log_std, whole)
@@ -329,7 +328,7 @@ def read_head(record: Mapping[str, Any], arrays: Mapping[str, Array32]) -> Discr
         sizes = tuple(record["sizes"])
         if not (sizes and all(type(size) is int and size > 0 for size in sizes)):
             raise ValueError(f"sizes must be whole numbers > 0, got {sizes}")
-        start = tuple(record.get("start", ()))
+        start = tuple(record["start"])
         if start and (len(start) != len(sizes) or not all(type(s) is int for s in start)):
             raise ValueError(f"first options must be as many whole numbers as sizes, got {start}")
         return DiscreteHead(sizes, bool(record["scalar"]), bool(record["samples"]), start)

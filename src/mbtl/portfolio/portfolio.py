@@ -154,11 +154,6 @@ class Portfolio:
         """(N,) position of the policy that serves each listed context: the policy map."""
         return self.routing.route
 
-    @property
-    def sources_used(self) -> tuple[int, ...]:
-        """Sources whose policy serves at least one listed context, in training order."""
-        return tuple(dict.fromkeys(self.sources[int(i)] for i in np.unique(self.assignment)))
-
     def explain(self, context: Mapping[str, Value]) -> Choice:
         """The policy for a context, with the reason; rules in `mbtl.portfolio.router`.
 
