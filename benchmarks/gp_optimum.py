@@ -20,7 +20,7 @@ import numpy as np
 from measure import Cost, digits, now
 from sklearn_gp import fit_sklearn
 
-from mbtl.acquisition import argmax_open, linear_gap_gain
+from mbtl.acquisition import argmax_open, optimistic_gain
 from mbtl.arrays import Array, uniform_weights
 from mbtl.models import FittedGP, GPSettings, fit_gp
 from mbtl.selectors.mbtl import ucb_weight
@@ -74,7 +74,7 @@ def next_pick(gp: FittedGP, data: DataSet) -> int:
     mean, std = gp.predict(steps)
     best = (data.y[:, None] - theta * np.abs(data.points[:, None] - steps[:, 0])).max(axis=0)
     upper = mean + np.sqrt(ucb_weight(len(data.y) + 1, n)) * std
-    gain = linear_gap_gain(upper, steps, steps, best, uniform_weights(n), theta=theta)
+    gain = optimistic_gain(upper, steps, steps, best, uniform_weights(n), theta=theta)
     is_open = np.ones(n, dtype=bool)
     is_open[data.points.astype(np.intp)] = False
     return argmax_open(gain, is_open | (not is_open.any()))

@@ -1,29 +1,25 @@
 """One `mbtl` pick among a million contexts on one axis: time and memory, on one thread.
 
 45 noisy rows of a linear-gap world are generated one by one (no matrix exists), then `propose` runs
-once. The peer is the direct O(N^2) formula of the acquisition, timed on a sample of candidates and
-extrapolated to all; on that sample the two must also give the same gains.
+once.
 
 example: python benchmarks/million_contexts.py
 """
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import measure
 import numpy as np
-from measure import Cost, cost_of, digits, note, peak_gib
+from measure import cost_of, digits, note, peak_gib
 
-from mbtl.acquisition import line_gain, optimistic_gain
-from mbtl.arrays import Array, uniform_weights
+from mbtl.arrays import uniform_weights
 from mbtl.history import History
 from mbtl.selectors import MBTL
 from mbtl.selectors.base import SelectionProblem, default_theta
 
 GOAL_SECONDS, GOAL_GIB = 10.0, 2.0
-SAMPLE = 100
 
 
 def make_problem(n: int) -> SelectionProblem:
@@ -46,26 +42,6 @@ def make_history(problem: SelectionProblem, n_rows: int) -> History:
     return History(n, tuple(sources.tolist()), rows)
 
 
-def against_direct(problem: SelectionProblem, best: Array) -> tuple[Cost, Cost, float]:
-    """Cost of the acquisition, that of the direct formula, and their largest difference."""
-    rng = np.random.default_rng(2)
-    upper = 0.9 + 0.1 * rng.standard_normal(problem.n)
-    some = np.sort(rng.choice(problem.n, min(SAMPLE, problem.n), replace=False))
-    steps, weights = problem.steps, problem.weights
-    gains: list[Array] = []
-
-    def direct() -> None:
-        form = partial(optimistic_gain, theta=problem.theta)
-        gains.append(form(upper[some], steps[some], steps, best, weights))
-
-    def line() -> None:
-        gains.append(line_gain(upper, steps, steps, best, weights, theta=problem.theta)[some])
-
-    sample, fast = cost_of(direct), cost_of(line)
-    share = len(some) / problem.n
-    return fast, Cost(sample.wall / share, sample.cpu / share), float(np.ptp(gains, axis=0).max())
-
-
 def main() -> None:
     """Measure and print."""
     parser = measure.parser(__doc__)
@@ -79,8 +55,6 @@ def main() -> None:
     note("proposing ...")
     pick = cost_of(lambda: MBTL().propose(problem, history, np.random.default_rng(0)))
     peak = peak_gib()
-    note("the direct formula on a sample ...")
-    fast, direct, difference = against_direct(problem, history.best)
     document: dict[str, Any] = {
         "contexts": args.contexts,
         "rows": args.rows,
@@ -88,10 +62,6 @@ def main() -> None:
         "peak_gib": {"before": digits(before, 3), "after": digits(peak, 3)},
         "goal": {"seconds": GOAL_SECONDS, "gib": GOAL_GIB},
         "goal_met": pick.wall <= GOAL_SECONDS and peak <= GOAL_GIB,
-        "acquisition_seconds": fast.to_json(),
-        "direct_seconds_extrapolated": direct.to_json(),
-        "direct_ratio": digits(direct.cpu / fast.cpu, 3),
-        "largest_difference": digits(difference, 2),
         "machine": measure.machine(),
     }
     lines = [
@@ -100,9 +70,6 @@ def main() -> None:
         f"peak memory {peak:.2f} GiB, of which {before:.2f} GiB before the pick (rows included)",
         f"goal {GOAL_SECONDS:g} s and {GOAL_GIB:g} GiB: "
         + ("met" if document["goal_met"] else "NOT met"),
-        f"acquisition alone {fast.cpu:.2f} s; the direct formula {direct.cpu:.0f} s "
-        f"(from {SAMPLE} candidates), {direct.cpu / fast.cpu:.0f} times as long; "
-        f"largest difference {difference:.1e}",
     ]
     measure.show(document, lines, as_json=args.json)
 

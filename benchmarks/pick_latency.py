@@ -7,7 +7,7 @@ proposes again from the same history, and so do its peers, one after another on 
   Optuna, BoTorch    one ask of a Bayesian optimiser over the same candidates (extra `rivals`)
 
 Peers are slow, so they propose at every 4th pick (--peer-every); ratios are of means over those
-picks. --direct instead times the O(N^2) formula of the acquisition against the O(N log N) one.
+picks.
 
 example: python benchmarks/pick_latency.py --contexts 100 1000
 """
@@ -24,7 +24,6 @@ from measure import Cost, Stopwatch, cost_of, digits, mean, median, note
 from rivals import RIVALS, Rival
 from sklearn_gp import fit_sklearn
 
-from mbtl.acquisition import line_gain, optimistic_gain
 from mbtl.arrays import Array
 from mbtl.errors import MissingExtra
 from mbtl.history import History
@@ -34,7 +33,6 @@ from mbtl.zoo.benchmark import SyntheticWorld, linear_gap_world
 
 FIRST, LAST = 5, 45
 GOAL_MS = {100: 3.0, 1000: 5.0}
-DIRECT_SIZES = (300, 500, 1000, 2000, 5000, 10000)
 MS = 1e-3
 
 
@@ -143,29 +141,6 @@ class Picks:
         }
 
 
-def direct_ratio(n: int, repeats: int) -> dict[str, Any]:
-    """Both exact forms of the acquisition on the same N candidates and targets."""
-    made = world(n)
-    problem, rng = made.problem(1), np.random.default_rng(n)
-    best = made.rows(0, rng.choice(n, 20, replace=False)).max(axis=0)
-    upper = 0.9 + 0.1 * rng.standard_normal(n)
-    steps, weights = problem.steps, problem.weights
-    forms = {"direct": optimistic_gain, "line": line_gain}
-    costs: dict[str, list[Cost]] = {name: [] for name in forms}
-    for _ in range(repeats):
-        for name, form in forms.items():
-            costs[name].append(
-                cost_of(partial(form, upper, steps, steps, best, weights, theta=problem.theta))
-            )
-    direct, line = median(costs["direct"]), median(costs["line"])
-    return {
-        "contexts": n,
-        "direct_ms": direct.to_json(MS),
-        "line_ms": line.to_json(MS),
-        "ratio": digits(direct.cpu / line.cpu, 3),
-    }
-
-
 def pick_lines(result: dict[str, Any]) -> list[str]:
     """One world as text."""
     pick, goal = result["pick_ms"], result["goal_ms"]
@@ -188,25 +163,14 @@ def main() -> None:
     parser.add_argument("--contexts", type=int, nargs="+", default=[100, 1000], help="values of N")
     parser.add_argument("--repeats", type=int, default=5, help="proposals per pick; the median")
     parser.add_argument("--peer-every", type=int, default=4, help="0: no peers at all")
-    parser.add_argument("--direct", action="store_true", help="acquisition only, both exact forms")
     args = parser.parse_args()
     results, lines = [], []
-    for n in DIRECT_SIZES if args.direct else args.contexts:
+    for n in args.contexts:
         note(f"N = {n} ...")
-        if args.direct:
-            results.append(direct_ratio(n, args.repeats))
-        else:
-            picks = Picks(n, args.repeats, args.peer_every)
-            picks.run()
-            results.append(picks.to_json())
-            lines += pick_lines(results[-1])
-    if args.direct:
-        lines = ["acquisition only, cpu ms: direct O(N^2), line O(N log N), direct / line"]
-        lines += [
-            f"  N = {r['contexts']:6}{r['direct_ms']['cpu']:12.2f}{r['line_ms']['cpu']:12.2f}"
-            f"{r['ratio']:10.2f}"
-            for r in results
-        ]
+        picks = Picks(n, args.repeats, args.peer_every)
+        picks.run()
+        results.append(picks.to_json())
+        lines += pick_lines(results[-1])
     machine = measure.machine("scikit-learn", "optuna", "botorch", "torch")
     measure.show({"results": results, "machine": machine}, lines, as_json=args.json)
 

@@ -21,11 +21,10 @@ from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.objective import Bounds
 from mbtl.selectors import get_selector
-from mbtl.selectors.auto_beliefs import forget
 from mbtl.zoo.benchmark.synthetic import SyntheticWorld
 
 GRIDS = "100,10x10x9,100x100"
-SELECTORS = "greedy,mbtl,mbtl-release,mbtl-ei,gp-mbtl,m-mbtl,sd-mbtl,kmeans,auto"
+SELECTORS = "greedy,mbtl,mbtl-release,mbtl-ei,gp-mbtl,m-mbtl,sd-mbtl,kmeans,specialists"
 
 
 def world(shape: tuple[int, ...]) -> SyntheticWorld:
@@ -44,7 +43,7 @@ def main() -> None:
     parser.add_argument("--selectors", default=SELECTORS)
     parser.add_argument("--grids", default=GRIDS)
     args = parser.parse_args()
-    heads = ("all picks", "last pick", "anew")
+    heads = ("all picks", "last pick")
     print(f"{'selector':14s}{'N':>8s}" + "".join(f"{h:>12s}" for h in heads) + f"{'peak MiB':>10s}")
     for grid in args.grids.split(","):
         source = world(tuple(map(int, grid.split("x"))))
@@ -53,17 +52,13 @@ def main() -> None:
             selector, history, spent = get_selector(name), History(problem.n), []
             try:
                 for k in range(args.picks):
-                    before, begin = history, measure.now()
+                    begin = measure.now()
                     pick = selector.propose(problem, history, np.random.default_rng(k)).source
                     spent.append((measure.now() - begin).cpu)
                     history = history.with_row(pick, source.rows(0, [pick])[0])
             except InvalidInput:  # greedy needs one axis
                 continue
-            forget()
-            begin = measure.now()
-            selector.propose(problem, before, np.random.default_rng(args.picks - 1))
-            anew = (measure.now() - begin).cpu
-            seconds = (sum(spent), float(np.median(spent[-6:])), anew)
+            seconds = (sum(spent), float(np.median(spent[-6:])))
             cells = "".join(f"{value:10.3f} s" for value in seconds)
             print(f"{name:14s}{problem.n:8,d}{cells}{1024 * measure.peak_gib():10.0f}")
 

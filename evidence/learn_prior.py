@@ -2,16 +2,14 @@
 
     .venv/bin/python evidence/learn_prior.py [--budget 25]
 
-Every candidate of mbtl.models.priors picks, without covering picks, on the shipped matrices of one
+Every candidate picks on the shipped matrices of one
 axis (of 100 contexts every second; coarser grids are left out), on all cores. What counts is the
 mean logarithm of the trainings to 90, 95 and 99 % of the way to Oracle Transfer, K + 1 where a
 level is not reached. For each family the candidate that is best on the *other* families is kept,
 each family counting once; `mbtl bench` uses it there. Judges are CartPole and Pendulum alone:
 elsewhere rows are luck more than contexts. How much worse the runner-up is, with one standard
-error, is printed beside each choice. The lines with colons are `CHOSEN` of
-src/mbtl/models/priors.py.
-
-Then, on all families: of how many picks one should cover, each number against the shipped one.
+error, is printed beside each choice. The lines with colons say what
+`PRIORS` of src/mbtl/models/priors.py must hold.
 
 The likelihood was tried first, and chose worse: it rewards calibrated rows, not good picks.
 """
@@ -21,12 +19,14 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor as Pool
+from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.models.priors import CANDIDATES
+from mbtl.models.priors import RATIO
+from mbtl.models.transfer_kernel import TransferPrior
 from mbtl.objective import value_curve
 from mbtl.selectors import SelectionProblem
 from mbtl.selectors.auto import Auto
@@ -35,7 +35,21 @@ from mbtl.zoo.benchmark.replay import replay
 from mbtl.zoo.benchmark.shipped import family_of, load_by_id, open_matrices
 
 JUDGES = ("cartpole", "pendulum")
-COVERING = (0, 2, 3, 4, 6)
+CANDIDATES: Mapping[str, TransferPrior] = {
+    "ratio": RATIO,
+    "ratio, short": replace(RATIO, log_gap_length=0.15),
+    "ratio, long": replace(RATIO, log_gap_length=0.6),
+    "ratio, changing": replace(RATIO, along_length=0.5),
+    "ratio, rigid": replace(RATIO, along_length=4.0),
+    "ratio, hard targets": replace(RATIO, target=0.4),
+    "ratio, good sources": replace(RATIO, source=0.4),
+    "ratio, luck": replace(RATIO, luck=0.2, row_luck=0.1),
+    "difference": replace(RATIO, gap=1.0, gap_length=0.3, log_gap=0.05),
+    "both": replace(RATIO, gap=0.5, gap_length=0.3),
+    "targets": replace(RATIO, log_gap=0.05, target=1.0, source=0.3, interaction=0.3, luck=0.1),
+}
+"""How far a policy reaches is a matter of the ratio of contexts, of their difference, or both; or
+targets are hard or easy whatever the source."""
 
 
 def small(matrix_id: str, budget: int) -> Iterator[tuple[SelectionProblem, Array]]:
@@ -93,7 +107,7 @@ def against(found: Found, label: str, best: str, judges: Sequence[str]) -> str:
 
 
 def choices(found: Found, families: Sequence[str]) -> list[str]:
-    """Lines of the mapping CHOSEN, what they rest on printed."""
+    """The choice for each family left out, what they rest on printed."""
     lines = []
     for left_out in [None, *families]:
         judges = [f for f in JUDGES if f != left_out]
@@ -117,13 +131,8 @@ def main() -> None:
     }
     with Pool(mp_context=get_context("spawn")) as pool:
         judging = {f: stock[f] for f in JUDGES}
-        priors = {label: Auto(prior=prior, cover=0) for label, prior in CANDIDATES.items()}
+        priors = {label: Auto(prior=prior) for label, prior in CANDIDATES.items()}
         print("\n".join(choices(table(pool, judging, priors), families)))
-        print("covering picks, with the shipped priors that have not seen the family")
-        found = table(pool, stock, {str(n): Auto(cover=n) for n in COVERING})
-    shipped = str(Auto().cover)
-    for label in found:
-        print(against(found, label, shipped, families))
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 import mbtl
 from flat import created
 from mbtl.cli import main
-from mbtl.loading import load_object
+from mbtl.faults import load_object
 from mbtl.selectors import SelectionProblem
 from mbtl.study.storage import checksum_of
 from mbtl.zoo.benchmark import TransferMatrix

@@ -7,8 +7,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from flat import created
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.models import transfer_gp
+from mbtl.processes import MANY, _controller, threads_for
 from mbtl.selectors.base import Proposal, SelectionProblem
-from mbtl.threads import MANY, _controller, threads_for
 from mbtl.zoo.benchmark.replay import replay
 
 

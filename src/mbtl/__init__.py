@@ -42,8 +42,10 @@ from mbtl.study import (
 from mbtl.trainers import FunctionTrainer
 from mbtl.version import __version__
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what `__getattr__` finds when it is asked for
+    from mbtl import plot
     from mbtl.problems import CMDP, check_cmdp, get_cmdp
+    from mbtl.zoo.benchmark import TransferMatrix, compare, load_matrix, load_transfers
 
 _LAZY = ("CMDP", "check_cmdp", "get_cmdp")
 """Of `mbtl.problems`: imported when first used, so that `import mbtl` stays light."""

@@ -1,19 +1,30 @@
-"""Files that appear whole or not at all, and folders that know what grows in them, and for whom."""
+"""Files: ours appear whole or not at all, and others' are read as data alone.
+
+Folders know what grows in them, and for whom. A path, a link or a pickled object in a study, a
+portfolio or a matrix that somebody else wrote must not make this process read, copy or run what its
+user never named.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+import stat
+import threading
+import unicodedata
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import IO, Any
 
+import numpy as np
 from filelock import FileLock, Timeout
+from numpy.typing import NDArray
 
 from mbtl.errors import InvalidInput, StorageError, cannot_write
 from mbtl.settings import first_difference
-from mbtl.untrusted import read_json
 
 
 def from_home(path: str | Path) -> Path:
@@ -133,3 +144,146 @@ def _check_claim(folder: Path, record: dict[str, Any], what: str) -> None:
             f"{folder} holds {what} of other settings: {name} was {was!r}, got {now!r}; choose "
             "another folder, or remove it"
         )
+
+
+# ---- what others may have written ----------------------------------------------------------------
+
+
+MALFORMED = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError)
+"""What taking a record apart raises where it is of another form than ours."""
+
+
+MOST_BYTES = 1 << 31
+"""Of all arrays that are read from one file."""
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Numpy parses headers by `ast`, in which threads disturb each other in Python 3.11 (gh-106905)."""
+
+
+def is_local(name: object) -> bool:
+    """True for a relative path that stays below where it starts, on any system."""
+    if not isinstance(name, str) or any(unicodedata.category(c) in ("Cc", "Cs") for c in name):
+        return False  # control characters and halves of a pair are in no honest name
+    paths = PurePosixPath(name), PureWindowsPath(name)
+    return bool(paths[0].parts) and not any(p.anchor or ".." in p.parts for p in paths)
+
+
+def inside(root: Path, name: str, owner: str) -> Path:
+    """The path `name` below `root`, with no link on the way.
+
+    Args:
+        root: may itself be reached by links.
+        name: relative, with "/" between its parts.
+        owner: of the folder, for the message, e.g. "a portfolio".
+
+    Raises:
+        StorageError: it is absolute, leads out by "..", or passes a link.
+    """
+    if not is_local(name):
+        raise StorageError(f"{owner} names files inside its own folder, got {name!r} in {root}")
+    path = root
+    try:
+        for part in PurePosixPath(name).parts:
+            path = path / part
+            if path.is_symlink():
+                raise _link(path, owner)
+        if not path.resolve().is_relative_to(root.resolve()):  # links of other systems
+            raise _link(path, owner)
+    except OSError as error:
+        raise StorageError(f"{path} cannot be looked at ({error.strerror or error})") from error
+    return path
+
+
+def regular_files(root: Path, owner: str) -> list[str]:
+    """Every file below `root`, relative to it with "/" between parts, in order.
+
+    Raises:
+        StorageError: a link, a pipe, a device, or a folder that cannot be read.
+    """
+    found, folders = [], [root]
+    try:
+        while folders:
+            for path in folders.pop().iterdir():
+                mode = path.lstat().st_mode
+                if stat.S_ISLNK(mode):
+                    raise _link(path, owner)
+                if stat.S_ISDIR(mode):
+                    folders.append(path)
+                elif stat.S_ISREG(mode):
+                    found.append(path.relative_to(root).as_posix())
+                else:
+                    raise StorageError(
+                        f"{owner} holds plain files, got the pipe or device {path}; remove it"
+                    )
+    except OSError as error:
+        raise StorageError(f"{root} cannot be read ({error.strerror or error})") from error
+    return sorted(found)
+
+
+def read_json(text: str | bytes) -> Any:
+    """Parsed JSON.
+
+    Raises:
+        ValueError: whatever is wrong with it.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("lists or objects are nested too deeply") from None
+
+
+def read_arrays(
+    file: IO[bytes], wanted: Callable[[str], bool] = lambda name: True
+) -> dict[str, NDArray[Any]]:
+    """Arrays of an `.npz` file by name; pickled objects are never loaded.
+
+    A few megabytes can unfold to many gigabytes: nothing is unpacked before the shapes of all
+    arrays are known.
+
+    Args:
+        file: to read.
+        wanted: whether an array of this name is read; others stay packed.
+
+    Raises:
+        ValueError: it is no archive of plain arrays, a damaged one, or larger than `MOST_BYTES`.
+    """
+    try:
+        if file.read(len(np.lib.format.MAGIC_PREFIX)) == np.lib.format.MAGIC_PREFIX:
+            raise ValueError("a single array, no archive of named ones")
+        with zipfile.ZipFile(file) as archive, _ONE_AT_A_TIME:
+            files = {name.removesuffix(".npy"): name for name in archive.namelist()}
+            names = [name for name in files if wanted(name)]
+            total = sum(_unpacked(archive, files[name]) for name in names)
+            if total > MOST_BYTES:
+                raise ValueError(
+                    f"arrays of {total / 1e9:.1f} GB; {MOST_BYTES / 1e9:.1f} GB are read at most"
+                )
+            arrays = {}
+            for name in names:
+                with archive.open(files[name]) as member:
+                    arrays[name] = np.lib.format.read_array(member, allow_pickle=False)
+    except Exception as error:  # numpy and zipfile raise whatever their parts raise
+        raise ValueError(f"something else or a damaged file ({error})") from error
+    return arrays
+
+
+def _unpacked(archive: zipfile.ZipFile, name: str) -> int:
+    """Bytes of an array, by its header."""
+    with archive.open(name) as member:
+        version = np.lib.format.read_magic(member)
+        read = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }.get(version)
+        if read is None:
+            raise ValueError(f"{name!r} is an array with fields")
+        shape, _, dtype = read(member)
+    if dtype.hasobject or min(shape, default=0) < 0:
+        raise ValueError(f"{name!r} holds Python objects, or has no size")
+    return math.prod(shape) * dtype.itemsize
+
+
+def _link(path: Path, owner: str) -> StorageError:
+    return StorageError(
+        f"files of {owner} lie inside its folder, got the link {path}; put the file itself there"
+    )

@@ -1,4 +1,7 @@
-"""Worker processes that end when nobody wants their work: at an interrupt, or with their master."""
+"""Processes and threads: as many as pay, and none that nobody wants any more.
+
+Workers end at an interrupt, or with their master.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,16 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from functools import cache
 from multiprocessing import current_process, parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 GRACE = 5.0
 """Seconds in which a worker that is to end may close its simulators; then it is killed."""
@@ -212,3 +220,58 @@ def _children() -> list[int]:
 def _tell(process: int, number: int) -> None:
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.kill(process, number)
+
+
+# ---- threads of linear algebra -------------------------------------------------------------------
+
+
+MANY = 10_000  # contexts from which threads earn their keep
+
+
+@contextmanager
+def threads_for(n: int) -> Iterator[None]:
+    """Within it, linear algebra over n contexts has as many threads as pay: one, when they are few.
+
+    A pick multiplies many small matrices. Spread over threads that takes several times the
+    processor time, because threads wait for each other by spinning. It counts for the whole
+    process, not for the thread that asks: until the last one is out.
+    """
+    if n > MANY:
+        yield
+        return
+    _SINGLE.enter()
+    try:
+        yield
+    finally:
+        _SINGLE.leave()
+
+
+class _Single:
+    """One thread of linear algebra, for as long as anybody wants that."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside = threading.Lock(), 0
+        self._limit: Any = None
+
+    def enter(self) -> None:
+        with self._lock:
+            if not self._inside:
+                self._limit = _controller().limit(limits=1, user_api="blas")
+            self._inside += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._inside -= 1
+            if not self._inside:
+                self._limit.restore_original_limits()
+
+
+_SINGLE = _Single()
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    import scipy.linalg  # noqa: F401  its libraries are to be among those found
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

@@ -4,7 +4,7 @@
     zoo = "mbtl.zoo.provider"
 
 The tool imports no module of the laboratory, nor of the engine. A CMDP of another package needs no
-provider of its own (`mbtl.problems.plugins`).
+provider of its own (`mbtl.problems.loading`).
 """
 
 from __future__ import annotations

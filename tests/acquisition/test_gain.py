@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from mbtl.acquisition import expected_gain, optimistic_gain
+from mbtl.acquisition import argmax_open, expected_gain, optimistic_gain
 from mbtl.errors import InvalidInput
 
 LINE = np.arange(3.0)[:, None]
@@ -79,3 +79,12 @@ def test_misfit_shapes_and_negative_theta_are_refused():
         gain([1] * 2, [0] * 3, 0.1)
     with pytest.raises(InvalidInput, match="best"):
         gain([1] * 3, [0] * 2, 0.1)
+
+
+def test_the_argmax_is_the_lowest_of_equals_among_what_is_open():
+    assert argmax_open(np.array([0.1, 0.3, 0.3 + 1e-16, 0.2]), np.ones(4, bool)) == 1
+    assert argmax_open(np.array([9.0, 1.0, 2.0]), np.array([False, True, True])) == 2
+    with pytest.raises(InvalidInput, match="none"):
+        argmax_open(np.zeros(2), np.zeros(2, bool))
+    with pytest.raises(InvalidInput, match="NaN"):
+        argmax_open(np.array([0.0, np.nan]), np.ones(2, bool))

@@ -48,7 +48,7 @@ def place(tmp_path, monkeypatch):
 
 
 def made(place, **settings):
-    problem = mbtl.loading.load_object("quick.py:problem")
+    problem = mbtl.faults.load_object("quick.py:problem")
     return problem.study(
         storage=place / "s" / "study.db", strategy="mbtl", **{"budget": 3, **settings}
     )

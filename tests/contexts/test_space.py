@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 
 from damage import damaged, refusals
 from mbtl.contexts import Categorical, ContextSpace, Integer, Linear, Log
-from mbtl.contexts.space import factorial_shape
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
-from mbtl.untrusted import MALFORMED
+from mbtl.files import MALFORMED
 
 LENGTH = Linear("length", 0.05, 5.0, unit="m")
 MIXED = {
@@ -145,13 +144,6 @@ def test_bad_contexts_are_refused_with_the_reason(make, error, words):
 def test_any_distinct_points_keep_their_indices(values):
     space = ContextSpace.points([LENGTH], [{"length": v} for v in values])
     assert [space.index({"length": v}) for v in values] == list(range(len(values)))
-
-
-def test_factorial_shape_recognises_grids_only():
-    grid = np.array([[a, b] for a in (0.0, 2.0) for b in (1.0, 5.0, 7.0)])
-    assert factorial_shape(grid) == (2, 3)
-    assert factorial_shape(grid[:-1]) is None
-    assert factorial_shape(grid[::-1]) is None
 
 
 def test_contexts_of_whole_numbers_given_as_others_are_whole():

@@ -123,10 +123,10 @@ def test_a_pendulum_hangs_and_swings_without_torque_in_both_engines():
 
 def test_cartpole_falls_under_random_actions_and_has_no_way_to_go_on_by_itself():
     pytest.importorskip("jax", reason="the jax extra is not installed")
-    trainer = get_cmdp("cartpole-length", engine="jax").trainer_for(eval_episodes=50)
+    trainer = get_cmdp("cartpole-length", engine="jax").trainer_for(eval_episodes=20)
     rows = trainer.reference_rows([{"length": 0.5}], [1])
     assert list(rows) == ["random_actions"]
-    jobs = [Job(lambda: get_cmdp("cartpole-length").make_env({"length": 0.5}), range(50))]
+    jobs = [Job(lambda: get_cmdp("cartpole-length").make_env({"length": 0.5}), range(20))]
     (peer,) = play(jobs, Actor(RandomActions(spaces.Discrete(2)), sampled=True), max_envs=1)
-    spread = np.hypot(peer.std(), rows["random_actions"].std()) / np.sqrt(50)
+    spread = np.hypot(peer.std(), rows["random_actions"].std()) / np.sqrt(20)
     assert abs(peer.mean() - rows["random_actions"].mean()) < 4 * spread

@@ -10,8 +10,7 @@ from training_envs import Endless, Guess, GuessDict, MaskedGuess
 from mbtl.envs import rollout
 from mbtl.envs.rollout import ROWS, Actor, Job, play
 from mbtl.errors import InvalidInput, TrainingFailed
-from mbtl.portfolio.heads import DiscreteHead
-from mbtl.portfolio.mlp import MLPPolicy
+from mbtl.portfolio.mlp import DiscreteHead, MLPPolicy
 from mbtl.score import Score
 
 

@@ -52,8 +52,11 @@ def pick(gp, x, y, n):
     "block", [0, *(pytest.param(k, marks=pytest.mark.long) for k in range(1, 10))]
 )
 def test_no_likelihood_is_below_scikit_learn_and_picks_are_equal_where_it_agrees(block):
-    """500 data sets in ten blocks, 15 restarts each: the fit finds the global optimum."""
-    for seed in range(50 * block, 50 * block + 50):
+    """500 data sets in ten blocks, 15 restarts each: the fit finds the global optimum.
+
+    Of the first block, which always runs, one data set of each kind and noise.
+    """
+    for seed in range(50 * block, 50 * block + (50 if block else 12)):
         x, y, n, settings = random_data(seed)
         ours = fit_gp(x, y, settings)
         reference = fit_sklearn(x, y, settings, restarts=15, seed=seed)

@@ -1,9 +1,18 @@
 import numpy as np
 import pytest
 
+from mbtl.contexts import Categorical, ContextSpace, Integer, Linear, Log
 from mbtl.errors import InvalidInput
 from mbtl.models.transfer_gp import TransferGP, likely_noise
-from mbtl.models.transfer_kernel import NEW, Places, TransferPrior, covariance, grid_pairs, variance
+from mbtl.models.transfer_kernel import (
+    NEW,
+    Places,
+    TransferPrior,
+    covariance,
+    grid_pairs,
+    transfer_places,
+    variance,
+)
 
 N = 20
 STEPS = np.arange(float(N))[:, None]
@@ -40,6 +49,21 @@ def test_logarithmic_places_turn_ratios_into_differences():
     assert z[-1] == 1.0
     assert z[1] - z[0] == pytest.approx(z[3] - z[1])  # values 1 : 2 as 2 : 4
     assert np.ptp(Places.of(np.zeros((3, 1)), np.zeros((3, 1))).z) == 0.0
+
+
+def test_every_axis_counts_once_and_only_ratios_that_x_does_not_show_have_a_second_scale():
+    linear = ContextSpace.grid({Linear("a", 0, 1): 4, Integer("b", 1, 5): 5})
+    places, plain = transfer_places(linear), Places.of(linear.unit, linear.steps)
+    np.testing.assert_array_equal(places.x, plain.x)
+    np.testing.assert_array_equal(places.z, plain.z)
+    kinds = [Log("a", 0.01, 1.0), Categorical("b", ("p", "q", "r"))]
+    shown = transfer_places(ContextSpace.sample(kinds, 30, seed=0))
+    np.testing.assert_array_equal(shown.z, shown.x)
+    axes = [Linear("a", 0.0, 1.0), Categorical("b", ("p", "q", "r", "s"))]
+    contexts = [{"a": 0.0, "b": "p"}, {"a": 1.0, "b": "p"}, {"a": 0.0, "b": "s"}]
+    x = transfer_places(ContextSpace.points(axes, contexts)).x
+    root_mean_square = np.sqrt(np.square(x - x[0]).mean(axis=1))
+    assert root_mean_square == pytest.approx([0.0, np.sqrt(0.5), np.sqrt(0.5)])
 
 
 @pytest.mark.parametrize("d", [1, 3])
@@ -114,8 +138,8 @@ def test_scatter_of_pairs_is_believed_where_it_is_seen():
     pairs = grid_pairs(np.array([3, 9, 15]), EVERY)
     smooth = np.sin(pairs[:, 0] + pairs[:, 1] / 6.0)
     scatter = 0.4 * np.random.default_rng(0).standard_normal(len(smooth))
-    quiet, none, _ = likely_noise(LINE, PRIOR, pairs, smooth)
-    noisy, *_ = likely_noise(LINE, PRIOR, pairs, smooth + scatter)
+    quiet, none = likely_noise(LINE, PRIOR, pairs, smooth)
+    noisy, _ = likely_noise(LINE, PRIOR, pairs, smooth + scatter)
     assert quiet == PRIOR
     assert noisy.noise > 10 * PRIOR.noise
     assert not none.any()
@@ -128,7 +152,7 @@ def test_known_noise_counts_as_far_as_it_is_seen(seed):
     known = np.where(pairs[:, 1] % 2, 0.16, 0.0)
     scatter = np.sqrt(known) * np.random.default_rng(seed).standard_normal(len(smooth))
     assert not likely_noise(LINE, PRIOR, pairs, smooth, known)[1].any()  # shared by all policies
-    prior, counted, _ = likely_noise(LINE, PRIOR, pairs, smooth + scatter, known)
+    prior, counted = likely_noise(LINE, PRIOR, pairs, smooth + scatter, known)
     assert counted.any()
     told = TransferGP(LINE, prior, pairs, smooth + scatter, counted)
     mean, _ = told.predict(np.array([3, 9, 15]), EVERY, np.arange(3))
@@ -157,10 +181,6 @@ def test_blocks_do_not_change_predictions(monkeypatch):
     whole = model.predict(EVERY, EVERY)
     monkeypatch.setattr(module, "_BLOCK_ENTRIES", 1)
     assert np.array(model.predict(EVERY, EVERY)) == pytest.approx(np.array(whole))
-
-
-def test_logarithms_go_there_and_back():
-    assert TransferPrior.of_logs(PRIOR.logs).record == pytest.approx(PRIOR.record)
 
 
 def test_bad_input_is_refused():

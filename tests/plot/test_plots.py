@@ -23,8 +23,8 @@ def row(space, source):
     return 0.9 - 0.5 * np.linalg.norm(space.unit - space.unit[source], axis=1)
 
 
-def study_on(space, picks=4):
-    study = created(space, budget=6, bounds=(0.0, 1.0), problem="toy", strategy="mbtl")
+def study_on(space, picks=4, strategy="mbtl"):
+    study = created(space, budget=6, bounds=(0.0, 1.0), problem="toy", strategy=strategy)
     for _ in range(picks):
         pick = study.ask()
         study.tell(pick, row(space, pick.source))
@@ -119,11 +119,11 @@ def test_three_axes_are_a_map_for_each_value_of_the_third_and_every_cell_is_the_
 
 
 def test_many_values_of_a_third_axis_are_nine_maps_that_say_how_much_they_show():
-    axes = {"x": 12, "y": 11, "z": 10}
+    axes = {"x": 11, "y": 11, "z": 10}
     space = mbtl.ContextSpace.grid({mbtl.Linear(a, 0.0, 1.0): n for a, n in axes.items()})
-    panels = mbtl.plot.policy_map(study_on(space, 2))
+    panels = mbtl.plot.policy_map(study_on(space, 1, "random"))
     assert len(panels) == 9
-    assert "(1188 of 1320 contexts)" in panels[0].figure.get_suptitle()
+    assert "(1089 of 1210 contexts)" in panels[0].figure.get_suptitle()
     assert {panels[0].get_title("left"), panels[8].get_title("left")} == {"z 0", "z 1"}
     points = mbtl.ContextSpace.sample(space.axes, 40, seed=0)
     study = created(points, budget=2, bounds=(0.0, 1.0), strategy="random")
@@ -210,30 +210,21 @@ def test_a_matrix_of_fewer_sources_than_targets_has_as_many_rows():
     assert np.asarray(first) == pytest.approx(returns[0])
 
 
-def test_shares_have_a_panel_for_each_axis():
-    space = mbtl.ContextSpace.grid(
-        {
-            mbtl.Log("mass", 0.2, 2.0, unit="kg"): 5,
-            mbtl.Linear("length", 0.1, 1.0): 40,
-            mbtl.Categorical("road", ("wet", "dry")): 2,
-        }
-    )
-    wet = np.array([road == "wet" for road in space.values("road")])
-    study = created(space, budget=2, bounds=(0.0, 1.0))
-    study.tell(0, np.where(wet, 0.6, 0.4))
-    study.tell(399, np.where(wet, 0.4, 0.6))
-    mass, length, road = mbtl.plot.policy_shares(study)
-    assert [len(panel.patches) for panel in (mass, length, road)] == [10, 24, 4]  # bars
-    assert [bar.get_height() for bar in mass.patches] == pytest.approx([0.5] * 10)
-    assert [bar.get_height() for bar in road.patches] == [1.0, 0.0, 0.0, 1.0]
-    assert [tick.get_text() for tick in road.get_xticklabels()] == ["wet", "dry"]
-    assert mass.get_xlabel() == "mass [kg]"
+def test_six_axes_are_one_map_at_the_middle_of_the_others():
+    axes = dict.fromkeys("abcdef", 3) | {"a": 5, "b": 4}
+    space = mbtl.ContextSpace.grid({mbtl.Linear(a, 0.0, 1.0): n for a, n in axes.items()})
+    study = study_on(space, 2)
+    ax = mbtl.plot.policy_map(study)
+    assert "at c 0.5, d 0.5, e 0.5, f 0.5" in ax.get_title("left")
+    middle = study.routing.route.reshape(5, 4, 3, 3, 3, 3)[:, :, 1, 1, 1, 1]
+    codes = np.asarray(ax.collections[0].get_array())
+    np.testing.assert_array_equal(codes.T, np.searchsorted(np.unique(study.routing.route), middle))
 
 
-@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
+@pytest.mark.parametrize("ending", ["png", "svg"])
 def test_pictures_are_written_in_the_format_of_their_ending(tmp_path, ending):
     path = mbtl.plot.save(mbtl.plot.curve(study_on(LINE, 2)), tmp_path / "new" / f"x.{ending}")
-    begin = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}[ending]
+    begin = {"png": b"\x89PNG", "svg": b"<?xml"}[ending]
     assert path.read_bytes().startswith(begin)
 
 

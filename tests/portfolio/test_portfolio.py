@@ -47,7 +47,6 @@ def act(policy):
 def test_every_context_gets_the_policy_that_returned_most_there():
     portfolio = make()
     assert portfolio.assignment.tolist() == [0, 0, 1, 1, 1]
-    assert portfolio.sources_used == (0, 4)
     assert portfolio.value == pytest.approx((500 + 400 + 300 + 450 + 500) / 5 / 500)
     assert act(portfolio.policy_for({"length": 0.5})) == 0
     assert act(portfolio.policy_for({"length": 2.5})) == 1
@@ -93,7 +92,7 @@ def test_nine_of_ten_returns_lie_where_explain_says_whoever_shares_the_episodes(
     truth = np.array([-200.0 - 1000.0 * np.abs(x[s] - x) - 200.0 * x for s in sources])
     size = (1 if shared else 4, n, 3)
     held, lead_held = [], []
-    for seed in range(40):
+    for seed in range(20):
         noise = 300.0 * np.random.default_rng(seed).standard_normal(size)
         episodes = truth[:, :, None] + np.broadcast_to(noise, (4, n, 3))
         portfolio = Portfolio(
@@ -173,11 +172,6 @@ def test_smaller_is_better_when_the_bounds_say_so():
     choice = portfolio.explain({"length": 1.25})
     assert (choice.policy, choice.predicted_return) == (1, pytest.approx(200.0))
     assert choice.margin == pytest.approx(100.0)
-
-
-def test_useless_policy_is_not_among_the_sources_used():
-    returns = np.vstack([RETURNS, RETURNS[0] - 1])
-    assert make(sources=(0, 4, 2), returns=returns).sources_used == (0, 4)
 
 
 def test_contexts_nobody_was_evaluated_on_are_still_mapped():

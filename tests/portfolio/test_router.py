@@ -104,7 +104,7 @@ def test_outside_the_axes_is_an_error():
         best(LINE, [0], np.ones((1, 5)), {"x": 5.0})
 
 
-@settings(max_examples=60)
+@settings(max_examples=20)
 @given(st.data())
 def test_the_map_of_all_contexts_agrees_with_routing_one_by_one(data):
     space = ContextSpace.grid({Linear("x", 0, 1): 4, Linear("y", 0, 1): 3})

@@ -17,6 +17,12 @@ from mbtl.problems import CMDP, check_cmdp, get_cmdp
 SPACE = ContextSpace.grid({Linear("gain", 0.5, 2.0, "1"): 4, Linear("drag", 0.0, 0.5, "1/s"): 4})
 
 
+@pytest.fixture(autouse=True)
+def _short(monkeypatch):
+    """More than two episodes, and the last one is cut short."""
+    monkeypatch.setattr("mbtl.problems.check.STEPS", 70)
+
+
 class Sound(gymnasium.Env):
     """A point pushed left or right: position += gain (action - 1/2) - drag position."""
 

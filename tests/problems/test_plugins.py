@@ -4,7 +4,7 @@ import pytest
 
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.problems import cmdp_ids, get_cmdp, resolve_cmdp
-from mbtl.problems.plugins import plugin_ids
+from mbtl.problems.loading import plugin_ids
 from mbtl.zoo.cli.play import play
 
 MODULE = """

@@ -52,7 +52,7 @@ def test_a_selector_without_a_model_gets_that_of_specialists_whose_samples_have_
 
 def test_the_gain_shown_with_a_pick_is_the_one_that_picks_are_ranked_by():
     history = history_of([14, 29])
-    proposal = Auto(cover=0).propose(PROBLEM, history, np.random.default_rng(0))
+    proposal = Auto().propose(PROBLEM, history, np.random.default_rng(0))
     gain = np.where(history.open_mask(N), outlook(PROBLEM, history, "specialists").gain, -1.0)
     assert proposal.acquisition == pytest.approx(gain.max(), abs=1e-9)
     assert proposal.acquisition == pytest.approx(gain[proposal.source], abs=1e-9)

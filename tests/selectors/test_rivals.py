@@ -310,14 +310,3 @@ def test_categories_are_axes_too(name):
         source = get_selector(name).propose(problem, history, np.random.default_rng(k)).source
         history = history.with_row(source, np.cos(source + np.arange(9.0)))
     assert sorted(history.sources) == list(range(9))
-
-
-@pytest.mark.parametrize("name", RIVALS)
-def test_picks_follow_from_the_history_alone(name):
-    world = synthetic_world("synthetic:3d-const-lin-nd-eta5@1")
-    history, _ = play(name, world, 9)
-    problem = world.problem(9)
-    for k in (3, 8):
-        before = History(world.n, history.sources[:k], history.rows[:k])
-        again = get_selector(name).propose(problem, before, np.random.default_rng(99))
-        assert again.source == history.sources[k]

@@ -55,7 +55,7 @@ def test_a_class_in_a_file_and_a_selector_made_there_are_both_found(file):
 @pytest.mark.parametrize(
     ("name", "error", "match"),
     [
-        ("NOTHING", InvalidInput, "must be a selector"),
+        ("NOTHING", InvalidInput, "got int 3"),
         ("NeedsMore", InvalidInput, "without arguments"),
         ("Lowst", UnknownName, "Did you mean 'Lowest'"),
     ],
@@ -84,15 +84,6 @@ def test_a_selector_without_a_name_may_say_what_it_can():
     bare = Bare()
     bare.traits = Traits(one_axis=True)
     assert traits_of(get_selector(bare)).one_axis
-
-
-def test_attributes_of_version_0_1_are_read_with_a_warning():
-    class Old(Bare):
-        name = "old"
-        deterministic = True
-
-    with pytest.warns(DeprecationWarning, match=r"write traits = .*Traits\(deterministic=True\)"):
-        assert traits_of(get_selector(Old())) == Traits(deterministic=True)
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_where_one_policy_for_all_fails_specialists_take_over_soon(noise):
     found, alone = run(data, Auto()), run(data, get_selector("specialists"))
     assert found.at(3) > alone.at(2) - 0.01  # one unit shows it
     for budget in range(3, 16):  # and one more goes into copies
-        assert found.at(budget) > alone.at(budget - 2) - 0.01
+        assert found.at(budget) > alone.at(budget - 2) - 0.01 - 0.2 * noise  # luck of a pick
     assert kinds(found.trainings).count("S") >= 10
     assert len([one for one in found.trainings if len(one.contexts) > 1]) == 2
 

@@ -7,7 +7,7 @@ Notation (shapes): M candidates, N targets, D columns of grid steps.
     best        (N,)    generalisation performance so far
     weights     (N,)    target weights, sum 1
     theta               slope of the linear gap, performance per grid step
-All are O(M N) time in blocks of bounded memory, for any D. On one axis `line_gain` is faster.
+All are O(M N) time in blocks of bounded memory, for any D.
 """
 
 from __future__ import annotations
@@ -15,9 +15,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
+
+TIE = 1e-12
+"""Values closer than this are equal: two exact formulas may differ in their last digits."""
 
 # candidate x target entries held at once, so that temporaries stay in cache: one array for the
 # optimistic gain, four for the expected one
@@ -38,7 +42,7 @@ def optimistic_gain(
     Raises:
         InvalidInput: theta < 0, or shapes that do not fit.
     """
-    check_shapes(candidates, targets, best, weights, theta, upper=upper)
+    _check_shapes(candidates, targets, best, weights, theta, upper=upper)
 
     def block(rows: slice, gap: Array) -> Array:
         gain = np.subtract(upper[rows, None], gap, out=gap)  # in place: memory traffic is the cost
@@ -71,7 +75,7 @@ def expected_gain(
     Raises:
         InvalidInput: theta < 0, or shapes that do not fit.
     """
-    check_shapes(candidates, targets, best, weights, theta, mean=mean, std=std)
+    _check_shapes(candidates, targets, best, weights, theta, mean=mean, std=std)
     scale = np.maximum(std, 1e-300)
 
     def block(rows: slice, gap: Array) -> Array:
@@ -93,6 +97,21 @@ def unit_improvement(z: Array) -> Array:
     return np.asarray(np.maximum(tail, 0.0) + np.maximum(z, 0.0))
 
 
+def argmax_open(values: Array, mask: NDArray[np.bool_]) -> int:
+    """Index of the largest value among the open ones; the lowest index on a tie.
+
+    Raises:
+        InvalidInput: nothing is open, or a value is NaN.
+    """
+    if not mask.any():
+        raise InvalidInput("argmax needs at least one open candidate, got none")
+    if np.isnan(values[mask]).any():
+        raise InvalidInput("argmax needs values that are numbers, got NaN")
+    open_values: Array = np.where(mask, values, -np.inf)
+    top = open_values.max()
+    return int(np.flatnonzero(open_values >= top - TIE * max(1.0, abs(float(top))))[0])
+
+
 def _blocked(
     block: Callable[[slice, Array], Array],
     candidates: Array,
@@ -112,7 +131,7 @@ def _blocked(
     return out
 
 
-def check_shapes(
+def _check_shapes(
     candidates: Array,
     targets: Array,
     best: Array,

@@ -83,7 +83,7 @@ class Axis(ABC):
 
 @dataclass(frozen=True)
 class _Numeric(Axis):
-    """Shared frame of the numeric axes: bounds, checks, JSON."""
+    """Shared frame of the numeric axes: bounds, checks, JSON, and an even scale."""
 
     name: str
     low: float
@@ -149,16 +149,6 @@ class _Numeric(Axis):
             )
         return np.clip(array, self.low, self.high)
 
-    def to_json(self) -> dict[str, Any]:
-        """Kind, name, unit and bounds."""
-        record = {"kind": type(self).__name__.lower(), "name": self.name, "unit": self.unit}
-        return {**record, "low": self.low, "high": self.high}
-
-
-@dataclass(frozen=True)
-class Linear(_Numeric):
-    """A continuous axis on which equal differences mean equal change."""
-
     def encode(self, values: Sequence[Value]) -> Array:
         """Unit column of the share of the range that lies below each value."""
         return ((self._checked(values) - self.low) / (self.high - self.low))[:, None]
@@ -170,6 +160,16 @@ class Linear(_Numeric):
     def spread(self, n: int) -> list[Value]:
         """`n` values at equal differences."""
         return list(np.linspace(self.low, self.high, n).tolist())
+
+    def to_json(self) -> dict[str, Any]:
+        """Kind, name, unit and bounds."""
+        record = {"kind": type(self).__name__.lower(), "name": self.name, "unit": self.unit}
+        return {**record, "low": self.low, "high": self.high}
+
+
+@dataclass(frozen=True)
+class Linear(_Numeric):
+    """A continuous axis on which equal differences mean equal change."""
 
 
 @dataclass(frozen=True)
@@ -238,10 +238,6 @@ class Integer(_Numeric):
         if abs(value - whole) <= _rounding(SINGLE * abs(value)):
             return whole
         raise ContextMismatch(f"axis {self.name!r} takes whole numbers, got {value!r}; use Linear")
-
-    def encode(self, values: Sequence[Value]) -> Array:
-        """Unit column; raises `ContextMismatch` also for a number that is not whole."""
-        return ((self._checked(values) - self.low) / (self.high - self.low))[:, None]
 
     def decode(self, unit: Array) -> list[Value]:
         """The nearest whole numbers."""

@@ -8,7 +8,6 @@ Notation (shapes): N contexts, d axes, D >= d columns (a categorical axis has on
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -29,8 +28,8 @@ from mbtl.contexts.axes import (
 )
 from mbtl.errors import ContextMismatch, InvalidInput, MbtlError, unknown_name
 from mbtl.faults import harmless
+from mbtl.files import MALFORMED
 from mbtl.settings import differences
-from mbtl.untrusted import MALFORMED
 
 Context = dict[str, Value]
 
@@ -214,6 +213,12 @@ class ContextSpace:
             number = f"{value:.4g}" if isinstance(value, float) else harmless(str(value), 60)
             parts.append(f"{name} = {number} {units.get(name, '')}".rstrip())
         return harmless(between.join(parts))
+
+    def describe_set(self, contexts: Sequence[int], between: str = ", ") -> str:
+        """Contexts by index: "all contexts", "12 contexts", or one as `describe` has it."""
+        if len(contexts) == 1:
+            return self.describe(self.context(contexts[0]), between)
+        return "all contexts" if len(contexts) == self.n else f"{len(contexts)} contexts"
 
     def named(self, indices: Sequence[int] | NDArray[np.intp]) -> Callable[[int], str]:
         """What the place-th of these contexts is called, for messages."""
@@ -426,11 +431,10 @@ def _checked_weights(weights: ArrayLike | None, n: int) -> Array:
     return np.asarray(array / array.sum())
 
 
-def factorial_shape(values: Array) -> tuple[int, ...] | None:
-    """Grid shape if the (N, d) `values` are a full factorial in C order, else None."""
-    levels = [np.unique(column) for column in values.T]
-    shape = tuple(len(level) for level in levels)
-    if int(np.prod(shape)) != len(values):
-        return None
-    expected = np.array(list(itertools.product(*levels)))
-    return shape if np.array_equal(expected, values) else None
+def middle_of(contexts: Sequence[int], steps: Array) -> int:
+    """The context of several, by index, that is nearest to their middle: where one is drawn."""
+    if len(contexts) == 1:
+        return int(contexts[0])
+    places = steps[list(contexts)]
+    middle = (places.min(axis=0) + places.max(axis=0)) / 2.0
+    return int(contexts[int(np.linalg.norm(places - middle, axis=1).argmin())])

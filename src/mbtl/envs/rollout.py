@@ -23,8 +23,7 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput, TrainingFailed
-from mbtl.portfolio.heads import DiscreteHead
-from mbtl.portfolio.mlp import MLPPolicy
+from mbtl.portfolio.mlp import DiscreteHead, MLPPolicy
 from mbtl.score import Score
 from mbtl.seeds import action_seed
 

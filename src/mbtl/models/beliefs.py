@@ -20,17 +20,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
-from mbtl.contexts import Axis
-from mbtl.models.columns import Columns
 from mbtl.models.priors import PRIORS
 from mbtl.models.transfer_gp import ENOUGH, NOISIER, TransferGP
-from mbtl.models.transfer_kernel import Pairs, Places, TransferPrior
+from mbtl.models.transfer_kernel import Located, Pairs, Places, TransferPrior, transfer_places
 
 Indices = NDArray[np.intp]
 
@@ -40,30 +37,6 @@ _SLACK = 2.0
 """Natural logarithms of likelihood by which noisier pairs must be ahead to be believed in."""
 _WORK = 1e10
 """Arithmetic that one answer about all entries may cost."""
-
-
-class Located(Protocol):
-    """Contexts and where they lie: a `ContextSpace`, or a selection problem."""
-
-    @property
-    def axes(self) -> Sequence[Axis]:
-        """D columns together; none: D linear axes."""
-        ...
-
-    @property
-    def unit(self) -> Array:
-        """(N, D) unit-cube coordinates."""
-        ...
-
-    @property
-    def steps(self) -> Array:
-        """(N, D) grid-step coordinates."""
-        ...
-
-
-def transfer_places(space: Located) -> Places:
-    """Where the contexts of a space lie, for the transfer model."""
-    return Columns.of(space.axes, space.unit.shape[1]).places(space.unit, space.steps)
 
 
 class Beliefs:

@@ -28,7 +28,7 @@ from mbtl.models.transfer_kernel import (
     same_pair,
     variance,
 )
-from mbtl.threads import threads_for
+from mbtl.processes import threads_for
 
 _SHRINK = 2.0
 """Observations that the prior scale is worth."""
@@ -60,8 +60,6 @@ class TransferGP:
         pairs: Pairs,
         y: Array,
         noise: Array | None = None,
-        *,
-        relative: Array | None = None,
     ) -> None:
         """Condition on data; O(n^3).
 
@@ -72,8 +70,6 @@ class TransferGP:
             y: (n,) performance there, finite.
             noise: (n,) variance of each y around the true mean return, or (n, n) covariance; None
                 for none.
-            relative: (n,) all noise of each y as a multiple of the factor, that of the prior
-                included; instead of `noise`.
 
         Raises:
             InvalidInput: no pair, or values that are not finite.
@@ -87,10 +83,7 @@ class TransferGP:
         self._places, self._prior, self._pairs = places, prior, pairs
         with threads_for(len(places.x)):
             kernel = covariance(places, prior, pairs, pairs)
-            if relative is None:
-                fit = _fit(kernel, prior.noise, y, noise)
-            else:
-                fit = _fit_relative(kernel, relative, y)
+            fit = _fit(kernel, prior.noise, y, noise)
         self._chol, self._residual, self._ones = fit.chol, fit.residual, fit.ones
         self.mean, self.scale, self.log_likelihood = fit.mean, fit.scale, fit.log_likelihood
 
@@ -224,23 +217,14 @@ def _fit_relative(kernel: Array, noise: float | Array, y: Array) -> _Fit:
     noisy = kernel.copy()
     noisy[... if np.ndim(noise) == 2 else np.diag_indices_from(noisy)] += noise
     chol = np.asarray(np.linalg.cholesky(noisy), np.float64)
-    return summed_up(chol, *half_solved(chol, np.column_stack([np.ones(len(y)), y])).T)
-
-
-def summed_up(chol: Array, ones: Array, values: Array) -> _Fit:
-    """Mean, factor and likelihood, from L^-1 times ones and the observations."""
+    ones, values = half_solved(chol, np.column_stack([np.ones(len(y)), y])).T
     mean = float(ones @ values / (ones @ ones))
     residual = np.asarray(values - mean * ones)
-    n, square = len(values), float(residual @ residual)
-    scale = scale_of(square, n)
+    n, square = len(y), float(residual @ residual)
+    scale = (square + _SHRINK * _USUAL) / (n + _SHRINK)
     log_det = 2.0 * float(np.log(np.diagonal(chol)).sum())
     likelihood = -0.5 * (n * np.log(2.0 * np.pi * scale) + log_det + square / scale)
     return _Fit(chol, residual, ones, mean, scale, float(likelihood))
-
-
-def scale_of(square: float, n: int) -> float:
-    """The factor of all variances, of n residuals whose squares add up to `square`."""
-    return (square + _SHRINK * _USUAL) / (n + _SHRINK)
 
 
 def half_solved(chol: Array, right: Array) -> Array:
@@ -250,27 +234,13 @@ def half_solved(chol: Array, right: Array) -> Array:
     return np.asarray(solve_triangular(chol, right, lower=True, check_finite=False))
 
 
-class LikelyNoise(NamedTuple):
-    """What `likely_noise` finds.
-
-    Attributes:
-        prior: as it was, or with much noisier pairs.
-        known: (n,) the part of the known noise to count.
-        scale: factor of all variances that goes with it, from some of the observations.
-    """
-
-    prior: TransferPrior
-    known: Array
-    scale: float
-
-
 def likely_noise(
     places: Places,
     prior: TransferPrior,
     pairs: Pairs,
     y: Array,
     known: Array | None = None,
-) -> LikelyNoise:
+) -> tuple[TransferPrior, Array]:
     """The noise that makes the observations most likely: that of the prior, and the known one.
 
     The prior believes single pairs to scatter little, which is true of simulators that are judged
@@ -284,6 +254,9 @@ def likely_noise(
         pairs: (n, 3) observed.
         y: (n,) performance there.
         known: (n,) variance of each y by its episodes; None for none.
+
+    Returns:
+        The prior as it was, or with much noisier pairs; (n,) the part of `known` that counts.
     """
     known = np.zeros(len(y)) if known is None else known
     some = np.linspace(0, len(y) - 1, min(len(y), ENOUGH)).round().astype(np.intp)
@@ -293,7 +266,7 @@ def likely_noise(
     with threads_for(len(places.x)):
         fits = {(o, share): _fit(kernel, o, y[some], share * known[some]) for o, share in beliefs}
     own, share = max(beliefs, key=lambda belief: fits[belief].log_likelihood)
-    return LikelyNoise(replace(prior, noise=own), share * known, fits[own, share].scale)
+    return replace(prior, noise=own), share * known
 
 
 def _blocks(rows: int, entries_per_row: int) -> Iterator[slice]:

@@ -16,12 +16,15 @@ Notation (shapes): m and n pairs, N contexts, D columns.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.arrays import Array
+from mbtl.contexts import Axis, Categorical, Log
 from mbtl.errors import InvalidInput
 
 Pairs = NDArray[np.intp]
@@ -62,24 +65,9 @@ class TransferPrior:
     row_luck_length: float = 0.10
 
     def __post_init__(self) -> None:
-        for name, value in self.record.items():
+        for name, value in asdict(self).items():
             if not (np.isfinite(value) and value > 0):
                 raise InvalidInput(f"{name} of a prior must be finite and > 0, got {value!r}")
-
-    @property
-    def record(self) -> dict[str, float]:
-        """By name, JSON-able."""
-        return asdict(self)
-
-    @property
-    def logs(self) -> Array:
-        """(14,) natural logarithms in the order of the fields, for fitting."""
-        return np.log([getattr(self, f.name) for f in fields(self)])
-
-    @classmethod
-    def of_logs(cls, logs: Array) -> TransferPrior:
-        """What `logs` gave."""
-        return cls(*np.exp(logs).tolist())
 
 
 @dataclass(frozen=True)
@@ -103,6 +91,47 @@ class Places:
         low = steps.min(axis=0)
         logs = np.log1p(steps - low)
         return cls(unit, logs / np.maximum(logs.max(axis=0), 1e-12))
+
+
+class Located(Protocol):
+    """Contexts and where they lie: a `ContextSpace`, or a selection problem."""
+
+    @property
+    def axes(self) -> Sequence[Axis]:
+        """D columns together; none: D linear axes."""
+        ...
+
+    @property
+    def unit(self) -> Array:
+        """(N, D) unit-cube coordinates."""
+        ...
+
+    @property
+    def steps(self) -> Array:
+        """(N, D) grid-step coordinates."""
+        ...
+
+
+def transfer_places(space: Located) -> Places:
+    """Where contexts lie when every axis counts the same, whatever its number of columns.
+
+    Equal ratios have a meaning that x does not show yet: not on a logarithmic axis, where x shows
+    them, nor on a categorical one.
+
+    Raises:
+        InvalidInput: the axes do not have as many columns as the coordinates.
+    """
+    plain, columns = Places.of(space.unit, space.steps), space.unit.shape[1]
+    widths = [axis.width for axis in space.axes] or [1] * columns
+    if sum(widths) != columns:
+        raise InvalidInput(
+            f"axes must have as many columns as the coordinates ({columns}), got {sum(widths)} "
+            f"of {len(widths)} axes; give the axes of the context space itself"
+        )
+    ratios = [not isinstance(axis, (Categorical, Log)) for axis in space.axes] or [True] * columns
+    z = np.where(np.repeat(ratios, widths), plain.z, plain.x)
+    scale = np.sqrt(columns / len(widths))  # distances are means over columns
+    return Places(plain.x * scale, z * scale)
 
 
 def covariance(places: Places, prior: TransferPrior, a: Pairs, b: Pairs) -> Array:

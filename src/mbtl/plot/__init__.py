@@ -8,9 +8,8 @@ here that a table does not show. No display is needed, and no picture is shown b
 """
 
 from mbtl.plot.curves import comparison, curve
-from mbtl.plot.maps import heatmap, policy_map, policy_shares
+from mbtl.plot.maps import heatmap, model, policy_map
 from mbtl.plot.matrices import matrix
-from mbtl.plot.models import model
 from mbtl.plot.style import save, style
 
 __all__ = [
@@ -20,7 +19,6 @@ __all__ = [
     "matrix",
     "model",
     "policy_map",
-    "policy_shares",
     "save",
     "style",
 ]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from textwrap import shorten
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import Axis, Categorical, ContextSpace, Value
-from mbtl.errors import InvalidInput
+from mbtl.errors import InvalidInput, StudyError
 from mbtl.plot.style import (
     GREY,
     axes_for,
@@ -25,9 +25,10 @@ from mbtl.plot.style import (
     styled,
 )
 from mbtl.portfolio import Portfolio
+from mbtl.selectors.outlook import outlook
 from mbtl.study import Study
 
-_MOST_BARS, _MOST_MAPS, _MOST_OTHERS, _MOST_LINES = 12, 9, 3, 24
+_MOST_MAPS, _MOST_LINES = 9, 24
 _BY = "by the episodes that chose"
 
 
@@ -88,8 +89,8 @@ def policy_map(
 
     On one axis performance is drawn along it. On two it is a map. On three to five there is a map
     for each value of the other axes: at most nine maps, whose values are evenly spread where there
-    are more; for ranges of values where contexts are no grid. On six and more it is
-    `policy_shares`.
+    are more; for ranges of values where contexts are no grid. On six and more it is one map, at the
+    middle values of the others.
 
     Args:
         result: a study with rows, or a portfolio.
@@ -107,14 +108,13 @@ def policy_map(
         return _along(result, patches, axes_for(ax, 6.8, 3.4))
     first, second = _pair(space, over)
     others = [axis for axis in space.axes if axis not in (first, second)]
-    if len(others) > _MOST_OTHERS:
-        return policy_shares(result)
     facets = _facets(space, others)
     if len(facets) == 1:
-        one = axes_for(ax, 6.8, 4.2)
-        lined = _territory(result, patches, one, (first, second), facets[0][1])
+        one, (where, here) = axes_for(ax, 6.8, 4.2), facets[0]
+        lined = _territory(result, patches, one, (first, second), here)
         said = f"; lines: performance {_BY}" if lined else ""
-        one.set_title(f"which policy serves{said}", fontsize=8)
+        where = f" at {where}" if len(here) < space.n else ""
+        one.set_title(f"which policy serves{where}{said}", fontsize=8)
         _legend(one, patches, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return one
     if ax is not None:
@@ -136,31 +136,6 @@ def policy_map(
     figure.suptitle(f"which policy serves{part}", fontsize=9)
     _legend(figure, patches, loc="outside lower center")
     return panels[: len(facets)]
-
-
-@styled
-def policy_shares(result: Study | Portfolio) -> NDArray[Any]:
-    """A panel per axis: at each of its values, the share of contexts that each policy serves.
-
-    Dots are the mean performance of the contexts with that value. For many axes.
-
-    Returns:
-        (d,) axes.
-    """
-    space, routing, patches = result.space, result.routing, _patches(result)
-    figure = new_figure(min(3.0 * space.d + 1.5, 14.0), 3.2 + 0.17 * len(patches))
-    panels = np.atleast_1d(figure.subplots(1, space.d))
-    every = [
-        _bars(panel, axis, space.values(axis.name), routing.route, patches, routing.served)
-        for axis, panel in zip(space.axes, panels, strict=True)
-    ]
-    limits = np.array([dots.get_ylim() for dots in every])
-    for dots in every:
-        dots.set_ylim(min(0.0, limits.min()), max(1.0, limits.max()))
-    figure.supylabel("share of contexts; dots, right: performance", fontsize=9)
-    figure.suptitle(f"which policy serves; performance {_BY}", fontsize=9)
-    _legend(figure, patches, loc="outside lower center")
-    return panels
 
 
 # ---- who serves ----------------------------------------------------------------------------------
@@ -277,7 +252,10 @@ def _facets(space: ContextSpace, others: Sequence[Axis]) -> list[tuple[str, NDAr
     for axis in others:
         most = int(_MOST_MAPS ** (1.0 / len(others)))
         names, group = _groups(axis, space.values(axis.name), most, runs=space.shape is None)
-        some = np.unique(np.linspace(0, len(names) - 1, min(most, len(names))).round().astype(int))
+        last = len(names) - 1
+        some = (
+            np.unique(np.linspace(0, last, most).round().astype(int)) if most > 1 else [last // 2]
+        )
         facets = [
             (f"{words}, {axis.name} {names[k]}".removeprefix(", "), mask & (group == k))
             for words, mask in facets
@@ -316,31 +294,8 @@ def _mark(ax: Any, x: Array, y: Array, sources: Mapping[int, int]) -> None:
         ax.text(across, up, ",".join(numbers), fontsize=7, ha="center", va="center", bbox=box)
 
 
-def _bars(
-    panel: Any,
-    axis: Axis,
-    values: Sequence[Value],
-    route: NDArray[np.intp],
-    patches: Mapping[int, Any],
-    performance: Array,
-) -> Any:
-    names, group = _groups(axis, values, _MOST_BARS)
-    counts, places = np.bincount(group), np.arange(len(names))
-    below = np.zeros(len(names))
-    for policy, patch in patches.items():
-        share = np.bincount(group[route == policy], minlength=len(names)) / counts
-        panel.bar(places, share, bottom=below, width=1.0, color=patch.get_facecolor())
-        below += share
-    dots = panel.twinx()
-    dots.plot(places, np.bincount(group, performance) / counts, "o", color="black", ms=3)
-    panel.set_ylim(0.0, 1.0)
-    panel.set_xlabel(axis.label)
-    panel.set_xticks(places, names, rotation=90)
-    return dots
-
-
 def _groups(
-    axis: Axis, values: Sequence[Value], most: int, *, runs: bool = True
+    axis: Axis, values: Sequence[Value], most: int, *, runs: bool
 ) -> tuple[list[str], NDArray[np.intp]]:
     """Names of an axis's values, or of at most so many runs of them, and which each context has."""
     if isinstance(axis, Categorical):
@@ -352,3 +307,69 @@ def _groups(
     ends = [(levels[part[0]], levels[part[-1]]) for part in parts]
     names = [f"{low:.6g}" if low == high else f"{low:.4g} to {high:.4g}" for low, high in ends]
     return names, bar[group]
+
+
+# ---- what a selector's model believed ------------------------------------------------------------
+
+
+Quantity = Literal["mean", "std", "gain"]
+LABELS = {
+    "mean": "training performance, believed",
+    "std": "standard deviation of that",
+    "gain": "expected gain in V",
+}
+_SURE = 1.96
+
+
+@styled
+def model(study: Study, step: int | None = None, *, show: Quantity = "mean", ax: Any = None) -> Any:
+    """What the model believed after `step` trainings, as the paper draws its Gaussian process.
+
+    On one axis: mean and 95 % band of the training performance, the policies as dots, and along
+    the bottom, on a scale of its own, the expected gain; a triangle is the pick that came next. On
+    two axes: a map of `show`. Selectors without a model are drawn with that of `specialists`.
+
+    Args:
+        study: with one or more rows.
+        step: number of trainings; None: all.
+        show: what a map shows.
+        ax: axes to draw on; None: new ones.
+
+    Raises:
+        StudyError: nothing can be fitted to these rows.
+    """
+    history, space = study.history, study.space
+    k = len(history) if step is None else step
+    found = outlook(study.problem, history, study.spec.selector["name"], after=k)
+    if found is None:
+        raise StudyError(f"a model needs rows to be fitted to, got {k} that say nothing")
+    title = f"{found.model} after {k} training{'s' * (k != 1)}"
+    taken, coming = history.sources[:k], history.sources[k : k + 1]
+    if space.d > 1:
+        ax = heatmap(space, getattr(found, show), label=LABELS[show], sources=taken, ax=ax)
+        ax.set_title(title)
+        return ax
+    ax, axis = axes_for(ax, height=3.6), space.axes[0]
+    x = positions(axis, space.values(axis.name))
+    order = np.argsort(x)
+    low, high = found.mean - _SURE * found.std, found.mean + _SURE * found.std
+    ax.fill_between(x[order], low[order], high[order], alpha=0.2, lw=0, label="95 % band")
+    ax.plot(x[order], found.mean[order], label="believed")
+    own = history.training_performance[:k]
+    ax.plot(x[list(taken)], own, "o", ms=4, color="black", label="trained", zorder=4)
+    dress(ax, axis)
+    ax.set_ylabel(LABELS["mean"])
+    below = ax.twinx()
+    gain = np.maximum(found.gain[order], 0.0)
+    asked = np.isfinite(gain)
+    below.fill_between(x[order][asked], gain[asked], color="#E69F00", alpha=0.6, lw=0)
+    below.set_ylim(0.0, 3.5 * max(float(gain[asked].max(initial=0.0)), 1e-9))
+    below.spines.right.set_visible(True)
+    below.set_ylabel("expected gain in V (orange)")
+    for source in coming:
+        below.plot(x[source], 0.0, "^", ms=7, color="#D55E00", clip_on=False, zorder=5)
+        ax.plot([], [], "^", ms=7, color="#D55E00", label="next pick")
+    number(ax, x[list(taken)])
+    ax.set_title(title, pad=24)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=4)
+    return ax

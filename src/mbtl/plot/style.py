@@ -92,13 +92,6 @@ def save(ax: Any, path: str | Path) -> Path:
     return place
 
 
-def colours(n: int) -> list[Any]:
-    """So many colours of rising lightness, for things that have an order."""
-    from matplotlib import colormaps
-
-    return [colormaps["viridis"](0.05 + 0.87 * i / max(n - 1, 1)) for i in range(n)]
-
-
 def distinct(n: int) -> list[str]:
     """So many colours that are told apart at a glance, for things without an order.
 

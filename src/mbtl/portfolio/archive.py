@@ -28,9 +28,16 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array, python_value
 from mbtl.errors import InvalidInput, StorageError
-from mbtl.files import sync_entries, sync_folder
+from mbtl.files import (
+    MALFORMED,
+    inside,
+    read_arrays,
+    read_json,
+    regular_files,
+    sync_entries,
+    sync_folder,
+)
 from mbtl.portfolio.mlp import MLPPolicy, is_mlp_folder
-from mbtl.untrusted import MALFORMED, inside, read_arrays, read_json, regular_files
 
 FORMAT = 2
 """Of the folder; another one is not read."""

@@ -18,18 +18,17 @@ import numpy as np
 
 from mbtl.arrays import Array
 from mbtl.contexts import ContextSpace, Value
-from mbtl.contexts.words import describe_set
 from mbtl.episodes import Episodes
 from mbtl.errors import InvalidInput, StorageError
+from mbtl.files import MALFORMED
 from mbtl.notebook import table
 from mbtl.objective import Bounds
 from mbtl.plain import LARGEST, floats
 from mbtl.portfolio import router
 from mbtl.portfolio.archive import SavedPolicy, load_policy, read_portfolio, write_portfolio
-from mbtl.portfolio.choice import Choice, explanation
 from mbtl.portfolio.mlp import MLPPolicy
+from mbtl.portfolio.router import Choice, explanation
 from mbtl.routing import Indices, Routing
-from mbtl.untrusted import MALFORMED
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -155,11 +154,6 @@ class Portfolio:
         """(N,) position of the policy that serves each listed context: the policy map."""
         return self.routing.route
 
-    @property
-    def sources_used(self) -> tuple[int, ...]:
-        """Sources whose policy serves at least one listed context, in training order."""
-        return tuple(dict.fromkeys(self.sources[int(i)] for i in np.unique(self.assignment)))
-
     def explain(self, context: Mapping[str, Value]) -> Choice:
         """The policy for a context, with the reason; rules in `mbtl.portfolio.router`.
 
@@ -198,7 +192,7 @@ class Portfolio:
 
     def trained_on(self, policy: int) -> str:
         """What a policy was trained on, in words: a context, or "all contexts"."""
-        return describe_set(self.space, self.sets.get(policy, (self.sources[policy],)))
+        return self.space.describe_set(self.sets.get(policy, (self.sources[policy],)))
 
     def _error(self, seen: router.Forecast, policy: int, less: int | None = None) -> float | None:
         """Error of a policy's number, or of its lead over another; raw units, None: unknown.

@@ -1,11 +1,9 @@
 """Problems: a contextual MDP as one record, a user's own or one by id, and the check for both."""
 
-from mbtl.loading import load_object
-from mbtl.problems.check import check_cmdp
+from mbtl.faults import load_object
+from mbtl.problems.check import Check, CheckReport, check_cmdp
 from mbtl.problems.cmdp import CMDP, Preset
-from mbtl.problems.findings import Check, CheckReport
-from mbtl.problems.loading import cmdp_ids, get_cmdp, resolve_cmdp
-from mbtl.problems.plugins import plugin_ids
+from mbtl.problems.loading import cmdp_ids, get_cmdp, plugin_ids, resolve_cmdp
 
 __all__ = [
     "CMDP",

@@ -6,46 +6,33 @@ Beyond some hundred contexts a part of the targets, spread over the space, stand
 and candidates are searched: some spread over the space, then ever nearer to the best. With several
 axes the best few are judged again on more targets.
 
-Every third pick is none of the model's: it goes where the sources leave the most uncovered.
-
-Where straight lines explain the rows better (`mbtl.models.linear_trend`), they are the model: all
-picks are by their gain, on all targets up to a thousand, since lines cost little and leave no
-region unknown.
+Where straight lines explain the rows better (`mbtl.models.linear_trend`), they are the model, on
+all targets up to a thousand, since lines cost little.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.acquisition import TIE, RowGain, argmax_open, optimistic_gain
+from mbtl.acquisition import TIE, RowGain, argmax_open
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
-from mbtl.models.columns import Columns
 from mbtl.models.linear_trend import LinearTrend, fit_linear_trend
 from mbtl.models.priors import PRIORS, prior_without
-from mbtl.models.transfer_kernel import NEW, TransferPrior
-from mbtl.selectors.auto_beliefs import (
-    Beliefs,
-    conditioned,
-    expect,
-    floor_of,
-    observed,
-    pending_pairs,
-)
+from mbtl.models.transfer_gp import TransferGP, likely_noise
+from mbtl.models.transfer_kernel import NEW, Pairs, TransferPrior, grid_pairs, transfer_places
 from mbtl.selectors.base import (
     Outlook,
     Proposal,
     SelectionProblem,
     farthest_open,
     first_pick,
-    nearest_distance,
     open_candidates,
     spread,
     success_chance,
@@ -57,13 +44,14 @@ Mask = NDArray[np.bool_]
 
 _LEADERS, _AROUND = 3, 12
 """So many of the best candidates are looked around, at so many contexts each and round."""
-_ROWS = 20
-"""Rows of which all targets are used: a model grows while its targets stay, so they change once."""
+_PAIRS, _FEW = 300, 10
+"""Pairs that the model is conditioned on, about, and targets at least: it is cubic in them."""
+_PENDING = 100
+"""Pairs that stand for a pick under way, divided by how many it makes."""
 _MANY = 20_000
 """Contexts through which every round of the search may look."""
 _TREND_TARGETS = 1000
 """Targets at most where straight lines are the model: a bound on memory."""
-_LONELY = "largest untested region"
 _LEFT = 25
 """Candidates, and targets, that stand for all when it is asked what is left to gain."""
 
@@ -79,11 +67,9 @@ class Auto:
     Attributes:
         prior: of the transfer model; None: the one chosen on shipped matrices.
         most_candidates: contexts from which the search for a source begins.
-        most_targets: contexts considered as targets at once; half of them after 20 rows.
+        most_targets: contexts considered as targets at once; fewer from the seventh row on.
         finalists: candidates that are judged a second time, on more targets; 0: none.
         final_targets: targets of that.
-        cover: with 3, every third pick explores the largest untested region, whatever the model
-            says, unless straight lines are the model; with 0 none does.
     """
 
     prior: TransferPrior | None = None
@@ -91,13 +77,8 @@ class Auto:
     most_targets: int = 50
     finalists: int = 10
     final_targets: int = 150
-    cover: int = 3
     name: str = "specialists"
     traits: ClassVar[Traits] = Traits(deterministic=True, predicts_chances=True)
-
-    def __post_init__(self) -> None:
-        if self.cover < 0:
-            raise InvalidInput(f"cover must be >= 0 (0: no pick covers), got {self.cover}")
 
     def without(self, family: str) -> Auto:
         """The same with a prior that has not seen a family of matrices; for honest benchmarks."""
@@ -144,15 +125,10 @@ class Auto:
         if not problem.is_line and self.finalists and len(wide) > len(first.targets):
             # a few targets on several axes are a sample, with its luck; on a line they are even
             outlook = beliefs.row_gain(wide)
-        search = partial(
-            _search, problem, np.flatnonzero(mask), self.most_candidates, costs, history.pending
-        )
-        lonely = None
-        if beliefs.trend is None:
-            lonely = self._least_covered(problem, history, wide, search, costs)
-        if lonely is not None and problem.least_gain is None and problem.least_left is None:
-            return _covering(lonely, outlook)
-        candidates, gain = search(first.expected)
+        candidates, gain = _search(
+            problem, np.flatnonzero(mask), self.most_candidates, costs, history.pending,
+            first.expected,
+        )  # fmt: skip
         left = (
             None if problem.least_left is None else _chance_left(first, candidates, gain, problem)
         )
@@ -163,57 +139,33 @@ class Auto:
         chance = None
         if problem.least_gain is not None:
             chance = outlook.chance(int(candidates[gain.argmax()]), problem.least_gain)
-        if lonely is not None:
-            chosen = _covering(lonely, outlook)
-        else:
-            chosen = _largest(problem, history, outlook, candidates, gain, costs)
+        chosen = _largest(problem, history, outlook, candidates, gain, costs)
         return replace(chosen, chance=chance, chance_left=left)
-
-    def _least_covered(
-        self,
-        problem: SelectionProblem,
-        history: History,
-        targets: Indices,
-        search: Callable[[Callable[[Indices], Array]], tuple[Indices, Array]],
-        costs: Array,
-    ) -> int | None:
-        """What would gain most if all trainings succeeded alike; None if it is not its turn.
-
-        The model takes what it has seen for the rule. Where luck decides it would stay for ever
-        near small sure gains, and never meet the one training that is good everywhere.
-        """
-        if not self.cover or len(history.tried) % self.cover != self.cover - 1:
-            return None
-        steps, weights = problem.steps, problem.weights[targets]
-        covered = nearest_distance(steps[targets], steps[list(history.tried)])
-
-        def nearer(candidates: Indices) -> Array:
-            flat = np.zeros(len(candidates))
-            places = steps[candidates], steps[targets]
-            return optimistic_gain(flat, *places, -covered, weights / weights.sum(), theta=1.0)
-
-        candidates, gain = search(nearer)
-        best = argmax_open(gain / costs[candidates], np.ones(len(gain), dtype=bool))
-        return int(candidates[best]) if gain[best] > TIE else None
 
     def _beliefs(self, problem: SelectionProblem, history: History) -> Beliefs:
         """Condition the model on the rows, at some of the targets."""
-        count = self.most_targets if len(history) <= _ROWS else (self.most_targets + 1) // 2
+        count = min(self.most_targets, max(_PAIRS // len(history), _FEW))
         targets = spread(problem, np.flatnonzero(problem.weights > 0), count)
-        columns = Columns.of(problem.axes, problem.unit.shape[1])
-        places = columns.places(problem.unit, problem.steps)
+        places = transfer_places(problem)
         pairs, y = observed(history, targets)
         floor = floor_of(y)
         y = np.maximum(y, floor)
         prior, known = self.prior or PRIORS["all"], None
         if history.errors is not None:
             known = np.square(history.errors[pairs[:, 2], pairs[:, 1]])
-        model = conditioned(places, prior, pairs, y, known)
-        waiting = np.asarray(history.pending, dtype=np.intp)
-        expect(model, pending_pairs(problem, waiting, targets, len(history)))
+        believed, noise = likely_noise(places, prior, pairs, y, known)
+        told = model = TransferGP(places, believed, pairs, y, noise)
+        extra = pending_pairs(problem, history, targets)
+        if len(extra):  # as if they had given what is expected of them
+            expected = np.append(y, told.predict_pairs(extra)[0])
+            noise_too = np.append(noise, np.zeros(len(extra)))
+            model = TransferGP(places, believed, np.vstack([pairs, extra]), expected, noise_too)
         trend = fit_linear_trend(problem.steps, pairs, y, known)
-        likelier = trend.log_likelihood > model.log_likelihood
-        return Beliefs(problem, history, targets, y, floor, model, trend if likelier else None)
+        likelier = trend.log_likelihood > told.log_likelihood
+        return Beliefs(
+            problem, history, targets, float(y.max()), floor, told, model, bool(noise.any()),
+            trend if likelier else None,
+        )  # fmt: skip
 
     def _judged(self, problem: SelectionProblem, beliefs: Beliefs) -> RowGain:
         """The gain on the targets by which candidates are searched."""
@@ -249,12 +201,8 @@ def _largest(
     return Proposal(source, reason, _shown(gain[best]), (judged,) if sampling else ())
 
 
-def _covering(source: int, outlook: RowGain) -> Proposal:
-    return Proposal(source, _LONELY, _shown(outlook.expected(np.array([source]))[0]))
-
-
 def _shown(gain: float) -> float:
-    """Rounded: the last digits depend on whether the model grew or was made anew."""
+    """Rounded: the last digits depend on the order of sums."""
     return round(float(gain), 10)
 
 
@@ -331,3 +279,101 @@ def _nearest(places: Array, among: Indices, place: int, count: int) -> Indices:
     squared = np.square(places[among] - places[place]).sum(axis=1)
     limit = np.partition(squared, count)[count]  # a value; which of equals comes first varies
     return np.asarray(among[squared <= limit * (1.0 + 1e-9)])
+
+
+# ---- what is believed ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """The model after the rows told, and what is expected of pending picks.
+
+    Attributes:
+        targets: among whose pairs the model looked.
+        seen: best performance there.
+        floor: performance below which all counts as equally bad.
+        told: the model of the rows told alone.
+        model: that beside which picks under way gave what is expected of them.
+        noisy: a known noise counts.
+        trend: the linear trend, where it explains the rows better than the model; else None.
+    """
+
+    problem: SelectionProblem
+    history: History
+    targets: Indices
+    seen: float
+    floor: float
+    told: TransferGP
+    model: TransferGP
+    noisy: bool
+    trend: LinearTrend | None = None
+
+    def row_gain(self, targets: Indices) -> RowGain:
+        """What one more training may bring on these targets."""
+        weights = self.problem.weights[targets] / self.problem.weights[targets].sum()
+        best, risk = self._best(targets), self.problem.risk
+        if self.trend is not None:  # it says itself what a training on a target gives there
+            return RowGain(self.trend, targets, best, np.inf, weights, risk)
+        return RowGain(self.model, targets, best, self.seen, weights, risk)
+
+    def _best(self, targets: Indices) -> Array:
+        """(T,) the best so far, and what is expected of pending picks.
+
+        The best of noisy or missing entries is what the model believes them to be.
+        """
+        told, rows = self.history, np.maximum(self.history.rows[:, targets], self.floor)
+        sources, waiting = (np.asarray(s, dtype=np.intp) for s in (told.sources, told.pending))
+        if self.trend is not None:
+            known = None if told.errors is None else np.square(told.errors[:, targets])
+            rows = self.trend.believed(sources, targets, rows, known)
+        elif self.noisy or not np.isfinite(rows).all():
+            rows = self.told.predict(sources, targets, np.arange(len(sources)))[0]
+        if told.others is not None:
+            rows = np.vstack([rows, told.others[targets]])
+        if len(waiting):
+            rows = np.vstack([rows, (self.trend or self.told).predict(waiting, targets)[0]])
+        return np.asarray(rows.max(axis=0))
+
+
+def floor_of(y: Array) -> float:
+    """Performance below which all is equally bad: far outside, and far below the bounds as well.
+
+    A policy that jams a junction may be worth -800 where others reach 0.9; as they stand, such
+    values would be all that a Gaussian process sees.
+    """
+    low, high = np.quantile(y, [0.25, 0.75])
+    return float(min(low - 3.0 * (high - low), -1.0))
+
+
+def observed(history: History, targets: Indices) -> tuple[Pairs, Array]:
+    """Pairs and their performance: on `targets`; of rows that are partial as many, evenly thinned.
+
+    What is taken of a row does not depend on the rows after it.
+    """
+    sources = np.asarray(history.sources, dtype=np.intp)
+    found, values = [], []
+    for number, (source, row) in enumerate(zip(sources, history.rows, strict=True)):
+        at = targets
+        if not np.isfinite(row[targets]).all():
+            at = np.flatnonzero(np.isfinite(row))
+            if len(at) > len(targets):
+                at = at[np.linspace(0, len(at) - 1, len(targets)).round().astype(np.intp)]
+        found.append(grid_pairs(np.array([source]), at, np.array([number])))
+        values.append(row[at])
+    return np.vstack(found), np.concatenate(values)
+
+
+def pending_pairs(problem: SelectionProblem, history: History, targets: Indices) -> Pairs:
+    """Pairs that stand for the picks under way: all, or of many picks those nearest to each.
+
+    What a pick is believed to give says something of its neighbourhood; far away it is only the
+    mean that is known anyway. Those of one pick do not depend on how many come after it.
+    """
+    where, found = problem.steps, [np.empty((0, 3), dtype=np.intp)]
+    for i, source in enumerate(history.pending):
+        few, near = max(_PENDING // (i + 1), 1), targets
+        if few < len(targets):
+            far = np.linalg.norm(where[targets] - where[source], axis=1)
+            near = targets[np.argsort(far, kind="stable")[:few]]
+        found.append(grid_pairs(np.array([source]), near, np.array([len(history) + i])))
+    return np.vstack(found)

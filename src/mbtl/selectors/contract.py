@@ -2,21 +2,20 @@
 
 A selector never sees a study, a storage or a matrix. It keeps no state between calls: what it needs
 is in the history, so a resumed study proposes what an undisturbed one would have. One method is
-enough (`Proposes`); what else a selector has, it says by a protocol of its own.
+enough (`Proposes`). What else a selector may have: `traits`, `without` (`LearnedSelector`), and
+`outlook(problem, history, candidates)`, which gives the `Outlook` of its model, for people.
 """
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbtl.errors import InvalidInput
 from mbtl.history import History
-from mbtl.selectors.base import Outlook, Proposal, SelectionProblem
+from mbtl.selectors.base import Proposal, SelectionProblem
 
 
 @dataclass(frozen=True)
@@ -63,32 +62,6 @@ class Selector(Proposes, Protocol):
 
 
 @runtime_checkable
-class DescribedSelector(Proposes, Protocol):
-    """A selector that says what it can; `traits_of` says it of any."""
-
-    @property
-    def traits(self) -> Traits:
-        """The same at every time."""
-        ...
-
-
-@runtime_checkable
-class OutlookSelector(Selector, Protocol):
-    """A selector with a model that people may look at."""
-
-    def outlook(
-        self, problem: SelectionProblem, history: History, candidates: NDArray[np.intp]
-    ) -> Outlook:
-        """What the model believes, and the gain it expects of `candidates`.
-
-        Raises:
-            InvalidInput: nothing was evaluated so far.
-            numpy.linalg.LinAlgError: the model cannot be fitted.
-        """
-        ...
-
-
-@runtime_checkable
 class LearnedSelector(Selector, Protocol):
     """A selector that has learned from matrices, and can forget some of them."""
 
@@ -99,19 +72,8 @@ class LearnedSelector(Selector, Protocol):
 
 def traits_of(selector: Proposes) -> Traits:
     """What a selector says of itself; one that says nothing can only propose."""
-    if isinstance(selector, DescribedSelector):
-        return selector.traits
-    names = [field.name for field in fields(Traits)]
-    single = {name: bool(getattr(selector, name)) for name in names if hasattr(selector, name)}
-    if single:  # as version 0.1 had them
-        words = ", ".join(f"{name}={value}" for name, value in single.items())
-        warnings.warn(
-            f"the attributes {', '.join(single)} of a selector are read until mbtl 0.3 only; write "
-            f"traits = mbtl.selectors.Traits({words}) in {type(selector).__name__}",
-            DeprecationWarning,
-            stacklevel=2,
-        )
-    return Traits(**single)
+    said: Traits = getattr(selector, "traits", Traits())
+    return said
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from mbtl.acquisition import expected_gain
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
-from mbtl.models import FittedGap, FittedGP, GPSettings, LinearGap, fit_gp, predicted_rows
+from mbtl.models import FittedGP, GPSettings, fit_gp
 from mbtl.models.gp import Fitter
 from mbtl.selectors.base import (
     Outlook,
@@ -33,12 +33,11 @@ from mbtl.selectors.model_based import (
     gain_by_pairs,
     observed_incumbent,
     optimistic_gains,
-    predicted_incumbent,
+    predicted_rows,
 )
 from mbtl.selectors.worst_first import worst_context
 
 Indices = NDArray[np.intp]
-Incumbent = Literal["observed", "predicted"]
 
 
 def ucb_weight(k: int, n: int) -> float:
@@ -59,23 +58,18 @@ class MBTL:
     argmax_x E_x' [ mu(x) + sqrt(beta_k) sigma(x) - theta |x - x'| - best(x') ]_+ with
     beta_k = 2 log(N k^2), or the expected gain.
 
-    Of more than 4,000 contexts so many, spread over the space, are candidates and targets; but for
-    the optimistic gain on one axis, which all of them are.
+    Of more than 4,000 contexts so many, spread over the space, are candidates and targets.
 
     Attributes:
         acquisition: "ucb", the paper's optimistic gain, or "ei", the expected gain.
         warm_up: number of worst-first picks after the first (paper: 3); they count towards K.
         gp: kernel bounds and noise (paper: noise std 0.001).
-        gap: "given" uses the problem's theta; "fitted" estimates it from the rows seen.
-        incumbent: "observed" rows, or "predicted" from training performance and theta alone.
         fitter: fits the GP.
     """
 
     acquisition: Literal["ucb", "ei"] = "ucb"
     warm_up: int = 3
     gp: GPSettings = field(default_factory=GPSettings)
-    gap: Literal["given", "fitted"] = "given"
-    incumbent: Incumbent = "observed"
     fitter: Fitter = fit_gp
     name: str = "mbtl"
     traits: ClassVar[Traits] = Traits(deterministic=True)
@@ -83,13 +77,8 @@ class MBTL:
     def __post_init__(self) -> None:
         if self.warm_up < 0:
             raise InvalidInput(f"warm_up must be >= 0, got {self.warm_up}")
-        for option, given, known in (
-            ("acquisition", self.acquisition, ("ucb", "ei")),
-            ("gap", self.gap, ("given", "fitted")),
-            ("incumbent", self.incumbent, ("observed", "predicted")),
-        ):
-            if given not in known:
-                raise InvalidInput(f"{option} must be one of {known}, got {given!r}")
+        if self.acquisition not in ("ucb", "ei"):
+            raise InvalidInput(f"acquisition must be 'ucb' or 'ei', got {self.acquisition!r}")
 
     def propose(
         self, problem: SelectionProblem, history: History, rng: np.random.Generator
@@ -99,21 +88,9 @@ class MBTL:
         early = start(problem, history, mask, self.warm_up)
         if early is not None:
             return early
-        theta = self.theta(problem, history)
         gp = fit_posterior(problem, history, history.training_performance, self.gp, self.fitter)
-        return self.acquire(problem, history, mask, gp, theta)
-
-    def acquire(
-        self,
-        problem: SelectionProblem,
-        history: History,
-        mask: NDArray[np.bool_],
-        gp: FittedGP,
-        theta: float,
-    ) -> Proposal:
-        """The acquisition and its argmax over the open contexts."""
         mean, std = gp.predict(problem.steps)
-        gain, asked, notes = self._gain(problem, history, mask, gp, theta, mean, std)
+        gain, asked, notes = self._gain(problem, history, mask, gp, mean, std)
         kind = "expected" if self.acquisition == "ei" else "optimistic"
         notes = (*gp.notes, *notes)
         return choose(problem, history, gain, std, asked, f"largest {kind} gain", notes)
@@ -125,8 +102,7 @@ class MBTL:
         gp = fit_posterior(problem, history, history.training_performance, self.gp, self.fitter)
         mean, std = gp.predict(problem.steps)
         every = np.ones(problem.n, dtype=bool)
-        theta = self.theta(problem, history)
-        gain, _, _ = self._gain(problem, history, every, gp, theta, mean, std)
+        gain, _, _ = self._gain(problem, history, every, gp, mean, std)
         return Outlook(self.name, mean, std, gain)
 
     def _gain(
@@ -135,12 +111,12 @@ class MBTL:
         history: History,
         mask: NDArray[np.bool_],
         gp: FittedGP,
-        theta: float,
         mean: Array,
         std: Array,
     ) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
         """(N,) acquisition, where it was asked, and notes; see `gain_by_pairs`."""
-        where, best = problem.steps, self.best(problem, history, gp, theta)
+        where, theta = problem.steps, problem.theta
+        best = observed_incumbent(problem, history, gp, theta)
         if self.acquisition == "ei":
 
             def expected(x: Indices, t: Indices, weights: Array) -> Array:
@@ -151,18 +127,6 @@ class MBTL:
         k = len(history) + len(history.pending) + 1
         upper = mean + np.sqrt(ucb_weight(k, problem.n)) * std
         return optimistic_gains(problem, mask, upper, best, theta)
-
-    def theta(self, problem: SelectionProblem, history: History) -> float:
-        """Slope of the linear gap now, performance per grid step."""
-        model = FittedGap(problem.theta) if self.gap == "fitted" else LinearGap(problem.theta)
-        return model.slope(history, problem.steps)
-
-    def best(
-        self, problem: SelectionProblem, history: History, gp: FittedGP, theta: float
-    ) -> Array:
-        """(N,) the incumbent that a new policy has to beat."""
-        rule = predicted_incumbent if self.incumbent == "predicted" else observed_incumbent
-        return rule(problem, history, gp, theta)
 
 
 def start(

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mbtl.acquisition import argmax_open, linear_gap_gain
+from mbtl.acquisition import argmax_open, optimistic_gain
 from mbtl.arrays import Array
 from mbtl.errors import MbtlError
 from mbtl.history import History
-from mbtl.models import FittedGP, GPSettings, fit_gp, predicted_rows
+from mbtl.models import FittedGP, GPSettings, fit_gp
 from mbtl.models.gp import Fitter, squared_distances
 from mbtl.selectors.base import Proposal, SelectionProblem, served, spread, success_chance
 
@@ -76,30 +76,26 @@ def observed_incumbent(
     problem: SelectionProblem, history: History, gp: FittedGP, theta: float
 ) -> Array:
     """(N,) `observed_best`, and what pending picks are believed to give."""
-    believed = _believed_rows(problem, history, gp, theta)
-    best = observed_best(problem, history)
-    return np.asarray(np.fmax(best, believed.max(axis=0, initial=-np.inf)))
-
-
-def predicted_incumbent(
-    problem: SelectionProblem, history: History, gp: FittedGP, theta: float
-) -> Array:
-    """(N,) max_i J(pi_i, x_i) - theta |x_i - x'|: for rows evaluated on the source itself only."""
-    own = history.training_performance
-    seen = np.isfinite(own)
-    sources = np.asarray(history.sources, dtype=np.intp)[seen]
-    rows = predicted_rows(own[seen], problem.steps[sources], problem.steps, theta)
-    believed = _believed_rows(problem, history, gp, theta)
-    return np.asarray(np.vstack([rows, believed]).max(axis=0))
-
-
-def _believed_rows(
-    problem: SelectionProblem, history: History, gp: FittedGP, theta: float
-) -> Array:
-    pending = problem.steps[list(history.pending)]
+    best, pending = observed_best(problem, history), problem.steps[list(history.pending)]
     if not len(pending):
-        return np.empty((0, problem.n))
-    return predicted_rows(gp.predict(pending)[0], pending, problem.steps, theta)
+        return best
+    believed = predicted_rows(gp.predict(pending)[0], pending, problem.steps, theta)
+    return np.asarray(np.fmax(best, believed.max(axis=0)))
+
+
+def predicted_rows(
+    training_performance: Array, sources: Array, steps: Array, theta: float
+) -> Array:
+    """(k, N) rows that the linear gap predicts, J(pi_i, x_i) - theta |x_i - x'|.
+
+    Args:
+        training_performance: (k,) J(pi_i, x_i).
+        sources: (k, D) grid steps of x_i.
+        steps: (N, D) grid steps of the targets x'.
+        theta: slope of the gap, performance per grid step (paper, Assumption 1).
+    """
+    distance = np.sqrt(squared_distances(sources, steps))
+    return np.asarray(training_performance[:, None] - theta * distance)
 
 
 def gain_by_pairs(
@@ -135,15 +131,12 @@ def gain_by_pairs(
 def optimistic_gains(
     problem: SelectionProblem, mask: NDArray[np.bool_], upper: Array, best: Array, theta: float
 ) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
-    """`linear_gap_gain` as `gain_by_pairs` gives it, but exact for any number on one axis."""
+    """`optimistic_gain` as `gain_by_pairs` gives it."""
     where = problem.steps
 
     def gain_of(x: NDArray[np.intp], t: NDArray[np.intp], weights: Array) -> Array:
-        return linear_gap_gain(upper[x], where[x], where[t], best[t], weights, theta=theta)
+        return optimistic_gain(upper[x], where[x], where[t], best[t], weights, theta=theta)
 
-    if problem.is_line:
-        every = np.arange(problem.n)
-        return gain_of(every, every, problem.weights), mask, ()
     return gain_by_pairs(problem, mask, gain_of)
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbtl.errors import InvalidInput
 from mbtl.history import History
 from mbtl.selectors.auto import Auto
-from mbtl.selectors.base import Outlook, SelectionProblem
-from mbtl.selectors.contract import OutlookSelector, Selector
+from mbtl.selectors.base import Outlook, SelectionProblem, spread
+from mbtl.selectors.contract import Selector
 from mbtl.selectors.registry import get_selector, selector_names
 
 MOST = 200
@@ -55,12 +54,13 @@ def outlook(
     ).specialists()
     if not np.isfinite(then.rows).any():
         return None
-    candidates = _candidates(problem)
+    candidates = spread(problem, problem.sources, MOST)
     for model in (_known(selector), Auto()):
-        if not isinstance(model, OutlookSelector):
+        if model is None or not hasattr(model, "outlook"):
             continue
         try:
-            return model.outlook(problem, then, candidates)
+            found: Outlook = model.outlook(problem, then, candidates)
+            return found
         except (InvalidInput, np.linalg.LinAlgError):  # nothing to fit so far
             continue
     return None
@@ -71,13 +71,3 @@ def _known(selector: Selector | str) -> Selector | None:
     if isinstance(selector, str) and selector not in selector_names():
         return None
     return get_selector(selector)
-
-
-def _candidates(problem: SelectionProblem) -> NDArray[np.intp]:
-    """All sources, or some spread over them."""
-    sources = problem.sources
-    if len(sources) <= MOST:
-        return sources
-    if problem.is_line:
-        return sources[np.linspace(0, len(sources) - 1, MOST).round().astype(np.intp)]
-    return np.sort(np.random.default_rng(0).choice(sources, MOST, replace=False))

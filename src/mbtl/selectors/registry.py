@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mbtl.errors import InvalidInput, unknown_name
-from mbtl.faults import FAULTS, reason_of
-from mbtl.loading import load_object
+from mbtl.faults import FAULTS, load_object, reason_of
 from mbtl.selectors.auto import Auto
 from mbtl.selectors.clustering import KMeansSelector
 from mbtl.selectors.contract import Proposes, Selector, adopted
@@ -73,9 +72,4 @@ def _own(reference: str) -> Selector:
                 f"{reference!r} must make a selector when called without arguments, got "
                 f"{reason_of(error)}; name a selector made with them instead"
             ) from error
-    if not isinstance(found, Proposes):
-        raise InvalidInput(
-            f"{reference!r} must be a selector, with `propose(problem, history, rng)`, "
-            f"got {type(found).__name__}"
-        )
     return adopted(found)

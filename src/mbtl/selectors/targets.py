@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import Categorical
-from mbtl.models.columns import Columns
 from mbtl.selectors.base import SelectionProblem
 
 Indices = NDArray[np.intp]
@@ -126,7 +125,5 @@ def _replaceable(problem: SelectionProblem, chosen: list[int], by: int) -> int:
 
 def _level_columns(problem: SelectionProblem) -> list[int]:
     """Columns that are a level of a categorical axis each."""
-    if not problem.axes:
-        return []
-    axis_of = Columns.of(problem.axes, problem.unit.shape[1]).axis
-    return [i for i, axis in enumerate(axis_of) if isinstance(problem.axes[axis], Categorical)]
+    kinds = [isinstance(axis, Categorical) for axis in problem.axes for _ in range(axis.width)]
+    return np.flatnonzero(kinds).tolist()

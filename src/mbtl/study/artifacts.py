@@ -23,9 +23,8 @@ from typing import Any, Protocol
 from urllib.parse import unquote, urlsplit
 
 from mbtl.errors import InvalidInput, StorageError, missing_extra
-from mbtl.files import from_home, sync_entries, sync_folder
+from mbtl.files import from_home, inside, read_json, regular_files, sync_entries, sync_folder
 from mbtl.study.database import check_path, database_file
-from mbtl.untrusted import inside, read_json, regular_files
 
 RECEIPT = "trained.json"
 

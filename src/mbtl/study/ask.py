@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from mbtl.contexts.words import middle_of
+from mbtl.contexts.space import middle_of
 from mbtl.errors import InvalidInput
 from mbtl.history import History
+from mbtl.processes import threads_for
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import Exhausted, Proposal, open_candidates
 from mbtl.selectors.contract import Selector
@@ -21,7 +22,6 @@ from mbtl.study.leases import PROPOSING, Watch, asker, new_token
 from mbtl.study.records import StudyFinished
 from mbtl.study.spec import StudySpec
 from mbtl.study.state import StudyState
-from mbtl.threads import threads_for
 from mbtl.trainers.contract import checked_targets
 
 _LONGEST = 5.0

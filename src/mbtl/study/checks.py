@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.errors import InvalidInput, StorageError
+from mbtl.files import MALFORMED, is_local
 from mbtl.plain import LARGEST
 from mbtl.study.events import Event, Kind
 from mbtl.study.spec import (
@@ -31,7 +32,6 @@ from mbtl.study.spec import (
     short,
 )
 from mbtl.study.state import StudyState
-from mbtl.untrusted import MALFORMED, is_local
 
 _LONGEST = 1e9
 """Units of a training."""

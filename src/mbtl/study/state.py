@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mbtl.arrays import Array
-from mbtl.contexts.words import describe_set, middle_of
+from mbtl.contexts.space import middle_of
 from mbtl.episodes import Episodes
 from mbtl.errors import StudyError
 from mbtl.history import History, Training
@@ -303,7 +303,7 @@ class StudyState:
     def said(self, one: PickRecord | ToldRow) -> str:
         """A training for people: "all contexts, 1 to 2 units", "x = 7, tuned from training 1"."""
         how = self.how(one)
-        return describe_set(self.spec.space, one.sources) + (f", {how}" if how else "")
+        return self.spec.space.describe_set(one.sources) + (f", {how}" if how else "")
 
     def how(self, one: PickRecord | ToldRow) -> str:
         """From what and how long, in words; empty for a whole training from scratch."""

@@ -26,6 +26,7 @@ import numpy as np
 
 from mbtl.arrays import Array, python_value
 from mbtl.errors import InvalidInput, StorageError, Unreachable
+from mbtl.files import read_arrays, read_json
 from mbtl.study.database import (
     LATEST,
     WRITES,
@@ -39,7 +40,6 @@ from mbtl.study.database import (
     shown,
 )
 from mbtl.study.events import KINDS, Beat, Event, Kind
-from mbtl.untrusted import read_arrays, read_json
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection, Engine

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from mbtl.contexts import ContextSpace
-from mbtl.contexts.words import describe_set
 from mbtl.errors import InvalidInput, StudyError
 from mbtl.study.events import Event
 from mbtl.study.records import Pick, PickRecord
@@ -150,4 +149,4 @@ def reopening(state: StudyState, pick: Pick | int) -> Event:
 
 def _where(state: StudyState, sources: tuple[int, ...]) -> str:
     """Contexts for people, to whom an index says nothing."""
-    return describe_set(state.spec.space, sources)
+    return state.spec.space.describe_set(sources)

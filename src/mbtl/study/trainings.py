@@ -7,7 +7,6 @@ from typing import Any, Literal
 
 from mbtl.arrays import Array
 from mbtl.contexts import Context, ContextSpace
-from mbtl.contexts.words import describe_set
 from mbtl.errors import missing_extra
 from mbtl.notebook import table
 from mbtl.study.leases import Watch
@@ -77,7 +76,7 @@ class Training:
 
     def trained_on(self, space: ContextSpace, between: str = ", ") -> str:
         """What it is, for people, with `between` between its parts; as `StudyState.said`."""
-        where = describe_set(space, self.sources, between)
+        where = space.describe_set(self.sources, between)
         return f"{where}{between}{self.how}" if self.how else where
 
 

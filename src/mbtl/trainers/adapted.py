@@ -14,8 +14,7 @@ import numpy as np
 
 from mbtl.envs.adapter import Adapter
 from mbtl.errors import InvalidInput
-from mbtl.portfolio.heads import BoxHead, DiscreteHead
-from mbtl.portfolio.mlp import MLPPolicy, Scaling
+from mbtl.portfolio.mlp import BoxHead, DiscreteHead, MLPPolicy, Scaling
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from mbtl.errors import InvalidInput, MbtlError, StorageError
+from mbtl.files import read_json
 from mbtl.trainers.adapted import AdaptedPolicy, model_of, read_adapted
 from mbtl.trainers.algorithms import algorithm_class
 from mbtl.trainers.export import export_mlp
 from mbtl.trainers.sb3_learning import isolated
-from mbtl.untrusted import read_json
 
 MODEL_FILE = "model.zip"
 RECORD_FILE = "sb3.json"

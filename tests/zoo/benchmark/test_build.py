@@ -7,10 +7,10 @@ import pytest
 
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
-from mbtl.provenance import here
 from mbtl.seeds import evaluation_seeds, training_seed
 from mbtl.trainers import FunctionTrainer
 from mbtl.zoo.benchmark.build import ONLY, Build
+from mbtl.zoo.benchmark.provenance import here
 
 SPACE = ContextSpace.grid({Linear("x", 0.0, 4.0): [0.0, 1.0, 2.0, 3.0, 4.0]})
 SETTINGS = {"problem": "line"}

@@ -8,8 +8,7 @@ pytest.importorskip("libsumo")
 from mbtl.contexts import ContextSpace, Linear
 from mbtl.envs.rollout import Actor, Job, play
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
-from mbtl.portfolio.heads import DiscreteHead
-from mbtl.portfolio.mlp import MLPPolicy
+from mbtl.portfolio.mlp import DiscreteHead, MLPPolicy
 from mbtl.problems import check_cmdp, get_cmdp
 from mbtl.zoo.cmdps.engines import EnvFactory
 from mbtl.zoo.cmdps.traffic import signal

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from mbtl.engine.learners.blocks import Training, from_arrays, to_arrays
 from mbtl.engine.learners.inheritance import inheriting
 from mbtl.errors import MbtlError
-from mbtl.files import whole_file
-from mbtl.untrusted import read_arrays
+from mbtl.files import read_arrays, whole_file
 
 T = TypeVar("T")
 

@@ -27,7 +27,6 @@ from mbtl.contexts import Context, ContextSpace
 from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed, cannot_write, few
 from mbtl.files import claimed_folder, whole_file
 from mbtl.processes import worker_pool
-from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, evaluation_seeds, training_seed
 from mbtl.trainers.contract import (
     ManyTrainer,
@@ -38,6 +37,7 @@ from mbtl.trainers.contract import (
 )
 from mbtl.zoo.benchmark.matrix import Floats
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
+from mbtl.zoo.benchmark.provenance import here
 
 # A piece of a transfer matrix: some sources are trained, and their policies run on every target
 #
@@ -331,7 +331,7 @@ class Build:
         return dict(read_npz(self._references)) if self._references.is_file() else {}
 
     def origins(self, key: str = "origin") -> list[dict[str, Any]]:
-        """The distinct places where its policies were trained (`mbtl.provenance.here`).
+        """The distinct places where its policies were trained (`provenance.here`).
 
         Each with the number of sources, as "sources"; by "evaluated", where they were evaluated.
         """

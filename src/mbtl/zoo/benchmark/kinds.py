@@ -26,12 +26,12 @@ from mbtl.engine.world_trainer import WorldTrainer
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.files import claimed_folder, whole_file
 from mbtl.portfolio import MLPPolicy
-from mbtl.provenance import here
 from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, episode_seeds, evaluation_seeds, training_seed
 from mbtl.trainers.contract import OnProgress, Progress, even_groups, recipe_of
 from mbtl.zoo.benchmark.build import distinct
 from mbtl.zoo.benchmark.matrix import REFERENCE
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
+from mbtl.zoo.benchmark.provenance import here
 from mbtl.zoo.benchmark.transfers import KINDS, save_transfers, summary
 
 GENERALIST_UNITS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)

@@ -13,8 +13,10 @@ H halves (2; 1 without a fresh one).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +25,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbtl.arrays import Array
 from mbtl.contexts import Axis, Categorical, ContextSpace, Integer, Linear
-from mbtl.contexts.space import factorial_shape
 from mbtl.errors import InvalidInput
+from mbtl.files import MALFORMED
 from mbtl.objective import Bounds, Direction, direction_named
 from mbtl.plain import LARGEST, array_of, refused
 from mbtl.seeds import seeds_in
 from mbtl.selectors.base import SelectionProblem, default_theta
-from mbtl.untrusted import MALFORMED
 from mbtl.zoo.benchmark.base import Levels, levels
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
 
@@ -201,10 +202,9 @@ def space_of(contexts: ArrayLike | None, axes: Sequence[str] | None, n: int) -> 
     if not np.isfinite(values).all():
         raise InvalidInput("contexts must be finite, got NaN or infinite values")
     lines = [_axis_through(name, column) for name, column in zip(names, values.T, strict=True)]
-    if factorial_shape(values):
-        return ContextSpace.grid(
-            {axis: np.unique(v).tolist() for axis, v in zip(lines, values.T, strict=True)}
-        )
+    levels = [np.unique(column).tolist() for column in values.T]
+    if math.prod(map(len, levels)) == len(values) and [*product(*levels)] == [*map(tuple, values)]:
+        return ContextSpace.grid(dict(zip(lines, levels, strict=True)))
     return ContextSpace(lines, [column.tolist() for column in values.T])
 
 

@@ -30,7 +30,6 @@ from mbtl.engine import lazy as engine
 from mbtl.engine.world_trainer import WorldTrainer, recipe_on_many
 from mbtl.errors import InvalidInput, cannot_write
 from mbtl.files import claimed_folder, whole_file
-from mbtl.provenance import here
 from mbtl.seeds import (
     MATRIX_TRIAL,
     PER_TARGET,
@@ -40,6 +39,7 @@ from mbtl.seeds import (
 )
 from mbtl.trainers.contract import Progress, Trainer, recipe_of, refusal
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
+from mbtl.zoo.benchmark.provenance import here
 from mbtl.zoo.benchmark.shipped import data_folder, seed_files
 
 FOLDER = "multitask"

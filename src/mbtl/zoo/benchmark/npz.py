@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbtl.errors import InvalidInput, few
-from mbtl.files import whole_file
-from mbtl.untrusted import read_arrays, read_json
+from mbtl.files import read_arrays, read_json, whole_file
 
 LONGEST_TEXT = 50_000_000
 """Characters of a record; a longer one is no record of ours."""

@@ -9,10 +9,10 @@ from typing import NamedTuple
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History
+from mbtl.processes import threads_for
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import Proposal, SelectionProblem
 from mbtl.selectors.contract import Selector
-from mbtl.threads import threads_for
 
 
 class Replay(NamedTuple):

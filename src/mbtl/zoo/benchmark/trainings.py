@@ -23,11 +23,11 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.errors import InvalidInput
 from mbtl.history import History, Training, standard_errors
+from mbtl.processes import threads_for
 from mbtl.routing import last_route
 from mbtl.seeds import selection_rng
 from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem, default_theta
 from mbtl.selectors.contract import Selector, traits_of
-from mbtl.threads import threads_for
 from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.benchmark.transfers import TransferData
 

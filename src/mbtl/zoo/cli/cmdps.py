@@ -28,7 +28,7 @@ def cmdps(
     Example: mbtl cmdps cartpole-length
     """
     from mbtl.problems import cmdp_ids, resolve_cmdp
-    from mbtl.problems.plugins import plugin_ids
+    from mbtl.problems.loading import plugin_ids
 
     if name:
         record = _record(resolve_cmdp(name))

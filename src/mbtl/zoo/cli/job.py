@@ -12,12 +12,12 @@ from mbtl.errors import InvalidInput
 from mbtl.files import claim_of
 from mbtl.problems import CMDP
 from mbtl.processes import usable_cores
-from mbtl.provenance import check_made_by
 from mbtl.seeds import PER_TARGET
 from mbtl.settings import first_difference
 from mbtl.trainers.contract import Trainer, recipe_of
 from mbtl.zoo.benchmark import TransferMatrix, save_shipped
 from mbtl.zoo.benchmark.build import ONLY, Build
+from mbtl.zoo.benchmark.provenance import check_made_by
 from mbtl.zoo.benchmark.shipped import DEFAULT, matrix_id, shipped_file
 from mbtl.zoo.cli.shared import bar
 

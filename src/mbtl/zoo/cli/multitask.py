@@ -13,7 +13,6 @@ from mbtl.cli.common import JsonFlag, console, print_json
 from mbtl.engine import WorldTrainer
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.problems import CMDP, get_cmdp
-from mbtl.provenance import check_made_by, here
 from mbtl.seeds import seeds_in
 from mbtl.trainers import SB3Trainer
 from mbtl.trainers.contract import Trainer
@@ -26,6 +25,7 @@ from mbtl.zoo.benchmark.multitask import (
     save_multitask,
     train_on_all,
 )
+from mbtl.zoo.benchmark.provenance import check_made_by, here
 from mbtl.zoo.cli.shared import (
     Engine,
     Episodes,

@@ -17,7 +17,7 @@ from mbtl.errors import InvalidInput, StorageError, missing_extra
 from mbtl.portfolio import Portfolio, load_portfolio
 from mbtl.portfolio.archive import MANIFEST
 from mbtl.problems import CMDP, cmdp_ids, get_cmdp
-from mbtl.problems.plugins import plugin_ids
+from mbtl.problems.loading import plugin_ids
 from mbtl.seeds import action_seed, episode_seeds, evaluation_seeds
 from mbtl.zoo.cli.film import Watched, save_film
 from mbtl.zoo.cli.shared import Score

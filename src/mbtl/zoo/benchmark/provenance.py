@@ -93,7 +93,7 @@ def _processor() -> str:
 @cache
 def _commit() -> str | None:
     """Of the working tree this package is imported from; None for an installed package."""
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[4]
     if not (root / ".git").exists():
         return None
     git = ["git", "-C", str(root)]
