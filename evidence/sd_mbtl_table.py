@@ -28,8 +28,12 @@ from mbtl.zoo.benchmark.replay import replay
 from mbtl.zoo.benchmark.shipped import synthetic_world
 
 BUDGET, PUBLISHED_TRIALS = 50, 100
-NAMES = {"gp-mbtl": "GP-MBTL", "m-mbtl": "M-MBTL", "sd-mbtl": "M/GP-MBTL"}
-NAMES["specialists"] = "specialists"
+NAMES = {
+    "gp-mbtl": "GP-MBTL",
+    "m-mbtl": "M-MBTL",
+    "sd-mbtl": "M/GP-MBTL",
+    "specialists": "specialists",
+}
 WORLDS = tuple(
     f"{f}-{g}-{h}" for f in ("const", "lin") for g in ("lin", "none") for h in ("nd", "l1")
 )
