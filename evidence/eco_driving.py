@@ -1,8 +1,9 @@
 """What policies of eco-driving win on unguided traffic, each in its own context.
 
 Trains a preset on every tenth context of each axis, all in one program, and plays the policies
-before the first update (`standard` begins with a hand-written rule) and after the last. Beside the paper's score stand CO2 and stops of a trip and completed cars per hour.
-Differences to unguided traffic are paired by episode and come with 95 % intervals over episodes.
+before the first update (`standard` begins with a hand-written rule) and after the last. Beside the
+paper's score stand CO2 and stops of a trip and completed cars per hour. Differences to unguided
+traffic are paired by episode and come with 95 % intervals over episodes.
 
     python evidence/eco_driving.py --every 12 --seeds 16
 """
