@@ -1,9 +1,9 @@
 """What policies of eco-driving win on unguided traffic, each in its own context.
 
 Trains a preset on every tenth context of each axis, all in one program, and plays the policies
-before the first update (`standard` begins with a hand-written rule), at shares of the training and
-after it. Beside the paper's score stand CO2 and stops of a trip and completed cars per hour.
-Differences to unguided traffic are paired by episode and come with 95 % intervals over episodes.
+before the first update (`standard` begins with a hand-written rule) and after the last. Beside the
+paper's score stand CO2 and stops of a trip and completed cars per hour. Differences to unguided
+traffic are paired by episode and come with 95 % intervals over episodes.
 
     python evidence/eco_driving.py --every 12 --seeds 16
 """
@@ -82,7 +82,6 @@ def main() -> None:
     parser.add_argument("--trainings", type=int, default=1, help="per context")
     parser.add_argument("--rows", type=int, help="at most so many decisions in an update")
     parser.add_argument("--length", type=int, help="episodes of a training")
-    parser.add_argument("--shares", nargs="+", default=[], help="of a training to play, as 1/4")
     args = parser.parse_args()
     cmdps = {name: get_cmdp(name, engine="jax", score="paper") for name in args.axes}
     grids = {name: c.space.contexts[args.every // 2 :: args.every] for name, c in cmdps.items()}
@@ -99,13 +98,12 @@ def main() -> None:
         contexts,
         range(len(contexts)),
         on_progress=lambda done: print(f"{done.step:,} of {done.total:,}", file=sys.stderr),
-        keep=(*(f"last@{share}" for share in args.shares), trainer.checkpoint),
+        keep=(trainer.checkpoint,),
     )
     minutes = (time.process_time() - start) / 60.0
     ways = {
         "unguided": None,
         "untrained": [trainer.untrained(contexts[0])] * len(contexts),
-        **{f"after {share}": policies[f"last@{share}"] for share in args.shares},
         "trained": policies[trainer.checkpoint],
     }
     world, params = trainer.problem(contexts)

@@ -17,7 +17,10 @@ import argparse
 
 import numpy as np
 
-import mbtl.engine.learners as engine
+import mbtl.engine.learners  # noqa: F401  isort: skip  # first: flags of jax
+import jax
+import jax.numpy as jnp
+
 from mbtl.engine.learners.clock import Pace
 from mbtl.problems import get_cmdp
 from mbtl.seeds import MATRIX_TRIAL, Purpose, evaluation_seeds, training_seed
@@ -39,11 +42,14 @@ def policies(trainer, contexts, seeds, marks, way):
             found[mark], done = growing.policies(training.state.weights), end
         return found
     slowing, share = map(float, way.split("/"))
-    growing, training = growing._replace(slowing=slowing), growing.start()
+    training, trunk = growing.start(), Pace.endless(growing.whole, slowing * growing.whole)
     for mark, end in zip(marks, ends, strict=True):
-        stage = engine.Stage.of(end - done, share)
-        training = growing.along(training, int(training.updates) + stage.trunk)
-        found[mark], done = growing.policies(growing.end(training, stage.branch)), end
+        branch = round(share * (end - done))
+        leaves = int(training.updates) + end - done - branch  # what was a branch is paid, and gone
+        training = growing._learn(training, leaves, trunk, None)
+        copy, pace = jax.tree.map(jnp.copy, training), trunk.branch(leaves, leaves + max(branch, 1))
+        ended = growing._learn(copy, leaves + branch, pace, None)
+        found[mark], done = growing.policies(ended.state.weights), end
     return found
 
 

@@ -76,7 +76,7 @@ def main() -> None:
     again = f"{name} again"
     for one, purpose in zip((name, again), purposes, strict=True):
         found[one] = _means(judge, policies, there, seeds[purpose])
-    floor = twin.bounds.floor  # none is worse, as in a matrix
+    floor = twin.floor  # none is worse, as in a matrix
     found = {
         key: matrix if floor is None else np.maximum(matrix, floor) for key, matrix in found.items()
     }
