@@ -15,10 +15,9 @@ from mbtl.errors import InvalidInput, cannot_write
 from mbtl.selectors.registry import get_selector
 from mbtl.zoo.benchmark.base import RowSource
 from mbtl.zoo.benchmark.compare import Step, compare, default_selectors
-from mbtl.zoo.benchmark.comparison import Comparison
+from mbtl.zoo.benchmark.comparison import Comparison, show_comparison
 from mbtl.zoo.benchmark.matrix import TransferMatrix
 from mbtl.zoo.benchmark.shipped import open_matrices
-from mbtl.zoo.benchmark.tables import show_comparison
 from mbtl.zoo.cli.shared import Bounds, bar
 
 
