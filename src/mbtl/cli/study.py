@@ -99,7 +99,7 @@ def show(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Show the picks of a study, V, what one more training should bring, and why picks failed.
+    """Show the picks of a study, V, whether one policy is enough, and why picks failed.
 
     Example: mbtl study show runs/cartpole-length-quick-seed0
 

@@ -94,7 +94,6 @@ class Auto:
         copy_share, fresh_share: gain of the first copy and of the first specialist per unit, as a
             share of the headroom.
         doubt: trainings that what is usual counts as much as.
-        least: gain in V per unit that is worth training for.
         name: what results call it.
     """
 
@@ -106,7 +105,6 @@ class Auto:
     copy_share: float = 0.1
     fresh_share: float = 0.1
     doubt: float = 0.5
-    least: float = 5e-4
     name: str = "auto"
     traits: ClassVar[Traits] = Traits(deterministic=True, predicts_chances=True, any_training=True)
 
@@ -140,12 +138,10 @@ class Auto:
         options = self._options(standing, rng)
         if not options:
             raise Exhausted("of the budget there is nothing left that a training could be had for")
-        best = max(options, key=lambda one: one.gain / one.price)
-        if best.gain / best.price < self.least:
-            raise Exhausted(f"no training is expected to add {self.least:g} to V per unit")
+        best = max(options, key=lambda one: one.gain / one.price).proposal
         chance = _likeliest([one.proposal.chance for one in options])
         left = _likeliest([one.proposal.chance_left for one in options])
-        return replace(best.proposal, chance=chance, chance_left=left)
+        return replace(best, chance=chance, chance_left=left)
 
     def _options(self, standing: Standing, rng: np.random.Generator) -> list[Option]:
         """Of each kind the best, but for kinds that cannot be the best: a chooser takes time."""
