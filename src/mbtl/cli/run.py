@@ -79,7 +79,9 @@ def run(
     episodes: Annotated[int | None, _recipe("Episodes per training, if so counted.")] = None,
     eval_episodes: Annotated[int | None, _recipe("Episodes per context and policy.")] = None,
     eval_targets: Annotated[int | None, _recipe("Evaluate policies on so many contexts.")] = None,
-    engine: Annotated[str | None, _recipe("jax, gymnasium, sumo, sumo-jax; default: fastest.")] = None,
+    engine: Annotated[
+        str | None, _recipe("jax, gymnasium, sumo, sumo-jax; default: fastest.")
+    ] = None,
     score: Annotated[str | None, _recipe("Of traffic: paper, or the CMDP's own.")] = None,
     risk: Annotated[float, _stop("V: mean of this worst share of contexts.")] = 1.0,
     cost_budget: Annotated[float | None, _stop("What all trainings may cost.")] = None,
