@@ -64,6 +64,7 @@ def page() -> str:
     lines = [INTRODUCTION]
     every = [get_cmdp(id) for id in cmdp_ids()]
     shipped = set(shipped_matrices())
+    assert {_family(cmdp.id) for cmdp in every} <= FAMILIES.keys(), "a family is missing"
     for family, (title, text) in FAMILIES.items():
         lines += [f"## {title}", "", text, ""]
         if (films.DOCS / "images" / f"film-{family}.png").exists():
