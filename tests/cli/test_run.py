@@ -173,7 +173,7 @@ def test_a_study_is_shown_and_exported(mbtl_command, own, tmp_path):
         (["run", "cartpole-lenght"], "Did you mean 'cartpole-length'? `mbtl cmdps` lists all."),
         (["run", "OWN", "--strategy", "gredy"], "Did you mean 'greedy'"),
         (["run", "OWN", "--budget", "0"], "budget must be from 1"),
-        (["run", "OWN", "--budget", "16"], "budget must be from 1"),
+        (["run", "OWN", "--budget", "16", "--strategy", "mbtl"], "budget must be from 1"),
         (["run", "OWN", "--preset", "quikc"], "preset"),
         (["run", "OWN", "--timesteps", "10"], "timesteps"),
         (["run", "signal-inflow", "--timesteps", "10"], "use --episodes"),
@@ -209,7 +209,7 @@ def test_a_folder_that_was_renamed_or_copied_holds_the_same_study(mbtl_command, 
     assert after == before
     assert "pick" not in err
     extended, err = run("copy", "--budget", "5")
-    assert "going on after 4 of 5 trainings" in err
+    assert "going on after 4 of 5 units" in err
     assert extended["picks"][:4] == before["picks"]
     assert len(mbtl.load_study(tmp_path / "copy").portfolio(trust=True).policies_missing) == 0
     assert run("moved")[0] == before
@@ -323,7 +323,7 @@ def test_an_interrupt_says_how_to_go_on_and_does(mbtl_command, tmp_path):
     assert "interrupted: run the same command again to go on" in err
     code, out, err = mbtl_command("run", "stops.py:problem", "--json")
     assert code == 0
-    assert "going on after 1 of 3 trainings" in " ".join(err.split())
+    assert "going on after 1 of 3 units" in " ".join(err.split())
     _, undisturbed, _ = mbtl_command("run", "stops.py:problem", "--json", "--study", "other.db")
     picks = [[p["source"] for p in json.loads(text)["picks"]] for text in (out, undisturbed)]
     assert picks[0] == picks[1]

@@ -10,7 +10,7 @@ from postgres import missing
 PROGRAM = Path(__file__).parents[2] / "benchmarks" / "kills.py"
 
 
-@pytest.mark.parametrize("database", ["sqlite", "postgresql"])
+@pytest.mark.parametrize("database", ["sqlite", pytest.param("postgresql", marks=pytest.mark.long)])
 def test_kills_lose_nothing_tell_nothing_twice_and_every_study_ends(database):
     if database == "postgresql" and (reason := missing()):
         pytest.skip(reason)

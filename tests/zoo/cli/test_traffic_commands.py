@@ -16,7 +16,7 @@ from mbtl.portfolio import load_portfolio
 from mbtl.problems import get_cmdp
 from mbtl.zoo.cli.film import Watched
 
-TINY = ("--preset", "quick", "--budget", "1", "--eval-episodes", "1")
+TINY = ("--preset", "quick", "--strategy", "mbtl", "--budget", "1", "--eval-episodes", "1")
 
 
 @pytest.fixture
