@@ -109,8 +109,9 @@ def main() -> None:
             all_worlds += here
     print(f"| noise {args.noise}, {trials} trials | score | published, all worlds |\n|---|---|---|")
     for (name, title), each in zip(NAMES.items(), map(np.array, found), strict=True):
-        mean, half = PUBLISHED[args.noise].get(name, (np.nan, np.nan))
-        print(f"| {title} | {each.mean():.3f} ± {spread(each):.2g} | {mean:.3f} ± {half:.3f} |")
+        known = PUBLISHED[args.noise].get(name)
+        published = "" if known is None else f"{known[0]:.3f} ± {known[1]:.3f}"
+        print(f"| {title} | {each.mean():.3f} ± {spread(each):.2g} | {published} |")
 
 
 if __name__ == "__main__":
