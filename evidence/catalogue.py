@@ -41,7 +41,8 @@ without help.
 - *Steps* is the longest episode, in decisions.
 - *Scale* has the returns that count as performance 0 and 1.
 - *Matrix* says whether a transfer matrix is shipped, and on how many contexts policies were trained
-  if not on all. With one, selectors are compared in seconds: `mbtl bench --matrix ID`.
+  if not on all. With one, selectors are compared in seconds: `mbtl bench --matrix ID`. Those of
+  signals and eco-driving are of the paper's scores, so their scales differ from these.
 
 Control is simulated in jax or Gymnasium, traffic in jax or SUMO (`--engine`). The pictures show
 five moments at the nominal context: of a trained policy in control, of choices at random in
