@@ -1,12 +1,11 @@
 """Processor seconds and memory of every selector's picks on grids of 100 to 10,000 contexts.
 
-    .venv/bin/python benchmarks/selector_latency.py [--picks 15] [--selectors auto] [--grids 100]
+    .venv/bin/python benchmarks/selector_latency.py [--picks 15] [--selectors mbtl] [--grids 100]
 
 Grids: 100 on a line, 10 x 10 x 9 (the follow-up's CartPole), 100 x 100, with a synthetic world of
-directional decay. "Last pick" is the median of the last six; "anew" is the last one again, by a
-process that has not picked before, as the first pick after `load_study`: `auto` keeps its model
-from pick to pick. Published for comparison (SD-MBTL, its authors' processor seconds for 15 picks):
-GP-MBTL 10.9 s and M-MBTL 5.7 s at N = 512, GP-MBTL 9.7 s and M-MBTL 14.6 s at N = 900.
+directional decay. "Last pick" is the median of the last six. Published for comparison (SD-MBTL, its
+authors' processor seconds for 15 picks): GP-MBTL 10.9 s and M-MBTL 5.7 s at N = 512, GP-MBTL 9.7 s
+and M-MBTL 14.6 s at N = 900.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from mbtl.models.priors import RATIO
 from mbtl.models.transfer_kernel import TransferPrior
 from mbtl.objective import value_curve
 from mbtl.selectors import SelectionProblem
-from mbtl.selectors.auto import Auto
+from mbtl.selectors.specialists import Specialists
 from mbtl.zoo.benchmark.comparison import trainings_to
 from mbtl.zoo.benchmark.replay import replay
 from mbtl.zoo.benchmark.shipped import family_of, load_by_id, open_matrices
@@ -66,7 +66,7 @@ def small(matrix_id: str, budget: int) -> Iterator[tuple[SelectionProblem, Array
         yield part, matrix.rows(seed, kept)[:, kept]
 
 
-def trainings(selector: Auto, problem: SelectionProblem, rows: Array) -> Array:
+def trainings(selector: Specialists, problem: SelectionProblem, rows: Array) -> Array:
     """(levels,) their logarithms."""
     history = replay(selector, problem, lambda source: rows[source]).history
     curve = value_curve(history.rows, problem.weights)
@@ -79,7 +79,7 @@ Stock = Mapping[str, Sequence[tuple[SelectionProblem, Array]]]
 Found = Mapping[str, Mapping[str, Array]]
 
 
-def table(pool: Pool, stock: Stock, entrants: Mapping[str, Auto]) -> Found:
+def table(pool: Pool, stock: Stock, entrants: Mapping[str, Specialists]) -> Found:
     """By label and family the logarithms (seeds of matrices, levels); means printed at once."""
     found: dict[str, dict[str, Array]] = {}
     print(f"{'':22s}" + "".join(f"{f:>24s}" for f in stock))
@@ -131,7 +131,7 @@ def main() -> None:
     }
     with Pool(mp_context=get_context("spawn")) as pool:
         judging = {f: stock[f] for f in JUDGES}
-        priors = {label: Auto(prior=prior) for label, prior in CANDIDATES.items()}
+        priors = {label: Specialists(prior=prior) for label, prior in CANDIDATES.items()}
         print("\n".join(choices(table(pool, judging, priors), families)))
 
 

@@ -35,7 +35,7 @@ from mbtl.history import History
 from mbtl.models.beliefs import Beliefs
 from mbtl.objective import value
 from mbtl.routing import last_route
-from mbtl.selectors import Auto
+from mbtl.selectors import Specialists
 from mbtl.selectors.targets import spread_targets
 from mbtl.study.ask import LEAST_ROWS
 from mbtl.zoo.benchmark.shipped import family_of
@@ -67,15 +67,15 @@ def share_left(truth: Array, reached: Array) -> float:
     return float((high - reached.mean()) / (high - low))
 
 
-def auto(name: str) -> Auto:
-    return Auto().without(family_of(name))
+def specialists(name: str) -> Specialists:
+    return Specialists().without(family_of(name))
 
 
 def noise(name: str, sd: float, told: bool) -> Iterator[float]:
     for problem, rows in small(name, K):
         rng, history = np.random.default_rng(0), History(problem.n)
         for _ in range(K):
-            source = auto(name).propose(problem, history, rng).source
+            source = specialists(name).propose(problem, history, rng).source
             noisy = rows[source] + sd * rng.standard_normal(problem.n)
             seen = np.vstack([history.rows, noisy])
             errors = np.full(seen.shape, sd) if told else None
@@ -87,7 +87,7 @@ def partial(name: str, count: int, how: str) -> Iterator[float]:
     for problem, rows in small(name, K):
         rng, history = np.random.default_rng(0), History(problem.n)
         for _ in range(K):
-            source = auto(name).propose(problem, history, rng).source
+            source = specialists(name).propose(problem, history, rng).source
             if how == "spread":
                 chosen = spread_targets(problem, source, count)
             else:
@@ -106,7 +106,7 @@ def costs(name: str, considered: bool, rising: bool) -> Iterator[float]:
         while price[history.open_mask(problem.n)].min() <= left:
             told = price if considered else np.where(price <= left, 1.0, 2.0)
             asked = replace(problem, costs=told, cost_budget=left if considered else 1.0)
-            source = auto(name).propose(asked, history, np.random.default_rng(0)).source
+            source = specialists(name).propose(asked, history, np.random.default_rng(0)).source
             history, left = history.with_row(source, rows[source]), left - price[source]
         yield regret(rows, history)
 
@@ -117,7 +117,7 @@ def batches(name: str, size: int) -> Iterator[float]:
         while len(history) < 12:
             waiting = history
             for _ in range(min(size, 12 - len(history))):
-                pick = auto(name).propose(problem, waiting, np.random.default_rng(0)).source
+                pick = specialists(name).propose(problem, waiting, np.random.default_rng(0)).source
                 waiting = waiting.with_pending(pick)
             for pick in waiting.pending:
                 history = history.with_row(pick, rows[pick])
@@ -132,7 +132,7 @@ def ended(name: str) -> tuple[float, float, float]:
     for problem, rows in small(name, 30):
         history, wish = History(problem.n), replace(problem, least_left=LEAST)
         while len(history) < 30:
-            proposal = auto(name).propose(wish, history, np.random.default_rng(0))
+            proposal = specialists(name).propose(wish, history, np.random.default_rng(0))
             chance = proposal.chance_left
             if chance is not None and 1.0 - chance >= SURE and len(history) >= LEAST_ROWS:
                 gain = value(np.maximum(history.best, rows.max(axis=0))) - value(history.best)

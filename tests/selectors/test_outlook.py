@@ -3,7 +3,7 @@ import pytest
 
 import mbtl
 from mbtl.history import History
-from mbtl.selectors import Auto, get_selector
+from mbtl.selectors import Specialists, get_selector
 from mbtl.selectors.base import SelectionProblem
 from mbtl.selectors.outlook import MOST, outlook
 
@@ -52,7 +52,7 @@ def test_a_selector_without_a_model_gets_that_of_specialists_whose_samples_have_
 
 def test_the_gain_shown_with_a_pick_is_the_one_that_picks_are_ranked_by():
     history = history_of([14, 29])
-    proposal = Auto().propose(PROBLEM, history, np.random.default_rng(0))
+    proposal = Specialists().propose(PROBLEM, history, np.random.default_rng(0))
     gain = np.where(history.open_mask(N), outlook(PROBLEM, history, "specialists").gain, -1.0)
     assert proposal.acquisition == pytest.approx(gain.max(), abs=1e-9)
     assert proposal.acquisition == pytest.approx(gain[proposal.source], abs=1e-9)

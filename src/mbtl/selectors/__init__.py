@@ -1,6 +1,5 @@
 """Selectors: propose the next source from a problem and the rows seen so far."""
 
-from mbtl.selectors.auto import Auto
 from mbtl.selectors.base import (
     Exhausted,
     Proposal,
@@ -21,6 +20,7 @@ from mbtl.selectors.mbtl_release import MBTLRelease
 from mbtl.selectors.random import Random
 from mbtl.selectors.registry import get_selector, selector_names
 from mbtl.selectors.sd_mbtl import SDMBTL
+from mbtl.selectors.specialists import Specialists
 from mbtl.selectors.targets import spread_targets
 from mbtl.selectors.worst_first import WorstFirst
 
@@ -30,7 +30,6 @@ __all__ = [
     "MBTLEI",
     "MMBTL",
     "SDMBTL",
-    "Auto",
     "Equidistant",
     "Exhausted",
     "Greedy",
@@ -42,6 +41,7 @@ __all__ = [
     "Random",
     "SelectionProblem",
     "Selector",
+    "Specialists",
     "Traits",
     "WorstFirst",
     "default_theta",

@@ -6,10 +6,10 @@ import numpy as np
 
 from mbtl.errors import InvalidInput
 from mbtl.history import History
-from mbtl.selectors.auto import Auto
 from mbtl.selectors.base import Outlook, SelectionProblem, spread
 from mbtl.selectors.contract import Selector
 from mbtl.selectors.registry import get_selector, selector_names
+from mbtl.selectors.specialists import Specialists
 
 MOST = 200
 """Contexts of which the gain is asked where there are more, spread over all of them."""
@@ -55,7 +55,7 @@ def outlook(
     if not np.isfinite(then.rows).any():
         return None
     candidates = spread(problem, problem.sources, MOST)
-    for model in (_known(selector), Auto()):
+    for model in (_known(selector), Specialists()):
         if model is None or not hasattr(model, "outlook"):
             continue
         try:

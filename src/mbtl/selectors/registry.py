@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 from mbtl.errors import InvalidInput, unknown_name
 from mbtl.faults import FAULTS, load_object, reason_of
-from mbtl.selectors.auto import Auto
 from mbtl.selectors.clustering import KMeansSelector
 from mbtl.selectors.contract import Proposes, Selector, adopted
 from mbtl.selectors.equidistant import Equidistant
@@ -18,10 +17,11 @@ from mbtl.selectors.mbtl_ei import MBTLEI
 from mbtl.selectors.mbtl_release import MBTLRelease
 from mbtl.selectors.random import Random
 from mbtl.selectors.sd_mbtl import SDMBTL
+from mbtl.selectors.specialists import Specialists
 from mbtl.selectors.worst_first import WorstFirst
 
 _FACTORIES: dict[str, Callable[[], Selector]] = {
-    "specialists": Auto,
+    "specialists": Specialists,
     "mbtl": MBTL,
     "mbtl-release": MBTLRelease,
     "mbtl-ei": MBTLEI,

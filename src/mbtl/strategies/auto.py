@@ -27,7 +27,7 @@ from mbtl.arrays import Array
 from mbtl.history import History, Training
 from mbtl.models.beliefs import Beliefs
 from mbtl.objective import generalisation_performance, worst_share_mean, worst_share_weights
-from mbtl.selectors.auto import Auto as Specialists
+from mbtl.selectors import Specialists
 from mbtl.selectors.base import Exhausted, Proposal, SelectionProblem
 from mbtl.selectors.contract import LearnedSelector, Selector, Traits
 from mbtl.strategies.all_first import on_all

@@ -7,8 +7,8 @@ import mbtl
 from mbtl.history import History
 from mbtl.models import priors
 from mbtl.models.transfer_kernel import TransferPrior
-from mbtl.selectors import Auto, Random, SelectionProblem
-from mbtl.selectors.auto import _search, pending_pairs
+from mbtl.selectors import Random, SelectionProblem, Specialists
+from mbtl.selectors.specialists import _search, pending_pairs
 from mbtl.zoo.benchmark.compare import held_out
 
 RNG = np.random.default_rng(0)
@@ -29,7 +29,7 @@ def reach(n, source, below, above):
 def test_second_pick_serves_what_the_first_does_not():
     problem = line(100)
     history = History(100).with_row(49, reach(100, 49, 60, 10))
-    proposal = Auto().propose(problem, history, RNG)
+    proposal = Specialists().propose(problem, history, RNG)
     assert 60 < proposal.source < 100
     assert proposal.reason == "largest expected gain"
     assert 0.0 < proposal.acquisition < 0.5
@@ -40,23 +40,23 @@ def test_two_rows_show_how_far_a_policy_reaches():
     problem, history = line(100), History(100)
     for source in (20, 49):
         history = history.with_row(source, reach(100, source, 100, 15))
-    assert 64 < Auto().propose(problem, history, RNG).source <= 99
+    assert 64 < Specialists().propose(problem, history, RNG).source <= 99
 
 
 def test_a_pending_pick_counts_as_trained():
     problem = line(100)
     history = History(100).with_row(49, reach(100, 49, 20, 20))
-    first = Auto().propose(problem, history, RNG).source
-    second = Auto().propose(problem, history.with_pending(first), RNG).source
+    first = Specialists().propose(problem, history, RNG).source
+    second = Specialists().propose(problem, history.with_pending(first), RNG).source
     assert (first - 49) * (second - 49) < 0  # the other side
 
 
 def test_gaps_in_rows_are_left_out():
     problem, row = line(30), reach(30, 14, 8, 3).astype(float)
     row[::2] = np.nan
-    assert Auto().propose(problem, History(30).with_row(14, row), RNG).source != 14
+    assert Specialists().propose(problem, History(30).with_row(14, row), RNG).source != 14
     nothing = History(30).with_row(14, np.full(30, np.nan))
-    assert Auto().propose(problem, nothing, RNG).source != 14
+    assert Specialists().propose(problem, nothing, RNG).source != 14
 
 
 def test_targets_without_weight_do_not_matter():
@@ -65,14 +65,14 @@ def test_targets_without_weight_do_not_matter():
     )
     problem = SelectionProblem.of(space, budget=5)
     row = reach(40, 20, 8, 8)
-    assert Auto().propose(problem, History(40).with_row(20, row), RNG).source < 20
+    assert Specialists().propose(problem, History(40).with_row(20, row), RNG).source < 20
 
 
 @pytest.mark.parametrize("levels", [(15, 15, 15), (60,)])
 def test_many_contexts_are_sampled(levels):
     grid = {mbtl.Linear(f"x{q}", 0.0, 1.0): n for q, n in enumerate(levels)}
     problem = SelectionProblem.of(mbtl.ContextSpace.grid(grid), budget=5)
-    history, few = History(problem.n), Auto(most_candidates=40, most_targets=30)
+    history, few = History(problem.n), Specialists(most_candidates=40, most_targets=30)
     for _ in range(4):
         source = few.propose(problem, history, RNG).source
         away = np.abs(problem.unit - problem.unit[source]).sum(axis=1)
@@ -86,10 +86,10 @@ def test_many_contexts_are_sampled(levels):
 def test_benchmarks_use_the_prior_that_has_not_seen_the_family(monkeypatch):
     unseen = TransferPrior(target=7.0)
     monkeypatch.setattr(priors, "PRIORS", {"all": TransferPrior(), "cartpole": unseen})
-    assert held_out(Auto(), "cartpole-length-hidden").prior == unseen
-    assert held_out(Auto(), "ring-acc").prior == TransferPrior()
+    assert held_out(Specialists(), "cartpole-length-hidden").prior == unseen
+    assert held_out(Specialists(), "ring-acc").prior == TransferPrior()
     assert held_out(Random(), "cartpole-length") == Random()
-    own = Auto(prior=TransferPrior(luck=3.0))  # learned from nothing of ours
+    own = Specialists(prior=TransferPrior(luck=3.0))  # learned from nothing of ours
     assert held_out(own, "cartpole-length") == own
 
 
@@ -97,12 +97,12 @@ def test_gain_per_cost_prefers_the_cheap_of_two_alike():
     n = 41
     problem = line(n)
     history = History(n).with_row(20, reach(n, 20, 6, 6))
-    free = Auto().propose(problem, history, RNG).source
+    free = Specialists().propose(problem, history, RNG).source
     costs = np.where((np.arange(n) < 20) == (free < 20), 10.0, 1.0)
     dear = SelectionProblem(
         problem.unit, problem.steps, problem.weights, 10, problem.theta, costs=costs
     )
-    proposal = Auto().propose(dear, history, RNG)
+    proposal = Specialists().propose(dear, history, RNG)
     assert (proposal.source < 20) != (free < 20)
     assert proposal.reason.endswith("per cost")
 
@@ -115,7 +115,7 @@ def test_with_a_risk_only_the_worst_targets_count():
     wish = SelectionProblem(
         problem.unit, problem.steps, problem.weights, 10, problem.theta, risk=0.1
     )
-    proposal = Auto().propose(wish, History(n).with_row(25, row), RNG)
+    proposal = Specialists().propose(wish, History(n).with_row(25, row), RNG)
     assert proposal.source < 8
     assert proposal.acquisition > 0.0
 
@@ -127,9 +127,9 @@ def test_chance_of_a_gain_falls_with_what_is_asked():
         wish = SelectionProblem(
             problem.unit, problem.steps, problem.weights, 10, problem.theta, least_gain=least
         )
-        chances.append(Auto().propose(wish, history, RNG).chance)
+        chances.append(Specialists().propose(wish, history, RNG).chance)
     assert chances[0] > chances[1] > chances[2] == 0.0
-    assert Auto().propose(problem, history, RNG).chance is None
+    assert Specialists().propose(problem, history, RNG).chance is None
 
 
 def test_noise_told_is_not_taken_for_a_gain():
@@ -139,7 +139,7 @@ def test_noise_told_is_not_taken_for_a_gain():
     noisy = exact.rows + 0.2 * rng.standard_normal(exact.rows.shape)
     told = History(n, exact.sources, noisy, errors=np.full(noisy.shape, 0.2))
     untold = History(n, exact.sources, noisy)
-    gain = [Auto().propose(line(n), h, RNG).acquisition for h in (told, untold)]
+    gain = [Specialists().propose(line(n), h, RNG).acquisition for h in (told, untold)]
     assert gain[0] < 0.7 * gain[1]
 
 
@@ -149,7 +149,7 @@ def test_a_catastrophe_does_not_hide_the_rest():
     for worst in (-1e2, -1e6):
         row = reach(n, 19, 8, 8)
         row[30:33] = worst
-        picks.append(Auto().propose(line(n), History(n).with_row(19, row), RNG))
+        picks.append(Specialists().propose(line(n), History(n).with_row(19, row), RNG))
     assert picks[0] == picks[1]
 
 
@@ -158,10 +158,10 @@ def test_with_many_contexts_the_error_of_the_gain_is_stated():
     problem = SelectionProblem.of(mbtl.ContextSpace.grid(axes), budget=10)
     away = np.abs(problem.unit - problem.unit[210]).sum(axis=1)
     history = History(400).with_row(210, 1.0 - away)
-    proposal = Auto().propose(problem, history, RNG)
+    proposal = Specialists().propose(problem, history, RNG)
     assert "150 of 400 targets judged" in proposal.notes[0]
     stated = float(proposal.notes[0].split("+- ")[1].split(":")[0])
-    whole = Auto(final_targets=400).propose(problem, history, RNG)
+    whole = Specialists(final_targets=400).propose(problem, history, RNG)
     assert whole.notes == ()
     assert abs(whole.acquisition - proposal.acquisition) < 4 * stated
 
@@ -172,7 +172,7 @@ def test_little_is_said_to_be_left_where_hard_targets_are_served_as_well_as_they
     for source in (4, 14, 24, 34, 44):
         far = np.abs(np.arange(n) - source) > 5
         history = history.with_row(source, ceiling - 0.2 * far)
-    proposal = Auto().propose(line(n), history, RNG)
+    proposal = Specialists().propose(line(n), history, RNG)
     assert proposal.acquisition < 0.015  # 0.05 without ceilings
 
 
@@ -183,7 +183,7 @@ def test_the_chance_is_that_of_the_largest_gain_not_of_the_cheapest():
         history = history.with_row(source, 0.9 - 0.04 * np.abs(np.arange(n) - source))
     costs = np.where(np.arange(n) < 20, 0.001, 10.0)
     problem = replace(line(n), costs=costs, least_gain=0.02)
-    proposal = Auto().propose(problem, history, RNG)
+    proposal = Specialists().propose(problem, history, RNG)
     assert proposal.source < 20
     assert proposal.chance > 0.5
 
@@ -261,7 +261,7 @@ def test_straight_lines_lead_to_the_best_source_far_from_all_tried():
     """Sources are better the farther up on every axis, and better than transfer costs."""
     problem = cube()
     history = after(problem, [62, 31, 38, 93, 85], quality=0.05, fall=0.01)
-    proposal = Auto().propose(problem, history, RNG)
+    proposal = Specialists().propose(problem, history, RNG)
     assert proposal.reason == "largest expected gain by straight lines"
     assert tuple(problem.steps[proposal.source]) == (4.0, 4.0, 4.0)
 
@@ -270,7 +270,7 @@ def test_where_distance_is_all_straight_lines_space_better_than_chance():
     problem = cube()
     history = after(problem, [62])
     while len(history) < 12:
-        source = Auto().propose(problem, history, RNG).source
+        source = Specialists().propose(problem, history, RNG).source
         history = history.with_row(source, straight(problem.steps, source))
     away = np.abs(problem.steps[:, None] - problem.steps).sum(axis=2)
     orders = [RNG.permutation(problem.n)[:12] for _ in range(200)]
@@ -280,7 +280,7 @@ def test_where_distance_is_all_straight_lines_space_better_than_chance():
 
 def test_straight_lines_are_not_believed_before_every_slope_is_known():
     problem = cube()
-    early = Auto().propose(problem, after(problem, [62, 31]), RNG)
+    early = Specialists().propose(problem, after(problem, [62, 31]), RNG)
     assert early.reason == "largest expected gain"
 
 
@@ -288,20 +288,20 @@ def test_a_step_is_no_straight_line():
     problem, history = line(100), History(100)
     for source in (49, 20, 75):
         history = history.with_row(source, reach(100, source, 60, 10))
-    proposal = Auto().propose(problem, history, RNG)
+    proposal = Specialists().propose(problem, history, RNG)
     assert proposal.reason == "largest expected gain"
 
 
 def test_straight_lines_count_pending_picks_and_gaps_in_rows():
     problem = cube()
     history = after(problem, [62, 31, 38, 93, 85])
-    first = Auto().propose(problem, history, RNG)
+    first = Specialists().propose(problem, history, RNG)
     assert first.reason.endswith("by straight lines")
-    second = Auto().propose(problem, history.with_pending(first.source), RNG)
+    second = Specialists().propose(problem, history.with_pending(first.source), RNG)
     assert np.abs(problem.steps[first.source] - problem.steps[second.source]).sum() > 2
     rows = history.rows.copy()
     rows[:, ::3] = np.nan
-    partial = Auto().propose(problem, replace(history, rows=rows), RNG)
+    partial = Specialists().propose(problem, replace(history, rows=rows), RNG)
     assert partial.reason.endswith("by straight lines")
     assert np.isfinite(partial.acquisition)
 
@@ -309,6 +309,6 @@ def test_straight_lines_count_pending_picks_and_gaps_in_rows():
 def test_the_outlook_is_that_of_the_straight_lines():
     problem = cube()
     history = after(problem, [62, 31, 38, 93, 85], quality=0.05, fall=0.01, scatter=0.01)
-    outlook = Auto().outlook(problem, history, np.arange(problem.n))
+    outlook = Specialists().outlook(problem, history, np.arange(problem.n))
     assert outlook.mean == pytest.approx(0.6 + 0.05 * problem.steps.sum(axis=1), abs=0.05)
-    assert outlook.gain.argmax() == Auto().propose(problem, history, RNG).source
+    assert outlook.gain.argmax() == Specialists().propose(problem, history, RNG).source

@@ -1,4 +1,4 @@
-"""Auto: train where whole rows seen so far promise the largest expected gain.
+"""Specialists: train where whole rows seen so far promise the largest expected gain.
 
 The gain is `mbtl.acquisition.RowGain` under the posterior of `mbtl.models.TransferGP`, which learns
 from every entry of every row. The gain that is shown with a pick is the one it was chosen by.
@@ -57,7 +57,7 @@ _LEFT = 25
 
 
 @dataclass(frozen=True)
-class Auto:
+class Specialists:
     """The middle first, then the largest expected gain over whole rows.
 
     It takes into account what the problem says of costs (gain per cost), of repeated trainings
@@ -80,7 +80,7 @@ class Auto:
     name: str = "specialists"
     traits: ClassVar[Traits] = Traits(deterministic=True, predicts_chances=True)
 
-    def without(self, family: str) -> Auto:
+    def without(self, family: str) -> Specialists:
         """The same with a prior that has not seen a family of matrices; for honest benchmarks."""
         return replace(self, prior=self.prior or prior_without(family))
 

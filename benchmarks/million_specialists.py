@@ -1,6 +1,6 @@
-"""One `auto` pick among a million contexts, on one axis and on three: time, memory and its error.
+"""One pick of `specialists` among a million contexts, on one axis and three: time, memory, error.
 
-`auto` looks at a part of the contexts only: candidates that it searches, judged on some targets.
+It looks at a part of the contexts only: candidates that it searches, judged on some targets.
 Three figures say what that costs, in a world whose performance is known in closed form:
 
 - the standard error of the expected gain of the pick, from the scatter of its gain over the targets
@@ -11,9 +11,9 @@ Three figures say what that costs, in a world whose performance is known in clos
 - the true gain of the pick, beside the best and a random one of 1000 candidates on 2000 targets.
   What the model does not know costs here as well.
 
-The peer is `auto` on 10,000 contexts with the same number of rows.
+The peer is `specialists` on 10,000 contexts with the same number of rows.
 
-example: python benchmarks/million_auto.py --rows 30
+example: python benchmarks/million_specialists.py --rows 30
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from measure import Cost, digits, note, now, peak_gib
 
 from mbtl.arrays import Array, uniform_weights
 from mbtl.history import History
-from mbtl.selectors.auto import Auto
 from mbtl.selectors.base import SelectionProblem, default_theta
+from mbtl.selectors.specialists import Specialists
 
 REACH, LUCK, NOISE = 0.12, 0.03, 0.01
 TRUE_CANDIDATES, TRUE_TARGETS = 1000, 2000
@@ -89,16 +89,16 @@ def case(n: int, d: int, args: Any) -> dict[str, Any]:
     note(f"{n} contexts, {d} axes: rows ...")
     problem = make_problem(n, d, args.rows + 1)
     history = make_history(problem, args.rows, args.dtype)
-    auto, before = Auto(), peak_gib()
+    chooser, before = Specialists(), peak_gib()
     note("  picks ...")
     costs = []
     for _ in range(2):  # the second finds the best performances in the history, as a study does not
         begin = now()
-        proposal = auto.propose(problem, history, np.random.default_rng(0))
+        proposal = chooser.propose(problem, history, np.random.default_rng(0))
         costs.append(now() - begin)
     peak, first = peak_gib(), costs[0]
     note("  errors ...")
-    beliefs, chosen = auto._beliefs(problem, history), np.array([proposal.source])
+    beliefs, chosen = chooser._beliefs(problem, history), np.array([proposal.source])
     outlook = beliefs.row_gain(beliefs.targets)
     rng = np.random.default_rng(4)
     wide = rng.choice(problem.n, min(args.sample_targets, problem.n), replace=False)
