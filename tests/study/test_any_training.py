@@ -17,6 +17,7 @@ from mbtl.seeds import training_seed
 from mbtl.selectors import Proposal, Traits
 from mbtl.strategies import AllFirst, OnePolicy
 from mbtl.study.records import StudyFinished
+from scripted import Scripted
 
 N = 8
 SPACE = mbtl.ContextSpace.grid({mbtl.Linear("x", 0.0, 7.0): N})
@@ -49,19 +50,6 @@ def study_of(strategy, budget=4, **settings):
 
 def run(study, simulator, **how):
     return ran(study, simulator.train, simulator.evaluate, **how)
-
-
-@dataclass(frozen=True)
-class Scripted:
-    """Proposes what it was given, one after the other."""
-
-    script: tuple
-    name: str = "scripted"
-    traits: ClassVar[Traits] = Traits(any_training=True)
-
-    def propose(self, problem, history, rng):
-        asked = len(history) + len(history.under_way) + len(history.pending)
-        return self.script[asked]
 
 
 # ---- strategies ---------------------------------------------------------------------------------

@@ -2,36 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
-
 import numpy as np
 import pytest
 
 import transfer_worlds
 from mbtl.history import Training
-from mbtl.selectors import Exhausted, Proposal, Traits, get_selector
+from mbtl.selectors import Proposal, get_selector
 from mbtl.zoo.benchmark.replay import replay
 from mbtl.zoo.benchmark.trainings import TransferWorld, replay_trainings, specialists_of
+from scripted import Scripted
 
 DATA = transfer_worlds.tuning_pays()
 ALL = tuple(DATA.sources.tolist())
 X = DATA.space.unit[:, 0]
-
-
-@dataclass(frozen=True)
-class Scripted:
-    """Asks for one after the other, whatever came of it."""
-
-    script: tuple
-    name: str = "scripted"
-    traits: ClassVar[Traits] = Traits(any_training=True)
-
-    def propose(self, problem, history, rng):
-        asked = len(history.asked)
-        if asked == len(self.script):
-            raise Exhausted("the script is over")
-        return self.script[asked]
 
 
 def asked(*script, budget=15):
