@@ -121,16 +121,21 @@ def test_an_interrupted_build_goes_on_where_it_was(built, tmp_path, monkeypatch)
 
 def test_the_command_builds_the_kinds_asked_for_in_their_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(building, "GENERALIST_UNITS", (1.0,))
+    monkeypatch.setattr(building, "GENERALIST_UNITS", (1.0, 2.0))
     given = (
         "matrix build pendulum-length --with pendulum-mass --preset quick --every 50 --lanes 100"
     )
-    own = "--timesteps 2048 --eval-episodes 2 --seeds 1 --json --kinds"
+    own = "--timesteps 2048 --eval-episodes 2 --seeds 1 --json --until 1 --kinds"
     first = CliRunner().invoke(app, [*given.split(), *own.split(), "generalists"])
-    assert (first.exit_code, json.loads(first.stdout)) == (0, {"transfers": []})
-    assert "once specialists and tuned are there" in " ".join(first.stderr.split())
+    assert "build the kind specialists" in str(first.exception)  # no matrix of such a recipe
     other = CliRunner().invoke(app, [*given.split(), *own.split(), "all", "--lanes", "1"])
     assert "holds transfer data" in str(other.exception)
+    there = CliRunner().invoke(app, [*given.split(), *own.split(), "specialists"])
+    one, _ = json.loads(there.stdout)["transfers"]
+    assert one["kinds"] == ["generalists", "specialists"]
+    data = load_transfers("pendulum-length", folder="matrices/transfers")
+    assert (list(data.generalists), data.tuned) == ([1.0], {})
+    assert "--kinds generalists,specialists --until 1.0" in data.provenance[0]["command"]
 
 
 @pytest.mark.long

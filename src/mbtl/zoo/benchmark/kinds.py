@@ -29,9 +29,10 @@ from mbtl.portfolio import MLPPolicy
 from mbtl.seeds import MATRIX_TRIAL, PER_TARGET, episode_seeds, evaluation_seeds, training_seed
 from mbtl.trainers.contract import OnProgress, Progress, even_groups, recipe_of
 from mbtl.zoo.benchmark.build import distinct
-from mbtl.zoo.benchmark.matrix import REFERENCE
+from mbtl.zoo.benchmark.matrix import REFERENCE, TransferMatrix
 from mbtl.zoo.benchmark.npz import read_npz, read_text, text_array, write_npz
 from mbtl.zoo.benchmark.provenance import here
+from mbtl.zoo.benchmark.shipped import load_matrix, shipped_matrices
 from mbtl.zoo.benchmark.transfers import KINDS, save_transfers, summary
 
 GENERALIST_UNITS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0)
@@ -84,12 +85,14 @@ class Part:
         kind: of `KINDS`.
         lanes: the P trainings.
         number: of the part within its kind.
+        marks: units at which its policies are evaluated.
         parent: units of the policies that copies are tuned from; 0 for other kinds.
     """
 
     kind: str
     lanes: tuple[Lane, ...]
     number: int
+    marks: tuple[float, ...]
     parent: float = 0.0
 
     @property
@@ -99,11 +102,9 @@ class Part:
         return f"{self.kind}{parent}-{self.number:03d}"
 
     @property
-    def marks(self) -> tuple[float, ...]:
-        """Units at which its policies are evaluated."""
-        if self.kind == "generalists":
-            return GENERALIST_UNITS
-        return TUNED_UNITS if self.kind == "tuned" else (1.0,)
+    def asked(self) -> str:
+        """The kind, as it is asked for."""
+        return f"{self.kind}@{self.parent:g}" if self.parent else self.kind
 
 
 @dataclass(frozen=True)
@@ -117,6 +118,7 @@ class Kinds:
         folder: in which it grows.
         every: sources are every n-th context.
         lanes: trainings of one program; None: what is best here.
+        until: units of the policies for all, at most.
         parents: units of the policies for all that copies are tuned from.
 
     Raises:
@@ -129,6 +131,7 @@ class Kinds:
     folder: Path
     every: int = 1
     lanes: int | None = None
+    until: float = GENERALIST_UNITS[-1]
     parents: tuple[float, ...] = PARENTS
 
     def __post_init__(self) -> None:
@@ -170,26 +173,38 @@ class Kinds:
     def parts(self, kinds: Sequence[str] = KINDS) -> list[Part]:
         """In an order in which parents come first.
 
+        Args:
+            kinds: of `KINDS`; "tuned@1" are copies of the policy for all of one unit alone.
+
         Raises:
             UnknownName: no such kind.
         """
-        for kind in kinds:
-            if kind not in KINDS:
-                raise unknown_name("kind of training", kind, KINDS)
+        parents = [parent for parent in self.parents if parent <= self.until]
         each = [Lane(c, seed) for c in range(len(self.cmdps)) for seed in self.seeds]
         one = [Lane(lane.cmdp, lane.seed, source) for lane in each for source in self.sources]
-        wanted: list[tuple[str, list[Lane], float]] = [("generalists", each, 0.0)]
-        wanted += [("specialists", one, 0.0)]
-        wanted += [("tuned", one, parent) for parent in self.parents]
-        found = []
-        for kind, lanes, parent in wanted:
-            if kind in kinds:
-                sizes, first = even_groups(len(lanes), self.lanes or self.trainer.lanes), 0
-                for number, size in enumerate(sizes):
-                    some = tuple(lanes[first : first + size])
-                    found.append(Part(kind, some, number, parent))
-                    first += size
-        return found
+        marks = tuple(mark for mark in GENERALIST_UNITS if mark <= self.until)
+        wanted = [("generalists", each, marks, 0.0), ("specialists", one, (1.0,), 0.0)]
+        wanted += [("tuned", one, TUNED_UNITS, parent) for parent in parents]
+        found = [
+            part
+            for kind, lanes, marks, parent in wanted
+            for part in self._grouped(kind, lanes, marks, parent)
+        ]
+        names = dict.fromkeys(name for part in found for name in (part.kind, part.asked))
+        for kind in kinds:
+            if kind not in names:
+                raise unknown_name("kind of training", kind, list(names))
+        return [part for part in found if {part.kind, part.asked} & set(kinds)]
+
+    def _grouped(
+        self, kind: str, lanes: Sequence[Lane], marks: tuple[float, ...], parent: float
+    ) -> list[Part]:
+        """Trainings of a kind, as many together as pay."""
+        sizes, parts, first = even_groups(len(lanes), self.lanes or self.trainer.lanes), [], 0
+        for number, size in enumerate(sizes):
+            parts.append(Part(kind, tuple(lanes[first : first + size]), number, marks, parent))
+            first += size
+        return parts
 
     # ---- training ----------------------------------------------------------------------------
 
@@ -391,7 +406,7 @@ class Kinds:
         """Do what is missing of these kinds.
 
         Args:
-            kinds: of `KINDS`.
+            kinds: as of `parts`.
             on_progress: told which part is at work, and how far it is once that is known.
 
         Raises:
@@ -415,9 +430,14 @@ class Kinds:
         groups = [len(part.lanes) for part in self.parts()]
         return {"problems": each, "recipes": recipes, "seeds": self.seeds, "groups": groups}
 
-    def is_there(self, kind: str) -> bool:
-        """Whether everything of a kind was evaluated."""
-        return all(self._returns(part).is_file() for part in self.parts((kind,)))
+    def there(self) -> list[Part]:
+        """Parts of kinds, and of copies of one parent, of which everything was evaluated."""
+        found = list[Part]()
+        for _, some in groupby(self.parts(), lambda part: part.asked):
+            parts = list(some)
+            if all(self._returns(part).is_file() for part in parts):
+                found += parts
+        return found
 
     def refer(self) -> None:
         """Rows without any policy, of each CMDP and seed."""
@@ -433,28 +453,45 @@ class Kinds:
         return self.folder / f"{cmdp.id}-references-{seed}.npz"
 
     def save(self, out: Path, command: str, preset: str) -> list[Path]:
-        """Write the file of each CMDP and seed, from parts that are all there."""
-        found: dict[tuple[int, int], dict[tuple[str, float], list[Any]]] = {}
-        for part in self.parts():
+        """Write the file of each CMDP and seed, of what is there.
+
+        Without specialists of its own, a build takes those of the shipped matrix of this recipe.
+
+        Raises:
+            InvalidInput: the policies for all are missing; or specialists, and no matrix fits.
+        """
+        parts = self.there()
+        there = {part.asked for part in parts}
+        if "generalists" not in there:
+            raise InvalidInput("transfer data hold policies for all; build the kind generalists")
+        parents = sorted({part.parent for part in parts if part.parent})
+        found: dict[tuple[int, int], dict[str, list[Any]]] = {}
+        for part in parts:
             returns = _entry(self._returns(part), "returns")
             for i, lane in enumerate(part.lanes):
                 own = found.setdefault(lane[:2], {})
-                own.setdefault((part.kind, part.parent), []).append(returns[:, i])
+                own.setdefault(part.asked, []).append(returns[:, i])
+        shipped = [
+            None if "specialists" in there else self._shipped(c) for c in range(len(self.cmdps))
+        ]
         files = []
         for (c, seed), own in sorted(found.items()):
-            cmdp, trainer = self.cmdps[c], self.trainers[c]
-            (generalist,) = own["generalists", 0.0]
-            arrays = {
-                "generalists": generalist,
-                "specialists": np.stack([rows[0] for rows in own["specialists", 0.0]]),
-                "tuned": np.stack(
-                    [np.stack(own["tuned", parent], axis=1) for parent in self.parents]
-                ),
-            }
+            cmdp, trainer, matrix = self.cmdps[c], self.trainers[c], shipped[c]
+            (generalist,) = own["generalists"]
+            arrays = {"generalists": generalist}
+            if parents:
+                each = [np.stack(own[f"tuned@{parent:g}"], axis=1) for parent in parents]
+                arrays["tuned"] = np.stack(each)
+            provenance: dict[str, Any] = {}
             references = self._references(cmdp, seed)
             if references.is_file():
                 arrays |= {f"{REFERENCE}{k}": row for k, row in read_npz(references).items()}
-            provenance = {
+            if matrix is None:
+                arrays["specialists"] = np.stack([rows[0] for rows in own["specialists"]])
+            else:
+                arrays["specialists"] = self._rows(matrix, seed)
+                provenance["specialists"] = matrix.provenance["seeds"][seed]
+            provenance |= {
                 "problem": cmdp.id,
                 "version": cmdp.version,
                 "switches": dict(cmdp.settings),
@@ -465,8 +502,8 @@ class Kinds:
                 "seed": seed,
                 "command": command,
                 "together": [one.id for one in self.cmdps],
-                "origins": self._origins("origin"),
-                "evaluated": self._origins("evaluated"),
+                "origins": self._origins(parts, "origin"),
+                "evaluated": self._origins(parts, "evaluated"),
             }
             files.append(
                 save_transfers(
@@ -476,8 +513,8 @@ class Kinds:
                     arrays,
                     episodes=trainer.eval_episodes,
                     sources=list(self.sources),
-                    generalist_units=GENERALIST_UNITS,
-                    tuned_parents=self.parents,
+                    generalist_units=self.parts(("generalists",))[0].marks,
+                    tuned_parents=parents,
                     tuned_units=TUNED_UNITS,
                     unit_steps=trainer.whole,
                     provenance=provenance,
@@ -485,12 +522,39 @@ class Kinds:
             )
         return files
 
-    def _origins(self, key: str) -> list[dict[str, Any]]:
+    def _shipped(self, c: int) -> TransferMatrix:
+        """The matrix whose policies are the specialists of this recipe."""
+        cmdp, trainer = self.cmdps[c], self.trainers[c]
+        own = (cmdp.version, trainer.recipe)
+        missing = f"specialists of {cmdp.id} are missing; build the kind specialists"
+        if cmdp.id not in shipped_matrices():
+            raise InvalidInput(missing)
+        matrix = load_matrix(cmdp.id)
+        records = matrix.provenance["seeds"]
+        fits = all((one["version"], one["recipe"]) == own for one in records)
+        fits = fits and matrix.fresh_returns is not None and matrix.std is not None
+        if not (fits and set(self.sources) <= set(_trained(matrix))):
+            raise InvalidInput(f"{missing} (the shipped matrix is of another recipe)")
+        return matrix
+
+    def _rows(self, matrix: TransferMatrix, seed: int) -> NDArray[np.float32]:
+        """(M, N, 3) specialists of a matrix, as `summary` has them."""
+        rows = np.searchsorted(_trained(matrix), self.sources)
+        parts = [
+            part for part in (matrix.returns, matrix.fresh_returns, matrix.std) if part is not None
+        ]
+        return np.stack([part[seed][rows] for part in parts], axis=-1).astype(np.float32)
+
+    def _origins(self, parts: Sequence[Part], key: str) -> list[dict[str, Any]]:
         """The distinct places where policies were trained, or evaluated, with their kinds."""
-        parts = self.parts()
         entries = (read_text(_entry(self._returns(part), key), key) for part in parts)
         found = distinct(zip(entries, (part.kind for part in parts), strict=True))
         return [{**origin, "kinds": list(dict.fromkeys(kinds))} for origin, kinds in found]
+
+
+def _trained(matrix: TransferMatrix) -> list[int]:
+    """Contexts that were trained on, rising."""
+    return list(range(matrix.n)) if matrix.sources is None else matrix.sources.tolist()
 
 
 def _entry(file: Path, key: str) -> NDArray[Any]:

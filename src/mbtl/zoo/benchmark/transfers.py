@@ -6,7 +6,7 @@ A file is called `<cmdp>-seed<k>.npz` and holds one seed. Kinds of trainings, an
 - `generalists` (mark, half, target): one training on all contexts that is extended, at the marks
   `generalist_units`, which are the units paid so far.
 - `tuned` (parent, mark, half, source, target): copies of the generalist of `tuned_parents` units,
-  trained on one context for `tuned_units` units.
+  trained on one context for `tuned_units` units. A file may have none.
 
 Half 0 of the episodes is to choose by, half 1 to report; each target has evaluation seeds of its
 own, the same for all policies. `<kind>_std` has the deviation over all episodes, without the half.
@@ -82,10 +82,10 @@ class TransferData:
 
     def __repr__(self) -> str:
         parents = sorted({parent for parent, _ in self.tuned})
+        copies = f"copies tuned from {few_units(parents)}" if parents else "no copies"
         return (
             f"TransferData({self.name!r}, {self.n_seeds} seeds, {len(self.sources)} sources, "
-            f"generalists at {few_units(list(self.generalists))} units, copies tuned from "
-            f"{few_units(parents)})"
+            f"generalists at {few_units(list(self.generalists))} units, {copies})"
         )
 
 
@@ -131,18 +131,18 @@ def load_transfers(cmdp: str, *, folder: str | Path | None = None) -> TransferDa
     def stacked(key: str) -> Array:
         return np.stack([part[key].astype(np.float64) for part in parts])
 
-    generalists, tuned = stacked("generalists"), stacked("tuned")
-    pairs = [
-        (float(parent), float(units))
-        for parent in first["tuned_parents"]
-        for units in first["tuned_units"]
-    ]
-    flat = tuned.reshape(len(parts), -1, *tuned.shape[3:])
+    generalists = stacked("generalists")
     deviations = {
         "specialists": stacked("specialists_std"),
         "generalists": stacked("generalists_std").swapaxes(0, 1),
-        "tuned": stacked("tuned_std").reshape(len(parts), -1, *tuned.shape[4:]).swapaxes(0, 1),
     }
+    tuned: dict[tuple[float, float], Array] = {}
+    if "tuned" in first:
+        rows, scatter = stacked("tuned"), stacked("tuned_std")
+        each = [(float(p), float(u)) for p in first["tuned_parents"] for u in first["tuned_units"]]
+        flat = rows.reshape(len(parts), -1, *rows.shape[3:])
+        tuned = {pair: flat[:, i] for i, pair in enumerate(each)}
+        deviations["tuned"] = scatter.reshape(len(parts), -1, *scatter.shape[3:]).swapaxes(0, 1)
     low, high = (float(x) for x in first["bounds"])
     direction = direction_named(str(first["direction"]))
     floor = float(first["floor"]) if "floor" in first else None
@@ -156,7 +156,7 @@ def load_transfers(cmdp: str, *, folder: str | Path | None = None) -> TransferDa
         generalists={
             float(units): generalists[:, i] for i, units in enumerate(first["generalist_units"])
         },
-        tuned={pair: flat[:, i] for i, pair in enumerate(pairs)},
+        tuned=tuned,
         std=deviations,
         references={
             key.removeprefix(REFERENCE): stacked(key) for key in first if key.startswith(REFERENCE)
@@ -199,8 +199,8 @@ def save_transfers(
         folder: made where it is missing.
         cmdp: the problem.
         seed: of the file.
-        returns: `specialists` (M, N, 3), `generalists` (L, N, 3), `tuned` (P, U, M, N, 3), and
-            `reference_<name>` (N, 3), as of `summary`.
+        returns: `specialists` (M, N, 3), `generalists` (L, N, 3), `tuned` (P, U, M, N, 3) where
+            there are copies, and `reference_<name>` (N, 3), as of `summary`.
         episodes: of each, E.
         sources: (M,) indices of contexts.
         generalist_units: (L,) marks of the generalist.

@@ -14,9 +14,10 @@ from mbtl.problems import CMDP, cmdp_ids, get_cmdp, resolve_cmdp
 from mbtl.trainers.contract import ManyTrainer
 from mbtl.zoo.benchmark import TransferMatrix, levels
 from mbtl.zoo.benchmark.build import ONLY
+from mbtl.zoo.benchmark.kinds import GENERALIST_UNITS
 from mbtl.zoo.benchmark.shipped import DEFAULT
 from mbtl.zoo.cli.job import Job
-from mbtl.zoo.cli.kinds import ALL, build_kinds
+from mbtl.zoo.cli.kinds import build_kinds
 from mbtl.zoo.cli.shared import (
     Engine,
     Episodes,
@@ -80,9 +81,13 @@ def build(
         str | None,
         typer.Option(
             help="Trainings of every kind instead: specialists, generalists and tuned copies of "
-            "them (some of these, with commas between, or all)."
+            "them (some of these, with commas between, or all; tuned@1: copies of one parent). "
+            "Specialists that are not asked for are those of the shipped matrix."
         ),
     ] = None,
+    until: Annotated[
+        float, typer.Option(help="With --kinds: units of the policies for all, at most.")
+    ] = GENERALIST_UNITS[-1],
     beside: Annotated[
         list[str] | None,
         typer.Option("--with", help="With --kinds: a CMDP of the same world, trained together."),
@@ -150,9 +155,10 @@ def build(
             [trainer, *(other.trainer_for(preset, **given) for other in others)],
             numbers,
             preset=preset or cmdp.default_preset,
-            command=repeated(context, free, kinds=ALL),
+            command=lambda there: repeated(context, free, kinds=there),
             every=sources_every,
             lanes=lanes,
+            until=until,
             work=work,
             out=out,
         )

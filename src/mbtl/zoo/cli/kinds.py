@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +25,14 @@ def build_kinds(
     seeds: Sequence[int],
     *,
     preset: str,
-    command: str,
+    command: Callable[[str], str],
     every: int,
     lanes: int | None,
+    until: float,
     work: Path,
     out: Path,
 ) -> list[dict[str, Any]]:
-    """Build what is missing and, once every kind is there, write the file of each CMDP and seed.
+    """Build what is missing, and write the file of each CMDP and seed, of all that is there.
 
     Args:
         kinds: names of kinds, with commas between; or "all".
@@ -39,14 +40,16 @@ def build_kinds(
         trainers: theirs.
         seeds: of the matrices.
         preset: of the recipe.
-        command: that builds the same, all kinds and seeds, again.
+        command: kinds -> the command that builds the same again.
         every: sources are every n-th context.
         lanes: trainings of one program; None: what is best here.
+        until: units of the policies for all, at most.
         work: folder of what is not finished.
         out: folder of the finished files.
 
     Raises:
-        InvalidInput: a trainer does not train many policies at once, or the problems differ.
+        InvalidInput: a trainer does not train many policies at once, the problems differ, or the
+            policies for all, or specialists, are not there yet.
         UnknownName: no such kind.
     """
     wanted = KINDS if kinds == ALL else tuple(kinds.split(","))
@@ -58,7 +61,9 @@ def build_kinds(
         )
     names = [cmdp.id for cmdp in cmdps]
     folder = work / FOLDER / "-and-".join(names)
-    build = Kinds(tuple(cmdps), tuple(own), tuple(seeds), folder, every=every, lanes=lanes)
+    build = Kinds(
+        tuple(cmdps), tuple(own), tuple(seeds), folder, every=every, lanes=lanes, until=until
+    )
     with bar(", ".join(names)) as tell:
 
         def on_progress(part: str, progress: Progress | None) -> None:
@@ -66,15 +71,9 @@ def build_kinds(
             tell(step, total, part)
 
         build.run(wanted, on_progress)
-    if left := [kind for kind in KINDS if not build.is_there(kind)]:
-        console.print(
-            f"kept in {folder}; the files are written once {' and '.join(left)} are there, too",
-            markup=False,
-            soft_wrap=True,
-        )
-        return []
     build.refer()
-    files = build.save(out / FOLDER, command, preset)
+    there = list(dict.fromkeys(part.asked for part in build.there()))
+    files = build.save(out / FOLDER, command(",".join(there)), preset)
     for file in files:
-        console.print(f"{file}: all kinds", markup=False, soft_wrap=True)
-    return [{"file": str(file), "kinds": list(KINDS)} for file in files]
+        console.print(f"{file}: {', '.join(there)}", markup=False, soft_wrap=True)
+    return [{"file": str(file), "kinds": there} for file in files]
