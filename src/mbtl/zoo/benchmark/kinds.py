@@ -455,7 +455,8 @@ class Kinds:
     def save(self, out: Path, command: str, preset: str) -> list[Path]:
         """Write the file of each CMDP and seed, of what is there.
 
-        Without specialists of its own, a build takes those of the shipped matrix of this recipe.
+        Without specialists of its own, a build takes them, and the rows without any policy, of the
+        shipped matrix of this recipe.
 
         Raises:
             InvalidInput: the policies for all are missing; or specialists, and no matrix fits.
@@ -483,14 +484,14 @@ class Kinds:
                 each = [np.stack(own[f"tuned@{parent:g}"], axis=1) for parent in parents]
                 arrays["tuned"] = np.stack(each)
             provenance: dict[str, Any] = {}
-            references = self._references(cmdp, seed)
-            if references.is_file():
-                arrays |= {f"{REFERENCE}{k}": row for k, row in read_npz(references).items()}
             if matrix is None:
                 arrays["specialists"] = np.stack([rows[0] for rows in own["specialists"]])
             else:
-                arrays["specialists"] = self._rows(matrix, seed)
+                arrays |= self._of_matrix(matrix, seed)
                 provenance["specialists"] = matrix.provenance["seeds"][seed]
+            references = self._references(cmdp, seed)
+            if references.is_file():
+                arrays |= {f"{REFERENCE}{k}": row for k, row in read_npz(references).items()}
             provenance |= {
                 "problem": cmdp.id,
                 "version": cmdp.version,
@@ -537,13 +538,14 @@ class Kinds:
             raise InvalidInput(f"{missing} (the shipped matrix is of another recipe)")
         return matrix
 
-    def _rows(self, matrix: TransferMatrix, seed: int) -> NDArray[np.float32]:
-        """(M, N, 3) specialists of a matrix, as `summary` has them."""
+    def _of_matrix(self, matrix: TransferMatrix, seed: int) -> dict[str, NDArray[Any]]:
+        """(M, N, 3) specialists and (N, 3) reference rows of a matrix, as `summary` has them."""
         rows = np.searchsorted(_trained(matrix), self.sources)
-        parts = [
-            part for part in (matrix.returns, matrix.fresh_returns, matrix.std) if part is not None
-        ]
-        return np.stack([part[seed][rows] for part in parts], axis=-1).astype(np.float32)
+        parts = (matrix.returns, matrix.fresh_returns, matrix.std)
+        arrays = {"specialists": np.stack([x[seed][rows] for x in parts if x is not None], axis=-1)}
+        for name, own in matrix.references.items():
+            arrays[f"{REFERENCE}{name}"] = np.vstack([own[seed], np.full(matrix.n, np.nan)]).T
+        return {name: each.astype(np.float32) for name, each in arrays.items()}
 
     def _origins(self, parts: Sequence[Part], key: str) -> list[dict[str, Any]]:
         """The distinct places where policies were trained, or evaluated, with their kinds."""

@@ -71,8 +71,9 @@ def build_kinds(
             tell(step, total, part)
 
         build.run(wanted, on_progress)
-    build.refer()
     there = list(dict.fromkeys(part.asked for part in build.there()))
+    if "specialists" in there:  # a matrix has such rows, too
+        build.refer()
     files = build.save(out / FOLDER, command(",".join(there)), preset)
     for file in files:
         console.print(f"{file}: {', '.join(there)}", markup=False, soft_wrap=True)
