@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ from mbtl.report.reference import REFERENCE_NAMES
 from mbtl.zoo.reproduction.bench import Bench
 from mbtl.zoo.reproduction.claims import NOT, OPEN, PARTLY, REPRODUCED, Claim
 from mbtl.zoo.reproduction.item import Numbers, Table
-from mbtl.zoo.reproduction.paper import HEADS
 from mbtl.zoo.reproduction.runner import FIGURES, TABLES, Outcome
 
 # A verdict on each line of the paper's tables, with the reason, computed from the numbers
@@ -23,6 +22,8 @@ from mbtl.zoo.reproduction.runner import FIGURES, TABLES, Outcome
 
 NEAR = 0.05
 """Difference of V at which two values count as the same level."""
+LITTLE = 0.01
+"""Difference of V between the oracle and Random below which there is little to choose."""
 
 RULE = (
     "Three checks. Level: each of the six values that is there is within 0.05 of the paper's. "
@@ -43,21 +44,21 @@ class RowVerdict:
         cmdp: its id.
         verdict: as in `mbtl.zoo.reproduction.claims`.
         checks: name -> passed; empty where there is no matrix.
-        reason: in a sentence or two.
+        reasons: what differs from the paper, each in words that other lines have, too.
     """
 
     cmdp: str
     verdict: str
     checks: dict[str, bool]
-    reason: str
+    reasons: tuple[str, ...]
 
 
 def row_verdict(row: dict[str, Any]) -> RowVerdict:
     """The verdict on a line of item 1's numbers."""
     ours, paper = row["ours"], row["published"]
     if ours is None or paper is None:
-        reason = "no matrix yet" if ours is None else "not in the paper"
-        return RowVerdict(row["cmdp"], OPEN, {}, reason)
+        reason = "No matrix yet" if ours is None else "Not in the paper"
+        return RowVerdict(row["cmdp"], OPEN, {}, (reason,))
     away = {m: ours[m]["mean"] - paper[m]["mean"] for m in _SIX if m in ours}
     off = {m: d for m, d in away.items() if abs(d) > NEAR}
     checks = {
@@ -67,7 +68,7 @@ def row_verdict(row: dict[str, Any]) -> RowVerdict:
     }
     passed = sum(checks.values())
     verdict = REPRODUCED if passed == len(checks) else PARTLY if passed else NOT
-    return RowVerdict(row["cmdp"], verdict, checks, " ".join(_reasons(row, checks, off)))
+    return RowVerdict(row["cmdp"], verdict, checks, tuple(_reasons(row, checks, off)))
 
 
 def _single(values: dict[str, Any]) -> float:
@@ -79,33 +80,25 @@ def _several_pay(values: dict[str, Any]) -> bool:
     return sum(there) / len(there) > _single(values)
 
 
-def _reasons(row: dict[str, Any], checks: dict[str, bool], off: dict[str, float]) -> list[str]:
-    ours, found = row["ours"], []
-    if off:
-        words = ", ".join(f"{HEADS[m]} {d:+.2f}" for m, d in off.items())
-        found.append(f"Away from the paper: {words}.")
-    if off.get("independent", 0.0) > 0:
-        found.append("Policies are better on their own context than the paper's, so less is left "
-                     "to gain.")  # fmt: skip
-    if off.get("independent", 0.0) < 0:
-        found.append("Policies are worse on their own context than the paper's.")
+def _reasons(row: dict[str, Any], checks: dict[str, bool], off: dict[str, float]) -> Iterator[str]:
+    ours, own = row["ours"], off.get("independent", 0.0)
+    if own > 0:
+        yield "Policies are better on their own context than the paper's, so less is left to gain"
+    if own < 0:
+        yield "Policies are worse on their own context than the paper's"
     if off.get("multitask", 0.0) > 0:
-        found.append("One policy for all contexts is a stronger baseline here.")
+        yield "One policy for all contexts is a stronger baseline here"
     if not checks["order"]:
         side = "above" if _several_pay(ours) else "not above"
-        found.append(f"Several policies are {side} the single-policy baselines, unlike there.")
+        yield f"Several policies are {side} the single-policy baselines, unlike in the paper"
     if not checks["best"]:
         side = "is" if "mbtl" in row["marked"] else "is not"
-        found.append(f"MBTL {side} among the best, unlike there.")
-    room = float(ours["sequential_oracle"]["mean"]) - float(ours["random"]["mean"])
-    if room < 0.01:
-        found.append(f"The oracle is only {room:.4f} above Random: there is little to choose.")
+        yield f"MBTL {side} among the best, unlike in the paper"
+    if float(ours["sequential_oracle"]["mean"]) - float(ours["random"]["mean"]) < LITTLE:
+        yield f"There is little to choose: the oracle is less than {LITTLE:g} above Random"
     unguided = row["references"].get("unguided")
     if unguided and unguided["mean"] > ours["mbtl"]["mean"]:
-        found.append(
-            f"Without a controller V is {unguided['mean']:.3f}, more than MBTL's policies have."
-        )
-    return found or ["All checks pass."]
+        yield "Without a controller V is more than that of MBTL's policies"
 
 
 # ---- the whole -------------------------------------------------------------------------------
@@ -175,10 +168,9 @@ def write_page(
           if (pictures / f"{stem}.png").is_file()],
         "## The tables",
         *(_included(out, f"{TABLES}/01-main-table-{name}.md")
-          for name in ("traffic", "control", "aggregate", "references")),
+          for name in ("traffic", "control", "aggregate")),
         *(_included(out, f"{TABLES}/{name}.md")
-          for name in ("02-sample-complexity", "08-sensitivity-algorithm",
-                       "08-sensitivity-acquisition", "10-multitask-rivals")),
+          for name in ("02-sample-complexity", "08-sensitivity-algorithm", "10-multitask-rivals")),
         "## What is missing",
         _missing(outcomes),
         "## Made from",
@@ -216,7 +208,7 @@ def _conclusion(table: Numbers, claims: Sequence[Claim]) -> list[str]:
             lines.append(f"{opening} {'; '.join(some)}.")
     lines.append(
         "Recipes were chosen for how well they train and never to meet the published numbers. "
-        "Why levels differ is said line by line below, and by family in "
+        "What differs is said below, and why, by family, in "
         "[differences.md](differences.md)."
     )
     return lines
@@ -234,8 +226,8 @@ def _claims(claims: Sequence[Claim], pictures: str) -> str:
 
 
 def _rows(table: Numbers) -> str:
-    """A table, and below it the reason of each line."""
-    rows, reasons = [], []
+    """A table, and below it what differs from the paper, with the lines of which it holds."""
+    rows, reasons = [], dict[str, list[str]]()
     for row in table["rows"]:
         judged = row_verdict(row)
         checks = ", ".join(name for name, passed in judged.checks.items() if passed)
@@ -245,11 +237,12 @@ def _rows(table: Numbers) -> str:
             "" if row["published"] is None else f"{row['published']['mbtl']['mean']:.3f}",
         )
         rows.append((row["cmdp"], judged.verdict, checks, *both, *values))
-        reasons.append(f"- *{row['cmdp']}*: {judged.reason}")
+        for reason in judged.reasons:
+            reasons.setdefault(reason, []).append(row["cmdp"])
     head = ("CMDP", "verdict", "checks passed", "MBTL", "MBTL (paper)", REFERENCE_NAMES["unguided"],
             REFERENCE_NAMES["nominal_policy"])  # fmt: skip
-    said = "\n".join(reasons)
-    return f"{Table('', head, tuple(rows)).markdown()}\nThe reasons:\n\n{said}\n"
+    said = "\n".join(f"- *{reason}:* {', '.join(ids)}." for reason, ids in reasons.items())
+    return f"{Table('', head, tuple(rows)).markdown()}\nWhat differs:\n\n{said}\n"
 
 
 def _short(row: dict[str, object], name: str) -> str:
