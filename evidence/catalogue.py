@@ -34,15 +34,11 @@ FAMILIES = {
 }
 INTRODUCTION = """# The catalogue of CMDPs
 
-**`mbtl run ID` trains on any of these problems.** A *CMDP* is a problem with contexts: what varies
-between them is in the tables, with their number N and the nominal one, on which people train
-without help.
-
-- *Steps* is the longest episode, in decisions.
-- *Scale* has the returns that count as performance 0 and 1.
-- *Matrix* says whether a transfer matrix is shipped, and on how many contexts policies were trained
-  if not on all. With one, selectors are compared in seconds: `mbtl bench --matrix ID`. Those of
-  signals and eco-driving are of the paper's scores, so their scales differ from these.
+**`mbtl run ID` trains on any of these problems.** A *CMDP* is a problem with contexts. The tables
+say what varies between them, their number N, the nominal one, on which people train without help,
+and the transfer matrix that is shipped, of policies on all contexts where no number of sources is
+given. Selectors are compared on it in seconds: `mbtl bench --matrix ID`. Those of signals and
+eco-driving are of the paper's scores, so their scales differ from these.
 
 Control is simulated in jax or Gymnasium, traffic in jax or SUMO (`--engine`). The pictures show
 five moments at the nominal context: of a trained policy in control, of choices at random in
@@ -67,23 +63,33 @@ def page() -> str:
     shipped = set(shipped_matrices())
     assert {_family(cmdp.id) for cmdp in every} <= FAMILIES.keys(), "a family is missing"
     for family, (title, text) in FAMILIES.items():
-        lines += [f"## {title}", "", text, ""]
+        members = [cmdp for cmdp in every if _family(cmdp.id) == family]
+        lines += [f"## {title}", "", f"{text} {common(members)}", ""]
         if (films.DOCS / "images" / f"film-{family}.png").exists():
             lines += [f"![five moments of {title}](images/film-{family}.png)", ""]
-        lines += ["| id | what varies | N | nominal | steps | scale | matrix |"]
-        lines += ["|---|---|---|---|---|---|---|"]
-        lines += [row(cmdp, shipped) for cmdp in every if _family(cmdp.id) == family] + [""]
+        lines += ["| id | what varies | N | nominal | matrix |"]
+        lines += ["|---|---|---|---|---|"]
+        lines += [row(cmdp, shipped) for cmdp in members] + [""]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def common(members: list[CMDP]) -> str:
+    """The longest episode and the scale, which are those of the whole family."""
+    (horizon,) = {cmdp.horizon for cmdp in members}
+    ((low, high),) = {tuple(cmdp.bounds or (0.0, 1.0)) for cmdp in members}
+    return (
+        f"Episodes of at most {horizon} decisions; performance 0 and 1 are returns of {low:g} and "
+        f"{high:g}."
+    )
 
 
 def row(cmdp: CMDP, shipped: set[str]) -> str:
     """One line of a table."""
-    low, high = cmdp.bounds or (0.0, 1.0)
     varies = "; ".join(_span(cmdp, axis.name) for axis in cmdp.space.axes)
     nominal = ", ".join(f"{value:g}" for value in (cmdp.nominal or {}).values())
     matrix = _matrix(cmdp.id) if cmdp.id in shipped else "-"
-    cells = [f"`{cmdp.id}`", varies, cmdp.space.n, nominal, cmdp.horizon, f"{low:g} to {high:g}"]
-    return "| " + " | ".join(map(str, [*cells, matrix])) + " |"
+    cells = [f"`{cmdp.id}`", varies, cmdp.space.n, nominal, matrix]
+    return "| " + " | ".join(map(str, cells)) + " |"
 
 
 def _matrix(id: str) -> str:
