@@ -33,6 +33,10 @@ def test_json_is_one_document_on_standard_output(matrix_file):
     assert result.exit_code == 0
     document = json.loads(result.stdout)
     assert [entry["matrix"] for entry in document["results"]].count(str(matrix_file)) == 2 * 4
+    assert list(document["results"][0]) == [
+        "matrix", "matrix_seed", "selector", "seed", "theta", "sources", "performance",
+        "select_seconds",
+    ]  # fmt: skip
     assert set(document["summary"]["matrices"]) == {str(matrix_file), "synthetic:linear-gap"}
     assert set(document["summary"]["pooled"]) == {"random", "greedy", "oracle"}
 
@@ -75,7 +79,3 @@ def test_errors_are_the_librarys_own(matrix_file, tmp_path):
     assert isinstance(result.exception, InvalidInput)  # said before the work, not after
     result = run(*few, "--out", tmp_path)
     assert isinstance(result.exception, InvalidInput)  # a folder is no file
-
-
-def test_help_has_an_example():
-    assert "mbtl bench --matrix" in run("--help").stdout

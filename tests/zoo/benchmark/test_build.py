@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mbtl.contexts import ContextSpace, Linear
-from mbtl.errors import InvalidInput, StorageError, StudyError, TrainingFailed
+from mbtl.errors import InvalidInput, StorageError, TrainingFailed
 from mbtl.seeds import evaluation_seeds, training_seed
 from mbtl.trainers import FunctionTrainer
 from mbtl.zoo.benchmark.build import ONLY, Build
@@ -124,22 +124,6 @@ def test_policies_are_kept_so_that_evaluating_again_trains_nothing(tmp_path, mon
     assert again.origins("evaluated") == [{"commit": "another", "sources": 5}]
 
 
-def test_an_evaluation_of_kept_policies_stands_beside_them_and_never_trains(tmp_path):
-    trainer = FunctionTrainer(train, evaluate, save, load)
-    first = building(tmp_path, trainer)
-    first.run()
-    kept = first.folder / "policies"
-    again = Build(FunctionTrainer(must_not, evaluate, save, load), SPACE, 3, tmp_path / "again",
-                  SETTINGS, kept=kept)  # fmt: skip
-    again.run()
-    np.testing.assert_array_equal(again.returns(ONLY), first.returns(ONLY))
-    (kept / ONLY / "source-00003" / "policy.json").unlink()
-    (kept / ONLY / "source-00003").rmdir()
-    (tmp_path / "again" / "sources-00003.npz").unlink()
-    with pytest.raises(StudyError, match="none of source 3"):
-        again.run()
-
-
 def test_what_the_system_gives_without_a_policy_is_played_once(tmp_path):
     asked = []
 
@@ -169,31 +153,6 @@ def test_a_training_that_fails_leaves_the_others_alone(tmp_path, workers):
     assert len(list((tmp_path / "work").glob("sources-*.npz"))) == 4
     with pytest.raises(StorageError, match="1 are missing"):
         build.returns(ONLY)
-
-
-def test_a_folder_of_another_matrix_is_refused(tmp_path):
-    building(tmp_path, Several(), keep=("best",)).run()
-    with pytest.raises(InvalidInput, match="other settings: lanes was"):
-        building(tmp_path, Several(), keep=("best",), lanes=3).run()
-
-
-def test_bad_numbers_are_refused(tmp_path):
-    with pytest.raises(InvalidInput, match="lanes"):
-        building(tmp_path, Several(), lanes=0)
-    with pytest.raises(InvalidInput, match="workers"):
-        building(tmp_path, Several()).run(0)
-
-
-def test_every_second_context_is_trained_on_and_all_are_targets(tmp_path):
-    building = Build(Several(), SPACE, 3, tmp_path, SETTINGS, keep=("best",), lanes=2, every=2)
-    seen = []
-    building.run(on_piece=lambda done, total: seen.append((done, total)))
-    assert seen == [(0, 3), (2, 3), (3, 3)]
-    np.testing.assert_allclose(building.returns("best").mean(axis=2), expected()[::2])
-    with pytest.raises(InvalidInput, match="every"):
-        Build(Several(), SPACE, 3, tmp_path, SETTINGS, keep=("best",), lanes=2).run()
-    with pytest.raises(InvalidInput, match="every must be from 1"):
-        Build(Several(), SPACE, 3, tmp_path, SETTINGS, every=6)
 
 
 class Unequal(Several):

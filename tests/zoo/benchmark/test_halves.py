@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mbtl.contexts import ContextSpace, Linear
-from mbtl.errors import InvalidInput, StorageError
+from mbtl.errors import InvalidInput
 from mbtl.routing import last_route, routes
 from mbtl.selectors import Traits
 from mbtl.zoo.benchmark import (
@@ -99,13 +99,6 @@ def test_episodes_become_two_halves_of_equal_rank():
     assert matrix.caveat is None
 
 
-def test_one_episode_leaves_nothing_to_report_and_no_deviation():
-    matrix = TransferMatrix.of_episodes(np.zeros((1, 2, 2, 1)))
-    assert (matrix.fresh_returns, matrix.std, matrix.episodes) == (None, None, (1,))
-    assert not matrix.measures_apart
-    assert "same evaluation episodes" in matrix.caveat
-
-
 def test_everything_survives_a_file_and_a_shipped_set(tmp_path):
     episodes = np.random.default_rng(0).normal(size=(2, 3, 3, 4))
     matrix = TransferMatrix.of_episodes(
@@ -121,14 +114,6 @@ def test_everything_survives_a_file_and_a_shipped_set(tmp_path):
     assert load_matrix("mine", folder=tmp_path).fresh_returns.dtype == np.float32
 
 
-def test_seeds_with_and_without_a_fresh_half_are_no_set(tmp_path):
-    matrix = halved()
-    save_shipped(matrix, tmp_path, "a")
-    save_shipped(TransferMatrix.of(matrix.returns, bounds=(0, 1)), tmp_path, "a", first_seed=1)
-    with pytest.raises(StorageError, match="halves of episodes"):
-        load_matrix("a", folder=tmp_path)
-
-
 @pytest.mark.parametrize(
     ("entries", "match"),
     [
@@ -142,10 +127,3 @@ def test_seeds_with_and_without_a_fresh_half_are_no_set(tmp_path):
 def test_entries_that_break_a_rule_are_named(entries, match):
     with pytest.raises(InvalidInput, match=match):
         TransferMatrix.of(np.zeros((1, 3, 3)), **entries)
-
-
-def test_episodes_need_four_axes_and_as_many_for_a_reference():
-    with pytest.raises(InvalidInput, match="episode"):
-        TransferMatrix.of_episodes(np.zeros((1, 2, 2)))
-    with pytest.raises(InvalidInput, match="as many episodes"):
-        TransferMatrix.of_episodes(np.zeros((1, 2, 2, 4)), references={"r": np.zeros((1, 2, 3))})

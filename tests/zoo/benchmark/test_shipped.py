@@ -68,18 +68,6 @@ def test_files_that_do_not_fit_together_are_refused(tmp_path, matrix):
         load_matrix("a", folder=tmp_path)
 
 
-def test_provenance_needs_one_record_per_seed(tmp_path, matrix):
-    wrong = TransferMatrix.of(matrix.returns, provenance={"seeds": [{}]})
-    with pytest.raises(InvalidInput, match="one record per seed"):
-        save_shipped(wrong, tmp_path, "a")
-
-
-def test_a_folder_that_cannot_be_made(tmp_path, matrix):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="cannot be created"):
-        save_shipped(matrix, tmp_path / "file" / "sub", "a")
-
-
 def test_names_open_the_right_kind_and_must_be_distinct(tmp_path, matrix):
     matrix.save(tmp_path / "mine.npz")
     path = str(tmp_path / "mine.npz")

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from mbtl.errors import InvalidInput
-from mbtl.history import History
 from mbtl.objective import value_curve
 from mbtl.selectors import get_selector, selector_names
-from mbtl.selectors.base import Exhausted, SelectionProblem
+from mbtl.selectors.base import Exhausted
 from mbtl.zoo.benchmark import TransferMatrix, compare, nominal_source, reference_levels
 from mbtl.zoo.benchmark.base import levels
 from mbtl.zoo.benchmark.oracle import random_curve, sequential_oracle
@@ -72,21 +71,6 @@ def test_every_selector_proposes_sources_only_and_all_of_them(matrix, name):
         get_selector(name).propose(matrix.problem(4), found.history, np.random.default_rng(0))
 
 
-def test_pending_sources_count_and_others_are_refused(matrix):
-    history = History(8).with_pending(0).with_pending(2).with_failure(5)
-    pick = get_selector("specialists").propose(matrix.problem(2), history, np.random.default_rng(0))
-    assert pick.source == 7
-
-    class Stubborn:
-        name = "stubborn"
-
-        def propose(self, problem, history, rng):
-            return pick.__class__(3, "because")
-
-    with pytest.raises(InvalidInput, match="not yet trained and trainable, got 3"):
-        replay(Stubborn(), matrix.problem(1), lambda i: np.zeros(8))
-
-
 def test_a_comparison_runs_on_it(matrix):
     found = compare(["specialists", "random", "oracle"], [matrix], budget=3, seeds=2)
     assert all(set(run.sources) <= set(SOURCES) for run in found.results)
@@ -108,9 +92,3 @@ def test_a_file_reads_back(matrix, tmp_path):
 def test_rows_without_their_contexts_are_refused(sources):
     with pytest.raises(InvalidInput, match="sources"):
         TransferMatrix.of(np.zeros((1, 4, 8)), sources=sources, bounds=(0, 1))
-
-
-def test_a_mask_has_one_entry_per_context():
-    line = TransferMatrix.of(np.zeros((1, 3, 3)), bounds=(0, 1)).space
-    with pytest.raises(InvalidInput, match="mask of 3 contexts"):
-        SelectionProblem.of(line, budget=1, trainable=np.array([True, False]))

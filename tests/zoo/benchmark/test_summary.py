@@ -34,23 +34,12 @@ def test_closed_fraction_is_a_ratio_of_sums_not_a_mean_of_ratios():
     assert one([[0.25], [0.49]], refs).closed_at_K.value == pytest.approx(0.24 / 0.501)
 
 
-def test_no_room_between_random_and_oracle_has_no_closed_fraction():
-    s = one([[0.7], [0.7]], [ref([0.7], [0.7])] * 2)
-    assert (s.closed_at_K.value, s.closed_at_K.low, s.closed_at_K.high) == (None, None, None)
-
-
 def test_trainings_are_counted_from_one_and_reached_levels_include_equality():
     curve = [[0.2, 0.5, 0.9, 0.95, 0.99]]
     s = one(curve, [ref([0] * 5, [1] * 5)])
     assert (s.k_star.per_seed, s.k90.per_seed) == ((2,), (3,))
     assert (s.k95.per_seed, s.k99.per_seed) == ((4,), (5,))
     assert s.k90.estimate.value == pytest.approx(3)
-
-
-def test_shares_are_of_the_way_from_the_grand_mean():
-    refs = [ref([0] * 3, [1] * 3, grand=0.6, top=0.8)]
-    s = one([[0.77, 0.78, 0.79]], refs)  # k90 needs 0.78, k95 0.79, k99 0.798
-    assert (s.k90.per_seed, s.k95.per_seed, s.k99.per_seed) == ((2,), (3,), (None,))
 
 
 def test_censored_seeds_show_none_and_enter_as_one_more_than_the_budget():
@@ -106,13 +95,6 @@ def test_differences_are_paired_seeds_common_scatter_cancels():
     assert s.V_K.high - s.V_K.low > 0.1
     assert (s.minus_random_at_K.low, s.minus_random_at_K.high) == pytest.approx((0.05, 0.05))
     assert (s.closed_at_K.low, s.closed_at_K.high) == pytest.approx((0.5, 0.5))
-
-
-def test_all_selectors_share_the_draws():
-    base = np.random.default_rng(1).uniform(size=(5, 1))
-    refs = [ref([0.0], [1.0])] * 5
-    both = summarise({"m": {"a": base, "b": base.copy()}}, {"m": refs}).pooled
-    assert both["a"] == both["b"]
 
 
 def test_the_record_is_plain_json():

@@ -5,10 +5,10 @@ import pytest
 
 from mbtl.errors import UnknownName
 from mbtl.zoo.benchmark import TransferMatrix, save_shipped
-from mbtl.zoo.benchmark.multitask import load_multitask, save_multitask
+from mbtl.zoo.benchmark.multitask import save_multitask
 from mbtl.zoo.reproduction import Bench, Setting, items_named, published
 from mbtl.zoo.reproduction.claims import NOT, OPEN, PARTLY, REPRODUCED
-from mbtl.zoo.reproduction.items.elimination import longest_run, rates
+from mbtl.zoo.reproduction.items.elimination import rates
 from mbtl.zoo.reproduction.page import row_verdict
 from mbtl.zoo.reproduction.paper import (
     METHODS,
@@ -84,15 +84,6 @@ def test_k_star_is_about_the_level_of_the_same_seed(tmp_path):
     assert numbers["best"]["traffic_ours"] is None
 
 
-def test_greedy_is_left_out_where_it_cannot_run(tmp_path):
-    contexts = [[a, b] for a in (0.0, 1.0, 2.0) for b in (0.0, 1.0)]
-    matrix = TransferMatrix.of(np.eye(6)[None], contexts=contexts, axes=["a", "b"], bounds=(0, 1))
-    save_shipped(matrix, tmp_path, "two-axes")
-    values = bench(tmp_path, "two-axes", budget=6).case("two-axes").values
-    assert "greedy" not in values
-    assert values["mbtl"] == Value(1.0, None)  # of one seed there is no deviation
-
-
 def test_fewer_sources_than_targets_are_enough_for_every_item(tmp_path):
     returns = np.stack([100 - 10.0 * np.abs(np.arange(8) - s) for s in (0, 2, 4, 6)])[None]
     matrix = TransferMatrix.of(returns.repeat(2, 0), sources=[0, 2, 4, 6], bounds=(0, 100))
@@ -108,46 +99,37 @@ def test_fewer_sources_than_targets_are_enough_for_every_item(tmp_path):
     assert np.shape(heat["table"]) == (4, 8)
 
 
-def test_a_baseline_that_saw_something_else_is_no_peer(tmp_path):
-    returns = np.full((1, N, N), 10.0)
-    for variant, shown in (("default", "multiplier"), ("hidden", "hidden")):
-        matrix = TransferMatrix.of(
-            returns, bounds=(0, 100), provenance={"switches": {"visibility": shown}}
-        )
-        save_shipped(matrix, tmp_path, ID, variant)
-    record = {"switches": {"visibility": "multiplier"}}
-    save_multitask(np.ones(N), np.ones(N), record, tmp_path / "multitask", ID, "ppo", 0)
-    for variant, expected in (("default", {"ppo"}), ("hidden", set())):
-        case = bench(tmp_path, ID, budget=2, variant=variant).case(ID)
-        assert set(case.multitask) == expected
-        assert ("multitask" in case.values) == bool(expected)
-        said = " ".join(computed("main-table", tmp_path, ID, variant=variant)["missing"])
-        assert (f"{ID}: no policy for all contexts" in said) != bool(expected)
+SEES = {"visibility": "multiplier"}
+RING = {"visibility": "hidden", "engine": "jax", "obs": "fresh"}
+TOLD = {**RING, "visibility": "multiplier"}
 
 
-def test_where_policies_see_no_context_by_default_one_for_all_that_is_told_is_a_peer(tmp_path):
-    switches = {"visibility": "hidden", "engine": "jax", "obs": "fresh"}
-    matrix = TransferMatrix.of(
-        np.full((1, N, N), 10.0), bounds=(0, 100), provenance={"switches": switches}
-    )
-    save_shipped(matrix, tmp_path, "ring-acc")
-    for changes, peers in (({}, {"trpo"}), ({"obs": "stale"}, set()), ({"engine": "sumo"}, set())):
-        record = {"switches": {**switches, "visibility": "multiplier", **changes}}
-        save_multitask(
-            np.ones(N), np.ones(N), record, tmp_path / "multitask", "ring-acc", "trpo", 0
-        )
-        assert set(bench(tmp_path, "ring-acc", budget=2).case("ring-acc").multitask) == peers
-
-
-def test_a_baseline_of_another_version_of_the_simulator_is_no_peer(tmp_path):
-    matrix = TransferMatrix.of(
-        np.full((1, N, N), 10.0), bounds=(0, 100), provenance={"version": 2, "switches": {}}
-    )
-    save_shipped(matrix, tmp_path, ID)
-    for told, peers in (({"version": 2}, {"ppo"}), ({"version": 1}, set()), ({}, {"ppo"})):
-        record = {"switches": {}, **told}  # files of before versions were told have none
-        save_multitask(np.ones(N), np.ones(N), record, tmp_path / "multitask", ID, "ppo", 0)
-        assert set(bench(tmp_path, ID, budget=2).case(ID).multitask) == peers
+@pytest.mark.parametrize(
+    ("id", "variant", "matrix", "baseline", "peers"),
+    [
+        # it saw something else ...
+        (ID, "default", {"switches": SEES}, {"switches": SEES}, True),
+        (ID, "hidden", {"switches": {"visibility": "hidden"}}, {"switches": SEES}, False),
+        # ... but where policies see no context by default, one for all must be told
+        ("ring-acc", "default", {"switches": RING}, {"switches": TOLD}, True),
+        ("ring-acc", "default", {"switches": RING}, {"switches": {**TOLD, "obs": "stale"}}, False),
+        ("ring-acc", "default", {"switches": RING}, {"switches": {**TOLD, "engine": "x"}}, False),
+        # of another version of the simulator; files of before versions were told have none
+        (ID, "default", {"version": 2, "switches": {}}, {"version": 2, "switches": {}}, True),
+        (ID, "default", {"version": 2, "switches": {}}, {"version": 1, "switches": {}}, False),
+        (ID, "default", {"version": 2, "switches": {}}, {"switches": {}}, True),
+    ],
+)
+def test_a_baseline_is_a_peer_of_policies_under_the_same_conditions(
+    tmp_path, id, variant, matrix, baseline, peers
+):
+    shipped = TransferMatrix.of(np.full((1, N, N), 10.0), bounds=(0, 100), provenance=matrix)
+    save_shipped(shipped, tmp_path, id, variant)
+    save_multitask(np.ones(N), np.ones(N), baseline, tmp_path / "multitask", id, "ppo", 0)
+    case = bench(tmp_path, id, budget=2, variant=variant).case(id)
+    assert (set(case.multitask), "multitask" in case.values) == ({"ppo"} if peers else set(), peers)
+    said = " ".join(computed("main-table", tmp_path, id, variant=variant)["missing"])
+    assert (f"{id}: no policy for all contexts" in said) != peers
 
 
 def test_what_has_no_matrix_is_said_and_unknown_ids_are_refused(folder):
@@ -202,15 +184,6 @@ def test_the_verdict_on_a_line_follows_its_three_checks():
     assert row_verdict({"cmdp": "x", "ours": None, "published": {}}).verdict == OPEN
 
 
-def test_multitask_files_go_round(folder):
-    found = load_multitask(ID, folder=folder / "multitask")
-    assert list(found) == ["ppo"]
-    np.testing.assert_allclose(found["ppo"].returns, [[30.0] * N, [32.0] * N])
-    np.testing.assert_allclose(found["ppo"].std[1], 3.2, rtol=1e-6)
-    assert found["ppo"].provenance == ({"s": 0}, {"s": 1})
-    assert load_multitask("cartpole-masscart", folder=folder / "multitask") == {}
-
-
 def test_elimination_in_a_linear_gap_world_by_hand():
     # N = 11, slope 0.1, constant training performance: after the middle (5), the policy of 0 is
     # at least as good where |x' - 0| <= |x' - 5|, that is on 0, 1, 2.
@@ -220,11 +193,3 @@ def test_elimination_in_a_linear_gap_world_by_hand():
     assert rates(matrix, 0, [5, 0]) == pytest.approx([1.0, 3 / 11])
     printed = rates(matrix, 0, [5, 0], gaps=2)
     assert printed == pytest.approx([1.0, 2 / 11])  # 0.5 <= 1, 0.6 <= 0.8, not 0.7 <= 0.6
-
-
-@pytest.mark.parametrize(
-    ("mask", "length"),
-    [([], 0), ([0, 0], 0), ([1, 1, 0, 1], 2), ([0, 1, 0, 1, 1, 1], 3), ([1, 1], 2)],
-)
-def test_longest_run(mask, length):
-    assert longest_run(np.array(mask, dtype=bool)) == length
