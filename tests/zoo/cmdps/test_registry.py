@@ -9,7 +9,6 @@ from gymnasium.utils.env_checker import check_env
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
 from mbtl.problems import cmdp_ids, get_cmdp
 from mbtl.zoo.cmdps import gym_id
-from mbtl.zoo.cmdps.registration import register_envs
 
 
 @pytest.mark.parametrize(
@@ -100,24 +99,6 @@ def test_where_the_paper_s_text_and_scripts_disagree():
     assert get_cmdp("eco-green", grid="paper").space.values("green")[-1] == 175.0
 
 
-def test_a_mistyped_id_is_answered_with_the_nearest_one():
-    with pytest.raises(UnknownName) as caught:
-        get_cmdp("cartpole-lenght")
-    assert str(caught.value) == (
-        "no CMDP is called 'cartpole-lenght'. Did you mean 'cartpole-length'? "
-        "`mbtl cmdps` lists all."
-    )
-
-
-@pytest.mark.parametrize(
-    ("switch", "value"),
-    [("physics", "ideal"), ("visibility", "multi"), ("grid", "codes"), ("time_limit", "none")],
-)
-def test_unknown_switches_are_named(switch, value):
-    with pytest.raises(UnknownName, match=switch.replace("_", " ")):
-        get_cmdp("cartpole-length", **{switch: value})
-
-
 def test_switches_reach_the_environment_and_the_record():
     cmdp = get_cmdp(
         "cartpole-masscart",
@@ -162,24 +143,12 @@ def test_what_is_no_context_of_a_cmdp_is_refused(id, context, words):
 def test_between_the_values_of_the_grid_a_context_is_as_good_as_on_them():
     env = get_cmdp("cartpole-length").make_env({"length": 0.512})
     assert env.features["length"] == 0.512
+    sent = pickle.loads(pickle.dumps(get_cmdp("cartpole-length").make_env))
+    assert sent({"length": 1.2}).features["length"] == 1.2
     wide = get_cmdp("signal-speed", grid="paper").space.axes[0].high
     assert get_cmdp("signal-speed", grid="paper").make_env.check({"speed": wide}) is None
     with pytest.raises(ContextMismatch):
         get_cmdp("signal-speed").make_env.check({"speed": wide})
-
-
-def test_the_policy_sees_the_multiplier_by_default():
-    env = get_cmdp("pendulum-timestep").make_env({"timestep": 0.5})
-    assert env.reset(seed=0)[0][-1] == pytest.approx(10.0)
-
-
-def test_reference_physics_of_the_pendulum_is_the_intended_one():
-    rows = []
-    for physics in ("intended", "reference"):
-        env = get_cmdp("pendulum-mass", physics=physics).make_env({"mass": 2.0})
-        env.reset(seed=0)
-        rows.append(env.step(np.ones(1))[0])
-    np.testing.assert_array_equal(*rows)
 
 
 def test_presets_and_overrides_shape_the_trainer():
@@ -194,6 +163,11 @@ def test_presets_and_overrides_shape_the_trainer():
         get_cmdp("cartpole-length", engine="gymnasium").trainer_for("paper").timesteps == 5_000_000
     )
     assert cmdp.preset("paper").budget == 15
+    quick = cmdp.trainer_for("quick").hyperparameters  # others add to them
+    more = cmdp.trainer_for("quick", hyperparameters={"n_epochs": 3})
+    assert more.hyperparameters == {**quick, "n_epochs": 3}
+    sac = cmdp.trainer_for("quick", algorithm="SAC", hyperparameters={"gamma": 0.9})
+    assert (sac.algorithm, sac.hyperparameters) == ("SAC", {"gamma": 0.9})
 
 
 def test_a_preset_called_paper_is_the_papers_recipe_in_every_engine():
@@ -208,19 +182,7 @@ def test_a_preset_called_paper_is_the_papers_recipe_in_every_engine():
     assert (ring.recipe_name, ring.episodes, ring.hyperparameters) == ("paper", 1000, {})
 
 
-def test_hyperparameters_add_to_the_recipe_unless_the_algorithm_changes():
-    cmdp = get_cmdp("pendulum-length", engine="gymnasium")
-    quick = cmdp.trainer_for("quick").hyperparameters
-    assert cmdp.trainer_for("quick", hyperparameters={"n_epochs": 3}).hyperparameters == {
-        **quick,
-        "n_epochs": 3,
-    }
-    assert cmdp.trainer_for("quick", algorithm="SAC").hyperparameters == {}
-    sac = cmdp.trainer_for("quick", algorithm="SAC", hyperparameters={"gamma": 0.9})
-    assert (sac.algorithm, sac.hyperparameters) == ("SAC", {"gamma": 0.9})
-
-
-def test_unknown_presets_and_options_are_named():
+def test_unknown_presets_options_and_switches_are_named():
     cmdp = get_cmdp("cartpole-length", engine="gymnasium")
     with pytest.raises(UnknownName, match="Did you mean 'quick'"):
         cmdp.trainer_for("quik")
@@ -228,11 +190,9 @@ def test_unknown_presets_and_options_are_named():
         cmdp.trainer_for(timestep=5)
     with pytest.raises(InvalidInput, match="timesteps"):
         cmdp.trainer_for(timesteps=0)
-
-
-def test_factories_can_be_sent_to_other_processes():
-    cmdp = pickle.loads(pickle.dumps(get_cmdp("cartpole-length").make_env))
-    assert cmdp({"length": 1.2}).features["length"] == 1.2
+    for switch in ("physics", "visibility", "grid", "time_limit"):
+        with pytest.raises(UnknownName, match=switch.replace("_", " ")):
+            get_cmdp("cartpole-length", **{switch: "ideal"})
 
 
 # ---- Gymnasium -----------------------------------------------------------------------------------
@@ -244,12 +204,6 @@ def test_gymnasium_makes_them_with_a_context():
     assert gymnasium.make("mbtl/cartpole-length-v0").unwrapped.features["length"] == 0.5
     hidden = gymnasium.make("mbtl.zoo.cmdps:mbtl/pendulum-mass-v0", visibility="hidden")
     assert hidden.observation_space.shape == (3,)
-
-
-def test_registering_again_changes_nothing():
-    before = gymnasium.registry[gym_id("cartpole-length")]
-    register_envs()
-    assert gymnasium.registry[gym_id("cartpole-length")] is before
 
 
 @pytest.mark.parametrize("id", [id for id in cmdp_ids() if id not in TRAFFIC])

@@ -68,25 +68,6 @@ def test_walkers_stepped_together_are_those_stepped_alone():
                 np.testing.assert_array_equal(alone[0], all_of[i])
 
 
-def test_gravity_is_that_of_the_context():
-    luck = np.full(N_LUCK, 0.5)
-    speeds = {}
-    for gravity in (1.0, 10.0):
-        walker = Walker(NOMINAL._replace(gravity=gravity), luck)
-        for body in walker.bodies:
-            body.position = (body.position.x, body.position.y + 50.0)
-        walker.push([0.0] * 4, [0.0] * 4)
-        speeds[gravity] = walker.push([0.0] * 4, [0.0] * 4)[13]
-    assert speeds == {g: pytest.approx(-2 * g / 50, rel=1e-3) for g in (1.0, 10.0)}
-
-
-def test_friction_is_the_ground_s():
-    walker = Walker(NOMINAL._replace(friction=0.7), np.full(N_LUCK, 0.5))
-    (ground,) = (body for body in walker.world.bodies if body.mass == 0)
-    np.testing.assert_allclose([fixture.friction for fixture in ground.fixtures], 0.7)
-    assert walker.bodies[2].fixtures[0].friction == pytest.approx(0.2)
-
-
 def test_scale_divides_hull_and_roughness_and_the_worth_of_the_way():
     luck = np.random.default_rng(0).random(N_LUCK)
     fine, coarse = (Walker(NOMINAL._replace(scale=scale), luck) for scale in (60.0, 30.0))
@@ -116,15 +97,6 @@ def test_unguided_it_stands_still_at_little_cost():
     steps = [env.drive() for _ in range(1000)]
     assert [step[2] for step in steps] == [False] * 1000
     assert -20 < sum(step[1] for step in steps) < 0
-
-
-@pytest.mark.parametrize("time_limit", ["truncation", "terminal"])
-def test_time_runs_out_at_the_horizon(time_limit):
-    env = BipedalWalker(horizon=5, time_limit=time_limit)
-    env.reset(seed=0)
-    ends = [env.drive()[2:4] for _ in range(5)]
-    assert ends[:4] == [(False, False)] * 4
-    assert ends[4] == ((False, True) if time_limit == "truncation" else (True, False))
 
 
 def test_an_action_that_is_no_number_gives_none():
