@@ -1,24 +1,20 @@
-"""The eco-driving twin: closed forms, bookkeeping of cars and agents, and random arrivals."""
+"""The eco-driving twin: closed forms, bookkeeping of cars, random arrivals, and rewards."""
 
 from dataclasses import replace
 from functools import partial
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("pettingzoo", reason="the traffic extra is not installed")
-
-import mbtl.engine.learners as engine  # noqa: F401  isort: skip  # before jax: it sets jax's flags
-import jax
-import jax.numpy as jnp
-
-from mbtl.errors import ContextMismatch
-from mbtl.zoo.cmdps.traffic.eco import co2_rate, light
+from mbtl.errors import UnknownName
+from mbtl.problems import get_cmdp
+from mbtl.zoo.cmdps.traffic.eco import LIMIT, light
 from mbtl.zoo.cmdps.traffic.twins import EcoProblem
-from mbtl.zoo.worlds.traffic import lane
-from mbtl.zoo.worlds.traffic.eco import EcoParams, Light
-from mbtl.zoo.worlds.traffic.lane import Ahead, Cars, Incomer
+from mbtl.zoo.worlds.traffic import eco, lane
+from mbtl.zoo.worlds.traffic.eco import Costs, EcoParams, Light
+from mbtl.zoo.worlds.traffic.lane import Cars
 
 CAR = {"length": 5.0, "min_gap": 2.0, "tau": 1.0, "accel": 2.6, "decel": 4.5}
 
@@ -29,10 +25,6 @@ def cars(speed, x=None):
     none = jnp.zeros(speed.shape, jnp.int32)
     x = jnp.zeros(speed.shape) if x is None else jnp.array(x, jnp.float32)[:, None]
     return Cars(x=x, speed=speed, controlled=none, **rows)
-
-
-def ahead(gap, speed, there=True):
-    return Ahead(jnp.array([[gap]]), jnp.array([[speed]]), jnp.array(there))
 
 
 SEEDS = jnp.arange(8, dtype=jnp.uint32)
@@ -58,28 +50,7 @@ def twin():
     return replace(twin, few=twin.few[:1])
 
 
-@pytest.fixture(scope="module")
-def small():
-    """Four agents at most, and long rows only."""
-    twin = EcoProblem(agents=4)([{}])[0]
-    return replace(twin, few=())
-
-
 # ---- car-following -------------------------------------------------------------------------------
-
-
-def test_a_free_car_at_the_limit_keeps_it_and_a_resting_one_starts_in_two_inner_steps():
-    v = lane.follow(cars([14.0, 0.0]), ahead(1.0, 1.0, there=False), 2.0, 14.0, 0.5)
-    first = 0.25 * 2.6
-    second = first + 0.25 * 2.6 * (1.0 - (first / 14.0) ** 4)
-    np.testing.assert_allclose(v[:, 0], [14.0, second], rtol=1e-5)
-
-
-def test_at_the_equilibrium_gap_a_car_keeps_its_speed():
-    v = 8.0
-    gap = (2.0 + v) / np.sqrt(1.0 - (v / 14.0) ** 4)
-    found = lane.follow(cars([v]), ahead(gap, v), 2.0, 14.0, 0.5)
-    assert float(found[0, 0]) == pytest.approx(v, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -91,12 +62,6 @@ def test_a_car_stops_a_metre_before_the_line_or_nearer_if_it_must(left, can, gap
     stops, stop = lane.halt(cars([10.0]), jnp.array([[left]]), 0.5)
     assert bool(stops[0, 0]) == can
     assert float(stop.gap[0, 0]) == pytest.approx(gap)
-
-
-def test_a_car_that_rests_before_its_stop_closes_what_is_left():
-    me = cars([0.0, 0.0, 3.0])
-    v = lane.halting(me, jnp.array([[0.0], [0.0], [2.0]]), jnp.array([[0.2], [0.009], [0.5]]), 0.5)
-    np.testing.assert_allclose(v[:, 0], [(0.2 - 0.001) / 0.5, 0.0, 1.0], rtol=1e-5)
 
 
 def test_a_car_enters_behind_another_only_where_it_has_room():
@@ -111,28 +76,15 @@ def test_a_car_enters_behind_another_only_where_it_has_room():
 # ---- bookkeeping ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("gone", "between", "last", "found"),
-    [
-        (False, None, None, [4.0, 3.0, 2.0, 0.0, 0.0]),
-        (True, None, None, [3.0, 2.0, 0.0, 0.0, 0.0]),
-        (False, 1, None, [4.0, 9.0, 3.0, 2.0, 0.0]),
-        (True, 1, None, [3.0, 9.0, 2.0, 0.0, 0.0]),
-        (True, 2, 3, [3.0, 2.0, 9.0, 7.0, 0.0]),
-        (False, 0, 4, [9.0, 4.0, 3.0, 2.0, 7.0]),
-    ],
-)
-def test_rows_move_up_and_make_way(gone, between, last, found):
-    def comes(row, car):
-        return Incomer(jnp.array([row is not None]), jnp.array([row or 0]), (jnp.array([car]),))
-
-    rows = (jnp.array([[4.0], [3.0], [2.0], [0.0], [0.0]]),)
-    new = lane.shifted(rows, (0.0,), jnp.array([gone]), comes(last, 7.0), comes(between, 9.0))
-    assert new[0][:, 0].tolist() == found
-
-
-def test_cars_stay_in_order_and_no_car_is_lost(twin):
-    state = after(twin, [{"inflow": 1600.0, "penetration": 0.5}] * 8, 1000)
+def test_contexts_do_not_mix_and_in_all_of_them_cars_stay_in_order_and_none_is_lost(twin):
+    busy = {"inflow": 1600.0, "penetration": 0.5}
+    contexts = [{}, {"penetration": 1.0}, {"inflow": 1600.0}, {"green": 5.0}, busy, busy, {}, {}]
+    state = after(twin, contexts, 800)
+    scores = np.asarray(twin.score(state))
+    assert len(set(scores.tolist())) == 8
+    assert max(scores[2:4]) < scores[0]  # a short green, and a jam, are slow
+    alone = np.asarray(twin.score(after(twin, contexts[2:3] * 8, 800)))
+    assert alone[2] == pytest.approx(scores[2], abs=0.02)
     x = np.asarray(state.main.x)
     there = x > 0.5 * lane.EMPTY
     assert (np.diff(x, axis=0)[there[1:]] < 0.0).all()
@@ -142,61 +94,6 @@ def test_cars_stay_in_order_and_no_car_is_lost(twin):
     uncounted = gone - np.asarray(state.totals.completed)
     assert ((uncounted >= 0) & (uncounted < 25)).all()  # those of the warm-up
     assert there.sum(axis=0).max() > twin.few[0][0]  # long rows were in use
-
-
-@pytest.mark.long
-def test_rows_that_nobody_needs_change_nothing(twin, small):
-    short, long = (after(each, [{}] * 8, 400) for each in (twin, small))
-    np.testing.assert_allclose(short.main.x, long.main.x, atol=0.01)
-    assert (np.asarray(short.main.x[0]) > 0.0).any()
-
-
-@pytest.mark.long
-def test_agents_are_the_foremost_controlled_cars_in_the_region(small):
-    state = after(small, [{"penetration": 1.0}] * 8, 300)
-    rows, x = np.asarray(state.row), np.asarray(state.main.x)
-    for i in range(8):
-        inside = np.flatnonzero(x[:, i] > 0.0)
-        places = (int(state.first[i]) + np.arange(4)) % 4
-        agents = [row for row in rows[places, i] if row >= 0]
-        assert agents == inside[:4].tolist()
-        assert np.asarray(state.trip.place)[agents, i].tolist() == places[: len(agents)].tolist()
-    assert (rows >= 0).sum() > 8
-
-
-@pytest.mark.long
-def test_an_agent_that_is_told_to_brake_does_and_pays_for_it(twin):
-    contexts = [{"penetration": 1.0}] * 8
-    state, (params, *_) = after(twin, contexts, 300), EcoProblem()(contexts)[1]
-    acting = np.asarray(twin.observe(state, params).acting)
-    moved = jax.jit(twin.step)(state, jnp.full((8, twin.agents, 1), -3.0), params)
-    i, place = np.nonzero(acting & ~np.asarray(moved.done))
-    assert len(i) > 20
-    before = np.asarray(state.main.speed)[np.asarray(state.row)[place, i], i]
-    now = np.asarray(twin.observe(moved.state, params).obs)[i, place, 0] * 15.0
-    slower = np.maximum(before - 1.5, 0.0)
-    assert (now <= slower + 1e-4).all()
-    assert np.mean(np.abs(now - slower) < 1e-4) > 0.8  # the others follow someone
-    grams = co2_rate(now, (now - before) / 0.5) * 0.5
-    paid = (now - 35.0 * np.maximum(0.0, 1.0 - now) - 3.0 * grams) / 15.0
-    reward = np.asarray(moved.reward)
-    np.testing.assert_allclose(reward[i, place], paid, atol=1e-4)
-    assert (reward[~acting] == 0.0).all()
-
-
-def test_every_context_is_another_task_and_contexts_do_not_mix(twin):
-    contexts = [{}, {"penetration": 1.0}, {"inflow": 1600.0}, {"green": 5.0}]
-    mixed = np.asarray(twin.score(after(twin, contexts + [{}] * 4, 1500)))
-    alone = np.asarray(twin.score(after(twin, [{"inflow": 1600.0}] * 8, 1500)))
-    assert len(set(mixed.tolist())) == 8
-    assert mixed[3] < mixed[2] < mixed[0]  # a short green, and a jam, are slow
-    assert alone[2] == pytest.approx(mixed[2], abs=0.02)
-
-
-@pytest.mark.parametrize("context", [{"green": 0.0}, {"penetration": 0.0}, {"penetration": 1.5}])
-def test_an_impossible_context_is_refused(context):
-    with pytest.raises(ContextMismatch):
-        EcoProblem()([context])
 
 
 @pytest.mark.parametrize(("visibility", "size"), [("hidden", 39), ("multiplier", 40), ("raw", 44)])
@@ -213,12 +110,14 @@ def test_what_is_seen_of_the_context(visibility, size):
 @pytest.mark.parametrize("green", [1.0, 35.0])
 def test_the_light_is_that_of_the_corridor(green):
     ours, theirs = Light(3.0, 35.0), light(green)
-    for time in np.arange(0.0, 160.0, 0.5):
-        seen = [float(x) for x in ours.seen(jnp.float32(green), jnp.float32(time))]
-        assert seen[:3] == np.eye(3)[theirs.phase(time)].tolist()
-        assert seen[3:] == pytest.approx(theirs.changes(time))
-        side = ours.side(jnp.float32(green), jnp.float32(time))
-        assert bool(side) == (green + 3.0 <= time % theirs.cycle < green + 38.0)
+    times = np.arange(0.0, 160.0, 0.5)
+    greens = jnp.full(len(times), green)
+    seen = np.stack(ours.seen(greens, jnp.asarray(times, jnp.float32)), axis=1)
+    side = np.asarray(ours.side(greens, jnp.asarray(times, jnp.float32)))
+    for k, time in enumerate(times):
+        assert seen[k, :3].tolist() == np.eye(3)[theirs.phase(time)].tolist()
+        assert seen[k, 3:] == pytest.approx(theirs.changes(time))
+        assert side[k] == (green + 3.0 <= time % theirs.cycle < green + 38.0)
 
 
 def test_arrivals_are_poisson_and_drivers_as_the_population_says(twin):
@@ -252,8 +151,75 @@ def test_advised_speeds_do_what_the_accelerations_of_their_law_do(twin):
     law = lesson.law
     told = law.scale * share + law.gain * seen.obs[..., [law.feature]]
     told = jnp.clip(told, jnp.array(law.box.low), jnp.array(law.box.high))
-    by_speed = jax.jit(lesson.step)(state, share, params).state
+    advised = jax.jit(lesson.step)
+    by_speed, otherwise = (advised(state, each, params).state for each in (share, 1.0 - share))
     by_law = jax.jit(twin.step)(state, told, params).state
     np.testing.assert_allclose(by_speed.main.speed, by_law.main.speed, atol=1e-4)
-    alone = jax.jit(twin.drive)(state, params).state
-    assert float(jnp.abs(by_speed.main.speed - alone.main.speed).max()) > 1.0
+    assert float(jnp.abs(by_speed.main.speed - otherwise.main.speed).max()) > 1.0
+
+
+# ---- what it is taught by ------------------------------------------------------------------------
+
+
+CONTEXT = {"green": 20.0}
+
+
+@pytest.fixture(scope="module")
+def cmdp():
+    return get_cmdp("eco-green", engine="jax")
+
+
+@pytest.mark.parametrize("speed", [3.5, 7.0, 14.0])
+def test_speeds_of_a_trip_add_up_to_its_length_so_the_papers_reward_hardly_asks_for_them(
+    speed,
+):
+    steps = int(490.0 / (0.5 * speed))
+    free = Costs(crawl=1.0, crawling=35.0, co2=0.0, scale=15.0)
+    paper = eco.paper(free, jnp.full(steps, speed), jnp.zeros(steps)).sum()
+    np.testing.assert_allclose(paper, 490.0 / (0.5 * 15.0), rtol=1e-5)
+    delay = eco.delay(LIMIT, jnp.full(steps, speed)).sum()
+    np.testing.assert_allclose(-0.5 * delay, 490.0 / speed - 490.0 / LIMIT, atol=1e-3)
+
+
+def test_a_platoon_is_an_agent_and_the_cars_behind_it_up_to_the_next_agent():
+    each = jnp.array([[-1.0], [-2.0], [-4.0], [-8.0], [-16.0]])
+    row = jnp.array([[3], [-1], [1]])  # places are not in the order of the road
+    found = eco.of_platoons(each, row)
+    assert float(found[0, 0]) == -24.0
+    assert float(found[2, 0]) == -6.0
+
+
+def test_each_reward_is_given_to_agents_only(cmdp):
+    twin, params = cmdp.trainer.problem([CONTEXT])
+    shapes = jax.eval_shape(twin.start, jnp.arange(1, dtype=jnp.uint32), params)
+    state = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    speed = jnp.full_like(state.main.x, 7.0).at[2].set(0.0)
+    main = state.main._replace(x=jnp.full_like(state.main.x, -1e4).at[:4, 0].set(
+        jnp.array([300.0, 200.0, 100.0, -10.0])
+    ))  # fmt: skip
+    row = jnp.full_like(state.row, -1).at[5, 0].set(1)
+    state = state._replace(main=main, row=row)
+    leaves, co2 = jnp.array([False]), jnp.zeros_like(speed)
+    expected = {"paper": 7.0 / 15.0, "delay": -0.5, "platoon": -1.5, "road": -2.0}
+    assert set(expected) == set(twin.rewards)
+    for name, value in expected.items():
+        reward, done = replace(twin, reward=name)._rewards(state, speed, co2, leaves)
+        np.testing.assert_allclose(reward[5, 0], value, rtol=1e-6)
+        assert float(jnp.abs(reward).sum()) == pytest.approx(abs(value))
+        assert not done.any()
+
+
+def test_a_new_policy_begins_with_the_first_action_of_its_recipe(cmdp):
+    trainer = cmdp.trainer_for("paper", hyperparameters={"first_action": 3.0})
+    action, _ = trainer.untrained(CONTEXT).predict(np.zeros((1, 40), np.float32))
+    assert float(action.reshape(())) == pytest.approx(3.0)
+
+
+def test_another_reward_is_part_of_the_recipe_and_an_unknown_one_is_refused(cmdp):
+    assert "reward" not in cmdp.trainer_for("paper").recipe
+    assert cmdp.trainer_for("paper", reward="delay").recipe["reward"] == "delay"
+    with pytest.raises(UnknownName, match="delay, paper, platoon, road"):
+        cmdp.trainer_for("standard", reward="speed").train([CONTEXT], 0)
+    ring = get_cmdp("ring-acc", engine="jax").trainer_for("quick", reward="delay")
+    with pytest.raises(UnknownName, match="reward of this world"):
+        ring.train([{"hold": 5.0}], 0)

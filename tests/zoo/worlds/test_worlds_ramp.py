@@ -2,27 +2,20 @@
 
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-pytest.importorskip("jax", reason="the jax extra is not installed")
-pytest.importorskip("gymnasium", reason="the envs extra is not installed")
-pytest.importorskip("pettingzoo", reason="the traffic extra is not installed")
-
-import mbtl.engine.learners as engine  # noqa: F401  isort: skip  # before jax: it sets jax's flags
-import jax
-import jax.numpy as jnp
-
-from mbtl.engine.learners import networks
-from mbtl.engine.learners.episodic.episodes import Actor, Episodes, record
+from mbtl.engine.learners.episodic.episodes import Episodes
 from mbtl.engine.learners.episodic.recipes import TRPORecipe
 from mbtl.engine.learners.episodic.returns import Returns, advantages
-from mbtl.errors import ContextMismatch
 from mbtl.zoo.cmdps.traffic.twins import RampProblem
 from mbtl.zoo.worlds.traffic.idm import IDM
-from mbtl.zoo.worlds.traffic.ramp import NO_CAR, Zipper, braking, there
+from mbtl.zoo.worlds.traffic.ramp import NO_CAR, Zipper, there
 
 RULE = Zipper(IDM(1.0, 1.5, 1.0), length=5.0, min_gap=2.0, impatience=0.5, dt=0.1)
+SPEEDS, APPROACH = jax.jit(RULE.speeds), jax.jit(RULE.approach)
 FREE = np.inf
 
 
@@ -30,21 +23,16 @@ def approach(left, speed, there=True, told=FREE):
     """One car with nobody before it on its lane."""
     column = (jnp.full((1, 1), x) for x in (left, speed, 13.89, FREE, told))
     left, speed, desired, behind, told = column
-    return RULE.approach(jnp.full((1, 1), there), left, speed, desired, behind, told, 8.0)
+    return APPROACH(jnp.full((1, 1), there), left, speed, desired, behind, told, 8.0)
 
 
 # ---- the zipper ----------------------------------------------------------------------------------
 
 
-def test_braking_is_counted_step_by_step():
-    # 0.45 m/s, 0.15 less in every step: 0.03 + 0.015 + 0 m
-    assert float(braking(jnp.float32(0.4501), 1.5, 0.1)) == pytest.approx(0.045, abs=1e-4)
-
-
 def test_a_car_means_to_arrive_a_second_after_the_one_that_arrives_before():
     # SUMO's own answer, measured: a car 18.85 m before the zipper, another one 6.19 m before it
     left, speed = 18.85, 10.777
-    found = RULE.speeds(approach(left, speed), approach(6.19, 8.063))
+    found = SPEEDS(approach(left, speed), approach(6.19, 8.063))
     time = 1.0 + 1.0  # of the other one, in whole steps and at least a second; and a second
     push = 2.0 * (left - (speed + 0.1) * time) / time**2
     assert float(found[0, 0]) == pytest.approx(speed + 0.1 * push, abs=1e-5)
@@ -55,13 +43,13 @@ def test_nobody_yields_to_one_who_comes_much_later_or_does_not_come():
     ego = approach(20.0, 10.0)
     stands = approach(6.0, 0.0, told=0.0)  # measured: SUMO has nobody wait for it
     for foe in (approach(95.0, 5.0), approach(6.0, 8.0, there=False), stands):
-        assert np.isinf(RULE.speeds(ego, foe)).all()
+        assert np.isinf(SPEEDS(ego, foe)).all()
 
 
 def test_of_two_who_meet_only_one_yields():
     one, other = approach(30.0, 10.0), approach(24.0, 9.0)
-    assert np.isfinite(RULE.speeds(one, other)).all()
-    assert np.isinf(RULE.speeds(other, one)).all()
+    assert np.isfinite(SPEEDS(one, other)).all()
+    assert np.isinf(SPEEDS(other, one)).all()
 
 
 # ---- the whole -----------------------------------------------------------------------------------
@@ -118,67 +106,6 @@ def test_cars_that_found_no_room_are_counted(driven):
     assert (np.asarray(counts.missed) > 0).all()
     assert (np.asarray(counts.missed) < 26).all()
     assert (np.asarray(counts.collided) == 0).all()
-
-
-@pytest.mark.parametrize(
-    ("obs", "holds"),
-    [
-        pytest.param("fresh", (1.0, 4.0), marks=pytest.mark.long),
-        pytest.param("fresh", (1.0, 3.0, 4.0), marks=pytest.mark.long),
-        pytest.param("stale", (1.0, 3.0, 4.0), marks=pytest.mark.long),
-    ],
-)
-def test_ramps_of_several_holds_live_together_as_they_do_alone(obs, holds):
-    contexts, n = [{"hold": hold} for hold in holds], len(holds)
-    twin, each = RampProblem("acceleration", obs=obs, visibility="multiplier")(contexts)
-    twin = replace(twin, warm_up=600, unmeasured=20, total_steps=100)
-    together = jax.tree.map(lambda *x: jnp.stack(x), *each)
-    seeds = np.arange(2 * n, dtype=np.uint32).reshape(n, 2)
-    weights = networks.stack([networks.init_weights(i, 9, twin.action, (8,)) for i in range(n)])
-    actor = Actor(weights.actor, weights.log_std, weights.critic)
-    params = jax.tree.map(lambda x: jnp.repeat(x, 2, axis=0), together)
-    beats = twin.decisions(together)
-    assert beats == (10, 12, 10)  # three holds of 4 s, of 1 s each, are the longest episode
-    recorded = jax.jit(record, static_argnums=(0, 1, 2))
-    mixed = recorded(twin, "tanh", beats, actor, seeds, params)
-    for p, own in enumerate(each):
-        some = jax.tree.map(lambda x, p=p: x[p : p + 1], actor)
-        count, its = twin.decisions(own), seeds[p : p + 1]
-        alone = recorded(twin, "tanh", count, some, its, own)
-        later = slice(10 - count, None)
-        assert not mixed.acting[p, : 10 - count].any()
-        np.testing.assert_array_equal(mixed.acting[p, later], alone.acting[0])
-        assert alone.acting.sum() > 4 * count  # several cars of each simulation
-        told = np.asarray(alone.acting[0])
-        for name in ("outputs", "action", "value", "reward", "done"):
-            found, wanted = getattr(mixed, name)[p, later], getattr(alone, name)[0]
-            np.testing.assert_allclose(found[told], wanted[told], atol=1e-4)
-        for name in ("score", "last_value", "last_acting"):
-            np.testing.assert_allclose(getattr(mixed, name)[p], getattr(alone, name)[0], atol=1e-4)
-
-
-@pytest.mark.long
-def test_an_episode_does_not_depend_on_its_company():
-    twin, (params,) = RampProblem("speed")([{"hold": 40.0}])
-    twin = replace(twin, warm_up=600, unmeasured=0, total_steps=800)
-    one = jnp.uint32(7)
-
-    def alone(seeds):
-        state = twin.start(seeds, params)
-        told = jnp.zeros((len(seeds), twin.agents), jnp.int32)  # so that the ramp fills up
-        return twin.step(twin.step(state, told, params).state, told + 4, params)
-
-    few, many = alone(one[None]), alone(jnp.arange(20, dtype=jnp.uint32))
-    assert (np.asarray(there(many.state.side)).sum(axis=0) > 6).any()  # long rows were in use
-    for a, b in zip(jax.tree.leaves(few), jax.tree.leaves(many), strict=True):
-        if a.ndim:
-            own = b[..., 7] if b.shape[-1] == 20 else b[7]
-            np.testing.assert_allclose(np.squeeze(a), own, rtol=1e-4, atol=1e-4)
-
-
-def test_the_hold_is_a_whole_number_of_steps():
-    with pytest.raises(ContextMismatch, match=r"0\.1 s"):
-        RampProblem("speed")([{"hold": 0.05}])
 
 
 # ---- credit --------------------------------------------------------------------------------------

@@ -1,29 +1,39 @@
-"""The walker in jax: Box2D's step by step, and what its parts promise."""
+"""The walker in jax: Box2D's step by step, and what its parts promise.
 
+All tests share three programs, of eight walkers at once: compiling them is what takes time.
+"""
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-pytest.importorskip("jax", reason="the jax extra is not installed")
-
-import mbtl.engine.worlds as worlds
-
-import jax  # isort: skip
-import jax.numpy as jnp  # isort: skip
-
 from mbtl.zoo.worlds.walker import BipedalWalker, WalkerParams, WalkerState
 from mbtl.zoo.worlds.walker import walker as twin
-from mbtl.zoo.worlds.walker.walker import Box, apart, moved, touch
 
 ENV = BipedalWalker()
-WORLD = worlds.Solo(ENV)
-INITIAL, STEP, OBSERVE = jax.jit(ENV.initial), jax.jit(ENV.step), jax.jit(ENV.observe)
+START, STEP, OBSERVE = (jax.jit(jax.vmap(m)) for m in (ENV.initial, ENV.step, ENV.observe))
+N = 8
+NOMINAL = {"gravity": 10.0, "friction": 2.5, "scale": 30.0}
+NOISE = np.random.default_rng(0).random((N, 2)).astype(np.float32)
 
 
-def params(gravity=10.0, friction=2.5, scale=30.0, n=None):
-    values = (jnp.float32(gravity), jnp.float32(friction), jnp.float32(scale), jnp.zeros(0))
-    if n is None:
-        return WalkerParams(*values)
-    return WalkerParams(*(jnp.broadcast_to(v, (n, *v.shape)) for v in values))
+def params(*contexts):
+    """Of eight walkers, the last of which are in the last context; what is not told is nominal."""
+    each = [{**NOMINAL, **context} for context in (contexts or [{}])]
+    each += each[-1:] * (N - len(each))
+    columns = (jnp.array([one[name] for one in each], jnp.float32) for name in NOMINAL)
+    return WalkerParams(*columns, jnp.zeros((N, 0)))
+
+
+def played(actions, own, noise=NOISE):
+    """(states, which have not ended, returns) after these actions, (t, 4), which are all one's."""
+    state, alive, total = START(noise, own), np.ones(N, bool), np.zeros(N)
+    for action in actions:
+        step = STEP(state, jnp.tile(jnp.asarray(action, jnp.float32), (N, 1)), own)
+        state, total = step.state, total + alive * np.asarray(step.reward)
+        alive &= ~np.asarray(step.terminated)
+    return state, alive, total
 
 
 @pytest.fixture(scope="module")
@@ -34,68 +44,25 @@ def box2d():
     return theirs
 
 
-MOST = 1000
-"""Steps that may be played."""
-
-
-@jax.jit
-def _played(noise, actions, count, own):
-    def one(i, state):
-        return WORLD.step(state, jnp.broadcast_to(actions[i], (len(noise), 1, 4)), own).state
-
-    return jax.lax.fori_loop(0, count, one, WORLD.start(noise, own))
-
-
-def played(noise, actions, own):
-    """Four walkers after these actions, (t, 4), which are all one's; one program for all tests."""
-    padded = jnp.zeros((MOST, 4)).at[: len(actions)].set(actions)
-    return _played(jnp.asarray(noise, jnp.float32), padded, len(actions), own)
-
-
 def lucks(box2d, n):
     return np.random.default_rng(0).random((n, box2d.ROUGH + box2d.PATCHES + 1))
 
 
-# ---- the ground ------------------------------------------------------------------------------
+def poses(walkers):
+    """Centres, angles and speeds that Box2D's walkers have."""
+    bodies = [walker.bodies for walker in walkers]
+    centre = jnp.array([tuple(own[0].worldCenter) for own in bodies], jnp.float32)
+    angles = jnp.array([[body.angle for body in own] for own in bodies], jnp.float32)
+    moving = [[(*tuple(b.linearVelocity), b.angularVelocity) for b in own] for own in bodies]
+    return centre, angles, jnp.array(moving, jnp.float32)
 
 
-@pytest.mark.parametrize("scale", [3.0, 30.0, 300.0])
-def test_the_ground_is_box2d_s(box2d, scale):
+def test_the_ground_is_box2d_s(box2d):
+    heights = jax.jit(twin.heights)
     for luck in lucks(box2d, 3):
-        ours = twin.heights(jnp.asarray(luck[:-1], jnp.float32), jnp.float32(scale))
-        np.testing.assert_allclose(ours, box2d.heights(luck, scale), atol=1e-4)
-
-
-def test_ranges_of_level_ground_are_those_of_geometry():
-    level = jnp.full(twin.POINTS, twin.HEIGHT)
-    found = twin.ranges(level, jnp.array([20.0, twin.HEIGHT + 2.0]))
-    turns = 1.5 * np.arange(twin.RAYS) / twin.RAYS
-    np.testing.assert_allclose(found, np.minimum(2.0 / np.cos(turns) / twin.REACH, 1.0), atol=1e-5)
-
-
-# ---- the body --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("scale", [1.0, 30.0, 100.0])
-def test_the_inverse_is_that_of_the_mass_matrix(scale):
-    angles = jnp.array([0.1, 0.4, -0.5, -0.3, -1.0])
-    now = twin.body(jnp.array([5.0, 7.0]), angles, jnp.float32(scale))
-    each = np.stack([twin.speeds(now, jnp.eye(7)[i]) for i in range(7)])  # (7, 5, 3)
-    inertia = np.stack([now.masses, now.masses, now.moments], axis=1)
-    mass = np.einsum("iab,jab,ab->ij", each, each, inertia)
-    np.testing.assert_allclose(mass @ np.asarray(now.inverse), np.eye(7), atol=2e-3)
-
-
-def test_bodies_move_as_their_speeds_say():
-    centre, angles = jnp.array([5.0, 7.0]), jnp.array([0.1, 0.4, -0.5, -0.3, -1.0])
-    u, short = jnp.array([0.5, -1.0, 0.3, 1.0, -2.0, 0.7, 1.5]), 1e-2
-    ends = [
-        twin.body(centre + side * short * u[:2], angles + side * short * u[2:], jnp.float32(30.0))
-        for side in (-0.5, 0.5)
-    ]
-    now = twin.body(centre, angles, jnp.float32(30.0))
-    moved = (ends[1].centres - ends[0].centres).T / short
-    np.testing.assert_allclose(twin.speeds(now, u)[:, :2], moved, atol=2e-3)
+        for scale in (3.0, 30.0, 300.0):
+            ours = heights(jnp.asarray(luck[:-1], jnp.float32), jnp.float32(scale))
+            np.testing.assert_allclose(ours, box2d.heights(luck, scale), atol=1e-4)
 
 
 def test_sine_and_cosine_are_numpy_s():
@@ -105,162 +72,85 @@ def test_sine_and_cosine_are_numpy_s():
     np.testing.assert_allclose(found, [np.sin(exact), np.cos(exact)], atol=2e-7)
 
 
-def test_momentum_of_bodies_that_the_joints_hold_gives_their_motion_back():
-    now = twin.body(jnp.zeros(2), jnp.array([0.1, 0.4, -0.5, -0.3, -1.0]), jnp.float32(30.0))
-    u = jnp.array([0.5, -1.0, 0.3, 1.0, -2.0, 0.7, 1.5])
-    again = now.inverse @ twin.momentum(now, twin.speeds(now, u))
-    np.testing.assert_allclose(again, u, atol=1e-4)
-
-
-def test_masses_are_box2d_s(box2d):
-    walker = box2d.Walker(box2d.Constants(10.0, 2.5, 20.0), lucks(box2d, 1)[0])
-    now = twin.body(jnp.zeros(2), jnp.zeros(5), jnp.float32(20.0))
-    np.testing.assert_allclose(now.masses, [b.mass for b in walker.bodies], rtol=1e-5)
-    centre = walker.bodies[0].localCenter
-    np.testing.assert_allclose(twin.offset(jnp.float32(20.0)), tuple(centre), atol=1e-5)
-
-
-# ---- contacts --------------------------------------------------------------------------------
-
-PIECE = jnp.array([0.0, 0.0]), jnp.array([2.0, 0.0])
-
-
-def test_a_box_that_lies_in_the_ground_touches_with_both_ends():
-    lying = Box(jnp.array([1.0, 0.09]), jnp.float32(np.pi / 2), jnp.float32(0.2))
-    found = touch(lying, PIECE)
-    assert found.valid.all()
-    np.testing.assert_allclose(found.gaps, [-0.03, -0.03], atol=1e-5)
-    np.testing.assert_allclose(
-        sorted(found.points[0]), 1.0 + np.array([-1, 1]) * 17 / 30, atol=1e-4
-    )
-    np.testing.assert_allclose(found.normals, [[0.0, 0.0], [1.0, 1.0]], atol=1e-6)
-
-
-def test_a_box_beside_or_above_a_piece_does_not_touch_it():
-    lying = jnp.float32(np.pi / 2)
-    for x, y, far in ((1.0, 0.5, 0.4), (3.0, 0.0, 1.0 - 17 / 30)):
-        box = Box(jnp.array([x, y]), lying, jnp.float32(0.2))
-        assert not touch(box, PIECE).valid.any()
-        assert float(apart(box, PIECE)) == pytest.approx(far, abs=1e-5)
-
-
-# ---- the step --------------------------------------------------------------------------------
-
-
 def test_a_step_is_box2d_s(box2d):
-    """From Box2D's own states, under a gait with noise: without contact, and with."""
+    """From Box2D's own states, under a gait with noise: without contact, and with; and the view."""
     heuristics = pytest.importorskip("gymnasium.envs.box2d.bipedal_walker").BipedalWalkerHeuristics
-    step = jax.jit(
-        lambda state, action: moved(
-            state, jnp.sign(action) * twin.SPEEDS, twin.TORQUE * jnp.abs(action), params()
-        )
-    )
-    rng, off, on = np.random.default_rng(0), [], []
-    for luck in lucks(box2d, 3):
-        walker, gait = box2d.Walker(box2d.Constants(10.0, 2.5, 30.0), luck), heuristics()
+    rng, off, on, own = np.random.default_rng(0), [], [], params()
+    luck, gaits = lucks(box2d, N), [heuristics() for _ in range(N)]
+    walkers = [box2d.Walker(box2d.Constants(**NOMINAL), one) for one in luck]
+    for gait in gaits:
         gait.a = np.zeros(4)
-        heights = jnp.asarray(box2d.heights(luck, 30.0), jnp.float32)
-        seen, _, _ = box2d.advance([walker], np.zeros((1, 4), np.float32))
-        first, touching = jnp.zeros(4, jnp.int32), jnp.zeros((4, 4), bool)
-        for number in range(120):
-            action = gait.step_heuristic(seen[0]) + rng.normal(0.0, 0.3, 4)
-            action = np.clip(action, -1.0, 1.0).astype(np.float32)
-            state = WalkerState(*_pose(walker), heights, first, touching, jnp.zeros(2, bool))
-            new = step(state, jnp.asarray(action))
-            first, touching = new.first, new.touching
-            seen, _, over = box2d.advance([walker], action[None])
-            if over[0]:
-                break
-            if number > 2:  # before, Box2D's legs are not where its joints hold them
-                _, angles, moving = _pose(walker)
-                error = (np.abs(new.angles - angles).max(), np.abs(new.moving - moving).max())
-                (on if touching.any() else off).append(error)
-    assert (len(off), len(on)) > (30, 60)
-    off, on = np.array(off), np.array(on)
+    heights = jnp.asarray([box2d.heights(one, 30.0) for one in luck], jnp.float32)
+    seen, _, _ = box2d.advance(walkers, np.zeros((N, 4), np.float32))
+    first, touching = jnp.zeros((N, 4), jnp.int32), jnp.zeros((N, 4, 4), bool)
+    over = np.zeros(N, bool)
+    for number in range(60):
+        feet = jnp.array([[walker.contact[2], walker.contact[4]] for walker in walkers])
+        state = WalkerState(*poses(walkers), heights, first, touching, feet)
+        if number > 2:  # before, Box2D's legs are not where its joints hold them
+            np.testing.assert_allclose(OBSERVE(state, own)[~over], seen[~over], atol=2e-5)
+        gait = [one.step_heuristic(its) for one, its in zip(gaits, seen, strict=True)]
+        action = np.clip(gait + rng.normal(0.0, 0.3, (N, 4)), -1.0, 1.0).astype(np.float32)
+        new = STEP(state, jnp.asarray(action), own).state
+        first, touching = new.first, new.touching
+        seen, _, ended = box2d.advance(walkers, action)
+        over |= ended
+        _, angles, moving = poses(walkers)
+        error = np.stack([
+            np.abs(new.angles - angles).max(axis=1), np.abs(new.moving - moving).max(axis=(1, 2))
+        ], axis=1)  # fmt: skip
+        if number > 2:
+            stands = np.asarray(touching).any(axis=(1, 2))
+            off.extend(error[~stands & ~over])
+            on.extend(error[stands & ~over])
+    assert min(len(off), len(on)) > 60
     np.testing.assert_array_less(np.quantile(off, 0.8, axis=0), [0.01, 0.01])
     np.testing.assert_array_less(np.median(on, axis=0), [0.005, 0.01])
     np.testing.assert_array_less(np.quantile(on, 0.8, axis=0), [0.03, 0.5])
 
 
-def _pose(walker):
-    bodies = walker.bodies
-    centre = jnp.array(tuple(bodies[0].worldCenter), jnp.float32)
-    angles = jnp.array([body.angle for body in bodies], jnp.float32)
-    moving = [(*tuple(body.linearVelocity), body.angularVelocity) for body in bodies]
-    return centre, angles, jnp.array(moving, jnp.float32)
-
-
-# ---- the environment -------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("action", "own"),
-    [
+def test_the_first_action_does_what_it_does_in_box2d(box2d):
+    tried = [
         ((0, 0, 0, 0), {}),
         ((1, 1, 1, 1), {}),
         ((-1, 0.5, 1, -1), {}),
         ((1, -1, -1, 1), {"gravity": 2.0}),
         ((1, 1, 1, 1), {"friction": 0.1}),
         ((-1, -1, -1, -1), {"scale": 60.0}),
-    ],
-)
-def test_the_first_action_does_what_it_does_in_box2d(box2d, action, own):
-    noise = np.random.default_rng(0).random(2)
-    context = box2d.Constants(**{"gravity": 10.0, "friction": 2.5, "scale": 30.0, **own})
-    walker = box2d.Walker(context, box2d.luck(noise))
-    expected, _, _ = box2d.advance([walker], np.zeros((1, 4), np.float32))
-    state = INITIAL(jnp.asarray(noise, jnp.float32), params(**own))
-    seen = np.asarray(OBSERVE(state, params(**own)))
-    np.testing.assert_allclose(seen, expected[0], atol=0.02)
-    action = np.array(action, np.float32)
-    expected, reward, _ = box2d.advance([walker], action[None])
-    step = STEP(state, jnp.asarray(action), params(**own))
-    seen = np.asarray(OBSERVE(step.state, params(**own)))
-    np.testing.assert_allclose(seen, expected[0], atol=0.03)
-    assert float(step.reward) == pytest.approx(reward[0], abs=0.05)
+    ]
+    own = params(*(context for _, context in tried))
+    actions = np.array([action for action, _ in tried] + [tried[-1][0]] * 2, np.float32)
+    state = START(NOISE, own)
+    before, step = OBSERVE(state, own), STEP(state, jnp.asarray(actions), own)
+    after = OBSERVE(step.state, own)
+    for i, (_, context) in enumerate(tried):
+        walker = box2d.Walker(box2d.Constants(**{**NOMINAL, **context}), box2d.luck(NOISE[i]))
+        expected, _, _ = box2d.advance([walker], np.zeros((1, 4), np.float32))
+        np.testing.assert_allclose(before[i], expected[0], atol=0.02)
+        expected, reward, _ = box2d.advance([walker], actions[[i]])
+        np.testing.assert_allclose(after[i], expected[0], atol=0.03)
+        assert float(step.reward[i]) == pytest.approx(reward[0], abs=0.05)
 
 
-def test_unguided_it_stands_still_at_little_cost():
-    noise = np.random.default_rng(0).random((4, 2))
-    end = played(noise, jnp.tile(jnp.array(ENV.idle), (MOST, 1)), params(n=4))
-    assert end.alive.all()
-    assert ((np.asarray(end.total) > -20.0) & (np.asarray(end.total) < 0.0)).all()
-
-
-def test_a_walker_that_falls_loses_a_hundred_and_the_episode():
-    noise = np.random.default_rng(0).random((4, 2))
-    end = played(noise, jnp.ones((250, 4)), params(n=4))
-    assert not end.alive.any()
-    assert (np.asarray(end.total) < -80.0).all()
+def test_unguided_it_stands_still_at_little_cost_and_one_that_falls_loses_a_hundred():
+    _, alive, total = played([ENV.idle] * 300, params())
+    assert alive.all()
+    assert ((total > -6.0) & (total < 2.0)).all()
+    _, alive, total = played(np.ones((250, 4)), params())
+    assert not alive.any()
+    assert (total < -80.0).all()
 
 
 def test_every_axis_changes_what_happens():
-    noise = np.tile(np.random.default_rng(0).random(2), (4, 1))
-    walk = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (60, 4)), jnp.float32)
-    others = ({}, {"gravity": 5.0}, {"friction": 0.1}, {"scale": 20.0})
-    own = jax.tree.map(lambda *x: jnp.stack(x), *(params(**other) for other in others))
-    angles = np.asarray(played(noise, walk, own).env.angles)
+    walk = np.random.default_rng(1).uniform(-1, 1, (60, 4))
+    own = params({}, {"gravity": 5.0}, {"friction": 0.1}, {"scale": 20.0})
+    angles = np.asarray(played(walk, own, NOISE[[0] * N])[0].angles)
     assert (np.abs(angles[1:] - angles[0]).max(axis=1) > 0.05).all()
 
 
-def test_an_action_that_is_no_number_ends_the_episode():
-    state = INITIAL(jnp.array([0.3, 0.4]), params())
-    assert bool(STEP(state, jnp.array([jnp.nan, 0.0, 0.0, 0.0]), params()).terminated)
-
-
-def test_a_large_hull_lies_on_the_ground_at_once():
-    state = INITIAL(jnp.array([0.3, 0.4]), params(scale=1.0))
-    step = STEP(state, jnp.zeros(4), params(scale=1.0))
-    assert (bool(step.terminated), float(step.reward)) == (True, -100.0)
-
-
-def test_it_shows_what_box2d_s_environment_shows(box2d):
-    walker = box2d.Walker(box2d.Constants(10.0, 2.5, 30.0), lucks(box2d, 1)[0])
-    for _ in range(3):
-        expected, _, _ = box2d.advance([walker], np.zeros((1, 4), np.float32))
-    heights = jnp.asarray(walker.ground[1], jnp.float32)
-    heights = jnp.append(heights, heights[-1])
-    feet = jnp.array([walker.contact[2], walker.contact[4]])
-    none = jnp.zeros(4, jnp.int32), jnp.zeros((4, 4), bool)
-    seen = OBSERVE(WalkerState(*_pose(walker), heights, *none, feet), params())
-    np.testing.assert_allclose(seen, expected[0], atol=2e-5)
+def test_an_episode_ends_with_an_action_that_is_no_number_or_a_hull_that_lies_on_the_ground():
+    own = params({}, {}, {"scale": 1.0})
+    action = jnp.zeros((N, 4)).at[1, 0].set(jnp.nan)
+    step = STEP(START(NOISE, own), action, own)
+    assert step.terminated[:3].tolist() == [False, True, True]
+    assert float(step.reward[2]) == -100.0
