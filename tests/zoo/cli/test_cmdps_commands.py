@@ -45,14 +45,6 @@ def own(tmp_path, monkeypatch):
     sys.modules.pop("own_cli_problem", None)
 
 
-def test_the_list_names_all_six_with_axis_and_nominal(run):
-    result = run("cmdps")
-    assert result.exit_code == 0
-    [line] = [line for line in result.stdout.splitlines() if line.startswith("pendulum-timestep")]
-    fields = ["timestep", "0.005..0.5", "s", "100", "0.05", "200", "-2200..-500"]
-    assert line.split() == ["pendulum-timestep", *fields]
-
-
 def test_the_list_fits_80_columns(run):
     lines = run("cmdps", columns=80).stdout.splitlines()
     assert max(map(len, lines)) <= 80
@@ -61,6 +53,9 @@ def test_the_list_fits_80_columns(run):
 
 def test_the_list_gives_each_axis_a_line(run):
     lines = run("cmdps").stdout.splitlines()
+    [line] = [line for line in lines if line.startswith("pendulum-timestep")]
+    fields = ["timestep", "0.005..0.5", "s", "100", "0.05", "200", "-2200..-500"]
+    assert line.split() == ["pendulum-timestep", *fields]
     [first] = [i for i, line in enumerate(lines) if line.startswith("cartpole-masses-length")]
     shown = [line.split() for line in lines[first : first + 3]]
     assert shown[0][1:6] == ["masspole", "0.02..0.2", "kg", "900", "0.1"]
@@ -75,14 +70,9 @@ def test_json_is_one_document(run):
     assert one["presets"]["paper"]["trainer"]["timesteps"] == 5_000_000
 
 
-def test_one_cmdp_with_its_presets(run):
-    text = run("cmdps", "pendulum-mass").stdout
-    assert "(default): K = " in text
-    assert "preset paper" in text
-
-
 def test_presets_of_every_engine_are_shown(run):
     text = run("cmdps", "ring-acc").stdout
+    assert "(default): K = " in text
     sumo = get_cmdp("ring-acc", engine="sumo").presets
     assert all(f"preset {name} with --engine sumo: K = " in text for name in sumo)
     signal = run("cmdps", "signal-speed").stdout
@@ -90,14 +80,6 @@ def test_presets_of_every_engine_are_shown(run):
     assert signal.count("with --engine sumo-jax") == 1
     one = json.loads(run("cmdps", "ring-acc", "--json").stdout)
     assert one["presets_elsewhere"]["sumo"]["quick"]["budget"] == sumo["quick"].budget
-
-
-def test_check_passes_ours(run):
-    result = run("check", "cartpole-length", "--json")
-    assert result.exit_code == 0
-    document = json.loads(result.stdout)
-    assert document["ok"] is True
-    assert document["target"] == "cartpole-length"
 
 
 def test_check_fails_a_dead_axis_after_showing_the_report(run):

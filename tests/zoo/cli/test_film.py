@@ -69,14 +69,7 @@ def test_a_simulator_without_cars_says_the_return_so_far():
     assert words(take, 3.0)[:2] == ["return so far 6", "return 3.25"]
 
 
-def test_both_halves_show_the_same_moment_though_one_decides_more_often():
-    often, seldom = watched(12, seconds=5.0), watched(4, seconds=15.0)
-    for moment in (0.0, 29.0, 31.0, 60.0):
-        assert words(often, moment)[0] == words(seldom, moment)[0]
-    assert words(often, 31.0)[1] == "mean speed now 6.0 m/s"
-    assert words(seldom, 31.0)[1] == "mean speed now 2.0 m/s"
-
-
+@pytest.mark.long
 def test_a_long_episode_is_a_film_of_thirty_seconds(tmp_path):
     take, told = watched(2000, shape=(4, 5)), []
     assert len(take.pictures) < 600  # as many as that are never held
@@ -122,26 +115,16 @@ def test_every_family_that_is_drawn_makes_a_film(mbtl_command, tmp_path, id):
         assert not np.array_equal(first, np.asarray(film.convert("RGB")))
 
 
-def test_whoever_waits_for_a_film_is_told_where_it_is():
-    told = []
-    take = Watched(Road(last=1), True, told.append)
-    for seed in range(2):
-        take.reset(seed=seed)
-        take.step(0)
-    assert len(take.pictures) == 2  # of the first episode
-    assert told == [f"episode {e}, decision {d}" for e in (1, 2) for d in (0, 1)]
-
-
-@pytest.mark.long
 def test_what_is_played_are_the_episodes_in_which_a_study_evaluates(mbtl_command, tmp_path):
     pytest.importorskip("stable_baselines3")
     from mbtl.portfolio import load_portfolio
 
-    few = ("--budget", "1", "--timesteps", "64", "--eval-episodes", "2", "--no-report")
-    run = ("run", "pendulum-length", "--engine", "gymnasium", *few, "--study", "a")
+    few = ("--budget", "1", "--timesteps", "64", "--eval-episodes", "2", "--eval-targets", "10")
+    run = ("run", "pendulum-length", "--engine", "gymnasium", *few, "--no-report", "--study", "a")
     assert mbtl_command(*run, "--seed", "3")[0] == 0
-    folder, place = tmp_path / "a" / "portfolio", 7
+    folder = tmp_path / "a" / "portfolio"
     portfolio = load_portfolio(folder, trust=True)
+    place = int(np.flatnonzero(np.isfinite(portfolio.returns[0]))[0])
     at = f"length={portfolio.space.context(place)['length']!r}"
     play = ("play", folder, "--trust", "--at", at, "--episodes", "2", "--json")
     worth = {}
@@ -150,4 +133,4 @@ def test_what_is_played_are_the_episodes_in_which_a_study_evaluates(mbtl_command
         assert code == 0
         worth[seed] = np.mean(json.loads(out)["scores"])
     assert worth["3"] == pytest.approx(portfolio.returns[0, place], rel=1e-5)
-    assert worth["4"] != pytest.approx(portfolio.returns[0, place], rel=1e-2)
+    assert worth["4"] != pytest.approx(portfolio.returns[0, place], rel=1e-4)

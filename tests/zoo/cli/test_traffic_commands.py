@@ -27,6 +27,7 @@ def ring(mbtl_command, tmp_path):
     return tmp_path / "a" / "portfolio"
 
 
+@pytest.mark.long
 def test_a_ring_is_run_in_the_twin_and_its_policy_played_in_sumo(mbtl_command, ring, tmp_path):
     portfolio = load_portfolio(ring)
     assert np.isfinite(portfolio.returns).all()
@@ -51,24 +52,17 @@ def test_a_ring_is_run_in_the_twin_and_its_policy_played_in_sumo(mbtl_command, r
 
 
 @pytest.mark.long
-def test_a_signal_is_run_in_sumo(mbtl_command, tmp_path):
+@pytest.mark.parametrize(
+    ("id", "more"), [("signal-inflow", ("--engine", "sumo")), ("eco-green", ())]
+)
+def test_other_traffic_is_run_in_sumo_and_in_the_twin(mbtl_command, tmp_path, id, more):
     few = (*TINY, "--episodes", "1", "--eval-targets", "2", "--no-report", "--study", "b")
-    code, out, _ = mbtl_command("run", "signal-inflow", "--engine", "sumo", *few)
+    code, out, _ = mbtl_command("run", id, *more, *few)
     assert code == 0
     assert "The study is finished" in out
     returns = load_portfolio(tmp_path / "b" / "portfolio").returns
-    assert np.isfinite(returns).any()
-    assert (returns[np.isfinite(returns)] <= 0.0).all()
-
-
-@pytest.mark.long
-def test_eco_driving_is_run_in_the_twin(mbtl_command, tmp_path):
-    code, out, _ = mbtl_command("run", "eco-green", *TINY, "--episodes", "2", "--study", "c")
-    assert code == 0
-    assert "The study is finished" in out
-    returns = load_portfolio(tmp_path / "c" / "portfolio").returns
-    assert returns.shape == (1, 50)
-    assert (returns > 0.0).all()
+    told = returns[np.isfinite(returns)]
+    assert (len(told), (told <= 0.0).all()) == (2, id.startswith("signal"))
 
 
 def test_an_episode_whose_score_is_known_is_watched_to_its_end():
