@@ -1,25 +1,14 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("libsumo")
-pytest.importorskip("pettingzoo")
-
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
 from mbtl.zoo.cmdps.traffic import eco
-from mbtl.zoo.cmdps.traffic.eco import ABSENT, LAYOUT, SIZE, Eco, Trip
+from mbtl.zoo.cmdps.traffic.eco import ABSENT, LAYOUT, Eco, Trip
 
 
 @pytest.fixture
-def make():
-    made = []
-
-    def make(context=None, **options):
-        made.append(Eco(context, **options))
-        return made[-1]
-
-    yield make
-    for env in made:
-        env.close()
+def make(opened):
+    return lambda context=None, **options: opened(Eco(context, **options))
 
 
 def unguided(env, seed=0):
@@ -45,13 +34,6 @@ def part(observation, name):
 
 
 # ---- closed form -------------------------------------------------------------------------------
-
-
-def test_the_layout_fills_the_observation_without_holes():
-    places = [(part.start, part.stop) for part in LAYOUT.values()]
-    assert places[0][0] == 0
-    assert [start for start, _ in places[1:]] == [stop for _, stop in places[:-1]]
-    assert places[-1][1] == SIZE == 39
 
 
 def test_the_reward_pays_for_speed_and_charges_for_crawling_and_emissions():
@@ -84,34 +66,6 @@ def test_traffic_without_control_is_slower_with_little_green_and_many_cars(make)
         assert jam["stops"] > nominal["stops"]
         assert jam["not_inserted"] > 0
     assert starved["throughput"] < 60 < nominal["throughput"] < crowded["throughput"]
-
-
-def glide(observation):
-    """Acceleration of a car that wants to reach the stop line as green begins."""
-    speed, distance = part(observation, "speed")[0] * 15, part(observation, "distance")[0] * 250
-    soon, later, _ = part(observation, "changes") * 100
-    green = part(observation, "phase")[0] == 1
-    if distance <= 0 or (green and distance / 14 < soon - 1):
-        return 10.0
-    return (max(1.2, distance / max(later if green else soon, 0.5)) - speed) / 0.5
-
-
-def test_cars_that_glide_do_not_stop_and_earn_more(make):
-    def drive(policy):
-        env = make({"penetration": 1.0})
-        observations, _ = env.reset(seed=0)
-        total = 0.0
-        while env.agents:
-            actions = {car: policy(observations[car]) for car in env.agents} if policy else {}
-            observations, rewards, *_ = env.step(actions)
-            total += sum(rewards.values())
-        return total / len(env.possible_agents), env.summary
-
-    (free, by_themselves), (careful, gliding) = drive(None), drive(glide)
-    assert by_themselves["stops"] > 0.2
-    assert gliding["stops"] < 0.05
-    assert careful > free + 20  # measured: 39 against -2 per car
-    assert gliding["trip_speed"] == pytest.approx(by_themselves["trip_speed"], rel=0.05)
 
 
 def test_a_jam_beats_free_traffic_by_the_paper_s_score_and_never_by_the_default_one(make):
@@ -180,8 +134,8 @@ def test_agents_are_the_controlled_cars_in_the_region_and_are_terminated_as_they
     assert left > 5
 
 
-@pytest.mark.parametrize("acceleration", [-3.0, -1.0, 0.0])
-def test_a_car_follows_its_command_for_one_step(make, acceleration):
+@pytest.mark.parametrize(("told", "done"), [(-20.0, -4.5), (-1.0, -1.0), (0.0, 0.0)])
+def test_a_car_follows_its_command_for_one_step_within_its_limits(make, told, done):
     env = make({"penetration": 1.0, "inflow": 100.0})
     env.reset(seed=0)
     speed = env.simulation.api.vehicle.getSpeed
@@ -189,26 +143,11 @@ def test_a_car_follows_its_command_for_one_step(make, acceleration):
         env.step({})
     car = env.agents[0]
     before = speed(car)
-    env.step({car: np.array([acceleration])})
-    assert speed(car) == pytest.approx(before + 0.5 * acceleration, abs=1e-6)
+    env.step({car: np.array([told])})
+    assert speed(car) == pytest.approx(before + 0.5 * done, abs=1e-6)
     env.step({})
     if before < 13.9:
-        assert speed(car) > before + 0.5 * acceleration  # by itself it drives faster again
-
-
-def test_no_command_is_harder_than_the_car_or_faster_than_the_road(make):
-    env = make({"penetration": 1.0, "inflow": 100.0})
-    env.reset(seed=0)
-    car = env.agents[0]
-    speed = env.simulation.api.vehicle.getSpeed
-    before = speed(car)
-    env.step({car: np.array([-20.0])})
-    assert speed(car) == pytest.approx(before - 0.5 * 4.5)
-    for _ in range(60):
-        if car not in env.agents:
-            break
-        env.step({car: np.array([10.0])})
-        assert car not in env.agents or speed(car) <= 14.0 + 1e-9
+        assert speed(car) > before + 0.5 * done  # by itself it drives faster again
 
 
 def test_the_observation_shows_the_car_its_signal_and_its_neighbours(make):
@@ -255,37 +194,6 @@ def test_the_observation_shows_the_car_its_signal_and_its_neighbours(make):
 # ---- contexts ----------------------------------------------------------------------------------
 
 
-def test_what_the_policy_sees_of_the_context(make):
-    def tail(context, visibility):
-        env = make(context, visibility=visibility)
-        observations, _ = env.reset(seed=0)
-        env.close()
-        (first, *_) = observations.values()
-        return first[SIZE:].tolist()
-
-    assert tail({"green": 7.0}, "hidden") == []
-    assert tail({"green": 7.0}, "multiplier") == pytest.approx([0.2])
-    assert tail({"inflow": 800.0}, "multiplier") == pytest.approx([2.0])
-    raw = tail({"green": 7.0}, "raw")
-    assert raw == pytest.approx([0.2, 1.0, 14 / 15, 7.0, 35.0])
-    assert SIZE + len(raw) == 44
-
-
-@pytest.mark.parametrize(
-    "context",
-    [{"penetration": 0.6}, {"inflow": 800.0}, {"green": 10.0}],
-    ids=lambda c: next(iter(c)),
-)
-def test_every_axis_changes_the_traffic(make, context):
-    def summary(context):
-        env = make(context, horizon=300)
-        result = unguided(env)
-        env.close()
-        return result
-
-    assert summary(context) != summary(None)
-
-
 def test_the_same_seed_gives_the_same_rollout_and_contexts_do_not_leak(make):
     env = make()
     one, two, other = rollout(env), rollout(env), rollout(env, seed=1)
@@ -311,31 +219,3 @@ def test_contexts_that_make_no_sense_are_refused(make):
     env.reset(seed=0)
     with pytest.raises(InvalidInput, match="finite"):
         env.step(dict.fromkeys(env.agents, np.array([np.nan])))
-
-
-def test_traci_and_libsumo_give_the_same_traffic(make):
-    pytest.importorskip("traci")
-    fast = make(horizon=60)
-    expected = rollout(fast, steps=10)
-    fast.close()
-    assert rollout(make(horizon=60, engine="traci"), steps=10) == expected
-
-
-def test_a_picture_shows_the_region(make):
-    env = make(render_mode="rgb_array")
-    env.reset(seed=0)
-    before = env.render()
-    for _ in range(5):
-        env.step({})
-    assert before.shape[1] > before.shape[0]
-    assert (env.render() != before).any()
-
-
-# it also expects every possible agent to have lived; the last ones never enter
-@pytest.mark.filterwarnings("ignore:No agents present")
-def test_the_parallel_interface_is_pettingzoos(make):
-    from pettingzoo.test import parallel_api_test
-
-    # many cars, so that no episode is without agents: the test has no notion of that
-    env = make({"penetration": 1.0, "inflow": 1000.0}, horizon=100)
-    parallel_api_test(env, num_cycles=200)

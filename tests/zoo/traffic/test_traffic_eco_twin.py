@@ -1,18 +1,13 @@
-"""The eco-driving twin is SUMO step for step with the same cars, in distribution with its own."""
+"""The eco-driving twin is SUMO step for step with the same cars."""
 
 from dataclasses import dataclass, replace
 from functools import partial
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-pytest.importorskip("libsumo", reason="the traffic extra is not installed")
-pytest.importorskip("jax", reason="the jax extra is not installed")
-
-import jax
-import jax.numpy as jnp
-
-import mbtl.engine.learners as engine
 from mbtl.problems import get_cmdp
 from mbtl.zoo.cmdps.traffic import eco
 from mbtl.zoo.cmdps.traffic.eco import FEEDERS, STARTS
@@ -36,17 +31,6 @@ def step(twin, state, actions, params):
 @partial(jax.jit, static_argnums=0)
 def observe(twin, state, params):
     return twin.observe(state, params)
-
-
-@pytest.mark.parametrize(("id", "shown"), [("eco-inflow", 0), ("eco-green", 1)])
-def test_the_inflow_is_hidden_in_both_simulators_as_in_the_reference(id, shown):
-    (axis,) = get_cmdp(id).space.axes
-    env = get_cmdp(id, engine="sumo").make_env({axis.name: axis.high})
-    assert env.observation_space("").shape == (eco.SIZE + shown,)
-    env.close()
-    twin, params = get_cmdp(id, engine="jax").trainer.problem([{axis.name: axis.high}])
-    params = engine.context_of(params, 0)
-    assert (twin.n_features, *params.visible.shape) == (eco.SIZE, shown)
 
 
 @dataclass(frozen=True)
@@ -118,7 +102,7 @@ def test_with_the_same_cars_every_step_is_as_in_sumo(context, monkeypatch):
     original = eco.population
     monkeypatch.setattr(eco, "population", lambda *args: drawn.append(original(*args)) or drawn[-1])
     monkeypatch.setattr(eco.Eco, "_wait", lambda *_: None)  # compare without agents too
-    env = eco.Eco(context, visibility="hidden", horizon=600)
+    env = eco.Eco(context, visibility="hidden", horizon=240)
     twin, (params,) = EcoProblem()([context])
     actions = np.zeros((1, twin.agents, 1), np.float32)
     rng = np.random.default_rng(0)
@@ -154,7 +138,7 @@ def test_with_the_same_cars_every_step_is_as_in_sumo(context, monkeypatch):
                 assert float(moved.reward[0, place]) == pytest.approx(rewards[car], abs=0.01)
                 assert bool(moved.done[0, place]) == ended[car] or env._left == 0
         assert wrong <= moves // 10_000, (wrong, moves)
-        assert moves > 4000
+        assert moves > 1500
         measures = {name: float(value[0]) for name, value in twin.measures(state).items()}
         assert measures["completed"] > 0
         assert measures == pytest.approx({name: env.summary[name] for name in measures}, rel=1e-3)
@@ -162,48 +146,6 @@ def test_with_the_same_cars_every_step_is_as_in_sumo(context, monkeypatch):
             assert float(replace(twin, scored=score).score(state)[0]) == measures[measure]
     finally:
         env.close()
-
-
-@partial(jax.jit, static_argnums=0)
-def unguided(twin, seeds, params):
-    state = twin.start(seeds, params)
-    state = jax.lax.fori_loop(
-        0, twin.horizon, lambda _, state: twin.drive(state, params).state, state
-    )
-    return twin.measures(state)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("context", [{}, {"inflow": 1600.0}, {"green": 5.0}], ids=str)
-def test_unguided_traffic_is_distributed_as_in_sumo(context):
-    env = eco.Eco(context)
-    measures = []
-    for seed in range(8):
-        env.reset(seed=seed)
-        while env.agents:
-            env.step({})
-        measures.append(env.summary)
-    env.close()
-    twin, (params,) = EcoProblem()([context])
-    found = unguided(twin, jnp.arange(64, dtype=jnp.uint32), params)
-    for name in ("mean_speed", "trip_speed", "co2", "stops", "throughput"):
-        sumo, ours = np.array([m[name] for m in measures]), np.asarray(found[name])
-        error = np.hypot(sumo.std(ddof=1) / np.sqrt(len(sumo)), ours.std() / np.sqrt(len(ours)))
-        assert abs(sumo.mean() - ours.mean()) < 4 * error, name
-
-
-@pytest.mark.long
-def test_what_stands_beside_the_score_is_of_the_episodes_that_are_scored():
-    trainer = get_cmdp("eco-green", engine="jax").trainer_for("quick", eval_episodes=2)
-    contexts = [{"green": 16.0}, {"green": 35.0}, {"green": 50.0}]
-    policy = trainer.untrained(contexts[0])
-    found = trainer.beside([policy, policy], [contexts[:1], contexts[1:]], [3, 5, 7])
-    scores = trainer.evaluate(policy, contexts, [3, 5, 7])
-    np.testing.assert_array_equal(found["policies"]["score"], scores)
-    np.testing.assert_array_equal(found["policies"]["mean_speed"], scores)
-    alone = trainer.reference_rows(contexts, [3, 5, 7])["unguided"]
-    np.testing.assert_array_equal(found["unguided"]["score"], alone)
-    assert (found["unguided"]["throughput"] > 100.0).all()
 
 
 @pytest.mark.long

@@ -1,25 +1,14 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("libsumo")
-pytest.importorskip("pettingzoo")
-
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
 from mbtl.zoo.cmdps.traffic import advisory
 from mbtl.zoo.cmdps.traffic.ramp import Ramp, RampAcc, RampVel
 
 
 @pytest.fixture
-def make():
-    made = []
-
-    def make(kind=RampVel, hold=10.0, **options):
-        made.append(kind({"hold": hold}, **options))
-        return made[-1]
-
-    yield make
-    for env in made:
-        env.close()
+def make(opened):
+    return lambda kind=RampVel, hold=10.0, **options: opened(kind({"hold": hold}, **options))
 
 
 def rollout(env, level, seed=0, steps=8):
@@ -48,28 +37,19 @@ def test_one_car_in_ten_that_enter_the_main_road_is_advised(make):
     assert 0 < len(env.agents) <= env.most_agents
 
 
-def test_nobody_leaves_the_lane_for_one_who_crawls(make):
-    env = make(hold=1.0)
-    env.reset(seed=0)
-    vehicle = env.simulation.api.vehicle
-    lanes = set()
-    for _ in range(60):
-        env.step(dict.fromkeys(env.agents, 0))
-        for car in vehicle.getIDList():
-            if vehicle.getRoadID(car) == "merge":
-                lanes.add((car.startswith("main"), vehicle.getLaneIndex(car)))
-    assert lanes == {(True, 1), (False, 0)}
-
-
 def test_unguided_traffic_is_slow_and_an_episode_ends_after_the_measured_part(make):
     env = make(hold=40.0)
     env.reset(seed=0)
+    steps = advisory.hold_steps(40.0)
     for decision in range(10):
-        agents = set(env.agents)
+        agents, before = set(env.agents), set(env.simulation.api.vehicle.getIDList())
         observations, rewards, terminated, truncated, infos = env.step({})
         assert agents <= set(rewards) == set(observations)
         assert len({rewards[car] for car in agents}) == 1  # one reward for all
         last = decision == 9
+        if not last:  # some enter and leave within the hold
+            left = before - set(env.simulation.api.vehicle.getIDList())
+            assert 0 <= next(iter(rewards.values())) * steps - len(left) < 4
         assert all(terminated[car] or truncated[car] for car in rewards) == last
     assert env.agents == []
     info = next(iter(infos.values()))
@@ -111,31 +91,6 @@ def test_each_car_that_collides_costs_fifty_and_stands_wherever_it_is(make, monk
     env.step({})
     expected = sum(sum(speeds) / (len(speeds) + collided) for speeds in seen)
     assert env._means - before == pytest.approx(expected)
-
-
-def test_the_reward_counts_the_cars_that_leave(make):
-    env = make(hold=20.0)
-    env.reset(seed=1)
-    before = set(env.simulation.api.vehicle.getIDList())
-    rewards = env.step({})[1]
-    left = before - set(env.simulation.api.vehicle.getIDList())
-    steps = advisory.hold_steps(20.0)
-    # cars that enter take longer than the hold to reach the end
-    assert next(iter(rewards.values())) == pytest.approx(len(left) / steps)
-    assert left
-
-
-def test_an_agent_that_leaves_is_terminated_and_a_new_one_waits_for_its_turn(make):
-    env = make(hold=10.0)
-    env.reset(seed=0)
-    first, gone = set(env.agents), set()
-    for _ in range(8):
-        acting = set(env.agents)
-        _, rewards, terminated, _, _ = env.step({})
-        assert {car for car in acting if terminated[car]} == acting - set(env.agents)
-        assert all(rewards[car] == 0.0 for car in set(env.agents) - acting)
-        gone |= acting - set(env.agents)
-    assert first & gone
 
 
 def test_the_observation_shows_the_cars_around(make):
@@ -191,11 +146,3 @@ def test_settings_are_checked(make):
     env.reset(seed=0)
     with pytest.raises(InvalidInput, match="0 to 9"):
         env.step(dict.fromkeys(env.agents, 10))
-
-
-# it also expects every possible agent to have lived; the last ones never enter
-@pytest.mark.filterwarnings("ignore:No agents present")
-def test_the_parallel_interface_is_pettingzoos(make):
-    from pettingzoo.test import parallel_api_test
-
-    parallel_api_test(make(hold=40.0), num_cycles=12)

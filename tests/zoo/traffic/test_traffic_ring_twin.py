@@ -1,17 +1,10 @@
-"""The ring's twin is SUMO step for step without noise, and in distribution with it."""
+"""The ring's twin is SUMO step for step without noise."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-pytest.importorskip("libsumo", reason="the traffic extra is not installed")
-pytest.importorskip("jax", reason="the jax extra is not installed")
-
-import mbtl.engine.learners as engine  # noqa: F401  isort: skip  # before jax: it sets jax's flags
-import jax
-import jax.numpy as jnp
-
-from mbtl.engine.learners.episodic import episodes
-from mbtl.problems import get_cmdp
 from mbtl.zoo.cmdps.traffic import ring
 from mbtl.zoo.cmdps.traffic.twins import RingProblem
 
@@ -57,7 +50,7 @@ def test_without_noise_every_decision_ends_as_in_sumo(actions):
         first, _ = env.reset(seed=3)
         state = same_state(twin, params, env)
         np.testing.assert_allclose(twin.observe(state, params).obs[0, 0], first, atol=1e-6)
-        for _ in range(40):
+        for _ in range(20):
             # large gaps are left out: SUMO sees no leader across the seam of its two edges then
             action = rng.uniform(-1, 1) if actions == "acceleration" else rng.integers(3, 6)
             seen, reward, ended, *_ = env.step(np.float32([action]) if "acc" in actions else action)
@@ -69,58 +62,3 @@ def test_without_noise_every_decision_ends_as_in_sumo(actions):
             np.testing.assert_allclose(state.gap[:, 0], snapshot(env)[0], atol=0.05)
     finally:
         env.close()
-
-
-@pytest.mark.long
-def test_a_car_that_is_told_to_hurry_follows_closely_and_hits_nobody():
-    env = ring.RingAcc({"hold": 1.0}, noise=0.0, visibility="hidden")
-    twin, (params,) = RingProblem("acceleration", noise=0.0)([{"hold": 1.0}])
-    step = jax.jit(twin.step)
-    try:
-        env.reset(seed=3)
-        state = same_state(twin, params, env)
-        for _ in range(399):
-            _, reward, ended, *_ = env.step(np.ones(1, np.float32))
-            moved = step(state, jnp.ones((1, 1)), params)
-            state = moved.state
-            assert not ended
-            assert not bool(moved.done[0, 0])
-            assert float(moved.reward[0, 0]) == pytest.approx(reward, abs=0.05)
-    finally:
-        env.close()
-
-
-@pytest.mark.long
-def test_unguided_traffic_flows_as_in_sumo():
-    env = ring.RingAcc({"hold": 40.0})
-    scores = []
-    for seed in range(8):
-        env.reset(seed=seed)
-        ended = False
-        while not ended:
-            _, _, terminated, truncated, info = env.drive()
-            ended = terminated or truncated
-        scores.append(info["score"])
-    twin, (params,) = RingProblem("acceleration")([{"hold": 40.0}])
-    seeds = np.arange(200, dtype=np.uint32)[None]
-    found = np.asarray(
-        episodes.measures(
-            twin, "tanh", "none", episodes.Actor((), jnp.zeros((1, 1))), seeds, seeds, params, 10
-        )["score"]
-    )
-    error = np.hypot(np.std(scores, ddof=1) / np.sqrt(len(scores)), found.std() / np.sqrt(200))
-    assert abs(np.mean(scores) - found.mean()) < 4 * error
-
-
-def test_a_policy_of_the_twin_drives_in_sumo():
-    twin = get_cmdp("ring-vel", engine="jax")
-    policy = twin.trainer_for("quick", episodes=2).train([{"hold": 40.0}], seed=0).policy
-    env = twin.make_env({"hold": 40.0})
-    observation, _ = env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    ended = False
-    while not ended:
-        action, _ = policy.predict(observation, deterministic=False, rng=rng)
-        observation, _, terminated, truncated, info = env.step(action)
-        ended = terminated or truncated
-    assert info["score"] > 1.0

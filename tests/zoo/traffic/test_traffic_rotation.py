@@ -2,10 +2,6 @@
 
 import numpy as np
 import pytest
-
-pytest.importorskip("libsumo")
-pytest.importorskip("stable_baselines3")
-
 import torch
 
 from mbtl.zoo.cmdps.traffic.rotation import RotatedReplay, turned, turned_phase

@@ -3,14 +3,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-pytest.importorskip("libsumo")
-
-from mbtl.contexts import ContextSpace, Linear
-from mbtl.envs.rollout import Actor, Job, play
 from mbtl.errors import ContextMismatch, InvalidInput, UnknownName
-from mbtl.portfolio.mlp import DiscreteHead, MLPPolicy
-from mbtl.problems import check_cmdp, get_cmdp
-from mbtl.zoo.cmdps.engines import EnvFactory
+from mbtl.problems import get_cmdp
 from mbtl.zoo.cmdps.traffic import signal
 from mbtl.zoo.cmdps.traffic.signal import CELLS, SCORES, Signal, cell_of
 
@@ -18,16 +12,8 @@ FIXED_TIME = (0, 0, 0, 1, 2, 2, 2, 3)  # 30 s for the through traffic, 10 s for 
 
 
 @pytest.fixture
-def make():
-    made = []
-
-    def make(context=None, **options):
-        made.append(Signal(context, **options))
-        return made[-1]
-
-    yield make
-    for env in made:
-        env.close()
+def make(opened):
+    return lambda context=None, **options: opened(Signal(context, **options))
 
 
 def episode(env, phases, seed=0):
@@ -60,13 +46,6 @@ def test_departures_fill_the_episode_with_whole_seconds(n):
     assert times[-1] <= 5400
 
 
-def test_demand_rises_to_a_peak_before_the_middle_and_falls():
-    times = signal.departures(np.random.default_rng(0), 20_000, 5400)
-    counts, _ = np.histogram(times, bins=9, range=(0, 5400))
-    assert counts.argmax() in (1, 2, 3)
-    assert counts[-1] < 0.1 * counts.max()
-
-
 def test_the_two_modes_of_demand_are_as_probable_as_they_are_said_to_be():
     largest = np.random.default_rng(1).weibull(signal.SHAPE, (2000, 1000)).max(axis=1)
     assert signal.crowded_share(1000) == pytest.approx(0.1161, abs=1e-4)
@@ -85,32 +64,19 @@ def test_the_two_modes_of_demand_are_as_probable_as_they_are_said_to_be():
         assert mean == pytest.approx(0.886 / (4 if crowded else 3), rel=0.03)
 
 
-def test_an_evaluation_plays_both_modes_and_an_episode_only_the_one_it_is_told(make):
+def test_an_episode_plays_the_mode_that_it_is_told(make):
     env = make({"inflow": 2500.0})
     assert sum(env.strata) == pytest.approx(1.0)
     assert env.strata[1] == pytest.approx(0.2654, abs=1e-4)
     with pytest.raises(InvalidInput, match="stratum is 0"):
         env.reset(seed=0, options={"stratum": 2})
-    alone = []
+    delays = []
     for stratum in (0, 1):
-        env = make({"inflow": 60.0})
         env.reset(seed=3, options={"stratum": stratum})
-        while True:
-            *_, terminated, truncated, info = env.step(0)
-            if terminated or truncated or "final_score" in info:
-                alone.append(info.get("final_score", info.get("score")))
-                break
-    policy = MLPPolicy(
-        (np.zeros((4, 80), np.float32),), (np.array([1.0, 0, 0, 0], np.float32),),
-        "tanh", (80,), DiscreteHead((4,)),
-    )  # fmt: skip
-    (worth,) = play(
-        [Job(lambda: make({"inflow": 60.0}), [3], get_cmdp("signal-inflow").score)],
-        Actor(policy),
-        max_envs=1,
-        keep_open=True,
-    )
-    assert worth == pytest.approx(np.dot(env.strata, alone))
+        for _ in range(12):
+            env.step(0)
+        delays.append(env._delay)
+    assert delays[1] > 1.3 * delays[0]  # in two minutes, of cars that come earlier
 
 
 def test_three_quarters_go_straight_and_turns_go_both_ways():
@@ -184,19 +150,12 @@ def test_lights_of_sumos_own_stand_beside_policies(make):
         env.follow("actuatd")
 
 
-@pytest.mark.parametrize(
-    "context", [{"length": 50}, {"inflow": 50}, {"inflow": 2500}, {"speed": 25}], ids=str
-)
+@pytest.mark.parametrize("context", [{"length": 50}, {"inflow": 2500}], ids=str)
 def test_corners_run_to_the_end_without_collisions(make, context):
     _, _, info = episode(make(context), FIXED_TIME)
     assert np.isfinite(info["score"])
     assert info["score"] < 0
     assert info["collisions"] == 0
-
-
-def test_more_cars_wait_longer(make):
-    scores = [episode(make({"inflow": n}), FIXED_TIME)[2]["score"] for n in (200, 1000, 2000)]
-    assert scores[0] > scores[1] > scores[2]
 
 
 def test_yellow_comes_before_another_green_only(make):
@@ -212,36 +171,14 @@ def test_yellow_comes_before_another_green_only(make):
     assert set(state) == {"G", "r"}
 
 
-def test_every_lane_has_its_turns(make):
-    env = make()
-    env.reset(seed=0)
-    links = env.simulation.api.trafficlight.getControlledLinks("centre")
-    turns = {(link[0][0], link[0][1][:1]) for link in links}
-    of_west = {pair for pair in turns if pair[0].startswith("W_in")}
-    assert of_west == {
-        *(("W_in_0", "E"), ("W_in_0", "S")),  # straight and right
-        *(("W_in_1", "E"), ("W_in_2", "E")),
-        ("W_in_3", "N"),  # left
-    }
-    assert len(turns) == 20
-
-
-def test_roads_have_the_length_and_limit_of_the_context(make):
+def test_roads_are_those_of_the_context_and_the_limit_is_the_same_for_everybody(make):
     env = make({"length": 150, "speed": 5.5})
     env.reset(seed=0)
-    lane = env.simulation.api.lane
+    lane, vehicle = env.simulation.api.lane, env.simulation.api.vehicle
     for name in ("W_in_0", "N_in_3", "S_out_1"):
-        assert lane.getLength(name) == pytest.approx(150.0)
-        assert lane.getMaxSpeed(name) == 5.5
-
-
-@pytest.mark.parametrize("speed", [5.0, 14.0])
-def test_the_limit_is_the_same_for_everybody(make, speed):
-    env = make({"speed": speed})
-    env.reset(seed=0)
+        assert (lane.getLength(name), lane.getMaxSpeed(name)) == (pytest.approx(150.0), 5.5)
     for phase in FIXED_TIME * 10:
         env.step(phase)
-    vehicle = env.simulation.api.vehicle
     cars = vehicle.getIDList()
     assert len(cars) > 10
     assert {vehicle.getSpeedFactor(car) for car in cars} == {1.0}
@@ -290,39 +227,6 @@ def test_cars_that_block_each_other_at_the_stop_line_do_not_stop_the_traffic_for
     assert info["waiting"] < 50.0
 
 
-def test_a_car_without_its_turn_leaves_by_its_lane_after_its_patience_only(make):
-    env = make()
-    env.reset(seed=0)
-    routes = {"a": ["W_in", "S_out"], "b": ["W_in", "E_out"], "c": ["W_in", "E_out"]}
-
-    class Vehicle:
-        def getWaitingTime(self, car):
-            return {"a": 120.0, "b": 119.0, "c": 500.0}[car]
-
-        def getRoute(self, car):
-            return routes[car]
-
-        def setRoute(self, car, route):
-            routes[car] = route
-
-    class Api:
-        vehicle = Vehicle()
-
-    # a: right turn from a lane that goes straight; b: straight on from the left lane, not yet
-    # long enough; c: has its lane and waits for green
-    env._first = {"W_in_1": "a", "W_in_3": "b", "W_in_0": "c"}
-    env._release(Api())
-    assert routes == {
-        "a": ["W_in", "E_out"],
-        "b": ["W_in", "E_out"],
-        "c": ["W_in", "E_out"],
-    }
-    assert env._missed_turns == 1
-    env._first = {"E_in_3": "c"}
-    env._release(Api())
-    assert routes["c"] == ["W_in", "S_out"]  # left of east, clockwise: south
-
-
 def test_a_jam_ends_the_episode_and_no_score_is_clipped(make):
     # those of the other axis wait from their arrival on
     paper = partial(make, {"inflow": 200}, score="paper")
@@ -337,9 +241,6 @@ def test_a_jam_ends_the_episode_and_no_score_is_clipped(make):
     assert cut["jammed"]
     assert cut["score"] == -cut["waiting"]
     assert 1000.0 == -SCORES["paper"].jam <= cut["waiting"] < whole["waiting"]
-    decisions, _, above = episode(paper(jam=-whole["waiting"] - 1.0), (0,))
-    assert decisions == 540
-    assert above["waiting"] == whole["waiting"]
 
 
 @pytest.mark.parametrize("score", SCORES)
@@ -358,7 +259,6 @@ def test_a_score_at_the_floor_is_told_as_soon_as_it_is_there(make, score):
     signal = get_cmdp("signal-inflow", score=score)
     assert signal.normalisation.normalise(min(t for t in told if t)) == 0.0
     assert (signal.floor, signal.version) == (lowest, 4)
-    assert "final_score" not in episode(make({"inflow": 50}), FIXED_TIME)[2]
 
 
 def test_a_jam_is_no_terminal_state_unless_the_end_of_time_is_one(make):
@@ -371,8 +271,8 @@ def test_a_jam_is_no_terminal_state_unless_the_end_of_time_is_one(make):
         assert ends == expected
 
 
-@pytest.mark.parametrize("speed", [14.0, 5.0])
-def test_every_car_enters_the_shortest_road_that_is_allowed(make, speed, capfd):
+def test_every_car_enters_the_shortest_road_that_is_allowed(make, capfd):
+    speed = 5.0
     stop = signal.stopping_distance(signal.entry_speed(speed))
     with pytest.raises(ContextMismatch, match=f"{stop:g} m"):
         Signal({"length": stop, "speed": speed})
@@ -387,37 +287,24 @@ def test_braking_takes_whole_seconds():
     assert signal.stopping_distance(4.0) == pytest.approx(5.1 + 4.0)
 
 
-# ---- bad input and the contract ----------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
-    ("context", "message"),
-    [({"length": 5}, "hold a car"), ({"inflow": 10.5}, "number of cars"), ({"speed": 0}, "> 0")],
+    ("given", "error", "message"),
+    [
+        ({"context": {"length": 5}}, ContextMismatch, "hold a car"),
+        ({"context": {"inflow": 10.5}}, ContextMismatch, "number of cars"),
+        ({"context": {"speed": 0}}, ContextMismatch, "> 0"),
+        ({"jam": 0.0}, InvalidInput, "< 0"),
+        ({"jam": np.nan}, InvalidInput, "< 0"),
+    ],
 )
-def test_impossible_contexts_are_refused(context, message):
-    with pytest.raises(ContextMismatch, match=message):
-        Signal(context)
+def test_what_is_impossible_is_refused(make, given, error, message):
+    with pytest.raises(error, match=message):
+        make(**given)
 
 
-@pytest.mark.parametrize("jam", [0.0, 3.0, np.nan])
-def test_a_jam_that_every_episode_is_is_refused(jam):
-    with pytest.raises(InvalidInput, match="< 0"):
-        Signal(jam=jam)
-
-
-@pytest.mark.parametrize("phase", [-1, 4, 0.5])
-def test_other_phases_are_refused(make, phase):
+def test_other_phases_are_refused(make):
     env = make()
     env.reset(seed=0)
-    with pytest.raises(InvalidInput, match="0, 1, 2 or 3"):
-        env.step(phase)
-
-
-@pytest.mark.parametrize(
-    ("axis", "values", "nominal"), [("inflow", [50, 2500], 50), ("speed", [5, 25], 25)]
-)
-def test_other_axes_pass_the_check(axis, values, nominal):
-    factory = EnvFactory("mbtl.zoo.cmdps.traffic.signal:Signal", {"unit": {axis: values[0]}})
-    space = ContextSpace.grid({Linear(axis, *values, "m"): values})
-    report = check_cmdp(factory, space, nominal={axis: nominal}, steps=30)
-    assert [c for c in report.checks if c.outcome == "failed"] == []
+    for phase in (-1, 4, 0.5):
+        with pytest.raises(InvalidInput, match="0, 1, 2 or 3"):
+            env.step(phase)

@@ -1,14 +1,9 @@
 """The signal's twin is SUMO: second by second but for the luck of drivers, and in the mean."""
 
-import numpy as np
-import pytest
-
-pytest.importorskip("libsumo", reason="the traffic extra is not installed")
-pytest.importorskip("jax", reason="the jax extra is not installed")
-
-import mbtl.engine.learners  # noqa: F401  isort: skip  # before jax: it sets jax's flags
 import jax
 import jax.numpy as jnp
+import numpy as np
+import pytest
 
 from mbtl.zoo.cmdps.traffic import signal
 from mbtl.zoo.cmdps.traffic.signal import APPROACHES, Signal

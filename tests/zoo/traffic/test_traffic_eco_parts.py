@@ -1,0 +1,189 @@
+"""Parts of eco-driving: who comes, the light, what is emitted, and what is measured of a trip."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mbtl.zoo.cmdps.traffic.eco import (
+    APPROACH,
+    BOX,
+    CONTROLLED,
+    CUT,
+    EXIT,
+    FLEET,
+    LENGTH,
+    Region,
+    Trip,
+    co2_rate,
+    corridor,
+    fuel_rate,
+    light,
+    population,
+    power,
+    routes,
+)
+from mbtl.zoo.cmdps.traffic.simulation import Simulation
+
+IDLE = 7.8e-4 * 2350  # g/s
+
+
+# ---- who comes -----------------------------------------------------------------------------------
+
+
+def draw(inflow=36_000.0, penetration=0.2, seconds=1000.0, seed=0):
+    return population(np.random.default_rng(seed), inflow, penetration, seconds)
+
+
+def test_cars_are_as_many_as_the_inflow_says_and_of_the_fleet():
+    cars = draw()
+    assert len(cars) == pytest.approx(10_000, abs=400)  # 4 standard deviations of Poisson
+    assert np.mean([car.feeder == "AB" for car in cars]) == pytest.approx(0.9, abs=0.012)
+    times = [car.depart for car in cars]
+    assert times == sorted(times)
+    assert 0.0 <= times[0] <= times[-1] <= 1000.0
+    assert np.mean([car.controlled for car in cars]) == pytest.approx(0.2, abs=0.016)
+    assert {car.driver for car in cars if car.controlled} == {CONTROLLED}
+    others, total = [c for c in cars if not c.controlled], sum(k.share for k in FLEET.values())
+    for name, kind in FLEET.items():
+        own = [car for car in others if car.length == kind.length]
+        assert len(own) / len(others) == pytest.approx(kind.share / total, abs=0.025)
+        if name in ("car", "light truck"):
+            drivers = np.array([car.driver for car in own])
+            assert drivers.mean(axis=0) == pytest.approx(np.array(kind.mean), rel=0.03)
+            assert (np.abs(drivers - kind.mean) <= CUT * np.array(kind.std) + 1e-12).all()
+    assert min(min(car.driver) for car in cars) > 0.0
+
+
+def test_a_seed_gives_the_same_cars_and_every_car_is_in_the_demand():
+    cars = draw(inflow=400, penetration=1.0)
+    assert cars == draw(inflow=400, penetration=1.0) != draw(inflow=400, penetration=1.0, seed=1)
+    assert all(car.controlled for car in cars)
+    assert routes(cars).count("<vehicle ") == routes(cars).count("<vType ") == len(cars)
+
+
+# ---- the light -----------------------------------------------------------------------------------
+
+
+def test_the_signal_is_green_yellow_and_red_in_turn_and_counts_down_to_its_changes():
+    signal = light(35.0)
+    assert signal.cycle == 76.0
+    assert [signal.phase(t) for t in (0.0, 34.5, 35.0, 37.5, 38.0, 75.5, 76.0)] == [
+        *(0, 0, 1, 1, 2, 2, 0)
+    ]
+    assert signal.changes(0.0) == (35.0, 76.0, 111.0)
+    assert signal.changes(34.5) == (0.5, 41.5, 76.5)
+    assert signal.changes(35.0) == (41.0, 76.0, 117.0)
+    assert signal.changes(76.0 + 75.0) == (1.0, 36.0, 77.0)
+
+
+def test_sumo_shows_what_the_signal_says():
+    green = 12.5
+    signal = light(green)
+    simulation = Simulation(corridor(signal), step_length=0.5)
+    simulation.start("<routes/>", 0)
+    with simulation.guard() as api:
+        state = api.trafficlight.getRedYellowGreenState
+        links = api.trafficlight.getControlledLinks("ghost")
+        straight = [link[0][0] for link in links].index("AB_0")
+        for k in range(400):
+            api.simulationStep()  # shows the state that its cars have obeyed
+            phase = signal.phase(0.5 * k)
+            assert "Gyr".index(state("main")) == phase
+            ghost = state("ghost")
+            assert "Gyr".index(ghost[straight]) == phase  # AB has the main signal's green
+            within = 0.5 * k % signal.cycle - green - 3.0
+            side = 0 if 0 <= within < 35 else 1 if within >= 35 else 2
+            assert "Gyr".index(ghost[1 - straight]) == side
+        lengths = [api.lane.getLength(f"{road}_0") for road in ("approach", "box", "exit")]
+    simulation.close()
+    assert lengths == pytest.approx([APPROACH, BOX, EXIT])
+    assert pytest.approx(485.6) == LENGTH
+
+
+# ---- what is emitted and measured ----------------------------------------------------------------
+
+
+def test_the_closed_form_at_ten_metres_per_second():
+    assert power(10.0, 0.0) == pytest.approx((237.2 + 17.85) * 10 / 3312)
+    needed = (237.2 + 17.85 + 3278 * 2) * 10 / 3312  # 20.56 kW
+    assert power(10.0, 2.0) == pytest.approx(needed)
+    litres = 7.8e-4 + 1.956e-5 * needed + 1e-6 * needed**2
+    assert fuel_rate(10.0, 2.0) == pytest.approx(litres)
+    assert co2_rate(10.0, 2.0) == pytest.approx(3.772, abs=1e-3)
+
+
+def test_braking_costs_no_more_than_idling():
+    assert power(10.0, -3.0) < 0
+    assert co2_rate(10.0, -3.0) == pytest.approx(IDLE)
+
+
+class Road:
+    """A simulation of which only lanes and speeds are known; rearmost cars first, as in SUMO."""
+
+    def __init__(self):
+        self.lanes = {f"{road}_0": [] for road in ("AB", "AA", "approach", "box", "exit")}
+        self.speeds, self.pending = {}, []
+        self.lane = SimpleNamespace(
+            getLastStepVehicleIDs=self.lanes.get,
+            getLastStepVehicleNumber=lambda lane: len(self.lanes[lane]),
+            getLastStepMeanSpeed=lambda lane: (
+                sum(map(self.speeds.get, self.lanes[lane])) / max(len(self.lanes[lane]), 1)
+            ),
+        )
+        self.simulation = SimpleNamespace(getPendingVehicles=lambda: self.pending)
+        self.vehicle = SimpleNamespace(getSpeed=self.speeds.get, getAcceleration=lambda car: 0.0)
+
+
+def test_a_trip_counts_a_stop_once_until_the_car_has_driven_again():
+    trip = Trip()
+    for speed in (5.0, 0.05, 0.2, 0.0, 0.0, 2.0, 0.0):
+        trip.move(speed, 0.0)
+    assert trip.stops == 2
+    assert trip.mean_speed == pytest.approx(7.25 / 7)
+    assert trip.co2_sum == pytest.approx(7 * trip.co2, rel=0.01)
+
+
+def test_the_summary_is_a_mean_over_cars_that_went_through_and_count():
+    road, region = Road(), Region()
+    lane = road.lanes["approach_0"]
+    lane.append("early")
+    road.speeds.update(early=1.0, fast=12.0, slow=4.0)
+    region.update(road)
+    region.begin()
+    lane[:] = ["fast", "slow"]
+    region.update(road)
+    region.update(road)
+    lane.remove("fast")  # after two steps, 12 m
+    road.speeds["slow"] = 0.0
+    region.update(road)
+    nobody_else = region.summary(seconds=1.5)
+    lane.remove("slow")  # after three steps, 4 m
+    lane.append("late")  # still there in the end: not counted
+    road.speeds["late"] = 9.0
+    region.update(road)
+    summary = region.summary(seconds=2.0)
+    assert nobody_else["trip_speed"] == pytest.approx(12.0)
+    assert summary["trip_speed"] == pytest.approx((12.0 + 8.0 / 3.0) / 2.0)
+    assert summary["stops"] == 0.5
+    assert summary["completed"] == 2
+    assert summary["throughput"] == pytest.approx(2 / 2.0 * 3600.0)
+    fast, braking = co2_rate(12.0, 0.0), co2_rate(0.0, -8.0)
+    slow = 2 * co2_rate(4.0, 0.0) + braking
+    assert summary["co2"] == pytest.approx((2 * fast + slow) * 0.5 / 2.0)
+
+
+def test_the_mean_speed_is_of_all_cars_and_whoever_waits_to_enter_stands():
+    road, region = Road(), Region()
+    road.lanes["AB_0"].append("before")
+    road.speeds["before"] = 14.0
+    region.update(road)
+    region.begin()
+    road.lanes["AB_0"][:] = ["a", "b"]
+    road.lanes["exit_0"].append("c")
+    road.speeds.update(a=6.0, b=0.0, c=12.0)
+    road.pending += ["d", "e"]
+    region.update(road)
+    road.pending.clear()
+    region.update(road)
+    assert region.summary(seconds=1.0)["mean_speed"] == pytest.approx(36.0 / (5 + 3))
