@@ -403,7 +403,7 @@ class WorldTrainer:
         n = len(sets[0])
         world, params = self._lessons([context for some in sets for context in some])
         by_one = n == 1 or self.episodes is not None
-        recipe = self.learner if by_one else recipe_on_many(self, world, n)
+        recipe = self.learner if by_one else engine.multitask_recipe("ppo", self.learner, world, n)
         spread = engine.in_sets(recipe, params, n)
         whole = self._updates(1.0, int(recipe.update_length))
         return engine.Growing(world, recipe, list(seeds), spread, whole)
@@ -599,15 +599,3 @@ class WorldTrainer:
 def _advanced(training: Any, updates: int) -> Any:
     """As if so many more updates were done; schedules follow their number."""
     return training._replace(updates=training.updates + updates) if updates else training
-
-
-def recipe_on_many(trainer: WorldTrainer, world: Any, n: int, method: str = "ppo") -> Any:
-    """The recipe of one policy for n contexts.
-
-    CartPole and Pendulum have one of their own; every other world is learnt by that of one source,
-    its copies spread over the contexts. The trainer learns by PPO.
-    """
-    name = type(getattr(world, "env", world)).__name__
-    if name in engine.MULTI_TASK:
-        return engine.multitask_recipe(method, name)  # type: ignore[arg-type]  # it checks the name
-    return engine.spread_recipe(method, trainer.learner, n)  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic import dqn
 from mbtl.engine.learners.episodic.episodes import Episodes
-from mbtl.engine.learners.episodic.recipes import EpisodicDQNRecipe
+from mbtl.engine.learners.recipes import EpisodicDQNRecipe
 from mbtl.engine.worlds.environments import Discrete
 from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp

@@ -17,7 +17,7 @@ from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic import learning
 from mbtl.engine.learners.episodic.episodes import record
 from mbtl.engine.learners.episodic.learning import contexts_met
-from mbtl.engine.learners.episodic.recipes import TRPORecipe
+from mbtl.engine.learners.recipes import TRPORecipe
 from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
 

@@ -16,9 +16,9 @@ from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic import ppo
 from mbtl.engine.learners.episodic.episodes import Episodes
-from mbtl.engine.learners.episodic.recipes import TWIN_RECIPES, EpisodicPPORecipe
 from mbtl.engine.learners.episodic.returns import Returns
 from mbtl.engine.learners.networks import kl
+from mbtl.engine.learners.recipes import TWIN_RECIPES, EpisodicPPORecipe
 from mbtl.engine.worlds.environments import Box
 from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp

@@ -16,8 +16,8 @@ from poles import assert_same, first
 
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Pace, clock_at
-from mbtl.engine.learners.episodic.recipes import TWIN_RECIPES, EpisodicPPORecipe, TRPORecipe
 from mbtl.engine.learners.multitask.table import seen
+from mbtl.engine.learners.recipes import TWIN_RECIPES, EpisodicPPORecipe, TRPORecipe
 from mbtl.errors import InvalidInput
 from mbtl.problems import get_cmdp
 from mbtl.zoo.worlds import CartPole
@@ -48,14 +48,12 @@ RECIPES = {
 }
 RECIPES["PPO standardised"] = replace(PPO, standardize=True)
 for method in ("paco", "moore"):
-    RECIPES[method] = engine.MultiTaskRecipe(method, PPO, 2)
-RECIPES["ppo standardised"] = engine.MultiTaskRecipe("ppo", replace(PPO, standardize=True))
+    RECIPES[method] = engine.MultiTaskRecipe.of(method, PPO, 2)
+RECIPES["ppo standardised"] = engine.MultiTaskRecipe.of("ppo", replace(PPO, standardize=True))
 
 
 def still(recipe):
     """The same learner, whose gradient steps have length 0."""
-    if isinstance(recipe, engine.MultiTaskRecipe):
-        return replace(recipe, ppo=still(recipe.ppo))
     if isinstance(recipe, TRPORecipe):
         return replace(recipe, max_kl=0.0, critic_learning_rate=0.0)
     return replace(recipe, learning_rate=0.0)

@@ -31,7 +31,7 @@ LENGTHS = (0.1, 0.5, 1.0, 2.0, 5.0)
 
 
 def recipe_of(method, n_parts=3, **changes):
-    return engine.MultiTaskRecipe(method, replace(TINY, **changes), n_parts)
+    return engine.MultiTaskRecipe.of(method, replace(TINY, **changes), n_parts)
 
 
 # ---- turns ---------------------------------------------------------------------------------------
@@ -51,7 +51,7 @@ def test_copies_that_end_together_take_the_next_contexts_in_order():
 @pytest.mark.parametrize("n_envs", [2, 7])
 def test_every_context_is_started_equally_often(n_envs):
     """Short and long episodes, fewer and more copies than contexts; read off the observations."""
-    recipe = engine.MultiTaskRecipe("paco", replace(TINY, n_envs=n_envs, n_steps=240))
+    recipe = engine.MultiTaskRecipe.of("paco", replace(TINY, n_envs=n_envs, n_steps=240))
     params = engine.in_sets(recipe, params_of(CARTPOLE, LENGTHS), 5)
     state = algorithms.init(CARTPOLE, recipe, [0], params)
     play = jax.jit(jax.vmap(partial(_play_only, recipe)))
@@ -68,8 +68,8 @@ def test_every_context_is_started_equally_often(n_envs):
 
 
 def _play_only(recipe, state, params):
-    _, noise = draw(CARTPOLE, state.key, (recipe.ppo.n_steps, recipe.ppo.n_envs))
-    return play(CARTPOLE, recipe.ppo, state, params, noise)
+    _, noise = draw(CARTPOLE, state.key, (recipe.n_steps, recipe.n_envs))
+    return play(CARTPOLE, recipe, state, params, noise)
 
 
 # ---- vectors per context -------------------------------------------------------------------------
@@ -194,7 +194,7 @@ def test_task_weights_mix_the_representations():
 @pytest.mark.parametrize("method", ["ppo", "paco", "moore"])
 def test_cartpole_is_learnt_on_all_contexts(method):
     ppo = engine.PPORecipe(n_envs=10, n_steps=64, batch_size=128, n_epochs=4, learning_rate=2e-3)
-    env, recipe = engine.Solo(CartPole(horizon=200)), engine.MultiTaskRecipe(method, ppo, 2)
+    env, recipe = engine.Solo(CartPole(horizon=200)), engine.MultiTaskRecipe.of(method, ppo, 2)
     scores = []
     sets = engine.in_sets(recipe, params_of(env, (0.25, 0.5, 1.0)), 3)
     start = engine.start(env, recipe, [0], sets)
@@ -235,8 +235,6 @@ def test_a_checkpoint_is_scored_on_every_context_from_different_states():
 
 def test_bad_arguments_are_named():
     with pytest.raises(UnknownName, match="'paco'"):
-        engine.MultiTaskRecipe("pako")
+        engine.MultiTaskRecipe(method="pako")
     with pytest.raises(InvalidInput, match="n_parts must be >= 1"):
-        engine.MultiTaskRecipe("moore", n_parts=0)
-    with pytest.raises(UnknownName, match="'Pendulum'"):
-        engine.multitask_recipe("ppo", "pendulum")
+        engine.MultiTaskRecipe(method="moore", n_parts=0)

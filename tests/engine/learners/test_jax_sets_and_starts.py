@@ -23,7 +23,7 @@ from mbtl.zoo.worlds import CartPole
 CARTPOLE = engine.Solo(CartPole(horizon=60))
 params_of = partial(poles.params_of, CARTPOLE)
 TINY = engine.PPORecipe(n_envs=2, n_steps=32, batch_size=32, n_epochs=2, learning_rate=1e-3)
-ON_SETS = engine.MultiTaskRecipe("ppo", TINY)
+ON_SETS = engine.MultiTaskRecipe.of("ppo", TINY)
 SMALL_REPLAY = engine.DQNRecipe(n_envs=2, buffer_size=800, learning_starts=0)
 
 
@@ -49,13 +49,13 @@ def test_a_set_of_equal_contexts_is_the_context():
 
 def test_each_policy_plays_all_of_its_own_set_and_nothing_else():
     lengths = np.array([[0.1, 0.2, 0.3, 0.4], [1.0, 2.0, 4.0, 5.0]])
-    recipe = replace(ON_SETS, ppo=replace(TINY, n_steps=240, batch_size=48))
+    recipe = replace(ON_SETS, n_steps=240, batch_size=48)
     params = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params_of(lengths))
     state = algorithms.init(CARTPOLE, recipe, [0, 1], params)
 
     def seen(state, params):
         _, noise = draw(CARTPOLE, state.key, (240, 2))
-        return play(CARTPOLE, recipe.ppo, state, params, noise)[1].obs[..., -1]
+        return play(CARTPOLE, recipe, state, params, noise)[1].obs[..., -1]
 
     visible = np.asarray(jax.jit(jax.vmap(seen))(state, params))
     for own, expected in zip(visible, np.asarray(params.visible), strict=True):
@@ -76,7 +76,7 @@ def test_episodes_that_a_set_cannot_share_are_refused():
         (TINY, [0.5, 1.0]),
         (engine.A2CRecipe(n_envs=2), [0.5, 1.0]),
         (SMALL_REPLAY, [0.5, 1.0]),
-        (engine.MultiTaskRecipe("paco", TINY, 2), [[0.5, 1.0], [2.0, 3.0]]),
+        (engine.MultiTaskRecipe.of("paco", TINY, 2), [[0.5, 1.0], [2.0, 3.0]]),
     ],
     ids=["ppo", "a2c", "dqn", "paco"],
 )

@@ -14,9 +14,9 @@ from mbtl.engine.learners import networks, saving
 from mbtl.engine.learners.clock import Pace, clock_at
 from mbtl.engine.learners.episodic import trpo
 from mbtl.engine.learners.episodic.episodes import Episodes, actor_of, record
-from mbtl.engine.learners.episodic.recipes import TRPORecipe
 from mbtl.engine.learners.episodic.returns import Returns, advantages
 from mbtl.engine.learners.networks import kl
+from mbtl.engine.learners.recipes import TRPORecipe
 from mbtl.engine.worlds.environments import Box, Discrete
 from mbtl.errors import InvalidInput, UnknownName
 from mbtl.problems import get_cmdp

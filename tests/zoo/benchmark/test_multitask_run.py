@@ -56,7 +56,7 @@ def test_one_policy_is_trained_on_all_contexts_and_played_in_the_episodes_of_a_m
     assert returns.shape == std.shape == (3,)
     assert np.isfinite(returns).all()
     assert len(set(returns.tolist())) == 3  # each in its own physics
-    assert (recipe.ppo.n_envs, recipe.ppo.n_steps) == (4, 32)  # the same update
+    assert (recipe.n_envs, recipe.n_steps) == (4, 32)  # the same update
     assert record["steps"] == 512
     assert record["checkpoint_episodes"] == 1
     assert told == [128, 256, 384, 512]
@@ -139,6 +139,6 @@ def test_a_recipe_of_another_algorithm_is_refused():
 
 def test_the_update_of_one_source_is_spread_over_many_contexts():
     one = engine.PPORecipe(n_envs=32, n_steps=128, batch_size=256)
-    found = [engine.spread_recipe("ppo", one, n).ppo for n in (1, 100, 512)]
+    found = [engine.multitask_recipe("ppo", one, None, n) for n in (1, 100, 512)]
     assert [(x.n_envs, x.n_steps) for x in found] == [(32, 128), (128, 32), (256, 16)]
     assert {x.update_length for x in found} == {4096}

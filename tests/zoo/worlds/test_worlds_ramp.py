@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mbtl.engine.learners.episodic.episodes import Episodes
-from mbtl.engine.learners.episodic.recipes import TRPORecipe
 from mbtl.engine.learners.episodic.returns import Returns, advantages
+from mbtl.engine.learners.recipes import TRPORecipe
 from mbtl.zoo.cmdps.traffic.twins import RampProblem
 from mbtl.zoo.worlds.traffic.idm import IDM
 from mbtl.zoo.worlds.traffic.ramp import NO_CAR, Zipper, there

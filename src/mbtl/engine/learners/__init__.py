@@ -36,7 +36,6 @@ from mbtl.engine.learners.recipes import (
     PPORecipe,
     Recipe,
     multitask_recipe,
-    spread_recipe,
 )
 from mbtl.engine.learners.saving import SavedTraining
 from mbtl.engine.worlds import counted
@@ -81,7 +80,6 @@ __all__ = [
     "on_cpu",
     "recipe_named",
     "reference_returns",
-    "spread_recipe",
     "stack_params",
     "start",
     "taken",

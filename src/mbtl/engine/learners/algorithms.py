@@ -27,15 +27,16 @@ import jax
 from mbtl.engine.learners import a2c, dqn, networks, ppo
 from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.episodic import learning
-from mbtl.engine.learners.episodic.recipes import TWIN_RECIPES, TwinRecipe
 from mbtl.engine.learners.multitask import moore, paco
 from mbtl.engine.learners.recipes import (
     RECIPES,
+    TWIN_RECIPES,
     A2CRecipe,
     DQNRecipe,
     MultiTaskRecipe,
     PPORecipe,
     Recipe,
+    TwinRecipe,
 )
 from mbtl.engine.worlds.environments import Length, Tree
 from mbtl.engine.worlds.world import Solo, World
@@ -43,7 +44,9 @@ from mbtl.errors import InvalidInput, unknown_name
 
 AnyRecipe = Recipe | TwinRecipe
 
-_WITH_COPIES: Mapping[type, Any] = {PPORecipe: ppo, A2CRecipe: a2c, DQNRecipe: dqn}
+_WITH_COPIES: Mapping[type, Any] = {
+    PPORecipe: ppo, MultiTaskRecipe: ppo, A2CRecipe: a2c, DQNRecipe: dqn,
+}  # fmt: skip
 _WITH_VECTORS: Mapping[str, Any] = {"paco": paco, "moore": moore}
 
 
@@ -77,13 +80,11 @@ def init(
             f"{type(recipe).__name__} needs simulations that start again one by one, got "
             f"{type(world).__name__}; learn from whole episodes, e.g. by TRPORecipe"
         )
-    if isinstance(recipe, MultiTaskRecipe):
-        if weights is None and recipe.has_vectors:
-            n_contexts, n_visible = params.visible.shape[1:]
-            shapes = n_contexts, world.n_features + n_visible - 1  # no place for the layers
-            make = _WITH_VECTORS[recipe.method].init_weights
-            weights = networks.stack([make(world, recipe, seed, *shapes) for seed in seeds])
-        recipe = recipe.ppo
+    if isinstance(recipe, MultiTaskRecipe) and recipe.has_vectors and weights is None:
+        n_contexts, n_visible = params.visible.shape[1:]
+        shapes = n_contexts, world.n_features + n_visible - 1  # no place for the layers
+        make = _WITH_VECTORS[recipe.method].init_weights
+        weights = networks.stack([make(world, recipe, seed, *shapes) for seed in seeds])
     return _WITH_COPIES[type(recipe)].init(world, recipe, seeds, params, weights)
 
 
@@ -97,7 +98,5 @@ def update(
     """
     if isinstance(recipe, TwinRecipe):
         return learning.update(world, recipe, decisions, state, params, clock)
-    if isinstance(recipe, MultiTaskRecipe):
-        recipe = recipe.ppo
     each = partial(_WITH_COPIES[type(recipe)].update, world, recipe)
     return jax.vmap(each, in_axes=(0, 0, None))(state, params, clock)

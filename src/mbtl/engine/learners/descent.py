@@ -12,8 +12,12 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
-from mbtl.engine.learners.episodic.recipes import EpisodicDQNRecipe, EpisodicPPORecipe
-from mbtl.engine.learners.recipes import DQNRecipe, PPORecipe
+from mbtl.engine.learners.recipes import (
+    DQNRecipe,
+    EpisodicDQNRecipe,
+    EpisodicPPORecipe,
+    PPORecipe,
+)
 from mbtl.engine.worlds.environments import Tree
 
 

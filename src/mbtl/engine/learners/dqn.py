@@ -23,9 +23,8 @@ import optax
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.descent import adam, descended
-from mbtl.engine.learners.episodic.recipes import EpisodicDQNRecipe
 from mbtl.engine.learners.networks import Network, Weights
-from mbtl.engine.learners.recipes import DQNRecipe
+from mbtl.engine.learners.recipes import DQNRecipe, EpisodicDQNRecipe
 from mbtl.engine.learners.rollout import start
 from mbtl.engine.worlds.copies import Copies, stepped
 from mbtl.engine.worlds.environments import Discrete, Tree

@@ -23,9 +23,8 @@ from jax.flatten_util import ravel_pytree
 from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.descent import adam, mean_of
-from mbtl.engine.learners.episodic.recipes import EpisodicPPORecipe
 from mbtl.engine.learners.networks import Weights
-from mbtl.engine.learners.recipes import PPORecipe
+from mbtl.engine.learners.recipes import EpisodicPPORecipe, PPORecipe
 from mbtl.engine.learners.rollout import Rollout, State, advantages, draw, play, start
 from mbtl.engine.learners.units import Units
 from mbtl.engine.worlds.environments import Box, Discrete, Tree

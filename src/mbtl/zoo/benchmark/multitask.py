@@ -27,7 +27,7 @@ import numpy as np
 from mbtl.arrays import Array
 from mbtl.contexts import Context
 from mbtl.engine import lazy as engine
-from mbtl.engine.world_trainer import WorldTrainer, recipe_on_many
+from mbtl.engine.world_trainer import WorldTrainer
 from mbtl.errors import InvalidInput, cannot_write
 from mbtl.files import claimed_folder, whole_file
 from mbtl.seeds import (
@@ -294,7 +294,7 @@ class InJax:
     def _problem(self) -> _Problem:
         world, params = self.trainer.problem(self.contexts)
         name, n = type(getattr(world, "env", world)).__name__, len(self.contexts)
-        recipe = recipe_on_many(self.trainer, world, n, self.method)
+        recipe = engine.multitask_recipe(self.method, self.trainer.learner, world, n)
         sets = engine.in_sets(recipe, params, n)
         if name in engine.MULTI_TASK:
             return _Problem(world, recipe, params, sets, _JUDGED, None)

@@ -24,9 +24,9 @@ from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.descent import adam
 from mbtl.engine.learners.dqn import descend, fallen, unpacked
 from mbtl.engine.learners.episodic.episodes import Episodes
-from mbtl.engine.learners.episodic.recipes import EpisodicDQNRecipe
 from mbtl.engine.learners.episodic.returns import Returns
 from mbtl.engine.learners.networks import Network, Weights
+from mbtl.engine.learners.recipes import EpisodicDQNRecipe
 from mbtl.engine.worlds.environments import Box, Discrete, Tree
 
 

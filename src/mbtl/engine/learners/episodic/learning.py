@@ -17,14 +17,14 @@ from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.episodic import dqn, ppo, trpo
 from mbtl.engine.learners.episodic.episodes import actor_of, record
-from mbtl.engine.learners.episodic.recipes import (
+from mbtl.engine.learners.networks import Weights
+from mbtl.engine.learners.recipes import (
     EpisodicActorCritic,
     EpisodicDQNRecipe,
     EpisodicPPORecipe,
     TRPORecipe,
     TwinRecipe,
 )
-from mbtl.engine.learners.networks import Weights
 from mbtl.engine.worlds import random
 from mbtl.engine.worlds.environments import Length, Tree
 from mbtl.engine.worlds.rules import Rules

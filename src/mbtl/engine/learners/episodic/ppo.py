@@ -20,10 +20,10 @@ from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.descent import adam, standard
 from mbtl.engine.learners.episodic.episodes import Episodes
-from mbtl.engine.learners.episodic.recipes import EpisodicPPORecipe
 from mbtl.engine.learners.episodic.returns import Memory, Returns, advantages
 from mbtl.engine.learners.networks import Weights
 from mbtl.engine.learners.ppo import Batch, Limits, descend
+from mbtl.engine.learners.recipes import EpisodicPPORecipe
 from mbtl.engine.worlds.environments import Box, Discrete
 
 

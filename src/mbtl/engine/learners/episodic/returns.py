@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from mbtl.engine.learners.descent import mean_of
 from mbtl.engine.learners.episodic.episodes import Episodes
-from mbtl.engine.learners.episodic.recipes import EpisodicActorCritic, TwinRecipe
+from mbtl.engine.learners.recipes import EpisodicActorCritic, TwinRecipe
 from mbtl.engine.worlds.environments import Tree
 
 

@@ -21,10 +21,10 @@ from mbtl.engine.learners import networks
 from mbtl.engine.learners.clock import Clock
 from mbtl.engine.learners.descent import mean_of, standard
 from mbtl.engine.learners.episodic.episodes import Episodes
-from mbtl.engine.learners.episodic.recipes import TRPORecipe
 from mbtl.engine.learners.episodic.returns import Memory, Returns, advantages
 from mbtl.engine.learners.networks import Network, Weights
 from mbtl.engine.learners.ppo import Batch
+from mbtl.engine.learners.recipes import TRPORecipe
 from mbtl.engine.worlds.environments import Box, Discrete, Tree
 
 Search = tuple[jax.Array, jax.Array, jax.Array]

@@ -1,7 +1,7 @@
 """One policy for all contexts of a CMDP: the baselines that train once instead of choosing sources.
 
     params = stack_params(world, [derive(...) for each context], visible)
-    recipe = MultiTaskRecipe("paco")
+    recipe = MultiTaskRecipe(method="paco")
     sets = in_sets(recipe, params, len(params.visible))            # one policy, all contexts
     training = train(world, recipe, [seed], sets, 5_000_000, checkpoint_episodes=...)
     returns = evaluate(world, actor_of(training.best), context_of(sets, 0), seeds)   # (1, N, E)

@@ -94,7 +94,7 @@ def init_weights(
 ) -> MOOREWeights:
     """Orthogonal layers, gains as in `networks.init_weights`; hats as task weights."""
     rng = np.random.default_rng(seed)
-    hidden, n_parts = recipe.ppo.hidden, recipe.n_parts
+    hidden, n_parts = recipe.hidden, recipe.n_parts
 
     def layer(n_in: int, n_out: int) -> Any:
         each = [networks.orthogonal(rng, n_in, n_out, math.sqrt(2.0)) for _ in range(n_parts)]
@@ -106,7 +106,7 @@ def init_weights(
         table: Any = initial_table(n_contexts, n_parts)
         return Mixture(experts, table, (head, np.zeros(n_outputs, dtype=np.float32)))
 
-    plain = networks.init_weights(seed, 1, world.action, (), recipe.ppo.log_std)
+    plain = networks.init_weights(seed, 1, world.action, (), recipe.log_std)
     return MOOREWeights(
         mixture(networks.n_outputs(world.action), 0.01), mixture(1, 1.0), plain.log_std
     )

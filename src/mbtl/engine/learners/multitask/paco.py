@@ -78,14 +78,13 @@ def init_weights(
     world: Solo, recipe: MultiTaskRecipe, seed: int, n_contexts: int, n_inputs: int
 ) -> PaCoWeights:
     """K independent networks as `networks.init_weights` makes them, and hats as vectors."""
-    ppo, n_sets = recipe.ppo, recipe.n_parts
-    seeds = np.random.SeedSequence(seed).generate_state(n_sets)
+    seeds = np.random.SeedSequence(seed).generate_state(recipe.n_parts)
     each = [
-        networks.init_weights(int(s), n_inputs, world.action, ppo.hidden, ppo.log_std)
+        networks.init_weights(int(s), n_inputs, world.action, recipe.hidden, recipe.log_std)
         for s in seeds
     ]
     sets: Any = jax.tree.map(lambda *leaves: np.stack(leaves), *each)
-    vectors: Any = initial_table(n_contexts, n_sets)
+    vectors: Any = initial_table(n_contexts, recipe.n_parts)
     return PaCoWeights(sets.actor, sets.critic, each[0].log_std, vectors)
 
 
